@@ -44,8 +44,7 @@ class BentTerm:
     """A term whose column depends on one more number, a speed vs.
 
     Attributes:
-        column: of velocities (...) and vs [rad/s].
-        slope: its derivative by vs, of the same arguments.
+        column, slope: of velocities (...) and vs [rad/s]; its derivative by vs.
         usual: vs where nothing is known of it [rad/s].
         tried: speeds worth trying, ascending; vs is sought from half the first to twice the last.
             Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at the output.
@@ -139,12 +138,8 @@ class FrictionModel:
         return tuple(f"{term}[{joint}]" for term in self.terms)
 
     def columns(self, qd: Array, qdd: Array, load: Array) -> Array:
-        """Return the regressor columns (N, k) of one joint.
-
-        Args:
-            qd: (N,) velocity [rad/s].
-            qdd: (N,) acceleration [rad/s^2].
-            load: (N,) torque the joint's gear transmits [N m].
+        """Return one joint's regressor columns (N, k) at velocities, accelerations and torques
+        that its gear transmits (N,) [rad/s, rad/s^2, N m].
         """
         columns = [TERMS[term](qd, qdd, load) for term in self.terms]
         return np.column_stack(columns) if columns else np.empty((len(qd), 0))

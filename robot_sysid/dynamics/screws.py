@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics.spatial import cross, skew
-from robot_sysid.records import Array, checked_array
+from robot_sysid.records.arm import Array, check_arrays
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,7 @@ class ScrewChain:
     gravity: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "home", checked_array(self.home, (None,), "home"))
-        shape = (6, len(self.home))
-        object.__setattr__(self, "screws", checked_array(self.screws, shape, "screws"))
-        object.__setattr__(self, "gravity", checked_array(self.gravity, (3,), "gravity"))
+        check_arrays(self, home=(None,), gravity=(3,), screws=(6, len(self.home)))
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> ChainMotion:
         """Return the terminal body's motion for chain motions (N, n)."""
@@ -74,11 +71,9 @@ class ChainMotion:
     """Terminal body motion of N samples, with what its gradient needs.
 
     Attributes:
-        qd, qdd: (N, n) joint velocity and acceleration.
         jacobian: (6, n, N) body Jacobian.
         steps, before: (6, n, N) each joint's twist, and the sum over the joints before it.
-        velocity: (6, N) twist of the body.
-        acceleration: (6, N) spatial acceleration minus gravity.
+        velocity, acceleration: (6, N) of the body, the spatial one minus gravity.
         gravity: (3, N) gravity in the body frame.
     """
 
@@ -94,12 +89,8 @@ class ChainMotion:
     def vjp(
         self, jacobian_adjoint: Array, velocity_adjoint: Array, acceleration_adjoint: Array
     ) -> tuple[Array, Array, Array]:
-        """Return the gradient (N, n) with respect to q, qd and qdd: reverse mode.
-
-        Args:
-            jacobian_adjoint: (6, n, N) derivative of a scalar with respect to ``jacobian``.
-            velocity_adjoint: (6, N) the same for ``velocity``.
-            acceleration_adjoint: (6, N) the same for ``acceleration``.
+        """Return a scalar's gradient (N, n) by q, qd and qdd from that by ``jacobian`` (6, n, N),
+        ``velocity`` and ``acceleration`` (6, N): reverse mode.
         """
         outer_adjoint = acceleration_adjoint[:, None, :]
         before_adjoint = -bracket_transposed(self.steps, outer_adjoint)

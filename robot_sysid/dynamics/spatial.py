@@ -116,13 +116,7 @@ def quaternion(rotation: Array) -> Array:
 
 
 def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:
-    """Express theta of frame B in frame A.
-
-    Args:
-        theta: (10,) parameters in frame B.
-        rotation: (3, 3) R_AB, axes of B in A.
-        translation: (3,) origin of B in A [m].
-    """
+    """Express theta (10,) of frame B in A, by axes R_AB (3, 3) and origin (3,) of B in A [m]."""
     sigma = np.zeros((4, 4))
     sigma[:3, :3], sigma[:3, 3], sigma[3, 3] = rotation, translation, 1.0
     return theta_from_pseudo_inertia(sigma @ pseudo_inertia(theta) @ sigma.T)
@@ -166,15 +160,10 @@ def characteristic_length(theta: Array) -> float:
 
 
 def lifted_body(theta: Array, scale_of: Array, floor: float) -> Array:
-    """Return a safely possible body (10,) near theta.
+    """Return a safely possible body (10,) near theta (10,), possible or not.
 
-    Eigenvalues of the pseudo-inertia, made dimensionless with mass and size of another body, are
-    lifted to ``floor`` times the largest magnitude.
-
-    Args:
-        theta: (10,) parameters, possible or not.
-        scale_of: (10,) body whose mass and size set the scale.
-        floor: smallest eigenvalue relative to the largest magnitude (but at least 1).
+    Eigenvalues of the pseudo-inertia, made dimensionless with mass and size of the body
+    ``scale_of`` (10,), are lifted to ``floor`` times the largest magnitude (but at least 1).
     """
     mass = float(scale_of[0]) if scale_of[0] > 0.0 else 1.0
     length = characteristic_length(scale_of)

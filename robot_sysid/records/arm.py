@@ -94,7 +94,6 @@ class SubtreeBody:
     """One body of the terminal link, the terminal body itself or one below it.
 
     Attributes:
-        name: body name ("#7" for a nameless body with id 7).
         theta: (10,) its inertial parameters in the TERMINAL body's frame, inertia about that
             frame's origin; kg, kg m, kg m^2.
         welded: whether no joint lies between it and the terminal body.
@@ -144,8 +143,7 @@ class Flange:
 
     Attributes:
         name: of the site or body, or the numbers it was given by.
-        rotation: (3, 3) its axes in the terminal body's frame.
-        translation: (3,) its origin in the terminal body's frame [m].
+        rotation, translation: (3, 3), (3,) its axes and origin in the terminal body's frame [m].
         carrier: MuJoCo id of the body it belongs to.
         note: how it was chosen, where nobody named it.
     """
@@ -198,11 +196,8 @@ class JointLimits:
 
 @dataclass(frozen=True)
 class JointFriction:
-    """Friction coefficients of the chain joints: tau_f = coulomb sign(qd) + viscous qd.
-
-    Attributes:
-        coulomb: (n,) [N m or N].
-        viscous: (n,) [N m s/rad or N s/m].
+    """Friction coefficients (n,) of the chain joints, tau_f = coulomb sign(qd) + viscous qd [N m,
+    N m s/rad or N, N s/m].
     """
 
     coulomb: Array

@@ -194,10 +194,8 @@ def _locked(lock: Path) -> int:
                 return handle
         os.close(handle)
         if taken:
-            raise InputError(
-                f"another run is writing to {lock.parent}; wait until it ends, or choose another "
-                "--output-dir"
-            )
+            remedy = "wait until it ends, or choose another --output-dir"
+            raise InputError(f"another run is writing to {lock.parent}; {remedy}")
 
 
 def _has_lock(handle: int) -> bool:

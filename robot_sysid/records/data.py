@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.arm import Array, InertialParameters, JointLimits, checked_array
+from robot_sysid.records.arm import Array, InertialParameters, JointLimits, check_arrays
 
 TORQUE_CHOICES = ("chain", "terminal")
 """Whose torques are used: those of all joints that carry the link, or the last one's."""
@@ -31,10 +31,15 @@ class Motion:
     qdd: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", checked_array(self.time, (None,), "time"))
-        shape = (len(self.time), np.shape(self.q)[1] if np.ndim(self.q) == 2 else None)
-        for name in ("q", "qd", "qdd"):
-            object.__setattr__(self, name, checked_array(getattr(self, name), shape, name))
+        _check_samples(self, "q", "qd", "qdd")
+
+
+def _check_samples(record: Motion | Measurement, *names: str) -> None:
+    """Check the time (N,) of a record and, where they are there, arrays (N, n)."""
+    check_arrays(record, time=(None,))
+    shape = (len(record.time), np.shape(record.q)[1] if np.ndim(record.q) == 2 else None)
+    there = (name for name in names if getattr(record, name) is not None)
+    check_arrays(record, **dict.fromkeys(there, shape))
 
 
 class MotionPlan(Protocol):
@@ -73,11 +78,7 @@ class Measurement:
     command: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", checked_array(self.time, (None,), "time"))
-        shape = (len(self.time), np.shape(self.q)[1] if np.ndim(self.q) == 2 else None)
-        for name in ("q", "qd", "tau", "qdd", "joint_time", "command"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, checked_array(getattr(self, name), shape, name))
+        _check_samples(self, "q", "qd", "tau", "qdd", "joint_time", "command")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -115,9 +116,7 @@ class JointInformation:
     n_samples: int
 
     def __post_init__(self) -> None:
-        size = len(self.columns) + 1
-        triangle = checked_array(self.triangle, (size, size), f"information of {self.joint}")
-        object.__setattr__(self, "triangle", triangle)
+        check_arrays(self, triangle=(len(self.columns) + 1,) * 2)
 
 
 @dataclass(frozen=True)
@@ -183,17 +182,13 @@ SIGNALS = ("q", "qd", "measured", "predicted", "before", "friction")
 
 @dataclass(frozen=True)
 class Signals:
-    """K instants of all n joints whose torque was used.
+    """K instants of all n joints whose torque was used: arrays (K, n) [s, rad, rad/s, N m].
 
     Attributes:
-        is_slide: (n,) whether a joint is a slide.
-        time: (K,) [s].
-        q, qd: (K, n) positions and velocities [rad, rad/s].
-        measured: (K, n) torque [N m]; NaN where a sample was not used.
-        predicted: (K, n) torque that the result predicts [N m].
-        before: (K, n) torque that was predicted before: by the model as it is in its file, of a
-            payload by the arm without it [N m].
-        friction: (K, n) the part of ``predicted`` that friction makes [N m].
+        measured: torque; NaN where a sample was not used.
+        predicted, friction: torque that the result predicts, and the part that friction makes.
+        before: torque that was predicted before: by the model as it is in its file, of a payload
+            by the arm without it.
     """
 
     joints: tuple[str, ...]

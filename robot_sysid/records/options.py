@@ -32,7 +32,6 @@ class Option:
     """What is said about one option beside its default.
 
     Attributes:
-        flag: as it is typed; "" for a positional argument.
         metavar: stands for the value in the help; one per value where it takes several.
         parse: turns text into a value; by default the type that the field's annotation names.
         usual: what stands in the place of a default that is found later.

@@ -20,13 +20,11 @@ CARD_NAME = "payload_card.txt"
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the equations can and cannot see.
+    """What the equations can and cannot see of the ten inertial and the terminal joint's friction.
 
     Attributes:
-        rank: number of identifiable combinations of the ten inertial and the terminal joint's
-            friction parameters.
-        condition_number: of the stacked regressor of those parameters; of its identifiable part
-            where that is smaller.
+        rank: number of identifiable combinations.
+        condition_number: of the stacked regressor; of its identifiable part where that is smaller.
         scaled_condition_number: the same after scaling each column to unit length.
         identified: (p,) per parameter, whether the data alone determines it.
         unidentifiable: the combinations that do not show, in words, for instance "mass".
@@ -107,14 +105,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Validation:
-    """Torque prediction error on data that was not fitted.
+    """Torque prediction error on data that was not fitted, of all joints and by joint name.
 
     Attributes:
-        rmse: root mean square error over all joints [N m].
-        relative_error: ||tau - prediction|| / ||tau||, all joints stacked; zero is perfect.
-        rmse_per_joint: joint name to root mean square error [N m].
-        relative_error_per_joint: joint name to ||tau_j - prediction_j|| / ||tau_j||; None where a
-            joint's torque is zero.
+        rmse: root mean square error [N m].
+        relative_error: ||tau - prediction|| / ||tau||; None where torque is zero.
     """
 
     source: str
@@ -128,13 +123,8 @@ class Validation:
 def validation_of(
     joints: Sequence[str], wrong: Array, squares: Array, counts: Array, source: str
 ) -> Validation:
-    """Return errors as a record.
-
-    Args:
-        joints: names of the joints.
-        wrong, squares: (joints,) sums of squared errors and of squared torque [N^2 m^2].
-        counts: (joints,) number of samples.
-        source: which data, in words.
+    """Return errors as a record, of sums (joints,) of squared errors and squared torque [N^2 m^2]
+    over so many samples each.
     """
 
     def ratio(error: float, torque: float) -> float | None:
@@ -152,10 +142,9 @@ def validation_of(
 
 @dataclass(frozen=True)
 class PriorConflict:
-    """A cause of error that the data asks for more of than was thought.
+    """A cause of error, such as "links", that the data asks for more of than was thought.
 
     Attributes:
-        cause: in words, such as "links".
         members: whose numbers are off most, the worst first.
         asked: how far they are off, in units of what was allowed.
         scale: the factor by which the prior was widened; 1 where it was enough.
@@ -182,12 +171,10 @@ class Source(Enum):
 
 @dataclass(frozen=True)
 class DataOrigin:
-    """Where the data of an identification comes from.
+    """Where the data of an identification comes from, its duration [s] and sample rate [Hz].
 
     Attributes:
         detail: which file, say; added to the source's words.
-        duration: of the data [s].
-        sample_rate: [Hz].
         seed: of trajectory and simulated noise; None for a log.
         files: whole paths of the logs.
     """
@@ -211,11 +198,9 @@ OPEN, CLOSED = "open loop", "closed loop"
 
 @dataclass(frozen=True)
 class RolloutError:
-    """Position errors over windows of one length.
+    """Position errors over windows of one length (horizon [s]), loop ``OPEN`` or ``CLOSED``.
 
     Attributes:
-        loop: ``OPEN`` or ``CLOSED``.
-        horizon: length of the windows [s].
         before, after: (n,) root mean square position error of the two models [rad or m].
         diverged: how many windows ran away (before, after); each counts with the largest error.
     """
@@ -248,8 +233,7 @@ class RolloutTest:
     """The old and the new model, played on pieces of the logs that were not fitted.
 
     Attributes:
-        held_out: which pieces, in words.
-        servo: what held the model in closed loop, in words.
+        held_out, servo: which pieces, and what held the model in closed loop, in words.
         errors: one per loop and horizon that could be played.
         notes: what could not be, one sentence each.
     """
@@ -275,11 +259,7 @@ class RolloutTest:
     @property
     def refusal(self) -> str | None:
         """Why the new model should not be written, or None."""
-        if self.is_better:
-            return None
         if self.score is None:
             return f"nothing could be played on held-out pieces ({'; '.join(self.notes)})"
-        return (
-            f"played on held-out pieces, the new model is not better than the old one (errors "
-            f"{self.score:.2f} times those before)"
-        )
+        worse = "played on held-out pieces, the new model is not better than the old one (errors "
+        return None if self.is_better else f"{worse}{self.score:.2f} times those before)"

@@ -50,13 +50,8 @@ def usable_factor(value: float | Path) -> str | None:
 
 
 def joint_factors(given: Factors, joint_names: Sequence[str], table: str) -> Array:
-    """Return one factor per joint (n,).
-
-    Args:
-        table: ``SCALE`` or ``CONSTANTS``: which table of a file, and the name of the option.
-
-    Raises:
-        InputError: their number does not fit, or the file cannot be used.
+    """Return one factor per joint (n,), or raise InputError; ``SCALE`` or ``CONSTANTS`` is the
+    table of a file and the name of the option.
     """
     if not isinstance(given, Path):
         return per_joint(given, len(joint_names), "--" + table.replace("_", "-"))
@@ -70,11 +65,7 @@ def joint_factors(given: Factors, joint_names: Sequence[str], table: str) -> Arr
 
 
 def read_factors(path: Path, table: str = SCALE) -> Mapping[str, float]:
-    """Return joint name to factor of one table of a file.
-
-    Raises:
-        InputError: the file cannot be read, has another form or a factor that cannot be used.
-    """
+    """Return joint name to factor of one table of a file, or raise InputError."""
     form = f'{{"version": {VERSION}, "{table}": {{"JOINT": 1.3, ...}}}}'
     content = read_json(path, f"torque factors have the form {form}")
     if not isinstance(content, dict) or not isinstance(content.get(table), dict):
@@ -87,14 +78,7 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, float]:
 
 
 def write_torque_scale(path: Path, scale: Mapping[str, float]) -> None:
-    """Write a file that ``--torque-scale`` reads.
-
-    Args:
-        scale: joint name to how much too large its torque column reads.
-
-    Raises:
-        InputError: a scale is no positive number, or the file cannot be written.
-    """
+    """Write a file that ``--torque-scale`` reads: how much too large each joint's column reads."""
     checked = {joint: _factor(path, joint, value) for joint, value in scale.items()}
     write_whole(path, json.dumps({"version": VERSION, SCALE: checked}, indent=2) + "\n")
 

@@ -51,11 +51,7 @@ class Visits:
     def inflation(
         self, information: SquareRootInformation, samples: SampleSource, values: Array
     ) -> Array:
-        """Return D (joints,) of residuals; 1 where the motion does not repeat as a whole.
-
-        Args:
-            values: (p,) the estimate.
-        """
+        """Return D (joints,) of an estimate (p,); 1 where the motion does not repeat as a whole."""
         found = np.ones(len(information.joints))
         if self.repeats < 1.0:
             return found
@@ -106,17 +102,13 @@ def _near(probes: Array, radius: Array, state: Array) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class RowSample:
-    """At most ``MOST_ROWS`` of N rows.
+    """At most ``MOST_ROWS`` M of ``total`` rows.
 
     Attributes:
         drawn: (M,) what each row drew, ascending.
-        log: (M,) number of the log that a row is of.
-        place: (M,) which of its log's rows it is.
-        q, qd, qdd: (M, n) [rad, rad/s, rad/s^2].
+        log, place: (M,) number of the log that a row is of, and which of its rows it is.
         moved: (M, 2n) how far position and velocity are from those of the next row.
-        residual: (M, joints) what an estimate leaves unexplained; 0 in rows that are not used
-            [N m].
-        total: N.
+        residual: (M, joints) what an estimate leaves [N m]; 0 in rows that are not used.
     """
 
     drawn: Array
@@ -130,11 +122,7 @@ class RowSample:
     total: int
 
     def __add__(self, other: RowSample) -> RowSample:
-        """Return the sample of both's rows.
-
-        Raises:
-            InputError: a row is in both.
-        """
+        """Return the sample of both's rows, or raise InputError where a row is in both."""
         names = [each.name for each in fields(self) if each.name != "total"]
         both = {name: np.concatenate([getattr(s, name) for s in (self, other)]) for name in names}
         order = np.argsort(both["drawn"], kind="stable")[:MOST_ROWS]
@@ -172,11 +160,8 @@ class RowSample:
 
 
 def sampled(motion: Motion, residual: Array, log: int) -> RowSample:
-    """Return a sample of one log's rows.
-
-    Args:
-        residual: (K, joints) [N m]; NaN in rows that are not used.
-        log: a number that no other log has, which also decides what the rows draw.
+    """Return a sample of one log's rows (K,) with residuals (K, joints) [N m], NaN where unused;
+    the number that no other log has also decides what the rows draw.
     """
     drawn = np.random.default_rng(log).random(len(motion.time))
     chosen = np.argsort(drawn, kind="stable")[:MOST_ROWS]
