@@ -37,7 +37,6 @@ def load_robot_model(
     """Load an MJCF or URDF file and find the arm in it.
 
     Args:
-        model: the file.
         mesh_dir: folder of its meshes; default what the file says.
         joint: name of the terminal joint; default found automatically.
         max_velocity: speed limit of hinge joints, one number or one per joint [rad/s].
@@ -93,10 +92,8 @@ def robot_from_compiled(
 def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
     """Return which keyframe is the arm at rest; None where the model does not say.
 
-    The one that is asked for ("#1" for a nameless one); else "home"; else the only one there is.
-
-    Raises:
-        InputError: none is called that; lists those there are.
+    The one that is asked for ("#1" for a nameless one), or InputError; else "home"; else the only
+    one there is.
     """
     names = _keyframe_names(mj_model)
     if name is None:
@@ -127,10 +124,8 @@ def _notes(
     """Yield sentences on what is assumed, and on what the analysis leaves out for this chain."""
     if rest is None and mj_model.nkey:
         names = ", ".join(_keyframe_names(mj_model))
-        yield (
-            "the model has several keyframes and none is called home, so the arm starts with all "
-            f"joints at their zero; --keyframe chooses one of {names}"
-        )
+        none = "of several keyframes none is called home, so all joints start at their zero"
+        yield f"{none}; --keyframe chooses one of {names}"
     held = ", ".join(joint_label(mj_model, j) for j in whole if j not in chain)
     if held:
         yield f"{held} drive a mobile base, which is taken to stand still"
@@ -138,10 +133,8 @@ def _notes(
     partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, of_joints]
     coupled = [joint_label(mj_model, joint) for joint in chain if joint in partners]
     if coupled:
-        yield (
-            f"equality constraints on {', '.join(coupled)} are ignored: every chain joint is "
-            "taken to be driven by itself"
-        )
+        ignored = f"equality constraints on {', '.join(coupled)} are ignored"
+        yield f"{ignored}: every chain joint is taken to be driven by itself"
     if any(_closes_a_loop(mj_model, chain, eq) for eq in range(mj_model.neq)):
         yield (
             "connect or weld constraints on links of the arm are ignored: torques that pass "

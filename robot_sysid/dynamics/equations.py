@@ -79,12 +79,11 @@ class Equations:
         self.names = (*PARAMETER_NAMES, *of_rows, *self.shared, *of_links)
         place = {name: index for index, name in enumerate(self.names)}
         # Which parameters (k,) each joint's equations contain: of links those that it carries.
-        columns = []
+        self.columns: tuple[NDArray[np.int64], ...] = ()
         for j in self.rows_of:
             beyond = (name for link, each in others.items() if link >= j for name in each)
             mine = (*PARAMETER_NAMES, *own[j], *self.shared, *beyond)
-            columns.append(np.array([place[name] for name in mine]))
-        self.columns: tuple[NDArray[np.int64], ...] = tuple(columns)
+            self.columns += (np.array([place[name] for name in mine]),)
         thetas = [robot.links[link].theta for link in self._links]
         self._known_links = np.concatenate([np.zeros(0), *thetas])
 
@@ -109,15 +108,12 @@ class Equations:
         Args:
             shared: (N, n, s) columns of the shared parameters, where there are any.
         """
-        if measurement.qd is None or measurement.qdd is None:
-            raise InputError(
-                "the measurement has no velocities or accelerations; differentiate it first"
-            )
         qd, qdd = measurement.qd, measurement.qdd
+        if qd is None or qdd is None:
+            raise InputError("a log without velocities or accelerations; differentiate it first")
         motion = self._kinematics.evaluate(measurement.q, qd, qdd)
-        known = motion.tau_rest + np.where(
-            self._friction_known, self._robot.friction.torque(qd), 0.0
-        )
+        friction = np.where(self._friction_known, self._robot.friction.torque(qd), 0.0)
+        known = motion.tau_rest + friction
         known -= np.where(self._armature_sought, self._kinematics.armature * qdd, 0.0)
         inertial = joint_regressor(motion, self.rows_of)
         others = np.zeros((*qd.shape, 0))

@@ -137,10 +137,8 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     fast = hinge & (np.mean(too_fast, axis=0) > _OFTEN)
     if not np.any(far | fast):
         return
-    joint, what = int(np.argmax(fast)), f"would often exceed {_FAST:g} rad/s"
-    if np.any(far):
-        joint = int(np.argmax(far))
-        what = f"reaches {largest[joint]:.4g}"
+    joint = int(np.argmax(far if np.any(far) else fast))
+    what = f"reaches {largest[joint]:.4g}" if far[joint] else f"would often exceed {_FAST:g} rad/s"
     raise InputError(
         f"positions look like degrees (joint {robot.joint_names[joint]} {what}); "
         "pass --units deg, or --units rad if they are radians"
@@ -202,11 +200,8 @@ def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
 def require_torque(rows: LogRows, robot: RobotModel) -> None:
     """Refuse torque columns that carry nothing."""
     tau = rows.samples.tau
-    stuck = np.all(tau == tau[0], axis=0)
-    if rows.samples.command is None and np.any(stuck):
-        joint = int(np.argmax(stuck))
+    stuck = np.all(tau == tau[0], axis=0) & (rows.samples.command is None)
+    for joint in np.flatnonzero(stuck).tolist():
         what = "zero" if tau[0, joint] == 0.0 else f"the same ({tau[0, joint]:.6g} N m)"
-        raise InputError(
-            f"the torque of joint {robot.joint_names[joint]} is {what} in every row; record it, or "
-            "name the right column with --columns FILE"
-        )
+        fault = f"the torque of joint {robot.joint_names[joint]} is {what} in every row"
+        raise InputError(f"{fault}; record it, or name the right column with --columns FILE")

@@ -26,6 +26,7 @@ _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 _JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_ONLY_THESE = "only hinge and slide joints can be identified"
 RIVAL_SHARE = 0.6
 """A run beside the longest one that has at least this share of its joints may be an arm too: a head
 of two or three joints beside a seven-joint arm is none, an arm of five is."""
@@ -58,8 +59,7 @@ def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
             kind = mujoco.mjtJoint(int(mj_model.jnt_type[member])).name[len("mjJNT_") :].lower()
             raise ModelError(
                 f"{kind} joint {joint_label(mj_model, member)} is part of the chain to joint "
-                f"{joint_label(mj_model, joint)}; only hinge and slide joints can be identified, "
-                "so weld it or replace it in the model"
+                f"{joint_label(mj_model, joint)}; {_ONLY_THESE}, so weld it or replace it"
             )
     return chain
 
@@ -125,9 +125,8 @@ def _require_end(mj_model: Any, arm: Run) -> None:
     behind = [j for j in range(mj_model.njnt) if _parent(mj_model, j) == last]
     if len(behind) == 1 and not is_hinge_or_slide(mj_model, behind[0]):
         raise ModelError(
-            f"ball joint {joint_label(mj_model, behind[0])} is part of the chain; only hinge and "
-            f"slide joints can be identified, so weld it, or hold it where it is with --joint "
-            f"{joint}"
+            f"ball joint {joint_label(mj_model, behind[0])} is part of the chain; {_ONLY_THESE}, "
+            f"so weld it, or hold it where it is with --joint {joint}"
         )
     body = body_label(mj_model, int(mj_model.jnt_bodyid[last]))
     if len(arm) > 1 and (_JAW_JOINT.search(joint) or _JAW_BODY.search(body)):
@@ -164,10 +163,8 @@ def driven_joints(mj_model: Any) -> set[int]:
 
 
 def resolve_joint(mj_model: Any, name: str) -> int:
-    """Return the id of the joint called ``name`` ("#3" for a nameless one).
-
-    Raises:
-        ModelError: there is no such joint (lists those there are), or it cannot be terminal.
+    """Return the id of the joint called ``name`` ("#3" for a nameless one), or raise ModelError
+    where there is none (lists those there are) or it cannot be terminal.
     """
     usable = [j for j in range(mj_model.njnt) if is_hinge_or_slide(mj_model, j)]
     labels = {joint_label(mj_model, j): j for j in range(mj_model.njnt)}
@@ -178,10 +175,9 @@ def resolve_joint(mj_model: Any, name: str) -> int:
     body = mj_model.jnt_bodyid[joint]
     last = int(mj_model.body_jntadr[body] + mj_model.body_jntnum[body]) - 1
     if last != joint:
-        raise ModelError(
-            f"--joint {name}: joint {joint_label(mj_model, last)} moves the same body after it; "
-            f"choose {joint_label(mj_model, last)}"
-        )
+        after = joint_label(mj_model, last)
+        fault = f"joint {after} moves the same body after it; choose {after}"
+        raise ModelError(f"--joint {name}: {fault}")
     return joint
 
 
@@ -213,12 +209,8 @@ DEFAULT_SLIDE_VELOCITY = 0.25
 def joint_limits(
     mj_model: Any, joints: tuple[int, ...], max_velocity: PerJoint, stated: Sequence[float | None]
 ) -> JointLimits:
-    """Return the limits of some joints.
-
-    Args:
-        max_velocity: speed limit of hinge joints, one number or one per joint [rad/s]; slide
-            joints use their own default.
-        stated: speed limit of each joint that its model file states; None where it has none.
+    """Return the limits of some joints: ``max_velocity`` [rad/s] is for hinges, one number or one
+    per joint; ``stated`` what the model file says of each joint's speed, or None.
     """
     index = np.array(joints)
     limited = mj_model.jnt_limited[index].astype(bool)

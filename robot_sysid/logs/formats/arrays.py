@@ -70,11 +70,7 @@ def npz_table(asked: table.Asked) -> table.LogTable:
 
 
 def npz_arrays(path: Path) -> dict[str, Any]:
-    """Return the arrays of an .npz file; nothing in it is unpickled.
-
-    Raises:
-        InputError: it cannot be read, or unpacks to more than is read.
-    """
+    """Return the arrays of an .npz file, or raise InputError; nothing in it is unpickled."""
     with table.as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
         with zipfile.ZipFile(stream) as packed:
             _refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
@@ -147,10 +143,7 @@ def _refuse_bomb(path: Path, size: float) -> None:
 
 def _aloha(path: Path, arrays: Mapping[str, Any]) -> table.LogTable:
     if not {"effort", "command"} & {*arrays}:
-        raise InputError(
-            f"{path} has no /observations/effort; without measured torque nothing can be "
-            "identified: record effort"
-        )
+        raise InputError(f"{path} has no /observations/effort, no measured torque; record effort")
     width = arrays["qpos"].shape[1]
     both = [f"{side}/{joint}" for side in ("left", "right") for joint in _ALOHA]
     known = {len(_ALOHA): _ALOHA, len(both): both}
@@ -195,10 +188,8 @@ def lerobot_table(asked: table.Asked) -> table.LogTable:
     layout = f"LeRobot data set {version} at {fps} Hz, {len(pieces)} episodes"
     flat = tuple(title for name in present for title in titles[name])
     if cells.shape[1] != 1 + len(flat):
-        raise InputError(
-            f"{path} names {len(flat)} numbers of a frame in meta/info.json and holds "
-            f"{cells.shape[1] - 1}; download the data set whole"
-        )
+        fault = f"names {len(flat)} numbers of a frame in meta/info.json, not {cells.shape[1] - 1}"
+        raise InputError(f"{path} {fault}; download the data set whole")
     return table.pieces_table(path, layout, ("timestamp [s]", *flat), pieces)
 
 

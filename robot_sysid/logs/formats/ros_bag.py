@@ -72,11 +72,8 @@ def bag_table(asked: Asked) -> LogTable:
     fitting = positions or list(found)
     measured = [name for name in fitting if _has(found[name], joints, TORQUE)]
     if positions and not measured and len(fitting) == 1:
-        raise InputError(
-            f"{path}: topic {fitting[0]} has no effort of joint {joints[-1]}; without "
-            "measured torque nothing can be identified: let the driver publish effort and record "
-            "again"
-        )
+        fault = f"topic {fitting[0]} has no effort of joint {joints[-1]}"
+        raise InputError(f"{path}: {fault}; let the driver publish effort and record again")
     chosen = measured or fitting
     if len(chosen) > 1:
         listed = ", ".join(f"{name} ({known[name]})" for name in chosen)
@@ -85,8 +82,7 @@ def bag_table(asked: Asked) -> LogTable:
 
 
 def _has(topic: LogTable, joint_names: Sequence[str], quantities: Sequence[str]) -> bool:
-    titles = set(topic.titles)
-    return any({f"{joint} {q}" for joint in joint_names} <= titles for q in quantities)
+    return any({f"{joint} {q}" for joint in joint_names} <= {*topic.titles} for q in quantities)
 
 
 def _topic(path: Path, bag: Any, topic: str, joint_names: Sequence[str]) -> LogTable | None:

@@ -32,8 +32,7 @@ class Block:
 
     Attributes:
         lines: (R,) their numbers in the file.
-        cells: (R, C) the wanted columns; NaN where a cell is empty, infinite where a row is none of
-            numbers.
+        cells: (R, C) the wanted columns; NaN where empty, infinite where a row is none of numbers.
         complaint: what is wrong with the first of those rows.
         piece: recordings in one file, such as episodes, each with a clock of its own.
         done: share of the file that was read.
@@ -48,11 +47,9 @@ class Block:
 
 @dataclass(frozen=True)
 class LogTable:
-    """A recording as a table, whatever its form.
+    """A recording as a table, whatever its form, which ``layout`` says in a few words.
 
     Attributes:
-        path: the file or folder.
-        layout: the form in a few words.
         titles: of its columns; "#1", "#2", ... where there are none.
         blocks: reads its rows in their order, with some of the columns.
         choices: what the form itself says of its columns and units.
@@ -77,12 +74,7 @@ class LogTable:
 
 @dataclass(frozen=True)
 class Asked:
-    """A recording that is to be read.
-
-    Attributes:
-        start: its first bytes; nothing of a folder.
-        joint_names: the model's joints.
-    """
+    """A recording that is to be read; ``start``: its first bytes, nothing of a folder."""
 
     path: Path
     start: bytes
@@ -122,10 +114,7 @@ def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...
 
     A column of a two-dimensional array ``q`` is called ``q[0]``; an array of another length or
     shape, or of no numbers, is no column. Of ``group/q`` the last part is the name, if no other
-    array has it.
-
-    Raises:
-        InputError: there is no array with rows.
+    array has it. InputError where there is no array with rows.
     """
     last = [name.rsplit("/", 1)[-1] for name in arrays]
     ends = zip(last, arrays.items())
@@ -178,9 +167,8 @@ def library(module: str, extra: str, what: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise InputError(
-            f"reading {what} needs {module.split('.')[0]}: pip install 'robot-sysid[{extra}]'"
-        ) from None
+        remedy = f"{module.split('.')[0]}: pip install 'robot-sysid[{extra}]'"
+        raise InputError(f"reading {what} needs {remedy}") from None
 
 
 @contextlib.contextmanager
@@ -191,8 +179,7 @@ def as_input_errors(path: Path, what: str) -> Iterator[None]:
     except SysidError:
         raise
     except MemoryError:
-        raise InputError(
-            f"{path} asks for more memory than there is; it is damaged, or too long"
-        ) from None
+        fault = "asks for more memory than there is; it is damaged, or too long"
+        raise InputError(f"{path} {fault}") from None
     except Exception as error:
         raise InputError(f"cannot read {path} as {what}: {words_of(error)}") from error
