@@ -111,10 +111,8 @@ def _keyframe_names(mj_model: Any) -> list[str]:
 def _prior(mj_model: Any, qpos: Array, body: int) -> InertialParameters:
     theta = composite_theta(mj_model, qpos, body)
     if theta[0] <= 0.0:
-        raise ModelError(
-            f"the terminal body {body_label(mj_model, body)} and all below it weigh nothing; give "
-            "it an <inertial> or geoms with mass as a starting value"
-        )
+        fault = f"the terminal body {body_label(mj_model, body)} and all below it weigh nothing"
+        raise ModelError(f"{fault}; give it an <inertial> or geoms with mass as a starting value")
     return InertialParameters(theta)
 
 
@@ -136,10 +134,7 @@ def _notes(
         ignored = f"equality constraints on {', '.join(coupled)} are ignored"
         yield f"{ignored}: every chain joint is taken to be driven by itself"
     if any(_closes_a_loop(mj_model, chain, eq) for eq in range(mj_model.neq)):
-        yield (
-            "connect or weld constraints on links of the arm are ignored: torques that pass "
-            "through a closed loop are not modelled"
-        )
+        yield "connect or weld constraints that make the arm a closed loop are ignored"
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
 

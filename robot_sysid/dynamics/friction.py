@@ -151,14 +151,8 @@ def speed_name(term: str, joint: str) -> str:
 
 
 def friction_model(name: str) -> FrictionModel:
-    """Return the friction model with this name.
-
-    Args:
-        name: "none", or terms joined by "-" or "+"; a leading "+" adds to the default for
-            measured data, so "+sqrt" is "coulomb-viscous-offset-armature-sqrt".
-
-    Raises:
-        InputError: a term is unknown; lists the valid ones.
+    """Return the friction model with this name: "none", or terms joined by "-" or "+"; a leading
+    "+" adds to the default for measured data, so "+sqrt" is "coulomb-viscous-offset-armature-sqrt".
     """
     terms = () if name == "none" else tuple(re.split(r"[-+]", name.lstrip("+")))
     if name.startswith("+"):
@@ -166,8 +160,6 @@ def friction_model(name: str) -> FrictionModel:
         terms = usual + tuple(term for term in terms if term not in usual)
     unknown = [term for term in terms if term not in TERMS]
     if unknown:
-        raise InputError(
-            f"unknown friction term {unknown[0]!r} in {name!r}; join any of {', '.join(TERMS)} "
-            f"with '-', as in {DEFAULT_MEASURED}, or use none"
-        )
+        known = f"join any of {', '.join(TERMS)} with '-', as in {DEFAULT_MEASURED}, or use none"
+        raise InputError(f"unknown friction term {unknown[0]!r} in {name!r}; {known}")
     return FrictionModel(terms)

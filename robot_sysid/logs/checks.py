@@ -161,10 +161,8 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     time, q = rows.samples.time, rows.samples.q
     span = np.ptp(q, axis=0)
     if np.all(span < _AT_REST):
-        raise InputError(
-            f"the arm is at rest, no joint moves by more than {span.max():.2g} rad; record a "
-            "motion (if these are other units, see --units)"
-        )
+        rest = f"the arm is at rest, no joint moves by more than {span.max():.2g} rad"
+        raise InputError(f"{rest}; record a motion (if these are other units, see --units)")
     still = [n for n, s in zip(robot.joint_names, span) if s < _AT_REST]
     if still:
         yield f"joints that do not move in this log: {', '.join(still)}"

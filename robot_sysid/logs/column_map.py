@@ -70,10 +70,8 @@ def parse_units(text: str) -> ColumnChoices:
     words = re.findall(r"[^,\s]+", text)
     angles, times = ([w for w in words if w in known] for known in (_ANGLES, _TIMES))
     if not words or len(words) > len(angles[:1] + times[:1]):
-        raise InputError(
-            f"units {text!r} are not understood; give at most one of {', '.join(_ANGLES)} and one "
-            f"of {', '.join(_TIMES)}, for instance 'deg,ms'"
-        )
+        known = f"one of {', '.join(_ANGLES)} and one of {', '.join(_TIMES)}"
+        raise InputError(f"units {text!r} are not understood; give at most {known}, as in 'deg,ms'")
     return ColumnChoices(angle_unit=next(iter(angles), None), time_unit=next(iter(times), None))
 
 
@@ -110,18 +108,14 @@ def _per_joint(
 ) -> dict[str, str]:
     """Return joint to title, of a line about one joint or with a list for all."""
     if joint and joint not in joint_names:
-        raise InputError(
-            f"{path}: {quantity}.{joint} names the unknown joint {joint!r}; the chain's joints are "
-            f"{', '.join(joint_names)}"
-        )
+        known = f"the chain's joints are {', '.join(joint_names)}"
+        raise InputError(f"{path}: {quantity}.{joint} names the unknown joint {joint!r}; {known}")
     if joint or value == "none":
         return dict.fromkeys([joint] if joint else joint_names, value)
     titles = [title.strip() for title in value.split(",")]
     if len(titles) != len(joint_names):
-        raise InputError(
-            f"{path}: {quantity} lists {len(titles)} columns, the chain has {len(joint_names)} "
-            f"joints: {', '.join(joint_names)}"
-        )
+        chain_has = f"the chain has {len(joint_names)} joints: {', '.join(joint_names)}"
+        raise InputError(f"{path}: {quantity} lists {len(titles)} columns, {chain_has}")
     return dict(zip(joint_names, titles))
 
 
@@ -328,15 +322,11 @@ class _Columns:
         declared = None if unit is None else naming.UNITS["time" if is_time else "position"][unit]
         written = known.get(title.unit) if title.unit else declared
         if written is None and title.unit:
-            raise InputError(
-                f"unit {title.unit!r} of column {title.text!r} is unknown for a {kind}; rename the "
-                "column, or scale it with --columns FILE"
-            )
+            fault = f"unit {title.unit!r} of column {title.text!r} is unknown for a {kind}"
+            raise InputError(f"{fault}; rename the column, or scale it with --columns FILE")
         if declared is not None and written != declared:
-            raise InputError(
-                f"column {title.text!r} names a unit that contradicts the declared units; "
-                "declare what the column holds, or drop --units"
-            )
+            fault = f"column {title.text!r} names a unit that contradicts the declared units"
+            raise InputError(f"{fault}; declare what the column holds, or drop --units")
         return Source(index, self._texts[index], factor * (1.0 if written is None else written))
 
 

@@ -179,10 +179,8 @@ class _Cleaner:
         step = np.diff(time, prepend=time[0] - 1.0 if self._last is None else self._last[0])
         if np.any(step < 0.0):
             at = int(np.argmax(step < 0.0))
-            raise InputError(
-                f"{self._name}: time runs backwards at {self._word} {lines[at]}, by "
-                f"{-step[at]:.6g} s; sort the log, or cut it where a second recording begins"
-            )
+            fault = f"time runs backwards at {self._word} {lines[at]}, by {-step[at]:.6g} s"
+            raise InputError(f"{self._name}: {fault}; cut the log where a second recording begins")
         return step > 0.0
 
     def _unwrap(self, lines: Lines, cells: Array) -> None:

@@ -155,11 +155,8 @@ class ModelDocument:
 
 
 def read_document(path: Path) -> ModelDocument:
-    """Read a model file, MJCF (root ``<mujoco>``) or URDF (``<robot>``), and what it includes.
-
-    Raises:
-        InputError: the file is missing, a folder or unreadable.
-        ModelError: it is not XML, only a fragment of a model, or an include fails.
+    """Read a model file, MJCF (root ``<mujoco>``) or URDF (``<robot>``), and what it includes;
+    ModelError where it is not XML, only a fragment of a model, or an include fails.
     """
     known: dict[Path, SourceFile] = {}
     root = _read(Path(path).absolute(), known).elements[0]
@@ -243,10 +240,8 @@ def _parse(file: SourceFile) -> None:
     """Find the elements of a file."""
     text, path = file.text, file.path
     if text.find(b"<!ENTITY", max(0, text.find(b"<!DOCTYPE"))) >= 0 and b"<!DOCTYPE" in text:
-        raise ModelError(
-            f"{path} declares XML entities, which a model file does not need and which can hide an "
-            "attack; remove its <!DOCTYPE ...>"
-        )
+        remedy = "which can hide an attack; remove its <!DOCTYPE ...>"
+        raise ModelError(f"{path} declares XML entities, {remedy}")
     parser, above = expat.ParserCreate("utf-8"), list[Node]()
 
     def opened(name: str, attributes: dict[str, str]) -> None:

@@ -128,10 +128,8 @@ def _write_gravity(edits: Edits, gravity: tuple[float, float, float], rmse: floa
     options = edits.document.settings("option")
     flags = (node for option in options for node in option.children() if node.tag == "flag")
     if any(flag.get("gravity") == "disable" for flag in flags):
-        raise ExportError(
-            f'{edits.document.path}: <flag gravity="disable"/> switches gravity off, so that the '
-            "identified one would do nothing; remove it"
-        )
+        fault = '<flag gravity="disable"/> switches gravity off; remove it'
+        raise ExportError(f"{edits.document.path}: {fault}")
     if not np.all(np.isfinite(gravity)):
         raise ExportError(f"gravity cannot be written as {gravity}: it is no vector")
     stating = [option for option in options if option.get("gravity")]
@@ -159,10 +157,8 @@ def write_joint(edits: Edits, change: JointChange) -> None:
     written = {name: number(value) for name, value in change.numbers.items()}
     if is_urdf:
         if "armature" in written:
-            raise ExportError(
-                f"{document.path}: a URDF cannot hold the rotor inertia of joint "
-                f"'{change.label}'; convert the model to MJCF first"
-            )
+            fault = f"a URDF cannot hold the rotor inertia of joint '{change.label}'"
+            raise ExportError(f"{document.path}: {fault}; convert the model to MJCF first")
         written = {{"frictionloss": "friction"}.get(n, n): value for n, value in written.items()}
         old = node.child("dynamics")
         if old is None and written:
@@ -188,10 +184,8 @@ def write_actuator(edits: Edits, change: ActuatorChange) -> None:
         "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},
     }.get("" if node is None else node.tag)
     if node is None or gains is None:
-        raise ExportError(
-            f"{document.path}: actuator number {change.actuator} is not written out in the file as "
-            "a <position> or <general> element; write it out"
-        )
+        fault = f"actuator number {change.actuator} is not written out in the file"
+        raise ExportError(f"{document.path}: {fault} as a <position> or <general>; write it out")
     for name, value in gains.items():
         edits.set(node, name, value)
 

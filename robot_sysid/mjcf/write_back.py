@@ -52,19 +52,15 @@ def plan_write_back(
     least_moment: float = 0.0,
     most_inflated: float = 0.0,
 ) -> WriteBack:
-    """Share an identified composite among the bodies of the terminal link.
+    """Share an identified composite among the bodies of the terminal link, or raise ExportError
+    where it is no possible body itself, or nothing of the bodies on joints has room in it.
 
     Args:
-        composite: (10,) identified parameters of the terminal body and all below it, in the
-            terminal body's frame.
+        composite: (10,) of the terminal body and all below it, in the terminal body's frame.
         bodies: those bodies as the model describes them, the terminal body first.
         least_moment: smallest principal moment the file's compiler leaves alone [kg m^2].
         most_inflated: by how much all three moments may be inflated, because they are not known any
             better [kg m^2].
-
-    Raises:
-        ExportError: the composite is no possible body itself, or nothing of the bodies on joints
-            has room in it.
     """
     top, mass, tolerance = bodies[0], float(composite[0]), (least_moment, most_inflated)
     lumped: tuple[SubtreeBody, ...] = ()
@@ -80,10 +76,8 @@ def plan_write_back(
     rest = composite - scale * beside
     own = possible_body(rest, mass, *tolerance)
     if own is None or scale < NOTHING:
-        raise ExportError(
-            f"the identified parameters of body '{top.name}' are not a possible rigid body, "
-            "so no model was written; use a longer --duration"
-        )
+        fault = f"the identified parameters of body '{top.name}' are not a possible rigid body"
+        raise ExportError(f"{fault}, so no model was written; use a longer --duration")
     inflated = float(own[4] - rest[4])
     notes = (*_shared_notes(top, lumped, scaled, scale), *_inflated_note(own, inflated))
     return WriteBack(own, lumped, "; ".join(notes) or None, inflated, scaled, scale)

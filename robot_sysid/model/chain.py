@@ -95,12 +95,7 @@ def serial_runs(mj_model: Any) -> list[Run]:
 
 
 def find_terminal_joint(mj_model: Any) -> int:
-    """Return the id of the arm's last joint.
-
-    Raises:
-        ModelError: the model has no hinge or slide joint.
-        AmbiguousJointError: several joints could be meant.
-    """
+    """Return the id of the arm's last joint; AmbiguousJointError where several could be meant."""
     runs = serial_runs(mj_model)
     if not runs:
         raise ModelError("the model has no hinge or slide joints, so there is no arm to identify")

@@ -207,10 +207,8 @@ def _refuse_element(document: ModelDocument, node: Node, times: float) -> None:
     """Refuse a hazard in an element that is repeated so many times, or in one below it."""
     # MuJoCo takes the name of a class that it does not know for a format of printf.
     if "%" in (node.get("class") or ""):
-        raise ModelError(
-            f"{document.path}: the class {node.get('class')!r} of a {node.tag} has a % in its "
-            "name, over which MuJoCo may end the process; rename it"
-        )
+        fault = f"the class {node.get('class')!r} of a {node.tag} has a % in its name; rename it"
+        raise ModelError(f"{document.path}: {fault}")
     cells = math.prod(_product(node.get(name)) for name in _CELLS.get(node.tag, ()))
     if node.tag == "size":
         cells = max([_bytes(node) / 100.0, *map(_product, node.attributes.values())])

@@ -37,8 +37,7 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
             frame; None for the site or body that is called like a flange, else the terminal body.
 
     Raises:
-        ModelError: there is no such frame (lists those there are), it moves against the terminal
-            body, several could be meant, or the numbers are none.
+        ModelError: no frame, or several, could be meant, or it moves against the terminal body.
     """
     sites, bodies = _fixed_frames(robot)
     if text is None:
@@ -125,10 +124,8 @@ def _from_numbers(robot: RobotModel, text: str) -> Flange:
     except ValueError:
         numbers = []
     if len(numbers) not in (3, 6) or not np.all(np.isfinite(numbers)):
-        raise ModelError(
-            f"flange {text}: neither a name nor numbers; wanted are x,y,z in metres or "
-            "x,y,z,roll,pitch,yaw with degrees, in the terminal body's frame"
-        )
+        wanted = "wanted are x,y,z in metres or x,y,z,roll,pitch,yaw with degrees"
+        raise ModelError(f"flange {text}: neither a name nor numbers; {wanted}")
     translation = np.array(numbers[:3])
     if np.max(np.abs(translation)) > REACH:
         fault = f"more than {REACH:g} m away from body '{robot.body_name}'"

@@ -60,11 +60,9 @@ class Measurement:
     Attributes:
         time: (N,) [s], increasing.
         q: (N, n) positions [rad].
-        qd: (N, n) velocities [rad/s], or None where only positions were measured.
         tau: (N, n) joint torques [N m]; position errors [rad] where there are commands.
-        qdd: (N, n) accelerations [rad/s^2], or None where the log has none.
-        joint_time: (N, n) when each joint was sampled [s], where it has time stamps of its own;
-            None where ``time`` holds for all.
+        qd, qdd: (N, n) velocities, accelerations [rad/s, rad/s^2]; None where the log has none.
+        joint_time: (N, n) when each joint was sampled [s]; None where ``time`` holds for all.
         command: (N, n) positions that a servo was asked for [rad], of a log that is read for them
             and not for torque; else None.
     """

@@ -76,25 +76,19 @@ def design_low_pass(cutoff: float, rate: float, attenuation: float = ATTENUATION
     """Return the low-pass with a cut-off [Hz] at a sample rate [Hz], or raise InputError.
 
     Decimated samples come at about twice the cut-off, so that white noise stays nearly white and
-    their number says how much the data really holds.
-
-    Args:
-        attenuation: of the stop band, and how flat the pass band is [dB].
+    their number says how much the data really holds. The stop band's attenuation [dB] is also how
+    flat the pass band is.
     """
     from scipy.signal import firwin, kaiser_beta
 
     if not 0.0 < cutoff <= HIGHEST_CUTOFF * rate:
-        raise InputError(
-            f"cut-off {cutoff:g} Hz does not fit a sample rate of {rate:g} Hz; choose --cutoff "
-            f"between 0 and {HIGHEST_CUTOFF * rate:g} Hz"
-        )
+        remedy = f"choose --cutoff between 0 and {HIGHEST_CUTOFF * rate:g} Hz"
+        raise InputError(f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; {remedy}")
     width = 2.0 * math.pi * _TRANSITION * cutoff / rate
     half = (attenuation - 8.0) / (2.285 * width) / 2.0
     if half > _LONGEST:
-        raise InputError(
-            f"cut-off {cutoff:g} Hz would average over {2.0 * half / rate:.3g} s, longer than any "
-            "log; choose a higher --cutoff"
-        )
+        fault = f"cut-off {cutoff:g} Hz would average over {2.0 * half / rate:.3g} s"
+        raise InputError(f"{fault}, longer than any log; choose a higher --cutoff")
     half = math.ceil(half)
     kernel = firwin(2 * half + 1, cutoff, window=("kaiser", kaiser_beta(attenuation)), fs=rate)
     return LowPass(cutoff, rate, kernel, max(1, int(rate / (2.0 * cutoff))))
@@ -175,12 +169,8 @@ def _central_weights(reach: int) -> tuple[Array, Array]:
 def advanced(values: Array, samples: float) -> tuple[Array, int]:
     """Return (values (K, ...) at later instants, ``first``), k-th = values(k + first + samples).
 
-    A band-limited signal is shifted exactly by its sinc series, here cut off by a window; whole
-    samples are shifted by slicing, without any loss.
-
-    Args:
-        values: (N, ...) evenly sampled.
-        samples: how many sampling periods later; negative for earlier.
+    A band-limited signal (N, ...) is shifted exactly by its sinc series, here cut off by a window;
+    whole samples are shifted by slicing, without any loss.
     """
     from scipy.signal import kaiser_beta
 

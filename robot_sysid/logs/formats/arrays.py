@@ -135,10 +135,8 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
 
 def _refuse_bomb(path: Path, size: float) -> None:
     if size > LARGEST:
-        raise InputError(
-            f"{path} unpacks to {size / 1e9:.3g} GB, more than the {LARGEST / 1e9:g} GB that are "
-            "read; split the recording"
-        )
+        most = f"more than the {LARGEST / 1e9:g} GB that are read; split the recording"
+        raise InputError(f"{path} unpacks to {size / 1e9:.3g} GB, {most}")
 
 
 def _aloha(path: Path, arrays: Mapping[str, Any]) -> table.LogTable:

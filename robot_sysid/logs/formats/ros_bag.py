@@ -240,10 +240,8 @@ class Bounded:
             piece: bytes = stream.read(size)
             seen += len(piece)
             if seen > most:
-                raise ValueError(
-                    f"a piece of it unpacks to more than {most / 1e6:g} MB, far more than any "
-                    "recording would; record it again without compression"
-                )
+                fault = f"a piece of it unpacks to more than {most / 1e6:g} MB"
+                raise ValueError(f"{fault}; record it again without compression")
             return piece
 
         with self._library.open(file, mode) as stream:
