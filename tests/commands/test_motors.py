@@ -16,12 +16,11 @@ import pytest
 
 from robot_sysid import parser
 from robot_sysid.cli import main
-from robot_sysid.damiao.bus import BusAddress, SystemClock, open_bus
-from robot_sysid.damiao.protocol.frames import DISABLED, TIMEOUT, Address, BusTiming, enable_frame
+from robot_sysid.damiao.bus import SystemClock
+from robot_sysid.damiao.protocol.frames import DISABLED, TIMEOUT, Address, enable_frame
 from tests.support import arms
 from tests.support.command_line import run_motors as run
-from tests.support.damiao_rig import fault, only_asks, swing, trajectory_file, two_motor_arm
-from tests.support.links import served_in_background
+from tests.support.damiao_rig import fault, only_asks, swing, trajectory_file
 from tests.support.recordings import read_recording
 
 COMMANDS = ("check", "play", "simulate")
@@ -186,16 +185,12 @@ def test_interrupting_while_it_moves_comes_to_rest_and_disables(capsys, bus, tra
         (["play", "T"], "play needs --channel"),
         (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
         (["play", "T", *CAN0, "--kd", "0"], "--kd must be at least 0.0012"),
-        (["play", "T", *CAN0, "--kp", "1", "2", "3"], "--kp takes one number, or one for each of"),
         (["play", "T", *CAN0, "--speed", "1.5"], "--speed must be above 0 and at most 1"),
-        (["play", "T", *CAN0, "--rate", "nan"], "--rate must be positive"),
         (["play", "T", *CAN0, "--set-watchdog", "100"], "--set-watchdog must be above 0"),
         (["play", "missing.csv", *CAN0], "cannot read missing.csv"),
         (["check", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
         (["check", *CAN0, "--model", "arm.xml"], "--model needs a TRAJECTORY to check"),
         (["simulate", "T"], "the following arguments are required: --model"),
-        (["simulate", "T", "--model", "missing.xml"], "missing.xml"),
-        (["simulate", "T", "--model", "M", "--watchdog", "0"], "--watchdog must be positive"),
         (["simulate", "T", "--model", "M", "--interface", "pcan"], "--interface needs --channel"),
     ],
 )  # fmt: skip
@@ -212,18 +207,11 @@ def help_of(capsys, *arguments):
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize("arguments", [[], ["--help"]])
-def test_the_command_alone_prints_its_help(capsys, arguments):
-    text = help_of(capsys, *arguments)
-    assert text.startswith("example: robot-sysid motors check --channel can0\n")
-    assert all(name in text for name in COMMANDS)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_each_command_has_a_short_help_and_one_with_all_options(capsys, name):
+def test_a_command_has_a_short_help_and_one_with_all_options(capsys):
+    assert all(name in help_of(capsys) for name in COMMANDS)
+    name = "play"
     text = help_of(capsys, name, "--help")
     assert text.startswith(f"example: robot-sysid motors {name} ")
-    assert f"\nusage: robot-sysid motors {name} TRAJECTORY [options]\n" in text
     assert len(text.splitlines()) <= 50
     full = help_of(capsys, name, "--help-all")
     options = re.findall(r"^  (?:-\w, |)(--[\w-]+)", text, re.MULTILINE)
@@ -268,18 +256,8 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused(capsys, bus, tmp_path, 
     assert only_asks(bus.wire.sent)
 
 
-def test_a_trajectory_inside_the_models_limits_is_played(capsys, bus, trajectory, model):
-    code, out, err = run(capsys, "play", trajectory, "--yes", *AT_100, "--model", model, *CAN0)
-    assert (code, err) == (0, "")
-    assert f"[ok  ] the trajectory stays within the limits of {model.name}" in out
-
-
-@pytest.mark.parametrize(
-    "arguments", [("check", *CAN0), ("play", "--dry-run"), ("simulate", "--play"), ("simulate",)]
-)
-def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file, arguments):
-    name, *rest = arguments
-    code, _, err = run(capsys, name, trajectory, *rest, "--model", arm_file(arms.THREE))
+def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file):
+    code, _, err = run(capsys, "play", trajectory, *CAN0, "--model", arm_file(arms.THREE))
     assert code == 2 and "has 2 joints but the chain" in err and "has 3" in err
     assert bus.wire is None
 
@@ -304,21 +282,6 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
         assert {m.is_fd for m in reader if not m.is_rx} == {True}
 
 
-@pytest.mark.slow
-def test_a_rehearsal_is_exactly_repeatable(capsys, trajectory, model, tmp_path):
-    """The frames' log tells the date, so only what was on the bus can be the same."""
-    rows, logs = [], []
-    for name in ("first", "second"):
-        record = tmp_path / name / "measured.csv"
-        record.parent.mkdir()
-        run(capsys, "simulate", trajectory, "--model", model, "--play", "--record", record)
-        rows.append(record.read_bytes())
-        with can.LogReader(record.with_suffix(".log")) as reader:
-            logs.append([(m.arbitration_id, bytes(m.data), m.is_rx) for m in reader])
-    assert rows[0] == rows[1] and rows[0].count(b"\n") > 100
-    assert logs[0] == logs[1]
-
-
 def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, model):
     address, fd = ("--interface", "virtual", "--channel", "c"), ("--fd",)
     code, out, err = run(
@@ -340,23 +303,6 @@ def test_a_simulated_arm_goes_on_until_it_is_interrupted(capsys, bus, trajectory
 
 # Wide enough for most computers.
 SLOWLY = ("--rate", "25", "--max-tracking-error", "1")
-
-
-@pytest.mark.realtime
-def test_check_and_play_over_the_virtual_bus(capsys, trajectory, tmp_path):
-    address = BusAddress("virtual", ("cli",))
-    arguments = ("--interface", address.interface, "--channel", *address.channel)
-    simulated, clock = two_motor_arm(watchdog=5.0), SystemClock()
-    with served_in_background(simulated, open_bus(address, BusTiming(), clock), clock):
-        code, out, err = run(capsys, "check", trajectory, *arguments)
-        assert (code, err) == (0, "") and "ready to play" in out
-        record = tmp_path / "measured.csv"
-        code, _, err = run(
-            capsys, "play", trajectory, *arguments, *SLOWLY, "--yes", "--record", record
-        )
-        assert (code, err) == (0, ""), err
-    assert [m.status for m in simulated.motors] == [DISABLED] * 2
-    assert read_recording(record).ending == "completed"
 
 
 @contextlib.contextmanager

@@ -108,13 +108,6 @@ def test_extended_frames_are_passed_over_and_echoes_marked(clock):
     assert link.receive(1.0) is None and clock.now() == 1.0
 
 
-@given(wait=st.floats(0.0, 10.0))
-def test_receiving_on_a_silent_bus_ends_in_time(wait):
-    clock = SimulatedClock()
-    assert BusLink([ArmBus(clock)], clock).receive(wait) is None
-    assert clock.now() == wait
-
-
 def test_a_bus_that_breaks_raises_our_error():
     clock = SystemClock()
     link = open_bus(virtual("broken"), BusTiming(), clock)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +29,14 @@ from tests.support.log_files import read_measurements
 from tests.support.recordings import read_recording
 
 
-def recorder_for(path, types=("DM4340",), frames=None, overwrite=False):
+def recorder_for(path, types=("DM4340",), overwrite=False):
     """A recorder that writes at once, for motors of these types."""
     joints = damiao_joints(types, len(types))
     registers = [simulated_motor(j).registers for j in joints]
     registers = [{k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)} for r in registers]
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
     head = head_lines(joints, registers, settings, "swing.csv")
-    return MeasurementRecorder(path, head, len(joints), Aside(threaded=False), frames, overwrite)
+    return MeasurementRecorder(path, head, len(joints), Aside(threaded=False), None, overwrite)
 
 
 @st.composite
@@ -97,22 +98,13 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
             np.testing.assert_allclose(recording.joint_values(what)[k], command[row], atol=6e-7)
 
 
-def write_rows(path, gap=False):
-    n, one = 2, np.ones(2)
-    codes = np.ones(n, dtype=int)
-    with recorder_for(path, ["DM4340"] * n) as recorder:
-        for k in range(40):
-            answered = np.array([True, not (gap and k == 1)])
-            q = np.where(answered, 0.1 * np.sin(0.3 * k) * one, np.nan)
-            feedback = Feedback(codes, codes, q, q, q, 30 * codes, 31 * codes)
-            stamps = np.where(answered, 0.004 * k + np.array([0.0001, 0.0002]), np.nan)
-            replies = Replies(answered, stamps, feedback, answered)
-            recorder.write(0.004 * k, 0.0, replies, MitCommand(*[one] * 5))
-
-
 def test_the_identification_reads_it_directly(tmp_path):
     path = tmp_path / "measured.csv"
-    write_rows(path, gap=True)
+    with recorder_for(path, ["DM4340"] * 2) as recorder:
+        for k in range(40):
+            _, _, replies, acted = one_cycle(2, 0.1 * np.sin(0.3 * k))
+            stamps = 0.004 * k + np.array([0.0001, 0.0002])
+            recorder.write(0.004 * k, 0.0, replace(replies, time=stamps), acted)
     log = read_measurements(path, ("first", "second"))
     found = log.columns.position, log.columns.velocity, log.columns.torque, log.columns.joint_time
     for what, signals in zip(("pos", "vel", "tau", "time"), found):
@@ -143,58 +135,12 @@ def test_the_head_tells_how_the_recording_was_made(tmp_path):
     assert list(read_recording(path).head) == HEAD.splitlines()
 
 
-def test_titles_name_each_joints_columns(tmp_path):
-    path = tmp_path / "measured.csv"
-    write_rows(path)
-    extra = [
-        "time",
-        "cmd_pos",
-        "cmd_vel",
-        "cmd_tau",
-        "cmd_step",
-        "status",
-        "temp_mos",
-        "temp_rotor",
-    ]
-    measured = [f"j{j}_{what}" for j in range(2) for what in ("pos", "vel", "tau")]
-    beside = [f"j{j}_{what}" for j in range(2) for what in extra]
-    assert list(read_recording(path).columns) == ["time", *measured, *beside]
-
-
 def one_cycle(n, value=1.0):
     """Arguments of ``MeasurementRecorder.write`` for n joints."""
     same, codes = np.full(n, value), np.ones(n, dtype=int)
     feedback = Feedback(codes, codes, same, same, same, codes, codes)
     replies = Replies(codes > 0, same, feedback, codes > 0)
     return 0.0, 0.0, replies, MitCommand(*[same] * 5)
-
-
-class Frames:
-    """Stands in for the frame log; notes what it is told to write."""
-
-    def __init__(self):
-        self.waiting, self.written = [], []
-
-    def taken(self):
-        taken, self.waiting = self.waiting, []
-        return taken
-
-    def write(self, frames):
-        self.written += frames
-
-
-def test_frames_are_written_with_each_cycle_and_at_the_end(tmp_path):
-    frames = Frames()
-    path = tmp_path / "measured.csv"
-    with recorder_for(path, frames=frames) as recorder:
-        for k in range(2):
-            frames.waiting.append(k)
-            recorder.end_cycle()
-            assert frames.written == list(range(k + 1))
-        frames.waiting.append(2)
-    assert frames.written == [0, 1, 2]
-    assert recorder.failure is None
-    assert recorder._file.closed
 
 
 class FullDisk:

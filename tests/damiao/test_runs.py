@@ -23,7 +23,7 @@ from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, BusTiming, Fra
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.session import MotorSession
-from robot_sysid.errors import HardwareAbort, InputError, SysidError
+from robot_sysid.errors import HardwareAbort, SysidError
 from tests.support.damiao_rig import GRAVITY, Rig, fault, motor, swing
 from tests.support.motor_bench import answering_writes_with
 from tests.support.places import ROOT
@@ -318,18 +318,6 @@ def test_what_cannot_be_known_before_is_stopped_before_it_plays(tmp_path, change
     assert words in str(run.error) and run.states() == [DISABLED] * 2
     assert not any(sentence.startswith("playing") for sentence in run.phases)
     assert np.max(np.abs(run.arm.mechanism.qd)) < 1.0
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".log"])
-def test_an_existing_recording_is_not_overwritten(rig, suffix):
-    run = rig()
-    there = run.record_path.with_suffix(suffix)
-    there.write_text("precious")
-    files = sorted(there.parent.iterdir())
-    run.run()
-    assert isinstance(run.error, InputError) and f"{there} exists" in str(run.error)
-    assert there.read_text() == "precious" and sorted(there.parent.iterdir()) == files
-    run.assert_never_moved()
 
 
 def test_a_damping_that_would_be_sent_as_zero_is_refused(rig):

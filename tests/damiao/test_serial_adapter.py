@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 
-import can
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao import serial_adapter
 from robot_sysid.damiao.bus import BusAddress, LinkError, SystemClock, open_bus
 from robot_sysid.damiao.protocol.frames import Address, BusTiming, Frame, disable_frame
 from robot_sysid.damiao.serial_adapter import PacketReader
@@ -99,10 +97,3 @@ def test_a_line_that_breaks_or_a_frame_that_is_none_is_our_error(line):
     link.close()
     with pytest.raises(LinkError):
         link.send(Frame(1, bytes(8)))
-
-
-@NEEDS_TERMINALS
-def test_python_can_takes_it_for_a_bus():
-    assert issubclass(serial_adapter.DamiaoSerialBus, can.BusABC)
-    with pytest.raises(AttributeError):
-        serial_adapter.no_such_name  # noqa: B018

@@ -7,8 +7,7 @@ import os
 import can
 import pytest
 
-from robot_sysid.damiao.bus import BusLink, GuardedLink, SimulatedClock, SystemClock
-from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.bus import BusLink, SimulatedClock, SystemClock
 from robot_sysid.damiao.protocol.frames import (
     Address,
     Frame,
@@ -19,7 +18,6 @@ from robot_sysid.damiao.protocol.frames import (
 from robot_sysid.damiao.serial_adapter import slcan_terminal
 from robot_sysid.damiao.simulated import serve
 from tests.support.damiao_rig import two_motor_arm
-from tests.support.links import served_in_background
 
 
 class FarEnd:
@@ -123,13 +121,3 @@ def test_an_adapter_that_nobody_reads_drops_frames_instead_of_waiting(adapter):
     far, _, _ = adapter
     for _ in range(2000):
         far.send(Frame(1, bytes(8)))
-
-
-@pytest.mark.realtime
-@NEEDS_TERMINALS
-def test_an_arm_behind_a_serial_adapter_answers_pythons_slcan(adapter):
-    (far, near, _), clock = adapter, SystemClock()
-    with served_in_background(two_motor_arm(), far, clock, close=False):
-        found = inspect_bus(GuardedLink(near, clock))
-    assert [address.can_id for address in sorted(found.motors)] == [1, 2]
-    assert found.motors[Address(0, 2)].feedback.temperature_rotor[0] == 29

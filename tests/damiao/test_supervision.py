@@ -25,13 +25,6 @@ from robot_sysid.errors import HardwareAbort
 from tests.support.clocks import SIGNALS, ScriptedClock
 
 
-def test_the_first_reason_to_stop_is_kept():
-    stop = StopRequest()
-    stop("first")
-    stop("second")
-    assert (stop.count, stop.reason, stop.insisted) == (2, "first", False)
-
-
 @pytest.mark.parametrize("name", SIGNALS)
 def test_signals_are_wishes_inside_the_block_only(name, heard):
     number, stop = getattr(signal, name), StopRequest()
@@ -225,13 +218,6 @@ def test_a_wrong_velocity_scale_is_found(factor):
 )
 def test_a_right_one_or_one_that_is_too_coarse_to_judge_is_left_alone(options):
     assert watched_swing(**options).worst() is None
-
-
-def test_without_motion_nothing_is_judged():
-    check = VelocityScalingCheck(np.full(1, 0.005))
-    for t in np.arange(0.0, 5.0, 0.004):
-        check.add(np.array([t]), np.zeros(1), np.full(1, 0.01))
-    assert check.worst() is None
 
 
 @pytest.mark.parametrize("ratio", [0.8, 0.87, 1.13, 1.2, -1.0])
