@@ -38,8 +38,7 @@ def run(
 ) -> PlayReport:
     """Play the plan on inspected motors.
 
-    For ``stop`` and ``pose_check`` see ``Player``; ``on_phase`` gets a sentence when a phase
-    begins, ``on_progress`` the time played so far [s].
+    For ``stop``, ``pose_check`` and what is told see ``Player``.
 
     Raises:
         HardwareAbort: a check forbids it, or the run was stopped; says why.
@@ -50,7 +49,7 @@ def run(
     held, n, pose = _held(plan, inspection), plan.trajectory.n_joints, plan.pose
     joints = (*plan.trajectory.joints, *held)
     motors = [inspection.motors[joint.address] for joint in joints]
-    scaling = Scaling(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
+    scaling = Scaling(motor.limits for motor in motors)
     places = np.array([motor.position for motor in motors[n:]])
     session = MotorSession(link, joints, scaling)
     settings = _with_held(plan, held)
@@ -84,7 +83,7 @@ def _held(plan: Plan, inspection: asked.Inspection) -> tuple[DamiaoJoint, ...]:
     return tuple(
         DamiaoJoint(name, motor.can_id, motor.master_id, "", motor.address.bus, motor.channel)
         for motor in plan.others(inspection)
-        for name in matching_types(motor.limits or (0.0, 0.0, 0.0))[:1]
+        for name in matching_types(motor.limits)[:1]
     )
 
 
@@ -116,15 +115,13 @@ def _require_told(console: Aside, written: Aside) -> None:
 def _recorder(
     link: GuardedLink, plan: Plan, motors: Sequence[asked.InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
-    path, record, n = plan.recording.frames, plan.recording.record, plan.trajectory.n_joints
+    path, record, played = plan.recording.frames, plan.recording.record, plan.trajectory
     with RawFrameLog(path, link) if path else contextlib.nullcontext() as frames:
         if record is None:
             yield None
             return
-        registers = [motor.registers for motor in motors[:n]]
-        head = head_lines(
-            plan.trajectory.joints, registers, plan.settings, plan.trajectory.path.name
-        )
-        how = n, aside, frames, plan.recording.overwrite
+        registers = [motor.registers for motor in motors[: played.n_joints]]
+        head = head_lines(played.joints, registers, plan.settings, played.path.name)
+        how = played.n_joints, aside, frames, plan.recording.overwrite
         with MeasurementRecorder(record, head, *how) as recorder:
             yield recorder

@@ -8,7 +8,7 @@ the register's number.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import NamedTuple
@@ -72,10 +72,7 @@ class RegisterClient:
         return None
 
     def seconds_to_refresh(self, motors: Sequence[tuple[frames.Address, int]]) -> float | None:
-        """Ask motors for their state at once, as a control cycle does; each with its reply id.
-
-        Returns the time until the last answer [s]; None where one did not come.
-        """
+        """Return the time until all motors, asked at once, have answered [s], or None."""
         self._link.drain()
         start = self._clock.now()
         for motor, _ in motors:
@@ -87,15 +84,9 @@ class RegisterClient:
         return None if missing else self._clock.now() - start
 
     def answers(self, request: frames.Frame, most: int | None = None) -> list[RegisterReply]:
-        """Return up to ``most`` answers to a request; where there is none, it is repeated.
-
-        More than one answer means that motors share an id.
-        """
-        for _ in range(_TRIES):
-            replies = list(islice(self._replies(request), most))
-            if replies:
-                return replies
-        return []
+        """Return up to ``most`` answers; more than one tells that motors share an id."""
+        tries = (list(islice(self._replies(request), most)) for _ in range(_TRIES))
+        return next(filter(None, tries), [])
 
     def _replies(self, request: frames.Frame) -> Iterator[RegisterReply]:
         # Most firmware answers a write with 0x55, some with 0x33.
@@ -153,11 +144,10 @@ _ROUNDS = 20
 
 @dataclass(frozen=True, eq=False)
 class InspectedMotor:
-    """What one motor said.
+    """What one motor said; several ids on which answers came mean several motors.
 
-    Several ids on which answers came mean several motors. Only registers that were answered are
-    there; feedback (one joint) is None where it does not answer a refresh, and the channel is named
-    where there are several.
+    Only registers that were answered are there; feedback is None where it does not answer a
+    refresh, and the channel is named where there are several.
     """
 
     address: frames.Address
@@ -182,16 +172,14 @@ class InspectedMotor:
         return int(self.registers.get(frames.MST_ID, self.reply_ids[0]))
 
     @property
-    def limits(self) -> tuple[float, float, float] | None:
-        """(PMAX, VMAX, TMAX) from its registers."""
-        found = tuple(
-            self.registers[number] for number in frames.SCALING if number in self.registers
-        )
-        return found if len(found) == 3 else None
+    def limits(self) -> tuple[float, float, float]:
+        """(PMAX, VMAX, TMAX) from its registers; 0 where it does not tell."""
+        position, velocity, torque = (self.registers.get(k, 0.0) for k in frames.SCALING)
+        return position, velocity, torque
 
     def meaning(self, feedback: bytes) -> Feedback | None:
         """What a frame of its feedback says; None where its scaling is not known."""
-        if self.limits is None or min(self.limits) <= 0.0:
+        if min(self.limits) <= 0.0:
             return None
         raw = np.frombuffer(feedback, dtype=np.uint8)[None]
         return decode_feedback(raw, Scaling([self.limits]))
@@ -204,11 +192,9 @@ class InspectedMotor:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What the motors on a bus said.
+    """What the motors on a bus said; ``unsolicited`` frames came before anything was asked.
 
-    ``unsolicited`` frames came before anything was asked: motors only speak when spoken to.
-    ``round_trip`` is the time in which all motors asked at once have answered, nearly always [s];
-    None where some did not answer.
+    Asked at once, all have answered within ``round_trip`` [s], nearly always; None if some did not.
     """
 
     motors: Mapping[frames.Address, InspectedMotor]
@@ -234,14 +220,14 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         channel = link.channels[address.bus] if len(link.channels) > 1 else ""
         motor = InspectedMotor(address, reply_ids, registers, None, channel)
         motors[address] = replace(motor, feedback=state_of(client, motor))
-    return Inspection(motors, unsolicited, client.error_frames, _round_trip(client, motors))
+    return Inspection(
+        motors, unsolicited, client.error_frames, _round_trip(client, motors.values())
+    )
 
 
-def _round_trip(
-    client: RegisterClient, motors: Mapping[frames.Address, InspectedMotor]
-) -> float | None:
-    asked = [(address, motor.reply_ids[0]) for address, motor in motors.items()]
-    if any(motor.feedback is None for motor in motors.values()):
+def _round_trip(client: RegisterClient, motors: Collection[InspectedMotor]) -> float | None:
+    asked = [(motor.address, motor.reply_ids[0]) for motor in motors]
+    if any(motor.feedback is None for motor in motors):
         return None
     times = [client.seconds_to_refresh(asked) for _ in range(_ROUNDS)]
     answered = [time for time in times if time is not None]

@@ -34,11 +34,7 @@ _PRINTED = 1e-4
 
 
 class SampledTrajectory:
-    """A motor trajectory as a motion plan, at a share of its speed.
-
-    These are time (N,) from zero [s], q, qd, tau (N, n) [rad, rad/s, N m] and the slope (N - 1, n)
-    between them [rad/s].
-    """
+    """A motor trajectory as a motion plan, at a share of its speed, with the slope between rows."""
 
     def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
         self.q, self.tau, self.qd = trajectory.q, trajectory.tau, speed * trajectory.qd

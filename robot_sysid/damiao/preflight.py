@@ -267,7 +267,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
             )
         else:
             checks += _condition(motor, settings, plan.allowed, joint)
-    limits = [motor.limits for motor in present if motor.limits]
+    limits = [m.limits for m in present if set(frames.SCALING) <= set(m.registers)]
     if len(limits) == len(joints):
         checks += _within_limits(plan, limits, "its registers'")
         checks += _in_time(inspection.round_trip, settings)
@@ -300,7 +300,7 @@ def _other_motors(plan: Plan, others: Sequence[InspectedMotor]) -> Iterator[Chec
     yield _note(f"not in the trajectory and held where they are: {names}")
     for motor in others:
         yield from _condition(motor, plan.settings, plan.allowed)
-        if motor.limits is None or not matching_types(motor.limits):
+        if not matching_types(motor.limits):
             yield _stop(f"{motor.name} is of no known type and cannot be held; use --others limp")
 
 
@@ -339,7 +339,7 @@ def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
 
 
 def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) -> Check:
-    found, wanted = motor.limits or (0.0, 0.0, 0.0), joint.spec.limits
+    found, wanted = motor.limits, joint.spec.limits
     held, usual = (", ".join(f"{value:g}" for value in values) for values in (found, wanted))
     text = f"{motor.name} has PMAX, VMAX, TMAX {held}"
     same = f"{motor.name} is scaled as a {joint.motor_type}: {held}"

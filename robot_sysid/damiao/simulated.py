@@ -243,12 +243,11 @@ _TURNAROUND = 50e-6
 
 
 class SimulatedLink:
-    """Carries frames one after the other, each as long as its bits take.
+    """Carries frames one after the other, each as long as its bits take; waiting moves the clock.
 
     A burst of commands goes out before any reply, because commands have the lower ids. A classic
-    host sees an error frame where a motor answers in CAN-FD. The clock is moved by waiting.
-
-    With ``echo`` each sent frame is reported back when it was on the bus, as SocketCAN does.
+    host sees an error frame where a motor answers in CAN-FD. With ``echo`` each sent frame is
+    reported back when it was on the bus, as SocketCAN does.
     """
 
     def __init__(

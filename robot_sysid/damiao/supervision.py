@@ -34,9 +34,7 @@ class StopRequest:
 
     The first wish brings the arm to rest before it is disabled. Only a person who asks again is
     taken to mean "at once, even if the arm drops": hang-ups and terminations come in bursts when a
-    terminal is closed or a computer shuts down.
-
-    ``reason`` is the first wish in words.
+    terminal is closed or a computer shuts down. ``reason`` is the first wish in words.
     """
 
     def __init__(self) -> None:
@@ -208,10 +206,8 @@ class VelocityScalingCheck:
         t0, _, v0 = self._last
         self._integral += np.where(fresh, 0.5 * (qd + v0) * (time - t0), 0.0)
         self._last = tuple(np.where(fresh, *pair) for pair in zip((time, q, qd), self._last))
-        self._close_windows(fresh & (time - self._begin[0] >= _WINDOW))
-
-    def _close_windows(self, full: Array) -> None:
-        if self._last is None or not np.any(full):
+        full = fresh & (time - self._begin[0] >= _WINDOW)
+        if not np.any(full):
             return
         x = np.where(full, self._integral, 0.0)
         y = np.where(full, self._last[1] - self._begin[1], 0.0)

@@ -84,17 +84,9 @@ def export_damiao_trajectory(
 ) -> DamiaoExportReport:
     """Write a trajectory for Damiao motors, clamped to what their frames can carry.
 
-    The chunks are written as they come, so a long trajectory needs no memory; a path gets its file
-    only once everything is written.
-
-    Args:
-        motion_chunks: the motion, see ``MotionChunk``.
-        motor_types, can_ids, master_ids: see ``damiao_joints``.
-        path_or_file: where to write.
-        joint_names: of the joints in the model, for the warnings.
-
-    Raises:
-        InputError: motor types or ids do not fit, no samples, or values that are not finite.
+    The chunks are written as they come; a path gets its file only once everything is written. For
+    types, ids and names see ``damiao_joints``. InputError where they do not fit, without samples,
+    or with values that are not finite.
     """
     chunks = iter(motion_chunks)
     first = next(chunks, None)

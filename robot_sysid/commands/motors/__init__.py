@@ -15,15 +15,8 @@ from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.tables import check_lines, load_line, motor_table, run_lines
 from robot_sysid.config import ModelOptions
-from robot_sysid.damiao import preflight, simulated
-from robot_sysid.damiao.bus import (
-    BusAddress,
-    BusLink,
-    GuardedLink,
-    Link,
-    SimulatedClock,
-    import_can,
-)
+from robot_sysid.damiao import bus, preflight, simulated
+from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink, SimulatedClock
 from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
@@ -106,8 +99,8 @@ def simulate(asked: Asked) -> int:
     checks = asked.checks(plan)
     if options.play:
         arm, clock = _simulated_arm(asked, plan), SimulatedClock()
-        bus = SimulatedLink(clock, arm, asked.timing, echo=True)
-        link = GuardedLink(bus, clock, asked.timing.fd, asked.address.channel or ("simulated",))
+        wire = SimulatedLink(clock, arm, asked.timing, echo=True)
+        link = GuardedLink(wire, clock, asked.timing.fd, asked.address.channel or ("simulated",))
         return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
     preflight.require_no_stop(checks, "not rehearsed")
     arm = _simulated_arm(asked, plan, _REAL_TIME_STEP)
@@ -179,20 +172,17 @@ COMMANDS: Mapping[str, _Command] = {
     ),
 }
 _MAIN = (
-    *("interface", "channel", "fd", "speed", "rate", "kp", "park"),
-    *("record", "dry_run", "yes", "play"),
+    *("interface", "channel", "fd", "speed", "rate", "kp", "park", "record", "dry_run", "yes"),
+    *("play", "joint_map", "accept_register_limits", "set_watchdog"),
 )
-_MAIN_ON_MOTORS = (*_MAIN, "joint_map", "accept_register_limits", "set_watchdog")
 
 
 def build_parser(command: str, full: bool = True) -> Parser:
     """Return the parser of a subcommand; without ``full``, its help shows the main options only."""
     _, example, description, groups = COMMANDS[command]
-    main_options: Sequence[str] = _MAIN if command == "simulate" else _MAIN_ON_MOTORS
-    if command not in _PLAYED:
-        own = (name for records in groups.values() for each in records for name in options_of(each))
-        main_options = ("interface", "channel", "fd", *own)
-    usage, shown = f"{PROGRAM} motors {command} {example}", None if full else main_options
+    own = (name for records in groups.values() for each in records for name in options_of(each))
+    main = _MAIN if command in _PLAYED else (*_MAIN[:3], *own)
+    usage, shown = f"{PROGRAM} motors {command} {example}", None if full else main
     parser = Parser(f"motors {command}", usage, description, shown, codes=_CODES)
     if command in _PLAYED:
         nargs = "?" if command == "check" else None
@@ -258,10 +248,7 @@ def _play_on(
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
 
-    def tell(time: float) -> None:
-        console.advance("Playing", time, plan.duration, "")
-
-    stop = StopRequest()
+    stop, tell = StopRequest(), lambda time: console.advance("Playing", time, plan.duration, "")
     with stop.on_signals():
         report = run(link, plan, inspection, stop, console.stage, tell, asked.pose_check(plan))
     console.lines(run_lines(report))
@@ -279,7 +266,7 @@ def _simulated_arm(asked: Asked, plan: preflight.Plan, *timestep: float) -> simu
     return simulated.SimulatedArm(ArmStepper(asked.robot, plan.scan.first, *timestep), motors)
 
 
-def _simulated_end(asked: Asked) -> Link:
+def _simulated_end(asked: Asked) -> bus.Link:
     """Open the simulated arm's end of the bus and say how to reach it."""
     interface, channels = asked.address.interface, asked.address.channel
     if channels:
@@ -287,19 +274,17 @@ def _simulated_end(asked: Asked) -> Link:
     elif "interface" in asked.values:
         raise InputError("--interface needs --channel")
     else:
-        import_can()
+        bus.import_can()
         terminal, device = slcan_terminal()
         link, interface, channels = BusLink([terminal], asked.clock), "slcan", (device,)
     reach = " --channel ".join([f"--interface {interface}", *channels])
-    fd, mounted = " --fd" if asked.timing.fd else "", asked.values.get("joint_map")
-    fd += f" --joint-map {mounted}" if mounted else ""
-    asked.console.lines(
-        [
-            "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
-            "ends it. To play on it, in another terminal:",
-            f"{PROGRAM} motors play {asked.values['trajectory']} {reach}{fd} --record measured.csv",
-        ]
-    )
+    reach += " --fd" if asked.timing.fd else ""
+    mounted = asked.values.get("joint_map")
+    reach += f" --joint-map {mounted}" if mounted else ""
+    told = "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
+    told += "ends it. To play on it, in another terminal:"
+    line = f"{PROGRAM} motors play {asked.values['trajectory']} {reach} --record measured.csv"
+    asked.console.lines([told, line])
     return link
 
 

@@ -81,7 +81,7 @@ def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
         f"{motor.can_id}{' ' + motor.channel if motor.channel else ''}",
         replies if len(motor.reply_ids) == 1 else f"{replies} (x{len(motor.reply_ids)})",
         frames.MODES.get(mode, "?"),
-        *(f"{value:g}" for value in limits or (np.nan,) * 3),
+        *(f"{value or np.nan:g}" for value in limits),
         _type_name(limits, joint),
         f"{1e3 * registers.get(frames.TIMEOUT, 0.0) * frames.TIMEOUT_UNIT:g} ms",
         f"{registers.get(frames.GR, np.nan):g}",
@@ -90,10 +90,8 @@ def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
     )
 
 
-def _type_name(limits: tuple[float, float, float] | None, joint: DamiaoJoint | None) -> str:
-    if limits is None:
-        return "?"
-    if joint is not None:
-        agrees = limits_agree(joint.spec.limits, limits)
-        return joint.motor_type if agrees else f"not {joint.motor_type}!"
-    return " or ".join(matching_types(limits)) or "unknown"
+def _type_name(limits: tuple[float, float, float], joint: DamiaoJoint | None) -> str:
+    if joint is None:
+        return " or ".join(matching_types(limits)) or "unknown"
+    agrees = limits_agree(joint.spec.limits, limits)
+    return joint.motor_type if agrees else f"not {joint.motor_type}!"

@@ -83,16 +83,11 @@ def damiao_joints(
     master_ids: Sequence[int] | None = None,
     names: Sequence[str] = (),
 ) -> tuple[DamiaoJoint, ...]:
-    """Return one checked DamiaoJoint per joint.
+    """Return one checked DamiaoJoint per joint, base to terminal.
 
-    Args:
-        motor_types, n_joints: one type name per joint of the chain, base to terminal.
-        can_ids: 1 to 15 each; none counts from 1.
-        master_ids: reply ids; none means CAN id + 0x10.
-        names: of the joints in the model; none leaves them without. Blanks become underscores.
-
-    Raises:
-        InputError: wrong number of types or ids, unknown type, or ids that clash on one bus.
+    CAN ids, 1 to 15, count from 1 by default; master ids, of the replies, are 0x10 higher. Blanks
+    in the model's ``names`` become underscores. InputError for a wrong number of types or ids, an
+    unknown type, or ids that clash on one bus.
     """
     if not motor_types:
         raise InputError(
