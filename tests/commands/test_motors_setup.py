@@ -141,18 +141,6 @@ def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
     assert only_asks(bus.wire.sent)
 
 
-def test_on_a_terminal_monitor_stays_in_its_place(capsys, bus, monkeypatch):
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    _, out, _ = run(capsys, "monitor", *CAN0, "--for", "1")
-    assert out.count("\x1b[3A") == 4 and "?" not in out
-
-
-def test_monitor_of_an_empty_bus(capsys, bus):
-    for motor in bus.motors:
-        motor.silent = True
-    assert run(capsys, "monitor", *CAN0)[0] == 1
-
-
 def test_a_map_is_made_by_hand(capsys, bus, answers, tmp_path, arm_file):
     """The first joint has motor 2, mirrored; the second one motor 1."""
     waiting, asked = answers

@@ -123,10 +123,8 @@ def test_a_bus_that_breaks_raises_our_error():
 @pytest.mark.parametrize(
     ("interface", "channel", "words"),
     [
-        ("telepathy", "x", "--interface 'telepathy': choose one of socketcan, slcan"),
         ("udp_multicast", "239.0.0.1", "--interface 'udp_multicast': choose one of"),
         ("socketcan", "no-such-bus", "cannot open socketcan channel no-such-bus"),
-        ("slcan", "/dev/no-such-tty", "cannot open slcan channel /dev/no-such-tty"),
     ],
 )
 def test_a_bus_that_cannot_be_opened_is_said(interface, channel, words):

@@ -10,11 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
-    rating_warnings,
     read_damiao_trajectory,
     scan_trajectory,
     velocity_mismatch,
@@ -116,26 +114,6 @@ def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
 def test_ids_that_cannot_share_a_bus_are_refused(options, words):
     with pytest.raises(InputError, match=words):
         exported([motion()], ["DM4340"] * 2, **options)
-
-
-@pytest.mark.parametrize("name", ["DM4340", "DM6248", "DMS3519"])
-def test_each_rating_that_is_exceeded_has_its_own_sentence(name):
-    (joint,), spec = damiao_joints([name], 1), MOTORS[name]
-    between = 0.5 * (spec.rated_torque + spec.peak_torque)
-    for torque, words in (
-        (spec.rated_torque, []),
-        (between, [f"{between:.2f} N m exceeds the rated torque of a {name}"]),
-        (spec.peak_torque, [f"{spec.peak_torque:.2f} N m exceeds the rated torque"]),
-        (1.01 * spec.peak_torque, [f"the peak torque of a {name}, {spec.peak_torque:g} N m;"]),
-    ):
-        said = list(rating_warnings(joint, 0.0, torque))
-        assert len(said) == len(words)
-        assert all(word in line and line.startswith("motor 1: ") for word, line in zip(words, said))
-    top = (spec.no_load_rpm or 1e9) * 2 * np.pi / 60
-    assert list(rating_warnings(joint, 0.999 * top, 0.0)) == []
-    if spec.no_load_rpm:
-        (line,) = rating_warnings(joint, 1.001 * top, 0.0)
-        assert f"exceeds the no-load speed of a {name} at {spec.supply:g} V" in line
 
 
 def test_what_is_told_is_what_was_asked_for_not_what_is_left_of_it():
