@@ -45,7 +45,7 @@ def test_what_a_page_says_to_type_works(page, workshop, tmp_path, monkeypatch, c
             exec(compile(block, str(page), "exec"), {})  # the page is ours
             continue
         for words in pages.command_lines(block):
-            if words[0] not in pages.ELSEWHERE and "[options]" not in words:
+            if words[0] not in pages.OTHERS and "[options]" not in words:
                 assert words[0] == "robot-sysid", words
                 said += runs(words[1:], capsys)
     assert pages.printed(page) <= pages.lines_of(said)

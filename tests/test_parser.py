@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.parser import load_robot_model
@@ -132,21 +131,3 @@ MOCAP = '<body name="hand_target" mocap="true"/>'
 )
 def test_a_loop_closed_around_joints_of_the_arm_is_told(one, other, told):
     assert ("closed loop" in notes_of(tied(one, other, MOCAP))) is told
-
-
-def test_angles_in_degrees_inertia_from_geoms_and_default_classes():
-    xml = (
-        '<mujoco><compiler angle="degree"/><default><default class="arm"><joint axis="0 1 0" '
-        'range="-90 90" damping="2" frictionloss=".3"/><geom density="1000"/></default></default>'
-        '<worldbody><body name="a" childclass="arm"><joint name="j1"/><geom type="box" '
-        'size=".1 .1 .1"/><body name="b" pos=".2 0 0"><joint name="j2" axis="0 0 1"/><geom '
-        'type="box" size=".05 .05 .1"/></body></body></worldbody></mujoco>'
-    )
-    robot = robot_of(xml)
-    assert robot.joint_names == ("j1", "j2")
-    np.testing.assert_allclose(robot.limits.upper, np.pi / 2)
-    np.testing.assert_allclose(robot.friction.viscous, 2.0)
-    np.testing.assert_allclose(robot.friction.coulomb, 0.3)
-    inertia = 2.0 / 12.0 * np.array([0.1**2 + 0.2**2, 0.1**2 + 0.2**2, 2 * 0.1**2])
-    expected = spatial.theta_from_com(2.0, np.zeros(3), np.diag(inertia))
-    np.testing.assert_allclose(robot.prior.theta, expected, atol=1e-14)

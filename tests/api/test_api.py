@@ -176,12 +176,9 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
             lambda m: rs.identify(m, {"time": np.zeros((3, 2, 2))}),
             "no arrays with a row per sample",
         ),
-        (lambda m: rs.identify(m, "missing.csv"), "missing.csv"),
         (lambda m: rs.identify(m, plan_only=True), "call plan instead"),
-        (lambda m: rs.payload(m), "give --empty LOG"),
         (lambda m: rs.identify(m, "a.csv", verify_rollout=True), "needs the command"),
         (lambda m: rs.identify_arm(m, "a.csv", torque_from="position-error"), "needs the command"),
-        (lambda m: rs.read_log("a.csv", m, sped=3), "unknown option 'sped'"),
     ],
 )
 def test_what_cannot_be_used_is_one_clear_error(call, words, workshop):

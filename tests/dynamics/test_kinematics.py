@@ -70,17 +70,6 @@ def test_rest_plus_link_is_mujocos_inverse_dynamics_on(name):
     assert name not in arms.NEWER_MODELS or not has_only_armature(robot.mj_model)
 
 
-@given(random_chain(), SEEDS)
-def test_torque_of_the_rest_does_not_know_the_link(xml, seed):
-    robot = robot_of(xml)
-    rng = np.random.default_rng(seed)
-    motion = random_motion(rng, robot.n_joints, SAMPLES)
-    heavier, _ = with_link(robot, 7.0 * body_theta(robot.mj_model, robot.body_id))
-    rest = ChainKinematics(robot).evaluate(*motion).tau_rest
-    same = ChainKinematics(robot_of(heavier)).evaluate(*motion).tau_rest
-    np.testing.assert_allclose(rest, same, rtol=0.0, atol=1e-13 * np.max(np.abs(rest), initial=1.0))
-
-
 def test_model_of_the_user_is_left_alone():
     robot = robot_of(arms.COUPLED_FINGERS)
     before = robot.mj_model.body_mass.copy(), robot.mj_model.opt.disableflags

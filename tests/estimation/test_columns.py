@@ -166,28 +166,3 @@ def test_the_chunk_size_changes_nothing(monkeypatch):
     (parts,) = Columns(columns.robot, columns.datasets).samples(point)
     for one, other in zip((*whole.rows, *whole.tau), (*parts.rows, *parts.tau)):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
-
-
-def test_what_settles_moves_into_the_point_and_the_prediction_stays():
-    """Delay, tilt and speeds become part of what the rows are made around."""
-    bare = Columns(ARMS["four"], ())
-    values = true_values(bare, 5, loss=0.0)
-    _, columns = recorded(bare, values, False, 5, duration=2.0)
-    before = point_at(columns, values)
-    settle = {"delay": 1e-3, "tilt_1": 2e-4, "tilt_2": -1e-4, "stribeck_speed[joint1]": 1e-4}
-    moved = values.copy()
-    moved[columns.at(list(settle))] = list(settle.values())
-    after = columns.moved(before, moved, list(settle))
-    assert after.delay == 1e-3 and not np.any(after.values[columns.at(list(settle))])
-    np.testing.assert_allclose(after.gravity, turned(before.gravity, np.array([2e-4, -1e-4])))
-    assert after.speed["stribeck"][1] - before.speed["stribeck"][1] == pytest.approx(1e-4)
-    huge = columns.moved(before, 1e7 * moved, list(settle)).speed["stribeck"]
-    assert huge[1] == BENT["stribeck"].bounds[1]
-    still = [name for name in settle if name != "delay"]
-    one, other = (
-        columns.samples(point)[0] for point in (before, columns.moved(before, moved, still))
-    )
-    moved[columns.place["delay"]] = 0.0
-    for old, new, tau, same in zip(dense(one), dense(other), one.tau, other.tau):
-        left, again = tau - old @ moved, same - new @ after.values
-        assert np.max(np.abs(left - again)) < 1e-6 * np.max(np.abs(tau))

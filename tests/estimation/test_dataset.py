@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.information import combined
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import (
     BLOCKS,
@@ -23,7 +22,6 @@ from robot_sysid.estimation.dataset import (
 )
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
-from tests.support.arms import SEEDS
 from tests.support.measured_logs import CUTOFF, equations_of, log_of
 from tests.support.payload_logs import TrueArm, exact_recording, four_joint_arm, wide_motion
 
@@ -59,17 +57,6 @@ def test_rows_stand_at_the_decimated_instants_and_masked_ones_stay_in_place(plan
     still = replace(signals, deadband=np.full(3, 1e3))
     with pytest.raises(InputError, match="faster than its velocity deadband; record a motion, or"):
         decimated_equations(equations_of(plant), still)
-
-
-@given(SEEDS)
-def test_parts_add_up_to_the_whole(seed):
-    samples = random_samples(seed)
-    first = np.random.default_rng(seed).random(len(samples)) < 0.5
-    parts = [samples.where(first).information(), samples.where(~first).information()]
-    whole, joined = samples.information(), combined(parts)
-    x = np.random.default_rng(seed + 1).normal(size=5)
-    np.testing.assert_allclose(whole.squared_residuals(x), joined.squared_residuals(x), rtol=1e-10)
-    assert whole.n_samples == joined.n_samples
 
 
 @given(st.integers(BLOCKS, 500), st.integers(0, 100), st.floats(0.01, 5.0))

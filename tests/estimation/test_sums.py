@@ -43,14 +43,18 @@ def together(robot, logs):
     return answer_link(robot, datasets, OPTIONS, Progress(), (GRAVITY,))
 
 
+@pytest.fixture(scope="module")
+def found(robot, parts):
+    return answer_from(robot, sum(parts))
+
+
 def apart(*answers):
     """By how much what was sought differs."""
     one, other = (each.fit.values[each.fit.unknowns.kept] for each in answers)
     return np.abs(one - other)
 
 
-def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(robot, parts, together):
-    found = answer_from(robot, sum(parts))
+def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(found, together):
     assert found.fit.unknowns.kept_names == together.fit.unknowns.kept_names
     errors = together.errors.whole.standard_errors
     assert np.max(apart(found, together) / errors) < 0.02
@@ -70,24 +74,23 @@ def test_two_logs_of_a_sum_test_each_other(robot, parts):
     assert test.source == "1 log, added, not fitted"
 
 
-def test_brackets_and_order_do_not_matter(robot, parts):
+def test_brackets_and_order_do_not_matter(robot, parts, found):
     one, two, three = parts
-    ways = (one + two) + three, one + (two + three), three + two + one
-    values = [answer_from(robot, each).fit.values for each in ways]
-    np.testing.assert_allclose(values[1], values[0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(values[2], values[0], rtol=1e-6, atol=1e-9)
-    assert ways[0].logs == 3 and ways[0].duration == pytest.approx(sum(LENGTHS), abs=0.1)
-    assert len(ways[0].checkpoints.q) == 400
+    whole = one + (two + three)
+    for other, rtol, atol in ((whole, 1e-9, 1e-12), (three + two + one, 1e-6, 1e-9)):
+        values = answer_from(robot, other).fit.values
+        np.testing.assert_allclose(values, found.fit.values, rtol=rtol, atol=atol)
+    assert whole.logs == 3 and whole.duration == pytest.approx(sum(LENGTHS), abs=0.1)
+    assert len(whole.checkpoints.q) == 400
 
 
-def test_what_is_sent_does_not_grow_and_survives_the_way(robot, parts):
+def test_what_is_sent_does_not_grow_and_survives_the_way(robot, parts, found):
     """Neither with the length of a log nor with their number, but for a sample of rows."""
     every = (*parts, sum(parts))
     sizes = [len(pickle.dumps((e.evidence.blocks, e.residuals, e.pull))) for e in every]
     assert max(sizes) - min(sizes) < 20
-    again = pickle.loads(pickle.dumps(every[-1]))
-    values = [answer_from(robot, each).fit.values for each in (again, every[-1])]
-    np.testing.assert_array_equal(*values)
+    again = answer_from(robot, pickle.loads(pickle.dumps(every[-1])))
+    np.testing.assert_array_equal(again.fit.values, found.fit.values)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.estimation import unknowns as module
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import Columns
@@ -21,9 +20,7 @@ from robot_sysid.estimation.unknowns import (
     ZEROS,
     Question,
     unknowns,
-    usual_bodies,
 )
-from tests.support import arms
 from tests.support.core_fits import KNOWN, choice_of
 from tests.support.payload_logs import four_joint_arm
 
@@ -101,25 +98,3 @@ def test_bounds_hold_friction_and_no_other_sign():
     assert found.upper[COLUMNS.place[f"load[{joint}]"]] == module.LARGEST_LOSS
     # A loss that is only allowed for may come out either way.
     assert np.isinf(asked().lower[COLUMNS.place[f"load[{joint}]"]])
-
-
-def test_a_placeholder_is_not_believed():
-    """Neither its mass nor where it is: its prior is as wide as a usual body."""
-    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
-    tiny = spatial.theta_from_com(1e-9, np.array([0.0, 0.0, 0.1]), 1e-15 * np.eye(3))
-    arms.write_body(model, ROBOT.links[1].body_id, tiny)
-    robot = arms.robot_of(model)
-    usual = usual_bodies(robot)
-    others = [link.theta[0] for link in robot.links if link.theta[0] > 0.1]
-    for link in robot.links:
-        if link.body_name == robot.links[1].body_name:
-            assert usual[link.body_name][0] == pytest.approx(np.median(others))
-            assert spatial.is_consistent(usual[link.body_name])
-        else:
-            assert usual[link.body_name] is link.theta
-    (links,) = [g for g in asked(columns=Columns(robot, ())).groups if g.cause == LINKS]
-    spread = np.sqrt(np.diag(links.factor @ links.factor.T))
-    masses = {member: spread[k] for k, member in enumerate(links.members) if k % 10 == 0}
-    assert masses["link1"] > 1.0 and masses["link0"] < 0.1
-    covariance = links.factor @ links.factor.T
-    assert not np.any(covariance[10:20, :10]) and np.all(np.linalg.eigvalsh(covariance) > 0.0)

@@ -154,24 +154,6 @@ def test_rows_with_holes_or_rubbish_are_left_out_and_counted(tmp_path, places, w
     assert f"(first: line {min(places) + 2}" in odd(log)
 
 
-NOISE = st.binary(min_size=1, max_size=60).filter(lambda b: not set(b) & set(b"\r\n"))
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.sets(st.integers(1, 398), min_size=1, max_size=4), st.tuples(*[NOISE] * 4))
-def test_noise_between_rows_is_left_out_and_counted(tmp_path, places, noise):
-    """Lines of a serial port's rubbish, which have no reason to be text, stand between the rows."""
-    data = motion()
-    path = write(tmp_path / "log.csv", table(data))
-    lines = path.read_bytes().splitlines()
-    for place, text in zip(sorted(places, reverse=True), noise):
-        lines.insert(place + 1, b"\x1b" + text)
-    path.write_bytes(b"\n".join(lines) + b"\n")
-    log = read_measurements(path, JOINTS)
-    np.testing.assert_array_equal(log.samples.q, data.q)
-    assert f"left out {len(places)} rows that are no rows of numbers" in odd(log)
-
-
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(3.5, 12.0), st.floats(-20.0, 20.0))
 def test_wrapped_positions_are_unwrapped(tmp_path, amplitude, offset):

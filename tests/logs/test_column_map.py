@@ -71,15 +71,6 @@ def test_named_titles_go_to_their_joint_whatever_the_order(titles):
     assert where(recognise(titles, UR)) == ((3, 2, 1), (6, 5, 4))
 
 
-@given(st.permutations(range(7)), st.sampled_from([0, 1]), st.sampled_from(["{}_{}", "{}{}"]))
-def test_the_order_of_the_columns_does_not_matter(order, base, form):
-    kinds = [(kind, joint) for kind in ("q", "tau") for joint in range(3)]
-    titles = ["t"] + [form.format(kind, joint + base) for kind, joint in kinds]
-    found = recognise(",".join(titles[i] for i in order), ("base", "elbow", "wrist"))
-    assert [s.title for s in found.position + found.torque] == titles[1:]
-    assert found.time is not None and found.time.title == "t"
-
-
 NAME_PIECES = ("s", "m", "ms", "deg", "rad", "nm", "j2s7s300", "right", "s0", "e1", "7", "arm")
 
 

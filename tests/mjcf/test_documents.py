@@ -27,17 +27,13 @@ def names(path):
     ("content", "message"),
     [
         (b"", "Expected an XML model file, but .* is empty"),
-        (b"  \n", "Expected an XML model file, but .* is empty"),
         (b"hello", "Expected an XML model file, but .* is not XML"),
         (b"\x89PNG\r\n\x1a\n\x00\xff", "Expected an XML model file"),
         (ARM[:200].encode(), "Expected an XML model file, but .* is not XML"),
-        (b"{'a': 1}", "Expected an XML model file"),
         (LAUGHS.encode(), "declares XML entities"),
-        (OUTSIDE.encode(), "declares XML entities"),
         (OUTSIDE.encode("utf-16"), "declares XML entities"),
         (b"<default/>", "is a fragment, not a whole model: its root is <default>"),
         (b"<mujoco/>", "is a fragment, not a whole model: no <worldbody>"),
-        (b"<robot/>", "is a fragment, not a whole model: no <link>"),
         (b"<robot xmlns:xacro='http://ros.org/wiki/xacro'/>", "run xacro on it first"),
     ],
 )
@@ -98,19 +94,11 @@ def test_includes_are_found_where_mujoco_finds_them(tmp_path, files, bodies):
         ({"m": "<mujoco><include file='m'/></mujoco>"}, "m is included twice or includes itself"),
         (
             {
-                "m": "<mujoco><include file='a'/></mujoco>",
-                "a": "<mujoco><include file='m'/></mujoco>",
-            },
-            "m is included twice or includes itself",
-        ),
-        (
-            {
                 "m": "<mujoco><include file='a'/><include file='./a'/></mujoco>",
                 "a": BODY.format("x"),
             },
             "included twice",
         ),
-        ({"m": "<mujoco><include file='a'/></mujoco>", "a": "<x><!-- --></x>"}, "a is empty"),
         ({"m": "<mujoco><include file='a'/></mujoco>", "a": "<x>"}, "a is not XML"),
     ],
 )

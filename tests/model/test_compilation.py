@@ -68,10 +68,6 @@ def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
             "a number cannot be read: .*much",
         ),
         (
-            urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="nan"'),
-            "a number cannot be read: the inertial of link l1 is none that an arm has",
-        ),
-        (
             urdf_robot(*TWO_LINKS).replace('rpy="0 0 0"', 'rpy="0 0 inf"'),
             "a number cannot be read: the inertial of link l1 is none that an arm has",
         ),
@@ -211,12 +207,6 @@ def test_a_model_may_be_attached_more_than_once(tmp_path):
     attaching(tmp_path, "d.xml", "leaf.xml")
     path = attaching(tmp_path, "a.xml", "c.xml", "d.xml")
     assert compile_model(path).kind == "mjcf"
-
-
-def test_names_too_long_for_a_file_are_not_found(tmp_path):
-    for part in ('<mesh name="m" file="{}"/>', '<include file="{}"/>'):
-        with pytest.raises(ModelError, match="not found"):
-            compile_model(model(tmp_path, "a.xml", part.format("a" * 5000)))
 
 
 @pytest.mark.parametrize(

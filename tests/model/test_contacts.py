@@ -73,13 +73,6 @@ def test_neighbours_are_what_carries_and_what_is_carried():
     }
 
 
-def test_links_that_carry_each_other_may_overlap():
-    thick = arm_with_tip().replace('name="upper" pos="0 0 .5"', 'name="upper" pos="0 0 .1"')
-    thick = thick.replace(BALL, BALL + '<geom size=".25" pos="-.3 0 0"/>')
-    base = f'<body name="base"><geom size=".2"/>{thick.split("<worldbody>")[1].split("</worl")[0]}'
-    assert contacts(world(base + "</body>"), [0.0]) == ("base and tip touch at rest",)
-
-
 def test_things_that_touch_each_other_beside_the_arm_are_no_news():
     falling = '<body name="cup" pos="0 .5 1.0"><freejoint/><geom size=".05" mass=".1"/></body>'
     assert contacts(arm_with_tip(WALL + falling), np.zeros(3)) == ()

@@ -39,16 +39,6 @@ def test_without_a_display_there_is_one_line_before_the_search(command, arm, mon
     assert "--video FILE.mp4 renders without one" in printed.err and "Loading" not in printed.out
 
 
-@pytest.mark.skipif(importlib.util.find_spec("imageio") is None, reason="imageio is not here")
-def test_without_a_renderer_or_a_library_there_is_one_line(command, arm, monkeypatch):
-    monkeypatch.setattr(film, "backend", lambda: None)
-    assert "neither EGL nor OSMesa" in command.run("plan", arm, "--video", "a.gif", code=2).err
-    found = importlib.util.find_spec
-    gone = lambda name, *rest: None if name == "imageio" else found(name, *rest)  # noqa: E731
-    monkeypatch.setattr(importlib.util, "find_spec", gone)
-    assert "pip install" in command.run("plan", arm, "--video", "a.gif", code=2).err
-
-
 def test_a_log_needs_its_model_to_be_shown(command, arm):
     said = command.run("log", arm.parent / "log.csv", "--video", "log.gif", code=2).err
     assert "need the MODEL" in said

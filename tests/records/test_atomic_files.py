@@ -204,13 +204,6 @@ def test_the_user_decides_who_may_read_the_file(tmp_path):
     assert (tmp_path / "a").stat().st_mode & 0o777 == 0o644
 
 
-@pytest.mark.parametrize("name", [f"{'n' * 248}.json", f"a.{'🤖' * 62}", "ö" * 126])
-def test_a_name_may_be_as_long_as_the_system_lets_it(tmp_path, name):
-    for content in ("old", "new"):
-        write_whole(tmp_path / name, content)
-        assert everything_in(tmp_path) == {name: content}
-
-
 def test_a_working_folder_that_is_gone_is_one_line(tmp_path, monkeypatch):
     (gone := tmp_path / "gone").mkdir()
     monkeypatch.chdir(gone)
@@ -265,16 +258,6 @@ def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(tmp_path, mon
     with only_run_in(tmp_path):
         assert len(taken) == 2
         assert os.path.samestat(os.fstat(taken[-1]), os.stat(tmp_path / LOCK_NAME))
-
-
-@pytest.mark.skipif(os.name == "nt", reason="another kind of lock")
-def test_a_file_system_without_locks_is_no_obstacle(tmp_path, monkeypatch):
-    def unsupported(*_):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr("fcntl.flock", unsupported)
-    with only_run_in(tmp_path):
-        pass
 
 
 def test_a_folder_is_there_in_the_block_and_may_be_renamed(tmp_path):

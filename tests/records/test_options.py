@@ -41,22 +41,6 @@ class Oven(OptionRecord):
     mode: str = option("top", "where from", choices=("top", "bottom"))
 
 
-@pytest.mark.parametrize(
-    "value, expected",
-    [
-        ("", (None, "", None)),
-        ("FILE", ("FILE", "", None)),
-        ("KIND:JOINT[=VALUE][@S]", ("KIND:JOINT[=VALUE][@S]", "", None)),
-        ("V [rad/s] > 0", ("V", "rad/s", positive)),
-        ("[s] >= 0", (None, "s", not_negative)),
-        ("> 0", (None, "", positive)),
-    ],
-)
-def test_a_value_is_said_with_its_unit_and_its_least_size(value, expected):
-    found = option(None, "", value).metadata["option"]
-    assert (found.metavar, found.unit, found.check) == expected
-
-
 def test_a_record_is_made_from_keys_and_text_becomes_what_the_annotation_names():
     parsers = [options_of(Oven)[name].parse for name in ("heat", "fan_speed", "trays", "recipe")]
     assert parsers == [float, int, float, Path]

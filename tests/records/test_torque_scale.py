@@ -24,7 +24,7 @@ JOINTS = ("base", "elbow", "wrist")
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.dictionaries(st.text(min_size=1), st.floats(1e-6, 1e6), max_size=8))
+@given(st.dictionaries(st.text('a_ é"\\\n関', min_size=1), st.floats(1e-6, 1e6), max_size=8))
 def test_a_written_scale_reads_back_to_the_last_bit(tmp_path, scale):
     path = tmp_path / "scale.json"
     write_torque_scale(path, scale)

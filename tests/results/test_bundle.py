@@ -12,6 +12,7 @@ from robot_sysid.results import bundle as bundles
 from robot_sysid.results.bundle import write_bundle
 from robot_sysid.results.verification import require_same_model
 from tests.support.command_line import files_in
+from tests.support.model_files import urdf_inertial, urdf_joint, urdf_link, urdf_mesh, urdf_robot
 from tests.support.places import EXAMPLE, GUESS
 
 STL = EXAMPLE / "model" / "meshes" / "gripper.stl"
@@ -77,18 +78,10 @@ def write(path, text):
     return path
 
 
-URDF = """
-<robot name="r">
-  <link name="base"/>
-  <link name="arm">
-    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
-    <visual><geometry><mesh filename="package://thing/meshes/part.stl"/></geometry></visual>
-    <collision><geometry><mesh filename="package://thing/meshes/part.stl"/></geometry></collision>
-  </link>
-  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/>
-    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-</robot>
-"""
+MESH = urdf_mesh("collision", "package://thing/meshes/part.stl")
+URDF = urdf_robot(
+    urdf_link("base"), urdf_link("arm", urdf_inertial() + MESH), urdf_joint("base", "arm")
+)
 
 
 def test_a_urdf_takes_its_meshes_along(tmp_path):

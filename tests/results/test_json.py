@@ -30,7 +30,7 @@ SPECIFIED = [
 def content_of(result, cards=(), notes=()):
     text = params_json_text(result, cards, notes)
     content = json.loads(text, parse_constant=pytest.fail)
-    jsonschema.validate(content, schema("params"), jsonschema.Draft202012Validator)
+    jsonschema.Draft202012Validator(schema("params")).validate(content)
     return content
 
 
@@ -39,9 +39,9 @@ def test_one_schema_holds_the_answer_to_every_question(result):
     content = content_of(result)
     assert list(content)[: len(SPECIFIED) + 1] == ["schema_version", *SPECIFIED]
     assert list(content) == schema("params")["required"]
+    validator = jsonschema.Draft202012Validator(schema("params"))
     for wrong in ({**content, "weight": 1.0}, {k: v for k, v in content.items() if k != "links"}):
-        with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(wrong, schema("params"))
+        assert not validator.is_valid(wrong)
 
 
 @pytest.mark.parametrize("name", ["params", "servo"])

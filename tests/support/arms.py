@@ -118,17 +118,6 @@ FREE_OBJECT_BESIDE = world(
     + '<body name="door" pos="0 1 0"><joint name="door_hinge" axis="0 0 1"/>'
     '<geom type="box" size=".3 .01 .5" mass="4"/></body>'
 )
-BALL_IN_CHAIN = world(
-    link(
-        hinge("first", Z),
-        link(
-            '<joint name="socket" type="ball"/>',
-            link(hinge("second", Y), link(hinge("third", X), inertial=TIP, name="tip"), "b"),
-            "a",
-        ),
-        "base",
-    )
-)
 MASSLESS_TIP = serial_arm(
     (Z, Y, X, Z),
     tip='<body name="flange" pos="0 0 .05" quat="1 0 .4 0"><geom size=".02" mass=".1"/><body '

@@ -23,19 +23,7 @@ from tests.support import arms, recorded
 from tests.support.places import ROOT
 
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), ROOT / "examples/kinova/README.md"])
-ELSEWHERE = (
-    "pip",
-    "git",
-    "cd",
-    "conda",
-    "sudo",
-    "ros2",
-    "pytest",
-    "ruff",
-    "python",
-    "mkdocs",
-    "nc",
-)
+OTHERS = ["pip", "git", "cd", "conda", "sudo", "ros2", "pytest", "ruff", "python", "mkdocs", "nc"]
 """Beginnings of lines that are not this tool's commands; scripts have tests of their own."""
 AXES = (arms.Z, arms.Y, arms.Y, arms.X)
 ARM = {
@@ -131,16 +119,8 @@ def record(folder: Path, plant: str, log: str, seed: int = 1, duration: float = 
 
 
 def _recorded_poses(folder: Path) -> None:
-    _run(
-        folder,
-        "plan",
-        "my_arm.xml",
-        "--for",
-        "payload",
-        "--static",
-        "--save-trajectory",
-        "poses.json",
-    )
+    planned = "plan my_arm.xml --for payload --static --save-trajectory poses.json"
+    _run(folder, *planned.split())
     for plant, log in (("truth.xml", "poses_empty.csv"), ("loaded.xml", "poses_loaded.csv")):
         sensors = ("--noise-torque", ".05", "--sample-rate", "50", "--output-dir", "made")
         motion = ("--trajectory", "poses.json", "--plant-model", plant, "--save-measurements", log)

@@ -137,7 +137,7 @@ def test_nothing_nearby_is_better(bodies, seed):
             assert other >= best - 1e-6 * gamma
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_without_weight_the_objective_is_that_of_the_semidefinite_program(seed):
     """A thin body under heavy noise, whose plain estimate is impossible."""
     rng = np.random.default_rng(seed)

@@ -52,14 +52,3 @@ def test_parameters_that_the_joints_pay_for_sum_to_the_rank(seed):
     noise = joint_noise(information, values, rng.uniform(0.1, 10.0, 3))
     paid = 200.0 - information.squared_residuals(values) / noise**2
     assert np.sum(paid) == pytest.approx(16.0, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_noise_is_unbiased_with_few_samples():
-    squares = []
-    for seed in range(300):
-        samples, names, _, _ = noisy_samples(seed, (0.5, 0.5, 0.5), count=15)
-        information = samples.information(names)
-        values = identified(information, PRIOR).values
-        squares.append(joint_noise(information, values, np.ones(3)) ** 2)
-    assert np.mean(squares) == pytest.approx(0.25, rel=0.05)

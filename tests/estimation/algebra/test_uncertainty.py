@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from tests.support.arms import SEEDS
@@ -67,24 +66,6 @@ def test_nothing_to_explain_leaves_no_nan(duration):
     assert np.all(np.isfinite(estimate.covariance))
     assert not np.any(np.isnan(estimate.standard_errors))
     assert all(np.isfinite(list(estimate.effective_samples.values())))
-
-
-@pytest.mark.slow
-@given(SEEDS, st.floats(-2, 2))
-def test_standard_errors_follow_the_unit_of_torque(seed, power):
-    factor = 10.0**power
-    errors = []
-    for scale in (1.0, factor):
-        rng = np.random.default_rng(seed)
-        arm = SmoothArm(rng, rate=20.0, duration=5.0)
-        noise = arm.noise(rng, 0.2, 0.1)
-        torques = [scale * tau for tau in arm.torques(noise)]
-        samples = samples_of(arm, torques)
-        information = information_of_samples(arm, samples)
-        prior = scale * np.ones(31)
-        errors.append(identified(information, prior, samples=samples).standard_errors)
-    known = np.isfinite(errors[0])
-    np.testing.assert_allclose(errors[1][known], factor * errors[0][known], rtol=1e-5)
 
 
 @pytest.mark.slow
