@@ -12,7 +12,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.records import Motion
 from robot_sysid.signals import repetition
-from robot_sysid.signals.repetition import RowSample, sampled, visits
+from robot_sysid.signals.repetition import sampled, visits
 
 COUNT = 150
 
@@ -83,23 +83,6 @@ def parts_of(motions, samples):
     """A sample of each motion; the numbers of logs are any different ones."""
     left = np.split(samples.tau - samples.rows @ TRUTH, len(motions))
     return [sampled(m, e[:, None], 7 + k) for k, (m, e) in enumerate(zip(motions, left))]
-
-
-def equal(one: RowSample, other: RowSample) -> bool:
-    names = ("drawn", "log", "place", "q", "qd", "qdd", "moved", "residual", "total")
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
-
-
-@pytest.mark.parametrize(("seed", "count"), [(0, 3), (1, 20)])
-def test_order_and_brackets_do_not_matter(seed, count):
-    rng = np.random.default_rng(seed)
-    parts = parts_of(*repeated(count, rng.normal(size=count * 150)))
-    half = count // 2
-    ends = reduce(add, parts[:half]) + reduce(add, parts[half:])
-    anyhow = reduce(add, [parts[k] for k in rng.permutation(count)])
-    whole = reduce(add, parts)
-    assert equal(whole, ends) and equal(whole, anyhow)
-    assert (whole.total, len(whole.drawn)) == (150 * count, min(150 * count, 2000))
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 3), (1, 12)])
