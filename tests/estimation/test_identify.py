@@ -12,23 +12,16 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import base_parameters, structural_base, traces_of
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.identify import (
-    ITSELF,
-    Piece,
-    answer_link,
-    filtered,
-    identify_itself,
-    refit,
-)
+from robot_sysid.estimation.identify import ITSELF, answer_link, identify_itself, refit
 from robot_sysid.estimation.identify import tested as validated
 from robot_sysid.estimation.result import result_of
-from robot_sysid.records import Measurement, Source
+from robot_sysid.records import Source
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import Verdict
 from robot_sysid.trajectory import CHUNK
 from tests.support import arms
 from tests.support.core_fits import BASIC, ORIGIN, datasets_of, fitted
-from tests.support.measured_logs import CUTOFF, log_of, plan_of
+from tests.support.measured_logs import log_of, plan_of
 from tests.support.payload_logs import TrueArm, four_joint_arm, wide_motion
 from tests.support.payload_logs import noisy as with_noise
 
@@ -45,18 +38,6 @@ def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, noisy)
         for logs in ([noisy], [coarse], [noisy, coarse])
     ]
     assert cutoffs[1] == cutoffs[2] and len(cutoffs[2]) == 1 and max(cutoffs[1]) < max(cutoffs[0])
-
-
-def test_what_there_is_to_say_is_said_once_with_what_it_is_about(robot, noisy):
-    own = replace(noisy, joint_time=np.repeat(noisy.time[:, None], 3, axis=1))
-    pieces = [Piece("a.csv", noisy), Piece("b.csv", own)]
-    _, notes = filtered(robot, pieces, EstimationOptions(cutoff=CUTOFF))
-    assert sum(note.startswith("all recordings: cut-off 8 Hz as given") for note in notes) == 1
-    (told,) = [note for note in notes if "resampled" in note]
-    assert told.startswith("b.csv: ")
-    short = Measurement(noisy.time[:50], noisy.q[:50], None, noisy.tau[:50])
-    with pytest.raises(InputError, match=r"c\.csv: .*too short"):
-        filtered(robot, [Piece("c.csv", short)], EstimationOptions(cutoff=CUTOFF))
 
 
 @pytest.mark.parametrize(

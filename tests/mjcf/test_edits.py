@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.mjcf.documents import masked_comments, read_document
+from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
 
 WORLD = "<worldbody/>"
@@ -18,17 +18,6 @@ def document_of(tmp_path, text):
     path = tmp_path / "m.xml"
     path.write_bytes(text.encode())
     return read_document(path)
-
-
-def test_elements_are_where_they_stand_in_the_file(tmp_path):
-    document = document_of(tmp_path, TEXT)
-    nodes = list(document.walk())
-    spelled = [TEXT[node.start : node.end] for node in nodes]
-    c = "<c\n   z='4' ><d >t</d ></c  >"
-    assert spelled == [TEXT[TEXT.index("<mujoco") :].strip(), "<b/>", c, "<d >t</d >", WORLD]
-    assert TEXT[nodes[3].inner_start : nodes[3].inner_end] == "t"
-    assert [node.is_empty_tag for node in nodes] == [False, True, False, False, True]
-    assert len(masked_comments(TEXT.encode())) == len(TEXT)
 
 
 @pytest.mark.parametrize(

@@ -123,17 +123,6 @@ def test_the_number_has_a_verdict_of_its_own(result, sentence):
     assert sentence in more_lines(result)
 
 
-def test_every_link_on_request():
-    lines = result_lines(whole(), links=True)
-    assert lines[:9] == block_lines(whole())
-    assert lines[9].startswith("Links, before -> after, ± one standard error")
-    assert line(lines, "  link5 mass").split()[2:5] == ["1.0000", "2.0000", "0.0020"]
-    assert not any(text.startswith("  mass ") for text in lines)
-    assert line(lines, "  j5:").startswith("  j5: coulomb 0.3 -> 0.50000 ± 0.00050 N,")
-    assert "  motor that turns with j5+j6: viscous 0.0500 ± 0.0020 N·m·s/rad" in lines
-    assert result_lines(itself(), links=True) == result_lines(itself())
-
-
 def test_what_the_data_does_not_see_has_no_error_but_a_reason():
     lines = more_lines(found(without_mass()))
     assert line(lines, "  mass").endswith("  not seen")

@@ -44,14 +44,6 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path):
         assert "\n" not in str(caught.value)
 
 
-def test_options_of_one_form_are_refused_for_another(tmp_path):
-    path = recorded.npz(tmp_path, DATA)
-    with pytest.raises(InputError, match="--topic is about a ROS bag"):
-        read_measurements(path, JOINTS, topic="/joint_states")
-    with pytest.raises(InputError, match="--episode is about a LeRobot"):
-        read_measurements(path, JOINTS, episode=(0,))
-
-
 def test_a_library_that_is_missing_is_named_with_the_command(tmp_path, monkeypatch):
     path = recorded.FORMS["ROS 1 bag"](tmp_path, DATA)
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
