@@ -9,7 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.config import SysidConfig, config_from, payload_config_from
+from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
 from robot_sysid.trajectory import MOST_SAMPLES
 from tests.support import option_samples
 
@@ -169,3 +171,18 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
 )
 def test_values_that_mean_nothing_are_refused(values, message):
     assert refused(**values).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({}, None),
+        ({"friction_model": CHOSEN}, None),
+        ({"no_friction": True}, FrictionModel(())),
+        ({"friction_model": "coulomb-load"}, friction_model("coulomb-load")),
+        # One row tells too little to choose by.
+        ({"torques": "terminal"}, friction_model(DEFAULT_TERMINAL)),
+    ],
+)
+def test_friction_is_chosen_by_the_data_unless_it_is_said(options, expected):
+    assert EstimationOptions(**options).friction == expected

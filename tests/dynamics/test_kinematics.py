@@ -14,6 +14,7 @@ from robot_sysid.dynamics.kinematics import (
     analysis_copy,
     has_only_armature,
 )
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.model.inertia import body_theta, composite_theta
 from robot_sysid.regressor import joint_regressor
 from tests.support import arms
@@ -142,3 +143,30 @@ def test_springs_and_armature_stay_in_the_torque():
     np.testing.assert_allclose(springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10)
     armature = plain_torque(arms.ARMATURE, motion) - rigid
     np.testing.assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)
+
+
+# --- the motion of all links, by a formula of our own -------------------------------------------
+
+
+def assert_equals_mujoco(robot, motion):
+    thetas = np.array([link.theta for link in robot.links])
+    links = LinkDynamics(robot).motion(*motion)
+    actual = ArmDynamics(robot).torque(*motion) - ArmDynamics(robot).beyond_rigid_bodies(*motion)
+    allowed = 1e-11 * np.max(np.abs(actual)) + 1e-13
+    np.testing.assert_allclose(links.torque(thetas), actual, rtol=0.0, atol=allowed)
+    columns = links.columns(range(robot.n_joints)) @ thetas.ravel()
+    np.testing.assert_allclose(columns, actual, rtol=0.0, atol=allowed)
+
+
+@given(random_chain(), SEEDS)
+def test_links_and_columns_give_mujocos_torque_on_any_chain(xml, seed):
+    robot = robot_of(xml)
+    motion = random_motion(np.random.default_rng(seed), robot.n_joints, SAMPLES)
+    assert_equals_mujoco(robot, motion)
+
+
+@pytest.mark.parametrize("name", sorted(arms.MODELS))
+def test_links_give_mujocos_torque_on_odd_arms(name):
+    robot = robot_of(arms.MODELS[name])
+    motion = random_motion(np.random.default_rng(0), robot.n_joints, SAMPLES)
+    assert_equals_mujoco(robot, motion)

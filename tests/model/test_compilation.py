@@ -18,7 +18,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.model.compilation import compile_model, restore_exact_inertias
-from robot_sysid.model.inertia import body_theta, inertia_about_com
+from robot_sysid.model.inertia import body_theta, inertia_about_com, subtree_bodies
 from tests.support.model_files import (
     ARM,
     INERTIAL,
@@ -236,3 +236,14 @@ def test_what_would_end_or_stop_the_process_is_refused(tmp_path, part, message):
     path.write_text(path.read_text().replace("<asset>", f"{part}<asset>"))
     with pytest.raises(ModelError, match=message):
         compile_model(path)
+
+
+def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():
+    """Whatever lies behind a joint moves against the link, however it is fastened there."""
+    inertial = '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
+    pad = f'<body name="pad">{inertial}<body name="screw">{inertial}</body></body>'
+    finger = '<body name="finger" pos="0 0.05 0.1">'
+    compiled = mujoco.MjModel.from_xml_string(ARM.replace(finger, finger + pad))
+    bodies = subtree_bodies(compiled, compiled.qpos0, compiled.body("link2").id)
+    welded = {b.name: b.welded for b in bodies}
+    assert welded == {"link2": True, "tool": True, "finger": False, "pad": False, "screw": False}

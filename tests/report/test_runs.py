@@ -8,7 +8,7 @@ import io
 import json
 import re
 import shutil
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -30,6 +30,7 @@ from robot_sysid.report.runs import (
     load_run,
     report_data,
 )
+from robot_sysid.report.sections.comparison import predicted
 from robot_sysid.report.sections.parameters import card
 from robot_sysid.report.sections.signals import errors, rollout
 from robot_sysid.report.sections.verdict import next_steps, verdict
@@ -269,3 +270,14 @@ def test_a_payload_has_its_card_unless_it_is_refused(link_run, tmp_path):
     assert sum("Mass of" in words for words in verdict(run).sentences) == 3
     run = load_run(saved(tmp_path, payload_result(model, Verdict.SWAPPED)))
     assert verdict(run).verdict == "bad" and "no card" in card(run).missing[0]
+
+
+def test_errors_of_every_joint_stand_beside_each_other(link_run):
+    run = load_run(link_run)
+    runs = [replace(run, folder=run.folder.parent / f"run{k}") for k in range(5)]
+    (table,) = predicted(runs).tables
+    alone = errors(run).figures[0].table
+    assert table.header == alone.header and len(table.rows) == 5 * len(alone.rows)
+    for k, row in enumerate(table.rows):
+        number, place = divmod(k, len(alone.rows))
+        assert row == (f"run{number}: {alone.rows[place][0]}", *alone.rows[place][1:])
