@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.identifiability import N_INERTIAL, analyse_identifiability
-from robot_sysid.estimation.algebra.information import joint_rmse
+from robot_sysid.estimation.algebra.information import residual_errors
 from robot_sysid.estimation.algebra.least_squares import least_squares, ordinary
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from robot_sysid.records import Array, Estimate, SquareRootInformation
@@ -33,20 +31,17 @@ def identify_parameters(
     errors = uncertainty(information, 1.0 / noise, noise)
     counts = {joint.joint: joint.n_samples for joint in information.joints}
     each = dict(zip(counts, noise.tolist()))
-    squared = float(np.sum(information.squared_residuals(values)))
     return Estimate(
         names=information.names,
         values=values,
         identifiability=analyse_identifiability(information),
-        rmse=math.sqrt(squared / max(information.n_samples, 1)),
-        rmse_per_joint=dict(zip(counts, joint_rmse(information, values).tolist())),
+        **residual_errors(information, values),
         method="ols",
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
         noise_errors=errors.standard_errors,
         data_share=errors.data_share,
         noise_per_joint={joint: each[joint] for joint, count in counts.items() if count},
-        samples=counts,
         effective_samples={joint: float(count) for joint, count in counts.items()},
         constrained=bool(np.any(values != free)),
     )

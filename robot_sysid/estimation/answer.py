@@ -18,7 +18,7 @@ from robot_sysid.estimation.algebra.base_parameters import (
     essential,
 )
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
-from robot_sysid.estimation.algebra.information import joint_rmse, restricted
+from robot_sysid.estimation.algebra.information import residual_errors, restricted
 from robot_sysid.estimation.choices import Errors, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
@@ -85,7 +85,9 @@ class Answer:
     def stretch(self) -> float:
         """Return by how much correlated noise makes the mass's error larger than white noise."""
         change = self.pick((PAYLOAD_NAMES if self.fit.question.loaded else PARAMETER_NAMES)[:1])
-        noise, white = float(self.errors.of(change)[1][0]), float(self.errors.white(change)[0])
+        noise, inverse = float(self.errors.of(change)[1][0]), self.errors.whole.inverse
+        rows = replace(self.fit.information, prior=None).stacked(self.fit.weights)[0]
+        white = float(np.linalg.norm(rows @ inverse @ change[0]))
         return max(noise / white, 1.0) if white > 0.0 and np.isfinite(noise) else 1.0
 
     def pick(self, names: Sequence[str]) -> Array:
@@ -228,15 +230,12 @@ def estimate_of(answer: Answer) -> Estimate:
     interest = [n for n in names if n not in links and (n not in sensors or n in asked)]
     order = [names.index(n) for n in (*interest, *(n for n in names if n not in set(interest)))]
     information = fit.information
-    counts = {joint.joint: joint.n_samples for joint in information.joints}
-    found = fit.values[fit.unknowns.kept]
-    squared, whole = float(np.sum(information.squared_residuals(found))), errors.whole
+    said, whole = residual_errors(information, fit.values[fit.unknowns.kept]), errors.whole
     return Estimate(
         names=tuple(names[k] for k in order),
         values=fit.final[fit.unknowns.kept][order],
         identifiability=analyse_identifiability(restricted(fit.evidence.whole, interest)),
-        rmse=float(np.sqrt(squared / max(information.n_samples, 1))),
-        rmse_per_joint=dict(zip(counts, joint_rmse(information, found).tolist())),
+        **said,
         method="wls",
         covariance=whole.covariance[np.ix_(order, order)],
         standard_errors=whole.standard_errors[order],
@@ -244,8 +243,7 @@ def estimate_of(answer: Answer) -> Estimate:
         error_budget={cause: p[order] for cause, p in errors.of(np.eye(len(order)))[2].items()},
         data_share=errors.share(fit)[order],
         noise_per_joint=fit.noise_per_joint,
-        samples=counts,
-        effective_samples=dict(zip(counts, whole.effective)),
+        effective_samples=dict(zip(said["samples"], whole.effective)),
         constrained=fit.constrained,
     )
 

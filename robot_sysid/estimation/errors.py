@@ -40,21 +40,14 @@ class FitErrors:
     Attributes:
         whole: of all causes, noise correlated in time.
         causes: cause to the covariance (k, k) of what it explains.
-        data: (k, k) normal matrix of the data alone, weighted.
         common: how far all torque scales may be off together, where nothing tells it (a share).
         conflicts: causes that the data asks for more clearly than chance does.
     """
 
     whole: Uncertainty
     causes: Mapping[str, Array]
-    data: Array
     common: float = 0.0
     conflicts: tuple[PriorConflict, ...] = ()
-
-    def white(self, change: Array) -> Array:
-        """Return (m,) what the noise errors would be if the noise were white."""
-        root = change @ self.whole.inverse
-        return np.sqrt(np.maximum(np.diag(root @ self.data @ root.T), 0.0))
 
     def of(
         self, change: Array, theta: Array | None = None
@@ -129,10 +122,9 @@ def fit_errors(
         causes[name] = causes.get(name, 0.0) + part
         spread = np.hypot(whole.standard_errors, np.sqrt(np.maximum(np.diag(part), 0.0)))
         whole = replace(whole, covariance=whole.covariance + part, standard_errors=spread)
-    matrix = replace(information, prior=None).stacked(weights)[0]
     counts = tuple(n / d for n, d in zip(whole.effective, fit.inflation.tolist()))
     whole = replace(whole, effective=counts)
-    return FitErrors(whole, causes, matrix.T @ matrix, _common(fit), found)
+    return FitErrors(whole, causes, _common(fit), found)
 
 
 def _conflicts(fit: Fit) -> tuple[PriorConflict, ...]:

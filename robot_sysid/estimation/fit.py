@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -68,9 +68,14 @@ class Evidence:
 
 def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
     """Return what the rows of all recordings say, the same stretches of each together."""
-    same = list(zip(*[[log.where(mask) for mask in block_masks(log)] for log in samples]))
-    blocks = tuple(combined([each.information() for each in part]) for part in same)
-    squares = [np.sum([each.squared_torque() for each in part], axis=0) for part in same]
+    parts = zip(*[[log.where(mask) for mask in block_masks(log)] for log in samples])
+    return evidence_of(list(parts), torque)
+
+
+def evidence_of(parts: Collection[Sequence[DecimatedSamples]], torque: Array) -> Evidence:
+    """Return what rows say, each part of them in a block of its own."""
+    blocks = tuple(combined([each.information() for each in part]) for part in parts)
+    squares = [np.sum([each.squared_torque() for each in part], axis=0) for part in parts]
     return Evidence(blocks, np.array(squares), torque)
 
 

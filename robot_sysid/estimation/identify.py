@@ -18,7 +18,7 @@ from robot_sysid.dynamics.equations import (
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.nuisances import gravity, tilt_axes
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.information import combined, sample_counts
+from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer, traced
 from robot_sysid.estimation.choices import choose, coupled
@@ -27,7 +27,7 @@ from robot_sysid.estimation.couplings import couplings_of
 from robot_sysid.estimation.dataset import Dataset, Mask, equations_at, mean_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
-from robot_sysid.estimation.fit import Evidence, Fit, Fitter
+from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import logs_compared
 from robot_sysid.estimation.result import about, of_own_simulation
 from robot_sysid.estimation.unknowns import Question
@@ -211,9 +211,7 @@ def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:
     """
     columns = Columns(fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings)
     samples = columns.samples(replace(fit.point, values=fit.values))
-    part = combined([each.information() for each in samples])
-    squares = np.sum([each.squared_torque() for each in samples], axis=0)
-    return predicted(fit, Evidence((part,), squares[None], fit.evidence.torque), source)
+    return predicted(fit, evidence_of([samples], fit.evidence.torque), source)
 
 
 def predicted(fit: Fit, data: Evidence, source: str) -> Validation:

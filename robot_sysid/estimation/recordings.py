@@ -16,7 +16,7 @@ from robot_sysid.estimation.algebra.nuisances import with_prior
 from robot_sysid.estimation.choices import HeldOut
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
-from robot_sysid.estimation.fit import ChosenRows, Evidence, Fit
+from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
 from robot_sysid.estimation.unknowns import WEIGHT
 from robot_sysid.records import Array, Flange, SquareRootInformation, Validation
 from robot_sysid.records.results import validation_of
@@ -62,9 +62,8 @@ def logs_compared(
     logs = {name: [s for s, n in zip(fit.samples, names) if n == name] for name in names}
     if len(logs) < 2:
         return (), ()
-    parts = [combined([each.information() for each in log]) for log in logs.values()]
-    squares = [np.sum([each.squared_torque() for each in log], axis=0) for log in logs.values()]
-    data = Evidence(tuple(parts), np.array(squares), fit.evidence.torque)
+    data = evidence_of(logs.values(), fit.evidence.torque)
+    parts, squares = data.blocks, data.squared_torque
     wrong = HeldOut(data, 1.0 / fit.weights).of(fit)
     joints = [joint.joint for joint in fit.information.joints]
     tests = tuple(

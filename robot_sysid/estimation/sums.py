@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
@@ -69,13 +69,12 @@ class Settled:
     def differences(self, other: Settled) -> list[str]:
         """Return what is not the same, in words."""
         words = {"model": "the model", "joint": "the terminal joint", "around": "the first round"}
-        found = [
-            said for name, said in words.items() if getattr(self, name) != getattr(other, name)
+        ours, theirs = (dict(vars(each.estimation), **vars(each)) for each in (self, other))
+        return [
+            words.get(name, f"{name} ({ours[name]} and {theirs[name]})")
+            for name in (*words, *vars(self.estimation))
+            if ours[name] != theirs[name]
         ]
-        for each in fields(EstimationOptions):
-            ours, theirs = (getattr(s.estimation, each.name) for s in (self, other))
-            found += [] if ours == theirs else [f"{each.name} ({ours} and {theirs})"]
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +226,12 @@ def log_information(
     Raises:
         InputError: a log does not fit the arm, or the first round was settled differently.
     """
-    settled = _settled(robot, options, around)
+    settled = Settled(robot.sha256, robot.terminal_joint, "", options)
+    if around is not None:
+        differ = settled.differences(replace(around.settled, around=""))
+        if differ:
+            raise InputError(f"the first round was settled differently: {', '.join(differ)}")
+        settled = replace(settled, around=around.digest())
     datasets, said = filtered(robot, [Piece("", log) for log in logs], options)
     columns = Columns(robot, datasets, options.torques, couplings_of(robot, options)[0])
     first = None if around is None else _fitted(robot, around)
@@ -253,18 +257,6 @@ def log_information(
         acceleration_error=max(e.signals.acceleration_error for e in datasets if e.signals),
         notes=tuple(dict.fromkeys((*notes, *said)))[:MOST_NOTES],
     )
-
-
-def _settled(
-    robot: RobotModel, options: EstimationOptions, around: LogInformation | None
-) -> Settled:
-    first = Settled(robot.sha256, robot.terminal_joint, "", options)
-    if around is None:
-        return first
-    differ = first.differences(replace(around.settled, around=""))
-    if differ:
-        raise InputError(f"the first round was settled differently: {', '.join(differ)}")
-    return replace(first, around=around.digest())
 
 
 def _fitted(robot: RobotModel, found: LogInformation) -> Fit:

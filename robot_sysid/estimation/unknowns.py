@@ -187,9 +187,11 @@ def unknowns(
     # What friction is only allowed for has a sign of its own.
     allowed = {name for group in groups if group.cause == FRICTION for name in group.names}
     for name in own - allowed:
-        if _is_bounded(name, terms):
+        term, _, owner = name.partition("[")
+        curved = term == "viscous" and "sqrt" in terms[owner[:-1]]
+        if not (curved or term in _FREE_SIGN or term.endswith("_speed")):
             lower[columns.place[name]] = 0.0
-            upper[columns.place[name]] = LARGEST_LOSS if name.startswith("load[") else np.inf
+            upper[columns.place[name]] = LARGEST_LOSS if term == "load" else np.inf
     held = _held(columns, question, choice)
     kept = np.array(sorted(columns.place[name] for name in wanted), dtype=np.int64)
     if question.known_mass is not None:
@@ -199,12 +201,6 @@ def unknowns(
     elif question.loaded and options.scale_uncertainty > 0.0:
         groups.append(_no_common_scale(columns))
     return Unknowns(columns.names, kept, held, tuple(groups), lower, upper, bodies, settle)
-
-
-def _is_bounded(name: str, terms: Mapping[str, set[str]]) -> bool:
-    term, _, owner = name.partition("[")
-    curved = term == "viscous" and "sqrt" in terms[owner[:-1]]
-    return term not in _FREE_SIGN and not term.endswith("_speed") and not curved
 
 
 def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:

@@ -185,7 +185,8 @@ def readable_basis(null: Array) -> list[Array]:
     found: list[Array] = []
     for group in (_FIRST_MOMENT, _INERTIA, range(10), range(size)):
         for candidate in _row_echelon(_within(null, group)):
-            if len(found) < dimension and _is_new(candidate, found):
+            more = np.array([*found, candidate])
+            if len(found) < dimension and np.linalg.matrix_rank(more, _TOLERANCE) > len(found):
                 found.append(candidate)
     return sorted(found, key=lambda v: int(np.flatnonzero(v)[0]))
 
@@ -213,14 +214,6 @@ def _row_echelon(basis: Array) -> list[Array]:
             rows[others] -= np.outer(rows[others, column], rows[k])
     rows[np.abs(rows) < _TOLERANCE] = 0.0
     return [row / np.linalg.norm(row) for row in rows if np.any(row)]
-
-
-def _is_new(candidate: Array, found: list[Array]) -> bool:
-    if not found:
-        return True
-    known = np.array(found).T
-    rest = candidate - known @ np.linalg.lstsq(known, candidate, rcond=None)[0]
-    return bool(np.linalg.norm(rest) > _TOLERANCE)
 
 
 def _single(name: str) -> str:

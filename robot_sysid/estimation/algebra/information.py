@@ -9,6 +9,7 @@ memory does not grow with the number of samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ class InformationAccumulator:
 
     Args:
         names: (p,) global parameter names.
-        joints: names of the joints whose equations will come.
         columns: per joint, which global parameters its rows contain.
     """
 
@@ -35,13 +35,7 @@ class InformationAccumulator:
         self._counts = [0] * len(self._joints)
 
     def add(self, index: int, rows: Array, tau: Array) -> None:
-        """Add equations of joint number ``index``.
-
-        Args:
-            index: position in ``joints``.
-            rows: (N, k) regressor rows for that joint's columns.
-            tau: (N,) right-hand sides [N m].
-        """
+        """Add equations (N, k) of joint number ``index``, right-hand sides tau (N,) [N m]."""
         self._triangles[index] = update_triangle(
             self._triangles[index], np.column_stack((rows, tau))
         )
@@ -72,10 +66,16 @@ def sample_counts(information: SquareRootInformation) -> Array:
     return np.array([joint.n_samples for joint in information.joints], dtype=float)
 
 
-def joint_rmse(information: SquareRootInformation, values: Array) -> Array:
-    """Return (joints,) root mean square residuals at values (p,) [N m]."""
-    squared = information.squared_residuals(values)
-    return np.sqrt(squared / np.maximum(sample_counts(information), 1.0))
+def residual_errors(information: SquareRootInformation, values: Array) -> dict[str, Any]:
+    """Return what an ``Estimate`` says of the residuals at values (p,)."""
+    squared, counts = information.squared_residuals(values), sample_counts(information)
+    joints = [joint.joint for joint in information.joints]
+    each = np.sqrt(squared / np.maximum(counts, 1.0)).tolist()
+    return {
+        "rmse": float(np.sqrt(np.sum(squared) / max(information.n_samples, 1))),
+        "rmse_per_joint": dict(zip(joints, each)),
+        "samples": {joint.joint: joint.n_samples for joint in information.joints},
+    }
 
 
 def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
