@@ -231,8 +231,11 @@ def information(
     for name in _NOT_ADDED:
         if name in options:
             raise InputError(f"{name} is not for information, which holds one log or several alike")
-    robot, logs, chosen = _settled(model, {**options, **_logs(measurements=log)})
-    config = SysidConfig(ModelOptions(Path(model)), log=logs, estimation=settled_options(chosen))
+    values = {**options, **_logs(measurements=log)}
+    refuse_unknown(values, ModelOptions, LogOptions, EstimationOptions)
+    robot, logs = _robot(model, values), record_from(LogOptions, values)
+    chosen = settled_options(record_from(EstimationOptions, values))
+    config = SysidConfig(ModelOptions(Path(model)), log=logs, estimation=chosen)
     found = []
     with _quietly() as notes:
         for path in logs.measurements:
@@ -257,7 +260,7 @@ def identify_from(
         InputError: it is the sum of a first round, or was made with another model.
     """
     refuse_unknown(options, ModelOptions)
-    robot, *_ = _settled(model, options)
+    robot = _robot(model, options)
     arm, logs = record_from(ModelOptions, options), LogOptions(measurements=(_ADDED,))
     config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
     with _quietly() as notes:
@@ -273,11 +276,6 @@ def _no_traces() -> Traces:
     )
 
 
-def _settled(
-    model: Model, values: Mapping[str, Any]
-) -> tuple[RobotModel, LogOptions, EstimationOptions]:
-    """Return the arm, its logs and how they are fitted."""
-    refuse_unknown(values, ModelOptions, LogOptions, EstimationOptions)
+def _robot(model: Model, values: Mapping[str, Any]) -> RobotModel:
     chosen = record_from(ModelOptions, values)
-    robot = load_robot_model(model, chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)
-    return robot, record_from(LogOptions, values), record_from(EstimationOptions, values)
+    return load_robot_model(model, chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.commands.run import add_model, identify
-from robot_sysid.config import ModelOptions, OutputOptions
+from robot_sysid.commands.run import add_model, carry_out
+from robot_sysid.config import ModelOptions, OutputOptions, config_from
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 
@@ -43,4 +43,4 @@ def main(arguments: Sequence[str], with_links: bool = False) -> int:
         console.note("arm is identify --links now; both do the same")
         # Where no torque was measured, links are not sought.
         values["links"] = "torque_from" not in values
-    return identify(values, console)
+    return carry_out(config_from(**values), console)

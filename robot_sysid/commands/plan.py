@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.commands.run import add_model, identify
-from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions
+from robot_sysid.commands.run import add_model, carry_out
+from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, config_from
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.preview.motion import PreviewOptions
@@ -73,7 +73,8 @@ def main(arguments: Sequence[str]) -> int:
             shown = shown_plan(checked.problem, checked.plan)
             show_preview(checked.problem.robot, shown, wanted, console)
 
-    return identify({**usual, **values, "plan_only": True}, console, show)
+    config = config_from(**{**usual, **values, "plan_only": True})
+    return carry_out(config, console, show)
 
 
 def require_preview(wanted: PreviewOptions) -> None:

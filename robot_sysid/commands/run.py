@@ -71,24 +71,17 @@ def add_model(parser: Parser) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    return identify(*parsed(build_parser, arguments))
-
-
-def identify(
-    values: Mapping[str, Any], console: Console, then: Callable[[Any, Console], None] | None = None
-) -> int:
-    """Identify an arm, or plan a motion for it, and return the exit code.
-
-    Args:
-        then: what is to be done with the outcome once it is written.
-    """
-    return carry_out(config_from(**values), console, then)
+    values, console = parsed(build_parser, arguments)
+    return carry_out(config_from(**values), console)
 
 
 def carry_out(
     config: Config, console: Console, then: Callable[[Any, Console], None] | None = None
 ) -> int:
     """Run what was asked for, print what it says, write report and bundle; return exit code 0.
+
+    Args:
+        then: what is to be done with the outcome once it is written.
 
     Raises:
         SysidError: it failed, there is nothing to use, or no report.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -48,12 +47,17 @@ def torques(run: Run) -> Section | None:
 
 
 def _by_joint(
-    run: Run, key: str, title: str, words: str, figure: Callable[[ReportData, int], Figure]
+    run: Run,
+    key: str,
+    title: str,
+    words: str,
+    figure: Callable[[ReportData, int], Figure],
+    *numbers: Callable[[ReportData], Table],
 ) -> Section | None:
-    if run.data is None:
+    if (data := run.data) is None:
         return None
-    figures = tuple(figure(run.data, joint) for joint in range(len(run.data.joints)))
-    return Section(key, title, (words,), figures=figures)
+    figures = [figure(data, joint) for joint in range(len(data.joints))]
+    return Section(key, title, (words,), [each(data) for each in numbers], figures)
 
 
 def _torque(data: ReportData, joint: int, before: str) -> Figure:
@@ -194,10 +198,7 @@ def excitation(run: Run) -> Section | None:
         "smaller the errors. Speed limits are those that a motion of this program keeps, where the "
         "model has none of its own."
     )
-    section = _by_joint(run, "excitation", "Excitation", words, _motion)
-    if section is None or run.data is None:
-        return None
-    return replace(section, tables=(_shares(run.data),))
+    return _by_joint(run, "excitation", "Excitation", words, _motion, _shares)
 
 
 def _shares(data: ReportData) -> Table:
