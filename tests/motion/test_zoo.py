@@ -12,7 +12,7 @@ import pytest
 from robot_sysid.model.contacts import find_new_contacts
 from robot_sysid.motion.design.optimise import Design
 from robot_sysid.motion.design.search import design_excitation
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.options import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
@@ -44,20 +44,14 @@ def violations(robot, plan):
                 yield f"{name} of {robot.joint_names[j]} at {motion.time[k]:.3f} s"
 
 
-def search(path, joint=None, **limits):
-    robot, options = load_robot_model(path, joint=joint), ExcitationOptions(**QUICK)
-    motion = TrajectoryOptions()
-    top = options.basis(motion.duration).top_frequency_hz
-    problem = build_problem(robot, LimitOptions(**limits), top_frequency_hz=top)
-    result = design_excitation(Design(problem, options, motion), np.random.default_rng(1))
-    return robot, problem, result
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 @pytest.mark.parametrize(("model", "joint"), ARMS)
 def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
-    robot, _, result = search(MODELS / model, joint)
+    robot, options = load_robot_model(MODELS / model, joint=joint), ExcitationOptions(**QUICK)
+    problem = build_problem(robot, LimitOptions(), top_frequency_hz=TOP_FREQUENCY_HZ)
+    design = Design(problem, options, TrajectoryOptions())
+    result = design_excitation(design, np.random.default_rng(1))
     assert result.limit_check.holds
     assert list(violations(robot, result.trajectory)) == []
     assert find_new_contacts(robot, motion_chunks(result.trajectory, 1000.0)) == ()

@@ -12,7 +12,7 @@ import pytest
 
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import InputError, SimulationError
-from robot_sysid.records import Measurement
+from robot_sysid.logs.reader import join_measurements
 from robot_sysid.simulation.closed_loop import ClosedLoop, PlantSimulation
 from robot_sysid.simulation.forward_dynamics import ForwardPlant
 from robot_sysid.simulation.sensors import SimulatedArmOptions
@@ -175,16 +175,6 @@ def plan(plant):
     return excitation(plant, duration=5.0)
 
 
-def joined(chunks):
-    """All chunks as one measurement."""
-    parts = list(chunks)
-    values = [
-        None if getattr(parts[0], n) is None else np.concatenate([getattr(p, n) for p in parts])
-        for n in ("time", "q", "qd", "tau", "qdd")
-    ]
-    return Measurement(*values)
-
-
 def run(plant, plan, simulation, **sensors):
     """One simulation with these sensors."""
     options = SimulatedArmOptions(simulation=simulation, **sensors)
@@ -193,7 +183,7 @@ def run(plant, plan, simulation, **sensors):
 
 def test_forward_and_inverse_agree_where_friction_is_complete(plant, plan):
     simulation = run(plant, plan, "forward")
-    forward, inverse = joined(simulation), joined(run(plant, plan, "inverse"))
+    forward, inverse = join_measurements(simulation), join_measurements(run(plant, plan, "inverse"))
     np.testing.assert_array_equal(forward.time, inverse.time)
     fast = np.abs(inverse.qd) > 0.1
     # The loop follows within 1e-4 rad and 1e-2 rad/s^2 of its trajectory away from reversals.
@@ -204,7 +194,7 @@ def test_forward_and_inverse_agree_where_friction_is_complete(plant, plan):
 @pytest.mark.parametrize("simulation", ["inverse", "forward"])
 def test_reading_twice_gives_the_same_measurements(plant, plan, simulation):
     measurements = run(plant, plan, simulation, noise_torque=0.1, encoder_resolution=1e-4)
-    first, second = joined(measurements), joined(measurements)
+    first, second = join_measurements(measurements), join_measurements(measurements)
     np.testing.assert_array_equal(first.tau, second.tau)
     np.testing.assert_array_equal(first.q, second.q)
 

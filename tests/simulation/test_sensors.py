@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import Measurement
 from robot_sysid.simulation.sensors import Sensors, SimulatedArmOptions, quantised
 from tests.support.arms import SEEDS
@@ -34,12 +35,7 @@ def cut(measurement, lengths):
 def read(measurements, seed=0, **options):
     """All readings as one measurement."""
     sensors = Sensors(SimulatedArmOptions(**options), RATE, np.random.default_rng(seed))
-    chunks = list(sensors.read(measurements))
-    joined = [
-        None if getattr(chunks[0], n) is None else np.concatenate([getattr(c, n) for c in chunks])
-        for n in ("time", "q", "qd", "tau", "qdd")
-    ]
-    return Measurement(*joined)
+    return join_measurements(sensors.read(measurements))
 
 
 def same(first, second):

@@ -16,6 +16,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.algebra.information import InformationAccumulator
+from robot_sysid.logs.reader import join_measurements
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.records import InertialParameters, JointFriction, Measurement
 from robot_sysid.simulation.closed_loop import ClosedLoop
@@ -60,10 +61,8 @@ def ramp_torque(ramp, qd, qdd):
 
 
 def recorded(loop):
-    """(log of the whole run as one measurement)."""
-    chunks = list(loop.run())
-    names = ("time", "q", "qd", "tau", "qdd")
-    return Measurement(*(np.concatenate([getattr(c, n) for c in chunks]) for n in names))
+    """The log of the whole run as one measurement."""
+    return join_measurements(loop.run())
 
 
 def differentiated(log, sample_rate):

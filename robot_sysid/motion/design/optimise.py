@@ -110,14 +110,10 @@ class Candidate:
         return {name: float(value) for name, value in found}
 
 
-def candidate_at(design: Design, x: Array) -> Candidate:
-    """Return a candidate at free coefficients x (n, M) of which nothing is known yet."""
-    return Candidate(x, np.zeros((len(design.grid), 4 * design.problem.n_joints + 2)))
-
-
 def first_candidate(design: Design, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M), checked against all limits."""
-    return _checked(design, candidate_at(design, x))
+    none = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
+    return _checked(design, Candidate(x, none))
 
 
 def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
