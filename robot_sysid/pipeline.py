@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
@@ -58,7 +58,7 @@ from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count
 
 if TYPE_CHECKING:
-    from robot_sysid.damiao.trajectory import MotionChunk
+    from robot_sysid.damiao.trajectory import DamiaoExportReport, MotionChunk
 
 # Speed at which dry friction has turned round by three quarters [rad/s]. Wider is gentler, but an
 # arm that sticks longer at its reversals tells less: three times this costs a millimetre more.
@@ -443,9 +443,14 @@ def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> Mot
         return None
     from robot_sysid.damiao.trajectory import export_damiao_trajectory
 
-    ids, types, names = (motors.can_id, motors.master_id), motors.motor_type, robot.joint_names
-    motion = commands(robot, plan, config.trajectory.sample_rate)
-    return lambda file: export_damiao_trajectory(motion, types, file, *ids, joint_names=names)
+    rate = config.trajectory.sample_rate
+
+    def write(file: TextIO) -> DamiaoExportReport:
+        motion, ids = commands(robot, plan, rate), (motors.can_id, motors.master_id)
+        names = robot.joint_names
+        return export_damiao_trajectory(motion, motors.motor_type, file, *ids, joint_names=names)
+
+    return write
 
 
 def commands(robot: RobotModel, plan: MotionPlan, rate: float) -> Iterator[MotionChunk]:

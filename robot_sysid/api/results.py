@@ -243,6 +243,12 @@ class PlanResult:
         chosen = rate or self.config.trajectory.sample_rate
         return self.motion(np.arange(sample_count(self.duration, chosen)) / chosen)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return joint names, duration [s] and what is promised, as plain values."""
+        own = {"joint_names": list(self.robot.joint_names), "duration": self.duration}
+        said = {"promised": list(self.promised), "notes": list(self.notes)}
+        return {**own, "failure": self.failure, **said}
+
     def save(self, path: str | Path) -> tuple[Path, ...]:
         """Write the trajectory (.json) and its samples (.csv) and return both paths.
 

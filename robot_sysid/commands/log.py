@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
@@ -14,6 +14,11 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.options import CHECKS, LogOptions
 from robot_sysid.preview.motion import PreviewOptions
 from robot_sysid.records.options import record_from
+from robot_sysid.trajectory import TrajectoryOptions
+
+if TYPE_CHECKING:
+    from robot_sysid.preview.motion import Shown
+    from robot_sysid.records import Measurement, RobotModel
 
 INTERRUPTED = "interrupted; nothing was written"
 LEFT_OUT = ("measurements", "append", "validation_measurements", "verify_rollout")
@@ -33,6 +38,7 @@ def build_parser(full: bool = True) -> Parser:
     parser.add("model", ModelOptions)
     parser.add("log", LogOptions, leave_out=LEFT_OUT)
     parser.add("preview", PreviewOptions)
+    parser.add("motion that the log should have followed", TrajectoryOptions, only=("trajectory",))
     parser.add_console()
     return parser
 
@@ -45,8 +51,8 @@ def main(arguments: Sequence[str]) -> int:
     require_preview(preview)
     if values.get("path") is not None:
         return _checked(values, log, preview, console)
-    if preview.view or preview.video:
-        raise InputError("--view and --video need the MODEL after the log")
+    if preview.view or preview.video or "trajectory" in values:
+        raise InputError("--view, --video and --trajectory need the MODEL after the log")
     from robot_sysid.logs.reader import content_lines
 
     console.lines(content_lines(values["log"], log, console))
@@ -70,9 +76,23 @@ def _checked(
     found = check_against_model(robot, log.pieces)
     console.lines(each.line() for each in found)
     if preview.view or preview.video:
-        from robot_sysid.preview.motion import shown_log
-
-        show_preview(robot, shown_log(robot, log.samples), preview, console)
+        show_preview(robot, _shown(robot, log.samples, values.get("trajectory")), preview, console)
     require_acceptable(str(log.path), found, options.accept)
     console.stage("nothing that stops an identification was found")
     return 0
+
+
+def _shown(robot: RobotModel, samples: Measurement, trajectory: Path | None) -> Shown:
+    """Return the motion of a log, beside the one it should have followed where that is given."""
+    from robot_sysid.preview.motion import shown_log, shown_plan
+
+    if trajectory is None:
+        return shown_log(robot, samples)
+    from robot_sysid.motion.options import LimitOptions
+    from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
+    from robot_sysid.motion.trajectories import load_trajectory
+
+    saved = load_trajectory(trajectory)
+    saved.require_fits(robot.joint_names)
+    problem = build_problem(robot, LimitOptions(), "chain", DEFAULT_NOISE_TORQUE, None)
+    return shown_plan(problem, saved.plan, samples)

@@ -9,7 +9,7 @@ from typing import Any
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.config import OutputOptions
+from robot_sysid.config import ModelOptions, OutputOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
@@ -36,6 +36,7 @@ def build_parser(full: bool = True) -> Parser:
         "folders", metavar="DIR", nargs="+", type=Path, help="folder that a run wrote to"
     )
     parser.add("page", PageOptions)
+    parser.add("model", ModelOptions, only=("mesh_dir",))
     parser.add_console()
     return parser
 
@@ -50,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
 
     folders = tuple(values["folders"])
     destination = page.output_dir or folders[0]
-    written = write_report(folders, destination, plots=page.plots)
+    written = write_report(folders, destination, values.get("mesh_dir"), plots=page.plots)
     console.lines(f"Written: {path}" for path in written[:1])
     if len(written) > 1:
         console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")
@@ -65,7 +66,9 @@ def require_report(output: OutputOptions) -> None:
         require_libraries()
 
 
-def report_of(outcome: Any, output: OutputOptions, console: Console) -> str | None:
+def report_of(
+    outcome: Any, output: OutputOptions, mesh_dir: Path | None, console: Console
+) -> str | None:
     """Write what a later report needs, and the report where it is wanted.
 
     The results are in their files already; whatever fails here leaves them there.
@@ -85,7 +88,7 @@ def report_of(outcome: Any, output: OutputOptions, console: Console) -> str | No
             return None
         console.stage("Drawing the report...")
         page, plots = output.report, output.plots
-        written = write_report((output.output_dir,), output.output_dir, page, plots)
+        written = write_report((output.output_dir,), output.output_dir, mesh_dir, page, plots)
     except Exception as error:  # the run is done, and what it found must stand
         cause = str(error) if isinstance(error, SysidError) else f"{type(error).__name__}: {error}"
         if not wanted:

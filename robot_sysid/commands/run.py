@@ -92,7 +92,7 @@ def carry_out(
     if then is not None:
         then(outcome, console)
     console.lines(outcome.report_lines(console.verbose))
-    failure = report_of(outcome, config.output, console)
+    failure = report_of(outcome, config.output, config.model.mesh_dir, console)
     if outcome.failure:
         raise SysidError(outcome.failure)
     if config.output.bundle:

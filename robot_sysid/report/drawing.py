@@ -39,12 +39,19 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing of matplotlib with its caption and its numbers; names are unique on a page."""
+    """A drawing with its caption and its numbers.
+
+    Attributes:
+        name: of its files, unique on the page.
+        drawing: of matplotlib; None where there is a photograph.
+        png: a photograph instead.
+    """
 
     name: str
     caption: str
     table: Table
-    drawing: Any
+    drawing: Any = None
+    png: bytes = b""
     wide: bool = False
 
 
@@ -245,6 +252,8 @@ def svg(figure: Figure) -> str:
 
 def png(figure: Figure) -> bytes:
     """Return a drawing as PNG on white."""
+    if figure.png:
+        return figure.png
     buffer = io.BytesIO()
     with _styled(figure.name):
         facts = {"Software": None}

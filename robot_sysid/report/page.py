@@ -6,8 +6,10 @@ itself forbids scripts and anything from elsewhere.
 
 from __future__ import annotations
 
+import base64
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from robot_sysid import __version__
@@ -18,6 +20,7 @@ from robot_sysid.report.drawing import Section, inline, png, svg
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, load_run, report_data
 from robot_sysid.report.sections import comparison, signals, verdict
 from robot_sysid.report.sections.parameters import card, parameters, scatter, visibility
+from robot_sysid.report.sections.picture import picture
 
 _TEMPLATE = Path(__file__).with_name("template.html")
 
@@ -26,7 +29,7 @@ _ODD = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueE
 """What a part raises where a result file that somebody changed by hand holds something odd."""
 
 
-def sections_of(runs: Sequence[Run]) -> list[Section]:
+def sections_of(runs: Sequence[Run], mesh_dir: Path | None = None) -> list[Section]:
     """Return all parts of the page about a run, or about several beside each other.
 
     Raises:
@@ -35,7 +38,8 @@ def sections_of(runs: Sequence[Run]) -> list[Section]:
     alone: tuple[Callable[[Run], Section | None], ...] = (
         *(verdict.verdict, card, scatter, parameters, visibility),
         *(signals.torques, signals.residuals, signals.friction, signals.excitation),
-        *(signals.errors, signals.rollout, verdict.next_steps),
+        *(signals.errors, signals.rollout, partial(picture, mesh_dir=mesh_dir)),
+        verdict.next_steps,
     )
     try:
         if len(runs) > 1:
@@ -51,7 +55,7 @@ def html(title: str, sections: Sequence[Section]) -> str:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.filters.update(prose=_prose, inline=inline)
+    environment.filters.update(prose=_prose, picture=_picture, inline=inline)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     return template.render(title=title, sections=sections, version=__version__) + "\n"
 
@@ -61,6 +65,10 @@ def _prose(text: str) -> str:
     from markupsafe import escape
 
     return re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(text)))
+
+
+def _picture(content: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(content).decode('ascii')}"
 
 
 REPORT_NAME, COMPARISON_NAME, PLOTS_NAME = "report.html", "comparison.html", "plots"
@@ -78,7 +86,11 @@ def save_data(folder: Path, traces: Traces, result: str) -> Path:
 
 
 def write_report(
-    folders: Sequence[Path], destination: Path, page: bool = True, plots: bool = False
+    folders: Sequence[Path],
+    destination: Path,
+    mesh_dir: Path | None = None,
+    page: bool = True,
+    plots: bool = False,
 ) -> tuple[Path, ...]:
     """Write the page of a run, or one that compares several, and return what was written.
 
@@ -93,14 +105,17 @@ def write_report(
     about, name = runs[0].name, REPORT_NAME
     if len(runs) > 1:
         about, name = f"{len(runs)} runs", COMPARISON_NAME
-    sections = sections_of(runs)
+    sections = sections_of(runs, mesh_dir)
     written = []
     with whole_files() as files:
         if page:
             files.write(destination / name, html(f"robot-sysid: {about}", sections))
             written.append(destination / name)
         for figure in (each for section in sections for each in section.figures if plots):
-            for suffix, content in ((".png", png(figure)), (".svg", svg(figure).encode())):
+            kinds = {".png": png(figure)}
+            if figure.drawing is not None:
+                kinds[".svg"] = svg(figure).encode()
+            for suffix, content in kinds.items():
                 path = destination / PLOTS_NAME / (figure.name + suffix)
                 files.write(path, content)
                 written.append(path)

@@ -16,9 +16,9 @@ from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.write_back import plan_write_back
 from robot_sysid.records import DELAY_NAME, Array
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
-from robot_sysid.results.record import BaseParameters, BodyEstimate, JointEstimate, Payload, Result
+from robot_sysid.results.record import BaseParameters, BodyEstimate, Payload, Result
 from robot_sysid.results.rollout import rollout_lines
-from robot_sysid.results.tables import asked_rows, link_rows, shown, table_lines
+from robot_sysid.results.tables import asked_rows, friction_text, link_rows, shown, table_lines
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
@@ -179,19 +179,12 @@ def _joint_lines(result: Result) -> Iterator[str]:
     if any(joint.terms for joint in owners.values()):
         yield f"Friction of the joints ({result.friction_model}), model -> identified ± error:"
         for name, joint in owners.items():
-            told = (_term(joint, term, name in result.slides) for term in joint.terms)
-            yield f"  {name}: {', '.join(told) or 'not shown by these logs'}"
-
-
-def _term(joint: JointEstimate, term: str, slides: bool) -> str:
-    """Return one friction term of a joint, such as "coulomb 0.4 -> 0.133 ± 0.004 N·m"."""
-    (value, error), before = joint.terms[term], joint.before.get(term)
-    if math.isinf(error):
-        return f"{term} not visible"
-    old = "" if before is None else f"{figure(before)} -> "
-    if math.isnan(error):
-        return f"{term} {old}{figure(value)} (held at its bound)"
-    return f"{term} {old}{with_error(value, error, term_unit(term, slides))}"
+            slides = name in result.slides
+            terms = ", ".join(
+                friction_text(term, joint.before.get(term), *found, term_unit(term, slides))
+                for term, found in joint.terms.items()
+            )
+            yield f"  {name}: {terms or 'not shown by these logs'}"
 
 
 def _sensor_lines(result: Result) -> Iterator[str]:
@@ -310,10 +303,10 @@ _CONFLICTS = {
 
 def limitations(result: Result) -> tuple[str, ...]:
     """Return one sentence per thing that limits the accuracy of a result."""
-    return tuple(_limits(result)) if result.is_measured else ()
+    return tuple(_sentences(result)) if result.is_measured else ()
 
 
-def _limits(result: Result) -> Iterator[str]:
+def _sentences(result: Result) -> Iterator[str]:
     estimate, body = result.estimate, result.body
     if estimate.identifiability.unidentifiable:
         listed = "; ".join(estimate.identifiability.unidentifiable)

@@ -9,7 +9,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.records import Array
-from robot_sysid.records.figures import THETA, figure, percent, term_unit
+from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.results.cards import ERROR_NAMES, load_errors
 from robot_sysid.results.record import BodyEstimate, Result
 
@@ -110,16 +110,18 @@ def _from_to(
     before: Array | None, after: Array, size: Array | float
 ) -> list[tuple[float | None, float]]:
     """Return pairs of numbers (before, after), zero where they are nothing but rounding."""
-    both = [
-        [None] * len(after) if v is None else np.where(abs(v) < _ROUNDING * size, 0.0, v).tolist()
-        for v in (before, after)
-    ]
-    return list(zip(*both))
+    old = [None] * len(after) if before is None else without_rounding(before, size)
+    return list(zip(old, without_rounding(after, size)))
 
 
 def shown(theta: Array) -> Array:
     """Return ten parameters (10,), zero where they are nothing but rounding."""
-    return np.array([after for _, after in _from_to(None, theta, _sizes(theta))])
+    return np.array(without_rounding(theta, _sizes(theta)))
+
+
+def without_rounding(values: Array, size: Array | float) -> list[float]:
+    """Return numbers, zero where they are nothing but rounding beside ``size``."""
+    return [float(value) for value in np.where(np.abs(values) < _ROUNDING * size, 0.0, values)]
 
 
 def _sizes(theta: Array) -> Array:
@@ -174,6 +176,18 @@ def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
         value = estimate.value(f"{term}[{joint}]")
         if value is not None:
             error = estimate.error(f"{term}[{joint}]") if result.is_measured else None
-            after = value if abs(value) >= _ROUNDING else 0.0
+            after = without_rounding(np.array([value]), 1.0)[0]
             unit = term_unit(term, joint in result.slides)
             yield BeforeAfter(words, model.get(term), after, error, unit)
+
+
+def friction_text(
+    term: str, before: float | None, after: float, error: float | None, unit: str
+) -> str:
+    """Return one friction term of a joint, such as "coulomb 0.4 -> 0.133 ± 0.004 N·m"."""
+    if error is not None and np.isinf(error):
+        return f"{term} not visible"
+    old = "" if before is None else f"{figure(before)} -> "
+    if error is not None and np.isnan(error):
+        return f"{term} {old}{figure(after)} (held at its bound)"
+    return f"{term} {old}{with_error(after, error, unit)}"

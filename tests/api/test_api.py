@@ -160,7 +160,7 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
     motion = plan.sampled(100.0)
     assert plan.failure is None and motion.q.shape == (401, 4)
     np.testing.assert_allclose(motion.qd[[0, -1]], 0.0, atol=1e-9)
-    assert str(plan) == "standard deviations"
+    assert plan.to_dict()["promised"] == [str(plan)] == ["standard deviations"]
     files = plan.save(tmp_path / "plan.json")
     again = rs.plan(workshop / "arm.xml", trajectory=str(files[0]))
     np.testing.assert_allclose(again.motion(motion.time).q, motion.q, atol=1e-9)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.preview import film
+from robot_sysid.preview import film, studio
 from robot_sysid.preview.motion import film_path
 from tests.support import arms
 
 FLOOR = '<geom type="plane" size="1 1 .1" pos="0 0 -1"/>'
 RUN = ("--duration", "2", "--sample-rate", "100", "--seed", "1", "--excitation", "sines")
 drawing = pytest.mark.skipif(
-    importlib.util.find_spec("imageio") is None or film.backend() is None,
+    importlib.util.find_spec("imageio") is None or studio.backend() is None,
     reason="neither EGL nor OSMesa here",
 )
 
@@ -40,7 +40,7 @@ def test_without_a_display_there_is_one_line_before_the_search(command, arm, mon
 
 
 def test_a_log_needs_its_model_to_be_shown(command, arm):
-    said = command.run("log", arm.parent / "log.csv", "--video", "log.gif", code=2).err
+    said = command.run("log", arm.parent / "log.csv", "--trajectory", "plan.json", code=2).err
     assert "need the MODEL" in said
 
 
@@ -49,6 +49,14 @@ def test_a_plan_says_that_there_is_no_floor(command, arm, arm_file):
     assert "The model has no floor" in command.run("plan", arm, *short).out
     floor = arm_file(arms.THREE.replace("<worldbody>", f"<worldbody>{FLOOR}"), "floor.xml")
     assert "no floor" not in command.run("plan", floor, *short).out
+
+
+def test_no_renderer_means_no_pictures_but_a_page(monkeypatch, link_run):
+    from robot_sysid.report.runs import load_run
+    from robot_sysid.report.sections.picture import picture
+
+    monkeypatch.setattr(studio, "backend", lambda: None)
+    assert "neither EGL nor OSMesa" in picture(load_run(link_run)).missing[0]
 
 
 # imageio's ffmpeg leaves its pipes to the garbage collector.
@@ -68,3 +76,18 @@ def test_a_motion_becomes_a_film(command, arm, suffix):
     assert pictures[0].shape == (480, 1040, 3)
     moved = np.abs(pictures[0][:, :640].astype(int) - pictures[len(pictures) // 2][:, :640])
     assert np.max(moved) > 50  # the arm has moved, and is in the picture
+
+
+@drawing
+@pytest.mark.slow
+def test_a_ghost_is_drawn_and_an_impossible_body_is_told():
+    robot = arms.robot_of(arms.THREE)
+    with studio.Studio(robot, 320, 240) as opened:
+        opened.look_at_arm(robot.reference[None])
+        plain = opened.picture().astype(int)
+        assert np.all(plain[0, 0] > 240)
+        opened.pose(robot.reference)
+        theta = robot.prior.theta.copy()
+        assert opened.add_ellipsoid(robot.body_id, theta, film.GHOST)
+        assert np.max(np.abs(opened.picture().astype(int) - plain)) > 30
+        assert not opened.add_ellipsoid(robot.body_id, -theta, film.GHOST)
