@@ -173,3 +173,20 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
     # A coordinate that passes zero within the step has a kink there: two slopes.
     slopes = np.array([ahead - here, here - behind]) / 1e-6
     assert min(abs(slopes - exact)) < 1e-4 * size
+
+
+def test_gradient_of_the_clearance_equals_differences():
+    some, rng, checked = problem(TUBES_AND_POST), np.random.default_rng(2), 0
+    still, weight = np.zeros((1, 4)), np.eye(18)[-1:]
+    while checked < 10:
+        q, direction = rng.uniform(-1.5, 1.5, size=(2, 1, 4))
+
+        def value(at):
+            return constraints_of(some, (at, still, still)).value[0, -1]
+
+        if value(q) <= -0.9:
+            continue
+        exact = np.sum(constraints_of(some, (q, still, still)).vjp(weight)[0] * direction)
+        if value(q + 1e-4 * direction) + value(q - 1e-4 * direction) - 2 * value(q) < 1e-6:
+            checked += 1
+            assert exact == pytest.approx(slope(value, q, direction), rel=1e-3, abs=1e-3)
