@@ -190,3 +190,14 @@ def test_gradient_of_the_clearance_equals_differences():
         if value(q + 1e-4 * direction) + value(q - 1e-4 * direction) - 2 * value(q) < 1e-6:
             checked += 1
             assert exact == pytest.approx(slope(value, q, direction), rel=1e-3, abs=1e-3)
+
+
+def test_values_are_shares_of_the_limits_minus_one():
+    some = problem(arms.THREE, max_acceleration=5.0)
+    limits = some.limits
+    q = np.vstack((limits.upper, limits.lower, 0.5 * (limits.lower + limits.upper)))
+    qd, qdd = np.tile(limits.velocity, (3, 1)), np.tile(-0.5 * limits.acceleration, (3, 1))
+    value = constraints_of(some, (q, qd, qdd)).value
+    expected = np.full((3, 14), -1.0)
+    expected[:2, :3], expected[:, 3:6], expected[:, 6:9] = 0.0, 0.0, -0.5
+    assert np.allclose(value[:, :13], expected[:, :13])
