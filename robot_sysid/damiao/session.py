@@ -168,6 +168,7 @@ class MotorSession:
             if (sender := self._sender(frame)) is not None:
                 self._outstanding.heard(sender)
         told = wanted if regardless else self._outstanding.may_be_told(wanted)
+        # As the motors read it; one that is told nothing stays under its old command.
         new = self.space.from_motors(codec.decode_mit(packed, self.scaling))
         old = self._command or new
         self._command = codec.MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))

@@ -51,8 +51,11 @@ def test_joints_that_were_not_asked_do_not_answer():
     bench = Bench(3)
     with bench.session as session:
         session.enable()
+        session.exchange(bench.command(), bench.clock.now() + 0.004)
         only = np.array([True, False, True])
-        replies = session.exchange(bench.command(), bench.clock.now() + 0.004, only)
+        replies = session.exchange(bench.command(0.5), bench.clock.now() + 0.004, only)
+    # Who was told nothing is under its old command.
+    np.testing.assert_allclose(replies.command.position, [0.5, 0.0, 0.5], atol=1e-3)
     assert replies.answered.tolist() == [True, False, True]
     assert np.isnan(replies.feedback.position[1]) and np.isnan(replies.time[1])
     assert replies.feedback.status[1] == -1
