@@ -14,6 +14,7 @@ from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import FILTERING, filtering_bias, fit_errors
 from robot_sysid.estimation.unknowns import COMMON, SCALES
+from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
 from tests.support.core_fits import KNOWN, datasets_of, fitted
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
@@ -87,6 +88,20 @@ def test_beside_noise_the_low_pass_does_not_count(plant):
     part = np.sqrt(np.diag(errors.causes[FILTERING]))
     assert np.all(part < 0.05 * np.sqrt(np.diag(errors.whole.noise)))
     assert np.max(off / errors.whole.standard_errors) < WITHIN
+
+
+def test_where_a_joint_turns_round_between_two_passes_its_friction_says_nothing(monkeypatch):
+    """Reversed motion takes the same torque of the links; only the sign of friction differs."""
+    recording = TrueArm(SMALL, 1, wrong=0.0).recording(wide_motion(3, 3), False)
+    fit = fitted(SMALL, [recording], EstimationOptions(**KNOWN))
+
+    def reversed_motion(signals):
+        once = signals.decimated_motion()
+        return np.arange(len(once.time)), replace(once, qd=-once.qd)
+
+    monkeypatch.setattr(ProcessedSignals, "refiltered", reversed_motion)
+    point = replace(fit.point, values=fit.values)
+    assert not np.any(filtering_bias(fit.columns, point, recording, fit.samples[0]))
 
 
 # ---- of a payload
