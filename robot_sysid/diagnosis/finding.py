@@ -33,10 +33,7 @@ class Finding:
 def require_acceptable(
     log: str, findings: Iterable[Finding], accepted: Collection[str] = ()
 ) -> None:
-    """Stop at what must not become a number.
-
-    Args:
-        accepted: names of checks whose warnings are no reason to stop.
+    """Stop at what must not become a number; ``accepted`` names warnings that may.
 
     Raises:
         InputError: a finding refuses the log.

@@ -62,14 +62,12 @@ def look_at(
     """Tell what looks wrong with a log, and stop at what must not become a number.
 
     Args:
-        accepted: names of checks whose warnings are no reason to stop.
-        cutoff: see ``check_against_model``.
+        accepted, cutoff: see ``require_acceptable`` and ``check_against_model``.
         links_known: whether the model's links are right; where they are to be found, what wrong
             ones would bring as well is only told.
 
     Raises:
-        InputError: a finding refuses the log.
-        SysidError: there is a warning that is not accepted.
+        InputError, SysidError: see ``require_acceptable``.
     """
     found = check_against_model(robot, log.pieces, cutoff)
     if not links_known:

@@ -166,9 +166,8 @@ def choose(
 ) -> tuple[Choice, Errors, Point]:
     """Return what the recordings decide, by which errors, and where to begin.
 
-    Args:
-        given: friction terms of every joint, where the user says them.
-        couplings: what ``coupled`` has chosen; None for all that have columns.
+    The user may have given the friction of every joint, and ``coupled`` have chosen couplings;
+    else all those that have columns are taken.
     """
     choice = _simplest(fitter, given, fitter.columns.couplings if couplings is None else couplings)
     fit = fitter.fit(question, choice, rounds=1)

@@ -152,12 +152,7 @@ class Columns:
         return found
 
     def moved(self, point: Point, values: Array, settle: Sequence[str]) -> Point:
-        """Return the point after an estimate; parameters to settle move into what it holds.
-
-        Args:
-            values: (p,) the estimate.
-            settle: names of increments: of the delay, of tilt angles, of speeds.
-        """
+        """Return the point after an estimate (p,); increments to settle move into what it holds."""
         new, speed = values.copy(), dict(point.speed or {})
         places = {name: self.place[name] for name in settle}
         step = {name: float(values[place]) for name, place in places.items()}

@@ -54,9 +54,7 @@ class FitErrors:
     ) -> tuple[Array, Array, dict[str, Array]]:
         """Return (covariance, noise errors, budget) of linear combinations (m, k).
 
-        Args:
-            change: which combinations.
-            theta: (m,) their values, where they grow with a scale that all joints share.
+        Their values theta (m,) are given where they grow with a scale that all joints share.
         """
         blind = ~self.shown(change)
 

@@ -274,11 +274,9 @@ def solved(
     """Solve the equations as they stand around a point.
 
     Args:
-        data: what the rows around the point say.
-        samples: the rows themselves, for motion that repeats.
+        data, samples: what the rows around the point say, and the rows, for motion that repeats.
         visits: which of them pass the same states.
-        inflation: (joints,) where no rows are there to tell it.
-        noise: (joints,) to begin with [N m].
+        inflation, noise: (joints,) where no rows tell it, and (joints,) to begin with [N m].
     """
     sought = unknowns(columns, question, choice, data.torque, data.shown)
     counted = np.ones(len(columns.joints)) if inflation is None else inflation
@@ -307,9 +305,8 @@ def solved(
 def _bounded(
     columns: Columns, sought: Unknowns, data: Evidence, inflation: Array, noise: Array | None
 ) -> tuple[Unknowns, SquareRootInformation, Array, Array]:
-    """Return (what is sought in the end, what is known of it, values (p,) within bounds, noise).
-
-    The noise (joints,) is what each joint's equations are divided by [N m].
+    """Return (what is sought in the end, what is known of it, values (p,) within bounds, what
+    each joint's equations are divided by (joints,) [N m]).
     """
     while True:  # each round holds at least one more parameter
         prior = columns.prior[sought.kept]

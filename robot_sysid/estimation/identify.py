@@ -204,11 +204,7 @@ def _fitter(
 
 
 def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:
-    """Return the error with which a fit predicts other recordings.
-
-    Raises:
-        InputError: they hold no usable samples.
-    """
+    """Return the error with which a fit predicts other recordings; InputError as ``predicted``."""
     columns = Columns(fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings)
     samples = columns.samples(replace(fit.point, values=fit.values))
     return predicted(fit, evidence_of([samples], fit.evidence.torque), source)
@@ -244,11 +240,7 @@ def identify_itself(
     options: EstimationOptions,
     progress: Progress,
 ) -> tuple[Result, Callable[[], Traces]]:
-    """Simulate the model along a trajectory and identify it.
-
-    Args:
-        rate: samples per second [Hz].
-        seed: the trajectory was drawn with it.
+    """Simulate the model at a rate [Hz] along a trajectory that was drawn with a seed; identify it.
 
     Returns:
         (the result, what makes its traces).

@@ -33,11 +33,7 @@ that is refused."""
 def alone(fit: Fit, parts: Sequence[SquareRootInformation]) -> tuple[Array, Array, Array]:
     """Return what some recordings say with the noise and the priors of the whole fit.
 
-    Args:
-        parts: their information in all parameters.
-
-    Returns:
-        (values (k,) of what is sought, their errors by white noise alone, their whole errors).
+    That is (values (k,) of what is sought, their errors by white noise alone, their whole errors).
     """
     weights, sought = fit.weights, fit.unknowns
     plain = restricted(combined(parts), sought.kept_names, sought.held)
@@ -55,9 +51,8 @@ def logs_compared(
 ) -> tuple[tuple[str, ...], tuple[Validation, ...]]:
     """Return (sentences on the logs' own masses, each log predicted from the others).
 
-    Args:
-        names: per dataset, the log that it is of.
-        stretch: by how much correlated noise makes errors larger than white noise would.
+    Each dataset is of the log that ``names`` says; correlated noise makes errors ``stretch`` times
+    as large as white noise would.
     """
     logs = {name: [s for s, n in zip(fit.samples, names) if n == name] for name in names}
     if len(logs) < 2:
@@ -106,11 +101,9 @@ def _agreement(masses: Mapping[str, tuple[float, float]]) -> Iterator[str]:
 
 
 def each_recording(fit: Fit, flange: Flange, stretch: float) -> tuple[OneRecording, ...]:
-    """Return the payload of each recording against all of the other kind.
+    """Return the payload of each recording against all of the other kind, in the flange's frame.
 
-    Args:
-        flange: frame of the centres of mass.
-        stretch: by how much correlated noise makes errors larger than white noise would.
+    Correlated noise makes errors ``stretch`` times as large as white noise would.
     """
     informations = [part.information() for part in fit.samples]
     recordings, found = fit.columns.datasets, []

@@ -99,9 +99,7 @@ def unexplained(
 ) -> Iterator[Judged]:
     """Yield why torques do not follow from the motion as far as noise would let them.
 
-    Args:
-        tests: its prediction of what was not fitted.
-        acceleration_error: expected error of the acceleration, as a part of it; 0 where unknown.
+    The acceleration's expected error is a part of it, 0 where unknown.
     """
     noise = fit.noise_per_joint
     if acceleration_error > COARSE:
@@ -195,11 +193,9 @@ def noise_share(fit: Fit) -> float:
 
 
 def of_file(before: Validation, after: Validation, noise: float = 0.0) -> Judged:
-    """Return how a written file predicts beside the one before, and that in words.
+    """Return how a written file predicts held-out data beside the one before, and that in words.
 
-    Args:
-        before, after: their errors on held-out data.
-        noise: of the torque, as a part of it; a model that was no worse than that before was right.
+    A model that was no worse before than the noise, a part of the torque, was right.
     """
     old, new = before.relative_error, after.relative_error
     if old is None or new is None:
@@ -222,7 +218,6 @@ def of_payload(
     Args:
         payload: in the flange frame, before it was made a possible body.
         contradicting: name and mass of each recording, where those of one kind are not alike.
-        validation: prediction of what was not fitted.
     """
     mass, error = payload.inertial.mass, float(payload.errors[0])
     said = f"the payload comes out as {mass:.4g} \u00b1 {error:.2g} kg"
@@ -255,12 +250,9 @@ def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Jud
 
 
 def of_known_mass(found: Sequence[Judged], weighed: float, known: float) -> Iterator[Judged]:
-    """Yield why torque scales may not be taken from a known mass.
+    """Yield why torque scales may not be taken from a known mass [kg].
 
-    Args:
-        found: what speaks against the payload as if its mass were not known.
-        weighed: its mass then [kg].
-        known: what it weighs [kg].
+    Found is what speaks against the payload as if its mass, weighed then, were not known.
     """
     # Sizes that a known mass puts right are no reason to refuse it.
     yield from (each for each in found if each[0] is not Verdict.IMPLAUSIBLE)

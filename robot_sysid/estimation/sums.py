@@ -279,11 +279,7 @@ def _sampled(dataset: Dataset, part: DecimatedSamples, values: Array) -> RowSamp
 def answer_from(
     robot: RobotModel, found: LogInformation, validation: LogInformation | None = None
 ) -> Answer:
-    """Identify an arm from the sum of a second round.
-
-    Args:
-        found: of the logs that are fitted.
-        validation: of logs that only test the result, made like ``found``.
+    """Identify an arm from the sum of a second round; ``validation`` is made alike, and only tests.
 
     Raises:
         InputError: this is a first round, or something was made with another model or options.

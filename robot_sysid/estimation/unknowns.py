@@ -167,9 +167,7 @@ def unknowns(
 ) -> Unknowns:
     """Return what a question seeks.
 
-    Args:
-        torque: (n,) root mean square of each joint's measured torque [N m].
-        shown: (p,) which parameters have a column that is not zero.
+    Usual torques (n,) are root mean squares [N m]; ``shown`` (p,) says which columns are not zero.
     """
     options = question.options
     groups = list(_groups(columns, question, choice, torque))

@@ -204,10 +204,7 @@ class ServoOutcome:
 def run_servo(
     robot: RobotModel, logs: LogOptions, folder: Path, mesh_dir: Path | None, progress: Progress
 ) -> ServoOutcome:
-    """Identify servos, friction and rotor inertia from commands and positions; write the results.
-
-    Args:
-        robot: the arm, whose links are trusted.
+    """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
     Raises:
         SysidError: with the exit code that fits, see ``errors``.

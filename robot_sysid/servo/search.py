@@ -267,10 +267,8 @@ class Scale:
 def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.bool_]) -> Scale:
     """Return where a search starts: the model's numbers, or usual ones where it has none.
 
-    Args:
-        q: (m, n) some positions.
-        period: between samples [s].
-        moves: (n,) which joints move; the others' numbers are left as they are.
+    Positions (m, n) stand for all, the period is that of samples [s]; numbers of joints that do not
+    move (n,) are left as they are.
     """
     own, (gravity, inertia) = model_servos(robot), _gravity_and_inertia(robot, q)
     inertia += own.armature

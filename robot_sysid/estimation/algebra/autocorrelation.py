@@ -137,10 +137,8 @@ def collect_residuals(
     """Return each joint's sums, from one pass.
 
     Args:
-        values: (p,) the estimate.
-        root: (p, r) with C = root root^T.
-        weights: (joints,) of the fit [1/(N m)].
-        to_add: keep all lags, so that other logs' sums can be added.
+        values, root: (p,) the estimate, and (p, r) with C = root root^T.
+        weights, to_add: (joints,) of the fit [1/(N m)], and see ``joint_residuals``.
     """
     results = []
     for index, rows, tau in samples:

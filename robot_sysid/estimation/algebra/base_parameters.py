@@ -58,12 +58,7 @@ class BaseCombinations:
 
 
 def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
-    """Return the base parameters of a regressor.
-
-    Args:
-        regressor: (M, p) columns of the links' parameters.
-        scale: (p,) typical size of each parameter, so that units do not decide about rank.
-    """
+    """Return those of a regressor (M, p) of links whose parameters have typical sizes (p,)."""
     from scipy.linalg import qr, solve_triangular
 
     triangle, order = qr(regressor * scale, mode="r", pivoting=True)
@@ -83,9 +78,8 @@ def essential(base: Array, nuisance: Array, right: Array) -> NDArray[np.bool_]:
     """Return (r,) which base parameters backward elimination keeps.
 
     Args:
-        base: (M, r) whitened columns of the base parameters.
-        nuisance: (M, k) those of all other parameters, which stay.
-        right: (M,) whitened right-hand sides.
+        base, nuisance, right: (M, r), (M, k) and (M,) whitened columns of the base parameters, of
+            all others, which stay, and right-hand sides.
     """
     from scipy.linalg import qr
 

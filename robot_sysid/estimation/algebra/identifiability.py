@@ -87,13 +87,10 @@ def visible_space(matrix: Array) -> VisibleSpace:
 
 
 def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
-    """Return (scale (p,), zero (p,)): 1 / length of the columns, and which are rounding noise.
+    """Return (scale (p,), zero (p,)): 1 / length of columns (M, p), which are rounding noise.
 
     The first ten columns are those of the inertial parameters; those of one unit share the scale
     of the longest.
-
-    Args:
-        matrix: (M, p) regressor.
     """
     length = np.linalg.norm(matrix, axis=0)
     zero = length <= RELATIVE_CUT * np.max(length, initial=0.0)
@@ -105,13 +102,10 @@ def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
 def analyse_identifiability(information: SquareRootInformation) -> Identifiability:
     """Tell what the data can see of the terminal link and of its joint's friction.
 
-    The rank counts the ten inertial parameters and the terminal joint's Coulomb and viscous
-    friction after all other columns (nuisances) have been eliminated:
+    The last joint is the terminal one. The rank counts the ten inertial parameters and that joint's
+    Coulomb and viscous friction after all other columns (nuisances) have been eliminated:
     rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition numbers are those of Y_interest,
     so that they mean the same for a plan, a simulation and a log.
-
-    Args:
-        information: square-root information; the last joint is the terminal one.
     """
     matrix, _ = information.stacked()
     space = visible_space(matrix)

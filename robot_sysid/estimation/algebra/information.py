@@ -81,8 +81,7 @@ def residual_errors(information: SquareRootInformation, values: Array) -> dict[s
 def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
     """Return the information of all parts' data together; a prior they have counts once.
 
-    Args:
-        parts: at least one, all with the same parameters and joints.
+    All parts, one at least, have the same parameters and joints.
     """
     joints = tuple(
         JointInformation(
@@ -101,11 +100,9 @@ def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
 def restricted(
     information: SquareRootInformation, names: Sequence[str], held: Array | None = None
 ) -> SquareRootInformation:
-    """Return the data's information about some of the parameters, the others held.
+    """Return the data's information about some parameters, the others held at (p,) values or zero.
 
-    Args:
-        names: which parameters stay, in any order; their order in the information is kept.
-        held: (p,) values of the others; None for zero.
+    The order that parameters have in the information is kept.
     """
     kept = np.flatnonzero(np.isin(information.names, names))
     joints = []

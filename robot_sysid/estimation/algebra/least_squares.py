@@ -111,11 +111,8 @@ def joint_noise(information: SquareRootInformation, values: Array, weights: Arra
     """Return (joints,) noise standard deviation of each joint's torque [N m].
 
     sigma_j^2 = |r_j|^2 / (n_j - l_j), with the leverage l_j = w_j^2 tr(Y_j C Y_j^T): how many
-    parameters this joint's equations pay for (Seber, Lee, "Linear Regression Analysis", 2003).
-
-    Args:
-        values: (p,) their solution.
-        weights: (joints,) weights it was found with.
+    parameters this joint's equations pay for (Seber, Lee, "Linear Regression Analysis", 2003), at
+    the solution (p,) by weights (joints,).
     """
     space = visible_space(information.stacked(weights)[0])
     return _noise(information, values, _paid(information, weights, space))

@@ -146,12 +146,9 @@ def widened_groups(
     groups: Sequence[NuisanceGroup],
     least: float = 1.0,
 ) -> tuple[NuisanceGroup, ...]:
-    """Return the groups, each as wide as the data asks for.
+    """Return the groups, each as wide as data with torque noise (joints,) [N m] asks for.
 
-    Args:
-        information: the data, with the nuisances among its parameters.
-        noise: (joints,) standard deviation of each joint's torque [N m].
-        least: smallest factor a prior is widened by; below 1 lets it become narrower.
+    None becomes narrower than ``least`` times what it was.
     """
     found = tuple(groups)
     if least >= 1.0 and not any(group.may_widen for group in found):
@@ -221,11 +218,8 @@ def misfits(
 
     A cause is asked for where leaving it at what it is thought to be makes the misfit worse by more
     than chi-square allows. It is as wide then as its worst aspect asks for: links of another
-    density contradict their masses alone, which would be lost among ten numbers of each.
-
-    Args:
-        noise: (joints,) standard deviation of each joint's torque [N m].
-        groups: the priors, as wide as they were used.
+    density contradict their masses alone, which would be lost among ten numbers of each. Noise
+    (joints,) is in N m, groups are as wide as they were used.
     """
     from scipy.stats import chi2
 
