@@ -18,7 +18,7 @@ from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
 from tests.support.core_fits import KNOWN, datasets_of, fitted
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
-from tests.support.measured_logs import guessed, log_of, plan_of, true_arm, true_values
+from tests.support.measured_logs import guessed, log_of, plan_of, true_values
 from tests.support.payload_logs import PAYLOAD, RATE, TrueArm, wide_motion, with_torque
 
 SMALL = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X)))
@@ -158,21 +158,3 @@ def test_what_no_torque_shows_has_no_error():
     own = np.eye(len(fit.unknowns.kept))[:10]
     np.testing.assert_array_equal(errors.shown(own), [n not in hidden for n in PARAMETER_NAMES])
     assert np.isinf(errors.of(own[3:4])[1][0]) and not errors.shown(own[:1] + own[3:4])[0]
-
-
-def test_dry_friction_does_not_pass_for_what_the_low_pass_does():
-    """Where a joint turns round in one of two low-passed motions and not in the other, its sign."""
-    plant = true_arm()
-    datasets, options = datasets_of(guessed(plant), log_of(plant, noise_position=5e-3))
-    fit = fitted(guessed(plant), datasets, options)
-
-    def bias(more_coulomb):
-        values = fit.values.copy()
-        values[fit.columns.at([f"coulomb[{joint}]" for joint in fit.columns.joints])] += (
-            more_coulomb
-        )
-        point = replace(fit.point, values=values)
-        return filtering_bias(fit.columns, point, fit.columns.datasets[0], fit.samples[0])
-
-    assert np.max(np.abs(bias(0.0))) > 0.1
-    np.testing.assert_allclose(bias(5.0), bias(0.0), atol=1e-9)
