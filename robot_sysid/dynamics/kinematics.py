@@ -85,12 +85,7 @@ def inverse_dynamics(
 
 
 class ArmDynamics:
-    """Inverse dynamics of the whole arm by MuJoCo, sample by sample.
-
-    Args:
-        mj_model: another compiled model of the same arm (for instance one that was written and
-            loaded again); default the robot's own.
-    """
+    """Inverse dynamics of the whole arm, or of another compiled model of it, by MuJoCo."""
 
     def __init__(self, robot: RobotModel, mj_model: Any = None) -> None:
         self.model = analysis_copy(robot.mj_model if mj_model is None else mj_model)

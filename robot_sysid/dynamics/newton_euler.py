@@ -32,13 +32,8 @@ N_PARAMETERS = len(PARAMETER_NAMES)
 
 @dataclass(frozen=True)
 class LinksMotion:
-    """Motion of all links over N samples.
-
-    Attributes:
-        velocity, acceleration: per link (6, N), each in the link's own frame; the acceleration is
-            the spatial one minus gravity.
-        steps: per link, its pose in the one before it.
-        screws: per link (6,), the screw of its joint.
+    """Motion of all links over N samples: velocity and spatial acceleration minus gravity (6, N),
+    each in the link's own frame, its pose in the link before it, and its joint's screw (6,).
     """
 
     velocity: tuple[Array, ...]
@@ -87,8 +82,7 @@ class LinkDynamics:
     def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
         """Return the motion of all links for chain motions (N, n) [rad, rad/s, rad/s^2]."""
         samples = len(q)
-        velocity = np.zeros((6, samples))
-        acceleration = np.zeros((6, samples))
+        velocity, acceleration = np.zeros((2, 6, samples))
         acceleration[3:] = -self._gravity[:, None]
         moves = []
         for i, link in enumerate(self._links):
@@ -120,9 +114,8 @@ class Step:
 
     def out_of(self, wrench: Array) -> Array:
         """Return Ad(T^-1)^T of a wrench (6, N), as the link before it feels it."""
-        moment, force = (
-            np.einsum("abn,bn->an", self.rotation, part) for part in np.split(wrench, 2)
-        )
+        parts = np.split(wrench, 2)
+        moment, force = (np.einsum("abn,bn->an", self.rotation, part) for part in parts)
         return np.concatenate((moment + cross(self.translation, force), force))
 
 

@@ -54,11 +54,8 @@ def turned(vector: Array, angles: Array) -> Array:
 
 
 def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
-    """Return (N, n, 2) torque per radian of tilt around the arm's gravity [N m/rad].
-
-    Args:
-        thetas: (n, 10) what is known of the links.
-        q: (N, n) positions.
+    """Return (N, n, 2) torque per radian of tilt around the arm's gravity [N m/rad], of links
+    known as theta (n, 10), at positions q (N, n).
     """
     here, still = gravity(robot), np.zeros_like(q)
     arms = [LinkDynamics(with_gravity(robot, np.cross(axis, here))) for axis in tilt_axes(here)]
@@ -72,10 +69,8 @@ _MOST_SHIFTED = 20000
 
 
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
-    """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad].
-
-    Args:
-        thetas: (n, 10) what is known of the links.
+    """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad], of links
+    known as theta (n, 10).
     """
     count, dynamics = motion.q.shape[1], LinkDynamics(robot)
     # Many shifted motions at once: a call's cost hardly depends on its samples, memory does.

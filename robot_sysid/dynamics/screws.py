@@ -26,9 +26,8 @@ class ScrewChain:
     Arrays are component first: (6, n, N) holds N samples of n twists [omega, v].
 
     Attributes:
-        screws: (6, n) body Jacobian [omega, v] of the terminal body at ``home``.
-        home: (n,) joint positions there [rad].
-        gravity: (3,) gravity in the terminal body's frame at ``home`` [m/s^2].
+        screws, home: (6, n) the body Jacobian [omega, v], at joint positions (n,) [rad].
+        gravity: (3,) gravity in the terminal body's frame there [m/s^2].
     """
 
     screws: Array

@@ -186,11 +186,8 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
 
 
 def earlier_logs(params: Path, robot: RobotModel) -> tuple[Path, ...]:
-    """Return the logs that an earlier run used, read off its params.json.
-
-    Raises:
-        InputError: the file is none of an identification from logs, it was made with another model,
-            or a log is no longer there.
+    """Return the logs that an earlier run used, read off its params.json, or raise InputError
+    where it is none from logs, was made with another model, or a log is no longer there.
     """
     content = read_json(params, "give the params.json of an earlier run")
     content = content if isinstance(content, dict) else {}

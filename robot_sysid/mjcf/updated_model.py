@@ -41,8 +41,7 @@ def changed_model_text(
     contain paths, take the place of their ``<include>``; the others stay included.
 
     Raises:
-        ExportError: a body or joint is not written out in the file, a name is taken, or a setting
-            of the file changes inertias when it is compiled.
+        ExportError: something is not written out in the file, or a setting of it changes inertias.
     """
     edits = Edits(read_document(source))
     written = _write_bodies(edits, change)

@@ -118,12 +118,9 @@ def _shared_notes(
 def possible_body(
     theta: Array, scale: float, least_moment: float = 0.0, most_inflated: float = 0.0
 ) -> Array | None:
-    """Return theta, moved inside the possible where rounding left it on the edge, or None.
-
-    Args:
-        theta: (10,) a difference of two bodies.
-        scale: mass of the larger of them [kg]; what is tiny beside it is nothing.
-        least_moment, most_inflated: as in ``plan_write_back``.
+    """Return theta (10,), a difference of two bodies, moved inside the possible where rounding left
+    it on the edge, or None. Beside ``scale``, the mass of the larger one [kg], what is tiny is
+    nothing; the others as in ``plan_write_back``.
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     size = float(np.trace(inertia)) / 2.0

@@ -68,10 +68,7 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
 
     A link is the body that the joint moves with all that hangs on it, apart from what a later chain
     joint moves. Where several joints move one body, all but the last have a link without mass.
-
-    Args:
-        qpos: (nq,) reference configuration, at which joints outside the chain are held.
-        chain: joint ids, base to terminal.
+    Joints outside the chain (ids, base to terminal) are held at ``qpos`` (nq,).
     """
     data = posed(mj_model, qpos)
     mujoco.mj_comPos(mj_model, data)

@@ -173,12 +173,8 @@ class Flange:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What each chain joint may do; infinite where there is no limit.
-
-    Attributes:
-        lower, upper: (n,) position limits [rad or m].
-        velocity: (n,) speed limits [rad/s or m/s].
-        torque: (n,) torque limits, symmetric [N m or N].
+    """What each chain joint may do (n,): positions [rad or m], speed [rad/s or m/s] and torque,
+    symmetric [N m or N]; infinite where there is no limit.
     """
 
     lower: Array

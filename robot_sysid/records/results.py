@@ -44,18 +44,16 @@ class Estimate:
 
     Attributes:
         names: (p,) parameter names, as in the information.
-        rmse: root mean square torque residual over all equations [N m].
-        rmse_per_joint: joint name to root mean square torque residual [N m].
+        rmse, rmse_per_joint: root mean square torque residual, of all and by joint name [N m].
         covariance: (p, p), where one was computed; zero along directions the data cannot see.
         standard_errors: (p,) standard deviation of each value, all causes together; infinite where
             only the model's value is known.
         noise_errors: (p,) the part of them that torque noise explains.
         error_budget: cause to the part of them (p,) that this cause explains; squares add up.
         data_share: (p,) how much of each value comes from the data: 1 all, 0 all from the model.
-        noise_per_joint: joint name to standard deviation of its torque noise [N m]; only joints
-            of which samples were used.
-        samples: joint name to the number of samples its equations used.
-        effective_samples: joint name to the number of independent samples its noise leaves.
+        noise_per_joint: joint name to standard deviation of its torque noise [N m], where used.
+        samples, effective_samples: joint name to the number of samples its equations used, and of
+            the independent ones that its noise leaves.
         constrained: whether the plain estimate was replaced by the best possible rigid body.
     """
 

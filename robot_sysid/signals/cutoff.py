@@ -100,11 +100,8 @@ def noise_share(spectra: Spectra | None, cutoff: float) -> float:
 
 
 def spectra_of(q: Array, rate: float, steps: Array) -> Spectra | None:
-    """Return the spectra of all joints; None where there are too few samples for any.
-
-    Args:
-        q, steps: (N, n) positions on a uniform grid, and what ``encoder_steps`` says of them [rad].
-        rate: sample rate [Hz].
+    """Return the spectra of all joints, of positions (N, n) on a uniform grid and what
+    ``encoder_steps`` says of them [rad], at a rate [Hz]; None where there are too few samples.
     """
     q, steps, rate = _without_repeats(q, steps, rate)
     if len(q) < _SHORTEST:
