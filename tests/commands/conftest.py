@@ -30,12 +30,15 @@ class SimulatedBus:
         arm: who answers.
         clock: simulated time, also that of the command.
         wire: the frames of the last link that was opened, or None.
+        rates: nominal bit rates that it was opened with.
     """
 
     def __init__(self):
         self.arm, self.clock, self.wire = two_motor_arm(), ScriptedClock(), None
+        self.rates = []
 
     def open(self, address, timing, clock):
+        self.rates.append(timing.bitrate)
         link = SimulatedLink(self.clock, self.arm, timing, echo=True)
         self.wire = RememberingLink(link, self.clock)
         return self.wire

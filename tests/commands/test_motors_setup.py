@@ -113,6 +113,7 @@ def test_an_error_is_cleared_by_name(capsys, bus):
     ("words", "said", "code"),
     [
         (("--mit",), "--motor says which motor", 2),
+        (("--scan",), "the bit rate of socketcan is set outside", 2),
         (("--motor", 9, "--mit"), "0 motors answer to CAN id 9", 3),
         (("--motor", 1, "--new-id", 2), "CAN id 2 is taken", 2),
         (("--motor", 1, "--new-id", 16), "--new-id must be from 1 to 15", 2),
@@ -189,3 +190,9 @@ def test_the_model_says_which_way_is_positive(arm_file):
     ways = positive_ways(robot)
     assert [way.partition("seen from ")[2] for way in ways] == ["+z (up)", "+y"]
     assert all("counter-clockwise" in way for way in ways)
+
+
+def test_motors_are_looked_for_at_every_bit_rate(capsys, bus):
+    code, out, _ = run(capsys, "setup", *CAN0, "--interface", "slcan", "--scan")
+    assert code == 0 and "1000000 bit/s: 2 motors" in out
+    assert bus.rates == [1e6, 5e5, 2.5e5, 2e5, 1.25e5]

@@ -107,14 +107,16 @@ class Asked:
         choice = chosen.mesh_dir, chosen.joint, float("inf"), chosen.keyframe
         return load_robot_model(self.values["model"], *choice)
 
-    def open(self) -> Link:
-        """Open the bus."""
-        return open_bus(self.address, self.timing, self.clock)
+    def open(self, timing: BusTiming | None = None) -> Link:
+        """Open the bus, with other bit rates than those asked for if given."""
+        return open_bus(self.address, timing or self.timing, self.clock)
 
     @contextlib.contextmanager
-    def bus(self, refuse: Callable[[Frame], None] = refuse_harmful) -> Iterator[GuardedLink]:
+    def bus(
+        self, refuse: Callable[[Frame], None] = refuse_harmful, timing: BusTiming | None = None
+    ) -> Iterator[GuardedLink]:
         """Open the bus for as long as the block runs; what ``refuse`` raises for is not sent."""
         if not self.address.channel:
             raise InputError("this command needs --channel, for instance --channel can0")
-        with contextlib.closing(self.open()) as link:
+        with contextlib.closing(self.open(timing)) as link:
             yield GuardedLink(link, self.clock, self.timing.fd, self.address.channel, refuse)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,7 @@ _ID: dict[str, Any] = {"metavar": "ID", "parse": whole_number, "check": _within(
 class SetupOptions(OptionRecord):
     """What ``motors setup`` changes in one motor; nothing lists the motors."""
 
+    scan: bool = option(False, "look for motors at every bit rate that the adapter can be set to")
     motor: int | None = option(None, "CAN id of the motor to change", **_ID)
     new_id: int | None = option(None, "new CAN id", **_ID)
     new_master_id: int | None = option(
@@ -283,9 +284,11 @@ class MapOptions(OptionRecord):
 def setup(asked: Asked) -> int:
     """Find motors, and change one of them."""
     options = record_from(SetupOptions, asked.values)
-    changes = any(given.key != "motor" for given in given_options(options))
+    changes = any(given.key not in ("scan", "motor") for given in given_options(options))
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
+    if options.scan:
+        return _scan(asked)
     with asked.bus(refuse_motion) as link:
         inspection = inspect_bus(link)
         asked.console.lines(motor_table(inspection))
@@ -293,6 +296,23 @@ def setup(asked: Asked) -> int:
             for line in MotorSetup(link, _only(inspection, options)).apply(options):
                 asked.console.stage(line)
         return 0 if inspection.motors else 1
+
+
+def _scan(asked: Asked) -> int:
+    if asked.address.interface in ("socketcan", "damiao", "virtual"):
+        raise InputError(
+            f"the bit rate of {asked.address.interface} is set outside of this program (ip link, "
+            "or the adapter's own tool); set one after the other there and run setup without --scan"
+        )
+    heard = 0
+    for rate in sorted((rate for rate in frames.BIT_RATES if rate <= 1_000_000), reverse=True):
+        with asked.bus(refuse_motion, replace(asked.timing, bitrate=float(rate))) as link:
+            inspection = inspect_bus(link)
+        found = len(inspection.motors)
+        heard += found
+        asked.console.stage(f"{rate} bit/s: {found} motors")
+        asked.console.lines(motor_table(inspection) if found else [])
+    return 0 if heard else 1
 
 
 def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
