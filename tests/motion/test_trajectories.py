@@ -215,3 +215,12 @@ def test_samples_are_the_motion_to_the_last_bit(tmp_path):
     assert titles[:4] == ["time", "q_base", "q_elbow", "q_wrist"]
     assert titles[-1] == "qdd_wrist"
     assert np.array_equal(np.array(rows, dtype=float), table)
+
+
+def test_an_arm_with_other_joints_or_another_order_is_refused(tmp_path):
+    save_trajectory(tmp_path / "plan.json", sines(0), NAMES)
+    saved = load_trajectory(tmp_path / "plan.json")
+    saved.require_fits(NAMES)
+    for others in (("elbow", "base", "wrist"), NAMES[:2], (*NAMES, "hand")):
+        with pytest.raises(InputError, match="made for the 3 joints base, elbow, wrist"):
+            saved.require_fits(others)
