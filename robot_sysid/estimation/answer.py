@@ -259,11 +259,9 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     matrix, right = fit.evidence.whole.stacked(fit.weights)
     found = base_combinations(matrix[:, order], parameter_scale(len(order) // 10))
     rest = np.setdiff1d(sought.kept, order)
-    spread = np.zeros((len(order), len(order)))
     inside = np.flatnonzero(np.isin(order, sought.kept))
-    at = np.searchsorted(sought.kept, order[inside])
-    spread[np.ix_(inside, inside)] = errors.whole.covariance[np.ix_(at, at)]
-    spread = found.matrix @ spread @ found.matrix.T
+    change, at = found.matrix[:, inside], np.searchsorted(sought.kept, order[inside])
+    spread = change @ errors.whole.covariance[np.ix_(at, at)] @ change.T
     # What is known of sensors counts; free torque scales would explain all torques by themselves.
     known = [g.rows(fit.columns.names) for g in sought.groups if g.cause != LINKS]
     rows = np.vstack((np.column_stack((matrix, right)), *known))

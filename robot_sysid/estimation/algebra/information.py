@@ -87,9 +87,7 @@ def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
         JointInformation(
             same[0].joint,
             same[0].columns,
-            update_triangle(same[0].triangle, np.vstack([j.triangle for j in same[1:]]))
-            if len(same) > 1
-            else same[0].triangle,
+            update_triangle(same[0].triangle[:0], np.vstack([j.triangle for j in same])),
             sum(j.n_samples for j in same),
         )
         for same in zip(*(part.joints for part in parts))

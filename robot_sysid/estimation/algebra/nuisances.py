@@ -243,9 +243,7 @@ def misfits(
 
 
 def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
-    per_member: dict[str, float] = {}
-    for member, square in zip(group.members, off**2):
-        per_member[member] = per_member.get(member, 0.0) + float(square)
-    largest = max(per_member.values())
-    clear = [name for name, square in per_member.items() if square > _SHARE_OF_WORST * largest]
-    return tuple(sorted(clear, key=lambda name: -per_member[name]))
+    members = np.array(group.members)
+    squares = {name: float(np.sum(off[members == name] ** 2)) for name in group.members}
+    clear = [n for n in squares if squares[n] > _SHARE_OF_WORST * max(squares.values())]
+    return tuple(sorted(clear, key=lambda name: -squares[name]))
