@@ -1,9 +1,9 @@
-"""Do results depend on the number of threads of linear algebra?
+"""Do results depend on the number of threads of linear algebra, or of worker processes?
 
 Run from the checkout:  python -m benchmarks.determinism
 
 The example arm, by the commands and by the Python functions, which both take one thread, whatever
-is set; a search for a trajectory that ends of itself. One line per
+is set; a search for a trajectory that ends of itself, by one worker and by several. One line per
 file: how many different ones were written.
 """
 
@@ -22,13 +22,14 @@ from tests.support.command_line import files_in
 from tests.support.places import GUESS, ROOT, TRUTH
 
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-THREADS = (1, 2)
+SETTINGS = ((1, 1), (1, 2), (1, 3), (2, 1))
+"""Threads and workers."""
 RATE = {"duration": 6.0, "sample_rate": 250.0}
 WORDS = "--duration 6 --sample-rate 250 --seed 1 --noise-torque 0.1"
 WAYS = ("functions", "commands")
 
 
-def functions(folder: Path) -> None:
+def functions(folder: Path, workers: int) -> None:
     """Write the results of all functions."""
     import robot_sysid as rs
 
@@ -39,10 +40,10 @@ def functions(folder: Path) -> None:
     models = {"empty_model": GUESS, "loaded_model": TRUTH}
     rs.payload(GUESS, **models, seed=1, noise_torque=0.1, **RATE).save("payload")
     rs.plan(GUESS, seed=1, excitation="sines", **RATE).save("plan/plan.json")
-    _search(Path("plan/search.json"))
+    _search(Path("plan/search.json"), workers)
 
 
-def _search(path: Path) -> None:
+def _search(path: Path, workers: int) -> None:
     import numpy as np
 
     from robot_sysid.api.results import one_thread
@@ -51,14 +52,14 @@ def _search(path: Path) -> None:
     from tests.support.excitation_arms import TUBES_AND_POST, design
 
     few = {"draws": 30, "starts": 3, "rounds": 3, "iterations": 20, "time_budget": 600.0}
-    some = design(TUBES_AND_POST, **few)
+    some = design(TUBES_AND_POST, workers=workers, **few)
     with one_thread():
         found = design_excitation(some, np.random.default_rng(1))
     assert not found.stopped
     save_trajectory(path, found.trajectory, some.problem.joint_names)
 
 
-def commands(folder: Path) -> None:
+def commands(folder: Path, workers: int) -> None:
     """Write the results of all commands."""
     from robot_sysid.cli import main
 
@@ -76,12 +77,12 @@ def commands(folder: Path) -> None:
         assert main([*line.split(), "--quiet"]) in (0, 1), line
 
 
-def child(way: str, folder: Path, threads: int) -> dict[str, str]:
+def child(way: str, folder: Path, threads: int, workers: int) -> dict[str, str]:
     """Return the hash of each file that a process with these settings writes."""
     settings = {**os.environ, **dict.fromkeys(VARIABLES, str(threads)), "PYTHONPATH": str(ROOT)}
     with tempfile.TemporaryDirectory(dir=folder) as place:
         call = [sys.executable, "-m", "benchmarks.determinism", "--way", way]
-        call += ["--folder", str(folder)]
+        call += ["--folder", str(folder), "--workers", str(workers)]
         subprocess.run(call, cwd=place, env=settings, check=True)
         found = files_in(Path(place))
     return {k: hashlib.sha256(content).hexdigest() for k, content in found.items() if content}
@@ -97,8 +98,8 @@ def compare(folder: Path) -> None:
             run([*line.split(), "--save-measurements", f"{folder}/{k}.csv", "--quiet"])
     for way in WAYS:
         seen: dict[str, set[str]] = defaultdict(set)
-        for threads in THREADS:
-            for name, value in child(way, folder, threads).items():
+        for setting in SETTINGS:
+            for name, value in child(way, folder, *setting).items():
                 seen[name].add(value)
         for name, values in sorted(seen.items()):
             print(f"{way:10s} {name:36s} {len(values)}", flush=True)
@@ -109,9 +110,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, help="kept and used again (default: a new one)")
     parser.add_argument("--way", choices=WAYS, help=argparse.SUPPRESS)
+    parser.add_argument("--workers", type=int, default=1, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.way:
-        return {"functions": functions, "commands": commands}[options.way](options.folder)
+        return {"functions": functions, "commands": commands}[options.way](
+            options.folder, options.workers
+        )
     with tempfile.TemporaryDirectory() as nowhere:
         folder = (options.folder or Path(nowhere)).absolute()
         folder.mkdir(parents=True, exist_ok=True)

@@ -2,8 +2,9 @@
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.excitation_budget [seconds ...]
 
-Each line is a process of its own. Its time is processor time, which other programs do not change.
-Longer motions than memory allows are refused beforehand.
+Each line is a process of its own. From five seconds on there are workers, and its time is that of
+the clock on the wall; below it is processor time, which other programs do not change. Longer
+motions than memory allows are refused beforehand.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.places import GUESS
 
-CASES = (15.0, 120.0, 130.0, 300.0, 40_000.0)
+CASES = (15.0, 120.0, 130.0, 300.0, 20_000.0)
 
 
 def search(budget: float, duration: float) -> str:
@@ -33,7 +34,7 @@ def search(budget: float, duration: float) -> str:
 
     excitation = ExcitationOptions(kind="optimal", time_budget=budget)
     problem = build_problem(load_robot_model(GUESS), LimitOptions())
-    clock = optimise.clock = time.process_time
+    clock = optimise.clock = time.monotonic if excitation.n_workers > 1 else time.process_time
     start = clock()
     try:
         design = Design(problem, excitation, TrajectoryOptions(duration=duration))

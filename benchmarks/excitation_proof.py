@@ -1,6 +1,6 @@
 """How much more an optimised trajectory tells than the random sinusoids, and what it costs.
 
-    python -m benchmarks.excitation_proof [MODEL.xml] [--searches N]
+    python -m benchmarks.excitation_proof [MODEL.xml] [--searches N] [--workers W]
 
 Prints for each seed the predicted standard deviations of mass, centre of mass and Izz, for the
 median of ten random sinusoids and for the optimised trajectory; then how far 1000 simulated noisy
@@ -93,9 +93,10 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("model", nargs="?", type=Path, default=GUESS)
     parser.add_argument("--searches", type=int, default=10)
+    parser.add_argument("--workers", type=int, default=2)
     arguments = parser.parse_args()
     robot = load_robot_model(arguments.model)
-    options = ExcitationOptions()
+    options = ExcitationOptions(workers=arguments.workers)
     design = Design(build_problem(robot, LimitOptions()), options, TrajectoryOptions())
     plan = compare(robot, design, arguments.searches)
     promised = predict(design.problem, plan, RATE).deviation

@@ -103,7 +103,7 @@ def parts_by_joints(robot):
 def line(path, joint, seeds, **effort):
     """The table's line of one arm."""
     robot = load_robot_model(path, joint=joint)
-    options = ExcitationOptions(time_budget=1e6, starts=2, **effort)
+    options = ExcitationOptions(workers=1, time_budget=1e6, starts=2, **effort)
     motion = TrajectoryOptions()
     top = options.basis(motion.duration).top_frequency_hz
     problem = build_problem(robot, LimitOptions(), top_frequency_hz=top)

@@ -33,6 +33,8 @@ from tests.support.command_line import files_in
 WRITING = 0.02
 """Within this time after the first draft a run is killed while it writes [s]."""
 LONGEST = 300.0
+WORKER_DELAYS = (0.0, 0.02, 0.1, 0.3, 1.0)
+"""Times after the start of the first worker process [s]."""
 
 
 class Study:
@@ -195,7 +197,7 @@ def has_said(run: Run, line: str) -> Callable[[], bool]:
 
 
 def interrupts(study: Study, count: int) -> None:
-    """Interrupt each stage, any time, and the writing."""
+    """Interrupt each stage, any time, the writing and the start of workers."""
     print("\ninterrupts: command, stage, exit codes, lines on standard error that are no notes")
     for name in study.names:
         for stage in stages(study, name):
@@ -207,10 +209,22 @@ def interrupts(study: Study, count: int) -> None:
             moment = time.monotonic() + study.random.uniform(0.02, study.time[name])
             any_time = lambda run, m=moment: lambda: time.monotonic() > m  # noqa: E731
             _interrupted(study, name, "(any time)", 1, any_time)
+    for delay in WORKER_DELAYS if SEARCH in study.names else ():
+        stage = f"(workers start, +{delay:g} s)"
+        _interrupted(study, SEARCH, stage, count, _has_workers, delay)
+
+
+def _has_workers(run: Run) -> Callable[[], bool]:
+    return lambda: len(session_of(run.process.pid)) > 1
 
 
 def _interrupted(
-    study: Study, name: str, stage: str, count: int, moment: Callable[[Run], Callable[[], bool]]
+    study: Study,
+    name: str,
+    stage: str,
+    count: int,
+    moment: Callable[[Run], Callable[[], bool]],
+    delay: float = 0.0,
 ) -> None:
     """Interrupt runs of a command at a moment, as a terminal does: all its processes."""
     codes: collections.Counter[int] = collections.Counter()
@@ -219,6 +233,7 @@ def _interrupted(
     for _ in range(count):
         run = study.started(name)
         if run.wait_for(moment(run)):
+            time.sleep(delay)
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(run.process.pid, signal.SIGINT)
         run.process.join(LONGEST)

@@ -99,7 +99,7 @@ def main(folder: Path) -> None:
     """Design, predict, draw."""
     robot = load_robot_model(MODEL)
     problem = build_problem(robot, LimitOptions())
-    design = Design(problem, ExcitationOptions(), TrajectoryOptions())
+    design = Design(problem, ExcitationOptions(workers=2), TrajectoryOptions())
     torque = ArmTorque(robot)
     sines = [
         generate_excitation_trajectory(robot, np.random.default_rng(seed), 15.0, torque)[0]

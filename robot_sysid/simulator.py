@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,10 @@ class ArmTorque:
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self._dynamics = ArmDynamics(robot)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as what it was made from."""
+        return type(self), (self._robot,)
 
     def __call__(self, motion: Motion) -> Array:
         """Return joint torques (N, n) [N m]."""

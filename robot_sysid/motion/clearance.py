@@ -103,6 +103,7 @@ class Clearance:
     def __init__(
         self, robot: RobotModel, rest: Array, clearance: float, half_spaces: Sequence[HalfSpace]
     ) -> None:
+        self._arguments = (robot, rest, clearance, tuple(half_spaces))
         self._robot = robot
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = mujoco.MjData(model)
@@ -124,6 +125,10 @@ class Clearance:
         self._place(rest)
         self._spaces = HalfSpaces(model, half_spaces) if half_spaces else None
         self.left_at_rest = [] if self._spaces is None else self._settle_spaces(self._spaces)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as what it was made from: MuJoCo data is made anew there."""
+        return type(self), self._arguments
 
     def slack(self, q: Array) -> Slack:
         """Return the slack at positions q (N, n)."""

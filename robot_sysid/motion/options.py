@@ -12,7 +12,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import FourierBasis
 from robot_sysid.records import Array
 from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
-from robot_sysid.records.options import OptionRecord, PerJoint, levels, option
+from robot_sysid.records.options import OptionRecord, PerJoint, levels, option, processors
 
 EXCITATIONS = ("sines", "optimal")
 LONGEST_FADE = 1.5
@@ -28,6 +28,8 @@ Full speed at this frequency takes the usual acceleration limit.
 FEWEST_HARMONICS = 3
 LONGEST_PERIOD = 60.0
 """A longer motion repeats itself, so that a search costs in proportion to its length [s]."""
+WORTH_WORKERS = 5.0
+"""Time budget from which on it pays to start other processes, which takes each a second [s]."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,7 @@ class ExcitationOptions(OptionRecord):
         starts: how many of the best are improved; None takes two per minute of budget, at least 2.
         rounds: improvement rounds per start.
         iterations: of the optimiser per round.
+        workers: processes to use; 1 stays in this one, None takes one per processor.
     """
 
     kind: str = option(
@@ -165,6 +168,7 @@ class ExcitationOptions(OptionRecord):
     starts: int | None = None
     rounds: int = 8
     iterations: int = 120
+    workers: int | None = None
 
     def basis(self, duration: float) -> FourierBasis:
         """Return the Fourier basis of a designed trajectory of this duration [s]."""
@@ -176,6 +180,16 @@ class ExcitationOptions(OptionRecord):
     def n_starts(self) -> int:
         """How many of the best random trajectories are improved."""
         return self.starts or 2 * max(1, round(self.time_budget / 60.0))
+
+    @property
+    def n_workers(self) -> int:
+        """Number of processes; more than there are starts would idle after the draws.
+
+        A short search takes one: starting others would take longer than they help.
+        """
+        if self.workers is None and self.time_budget < WORTH_WORKERS:
+            return 1
+        return min(self.workers or processors(), max(2, self.n_starts))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import pickle
 from functools import cache
 
 import mujoco
@@ -142,6 +143,13 @@ def test_a_gap_is_no_smaller_for_where_the_arm_merely_could_be():
     started = Clearance(arm, np.array([-0.3, 0.0]), KEEP, ())
     assert started.at_rest["near"] == []
     assert started.closest(np.zeros(2)).slack == pytest.approx(0.004 - KEEP, abs=1e-6)
+
+
+def test_travels_to_another_process():
+    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
+    copied = pickle.loads(pickle.dumps(found))
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(20, 4))
+    assert np.array_equal(copied.slack(q).value, found.slack(q).value)
 
 
 BODIES = 6

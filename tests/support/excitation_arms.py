@@ -37,7 +37,7 @@ TOUCHING_AT_REST = tube_arm((Z, Y, X, Y), POST, joint='range="-2.5 2.5"', pos="0
 )
 
 DURATION = 6.0
-SMALL = {"draws": 6, "starts": 1, "rounds": 1, "iterations": 8}
+SMALL = {"draws": 6, "starts": 1, "rounds": 1, "iterations": 8, "workers": 1}
 TOP_FREQUENCY_HZ = ExcitationOptions().basis(DURATION).top_frequency_hz
 
 

@@ -65,12 +65,12 @@ SMOOTHING_SHARE = 0.03
 With it no deviation is off by more than 3 % (``test_the_grid_is_fine_enough_for_the_band``).
 """
 MOST_MEMORY, COPIES = 2e9, 3
-"""Most memory that a search may take [bytes], and how often it holds its functions."""
+"""Most memory that a search may take [bytes], and how often each process holds its functions."""
 _WORST = 1e6
 """Stands for an infinite criterion: the optimiser needs a number."""
 
 clock = time.monotonic
-"""Gives the time [s] that deadlines are told in."""
+"""Gives the time [s], of the machine, so that a deadline can be told to other processes too."""
 
 
 def is_over(deadline: float) -> bool:
@@ -188,7 +188,7 @@ class Design:
         points = int(np.ceil(GRID_PER_CYCLE * top * self.basis.duration))
         points = max(FEWEST_GRID_POINTS, points)
         # The basis functions, and two derivatives.
-        held = COPIES * 3.0 * 8.0 * points * self.basis.size
+        held = options.n_workers * COPIES * 3.0 * 8.0 * points * self.basis.size
         if held > MOST_MEMORY:
             raise InputError(
                 f"designing {motion.duration:g} s would take about {held / 1e9:.2g} GB of memory, "

@@ -2,8 +2,8 @@
 
 Random feasible trajectories first; the best of them are improved by L-BFGS rounds. All of the work
 is counted in trajectories, rounds and iterations, never in seconds: the same seed and options give
-the same trajectory on a fast and on a slow machine. The time budget only cuts the search short,
-which the result then says.
+the same trajectory on a fast and on a slow machine, with one worker or with several. The time
+budget only cuts the search short, which the result then says.
 
 For a whole arm the best of the random feasible trajectories is taken, by
 ``information.arm_criterion``.
@@ -11,12 +11,22 @@ For a whole arm the best of the random feasible trajectories is taken, by
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, Callable
 
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.interrupts import held_back
 from robot_sysid.motion.design import optimise
 from robot_sysid.motion.design.optimise import (
     GRID_PER_CYCLE,
@@ -33,6 +43,8 @@ from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records import Array
 from robot_sysid.records.progress import Progress
 
+DRAWS_PER_JOB = 5
+"""An interruption loses no more of them than one job holds."""
 CHECK_TIME = 2.0
 """Time that is left for the last check [s]: as long as it takes for a seven-joint arm and 15 s."""
 RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
@@ -52,6 +64,7 @@ SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
 """Factors tried until a drawn motion obeys torque limits and touches nothing."""
 FULL = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
 """Share of the limits of motion that a draw uses: as much may be seen of a peak between points."""
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -84,7 +97,7 @@ def design_excitation(
     """Search for the trajectory that makes the predicted uncertainty smallest.
 
     Ctrl-C ends the search and keeps the best trajectory so far, a random one if need be. Progress
-    is told after every trajectory that is drawn or improved.
+    is told after every job.
 
     Raises:
         InputError: no drawn trajectory obeys all limits; names the one that is in the way.
@@ -123,7 +136,9 @@ def _search(
     options = design.options
     budget, rounds = options.time_budget, 0 if design.for_arm else options.rounds
     deadline = optimise.clock() + budget - min(0.5 * budget, CHECK_TIME)
-    done, jobs = 0, options.draws + rounds * options.n_starts
+    drawn = range(options.draws)
+    numbers = [drawn[k : k + DRAWS_PER_JOB] for k in drawn[::DRAWS_PER_JOB]]
+    done, jobs = 0, len(numbers) + rounds * options.n_starts
 
     def tell() -> None:
         best = _best(candidates)
@@ -131,20 +146,27 @@ def _search(
         text = f"mean standard deviation {float(np.exp(score)):.3g}"
         progress.advance("Designing the trajectory", done, jobs, text)
 
-    for draw in draw_trajectories(design, seed, range(options.draws)):
-        draws.append(draw)
-        done += 1
-        tell()
-        if is_over(deadline) and _feasible(draws):
-            return "time budget"
-    candidates += [first_candidate(design, d.x) for d in _feasible(draws)[: options.n_starts]]
-    for _ in range(rounds if candidates else 0):
-        for k, candidate in enumerate(candidates):
-            if is_over(deadline):
-                return "time budget"
-            candidates[k] = improve(design, candidate, deadline)
+    with _workers(design, options.n_workers) as run:
+        draw = partial(draw_trajectories, seed=seed, deadline=deadline)
+        for some in run([partial(draw, numbers=some) for some in numbers]):
+            draws += some
             done += 1
             tell()
+            if is_over(deadline) and _feasible(draws):
+                return "time budget"
+        starts = _feasible(draws)[: options.n_starts]
+        for candidate in run([partial(first_candidate, x=draw.x) for draw in starts]):
+            candidates.append(candidate)
+            tell()
+        for _ in range(rounds if candidates else 0):
+            if is_over(deadline):
+                return "time budget"
+            job = partial(improve, deadline=deadline)
+            improved = run([partial(job, candidate=candidate) for candidate in candidates])
+            for k, candidate in enumerate(improved):
+                candidates[k] = candidate
+                done += 1
+                tell()
     return ""
 
 
@@ -212,10 +234,20 @@ class Draw:
     obstacle: str
 
 
-def draw_trajectories(design: Design, seed: int, numbers: Iterable[int]) -> Iterator[Draw]:
-    """Yield draws number ``numbers``; each depends on the seed and its own number alone."""
+def draw_trajectories(
+    design: Design, seed: int, numbers: Sequence[int], deadline: float = np.inf
+) -> list[Draw]:
+    """Return draws number ``numbers``; each depends on the seed and its own number alone.
+
+    Where time is up, those up to the first feasible one.
+    """
+    draws = []
     for number in numbers:
-        yield _shrunk(design, _within_motion_limits(design, np.random.default_rng([seed, number])))
+        full = _within_motion_limits(design, np.random.default_rng([seed, number]))
+        draws.append(_shrunk(design, full))
+        if is_over(deadline) and np.isfinite(draws[-1].score):
+            break
+    return draws
 
 
 def _within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
@@ -271,3 +303,81 @@ def _shrunk(design: Design, full: Array) -> Draw:
         return Draw(np.inf, np.zeros_like(full), names[column])
     label = obstacles.closest(motion[0][sample]).label
     return Draw(np.inf, np.zeros_like(full), f"clearance of {label}")
+
+
+Job = Callable[[Any], Any]
+"""A function of what is shared; ``functools.partial`` of a module's function, to be sent."""
+
+# What the jobs of this process work on, where this process is a worker.
+_received: Any = None
+
+
+@contextlib.contextmanager
+def _workers(shared: Any, count: int) -> Iterator[Callable[[Sequence[Job]], Iterator[Any]]]:
+    """Give a function that yields the results of jobs, in order, from processes.
+
+    They are started afresh ("spawn"), so nothing depends on what this process has loaded; each
+    receives what is shared once and keeps it. With one worker the present process does the work.
+    """
+    pool, others = None, multiprocessing.active_children()
+    # Without room for another process, for its pipes or its semaphores there is no pool.
+    with contextlib.suppress(OSError, RuntimeError, ImportError):
+        if count > 1:
+            context = multiprocessing.get_context("spawn")
+            pool = ProcessPoolExecutor(count, context, _receive, (shared,))
+    try:
+        yield partial(_run, shared, pool)
+    finally:
+        if pool is not None:
+            ours = [p for p in multiprocessing.active_children() if p not in others]
+            pool.shutdown(wait=False, cancel_futures=True)
+            # A job that nobody waits for any more would keep this program from ending.
+            for process in ours:
+                process.terminate()
+
+
+def _run(shared: Any, pool: ProcessPoolExecutor | None, jobs: Sequence[Job]) -> Iterator[Any]:
+    """Yield the results; what workers that died, or could not be started, left is done here."""
+    done = 0
+    with contextlib.suppress(BrokenProcessPool, OSError, RuntimeError):
+        for future in () if pool is None else _submitted(pool, jobs):
+            yield future.result()
+            done += 1
+    # An error in a job is seen here.
+    yield from (job(shared) for job in jobs[done:])
+
+
+def _submitted(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> list[Future[Any]]:
+    """Return the futures of jobs; the first ones start processes, as far as the system lets.
+
+    These never get Ctrl-C, and do their linear algebra in one thread: the matrices are small, and
+    threads that wait for each other would cost as much as they do. Whoever has set one of the
+    variables for that keeps his value.
+    """
+    unset = [name for name in _THREAD_COUNTS if name not in os.environ]
+    os.environ.update(dict.fromkeys(unset, "1"))
+    try:
+        with held_back((signal.SIGINT,)):
+            return [pool.submit(_do, job) for job in jobs]
+    finally:
+        for name in unset:
+            os.environ.pop(name, None)
+
+
+def _receive(shared: Any) -> None:
+    """Make this process a worker on an object, which ends with the one that started it."""
+    global _received
+    _received = shared
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # Workers hold both ends of their queue: one whose parent was killed would wait for ever.
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _do(job: Job) -> Any:
+    return job(_received)

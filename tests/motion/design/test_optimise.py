@@ -135,13 +135,13 @@ def test_singular_information_is_infinitely_bad(matrix):
             {"sample_rate": 1.0},
             "--sample-rate 1 cannot show the motion's highest frequency, 0.6 Hz",
         ),
-        ({"duration": 4e4}, r"would take about \d.* GB of memory.*make the motion shorter"),
+        ({"duration": 2e4}, r"would take about \d.* GB of memory.*make the motion shorter"),
     ],
 )
 def test_what_cannot_be_searched_is_refused_beforehand(changes, words):
     motion = TrajectoryOptions(**{"duration": 15.0, **changes})
     with pytest.raises(InputError, match=words):
-        Design(problem(arms.THREE), ExcitationOptions(), motion)
+        Design(problem(arms.THREE), ExcitationOptions(workers=2), motion)
 
 
 STRONG_MOTORS = arms.DRY_FRICTION.replace(

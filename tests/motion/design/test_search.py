@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,6 +38,7 @@ from tests.support.excitation_arms import (
     problem,
     robot,
 )
+from tests.support.places import ROOT
 
 ARMS = (arms.SLIDE_IN_CHAIN, arms.UNLIMITED, TUBES_AND_POST, TOUCHING_AT_REST, TUBES_ON_FLOOR)
 
@@ -74,10 +81,12 @@ def test_limits_hold_of_a_joint_that_slides_and_over_a_floor(xml):
     assert_obeys(xml, 1)
 
 
-def test_the_seed_makes_the_trajectory():
-    one, again, other = (searched(design(arms.THREE, starts=2), seed) for seed in (1, 1, 2))
-    assert np.array_equal(one.trajectory.coefficients, again.trajectory.coefficients)
-    assert not np.array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
+def test_the_seed_makes_the_trajectory_whatever_the_number_of_workers():
+    alone, together = (searched(design(arms.THREE, workers=w, starts=2), 1) for w in (1, 2))
+    other = searched(design(arms.THREE, starts=2), 2)
+    assert np.array_equal(alone.trajectory.coefficients, together.trajectory.coefficients)
+    assert alone.objective == together.objective
+    assert not np.array_equal(alone.trajectory.coefficients, other.trajectory.coefficients)
 
 
 class Told(Progress):
@@ -115,7 +124,7 @@ def interrupted_at(count):
     return Told(interrupt)
 
 
-@pytest.mark.parametrize(("count", "drawn"), [(7, 6), (5, 5)])
+@pytest.mark.parametrize(("count", "drawn"), [(2, 6), (1, 5)])
 def test_ctrl_c_keeps_the_best_so_far(count, drawn):
     """In a round of improvement, or among the first draws."""
     result = searched(design(arms.THREE, rounds=50), 3, interrupted_at(count))
@@ -145,7 +154,7 @@ class Ticking:
 
 
 @pytest.mark.parametrize(("step", "drawn"), [(1.0, 1), (0.01, 20)])
-def test_a_search_ends_in_the_middle(step, drawn):
+def test_a_search_ends_in_the_middle_of_a_job(step, drawn):
     """Time is up after the first draw, or in the first round of improvement."""
     clock = Ticking(step)
     some = design(arms.THREE, time_budget=0.5, draws=20, rounds=50, iterations=1000)
@@ -191,7 +200,7 @@ DESIGNS = [design(arms.THREE), design(TUBES_AND_POST), design(arms.SLIDE_IN_CHAI
 def test_every_feasible_draw_keeps_all_limits_on_the_grid(some, seed):
     """And is drawn from the seed and its own number alone."""
     first, second = draw_trajectories(some, seed, [0, 1])
-    assert np.array_equal(next(draw_trajectories(some, seed, [1])).x, second.x)
+    assert np.array_equal(draw_trajectories(some, seed, [1])[0].x, second.x)
     assert not np.any(first.x) or not np.array_equal(first.x, second.x)
     if np.isfinite(first.score):
         value = constraints_of(some.problem, some.motion(first.x)).value
@@ -208,7 +217,7 @@ def test_for_a_whole_arm_the_best_draw_is_taken():
     result = design_excitation(some, np.random.default_rng(3))
     assert keeps_limits(some.problem, result.trajectory)
     seed = int(np.random.default_rng(3).integers(2**62))
-    draws = list(draw_trajectories(some, seed, range(5)))
+    draws = draw_trajectories(some, seed, range(5))
     told = [arm_criterion(arm, some.trajectory(draw.x)) for draw in draws]
     best = optimise.first_candidate(some, draws[int(np.argmin(told))].x)
     least, plan = best.feasible_score, result.trajectory
@@ -216,3 +225,62 @@ def test_for_a_whole_arm_the_best_draw_is_taken():
     assert arm_criterion(arm, plan) == pytest.approx(least, rel=1e-12)
     smaller = replace(plan, coefficients=0.5 * plan.coefficients)
     assert arm_criterion(arm, smaller) > least
+
+
+def elsewhere(parent, number):
+    """A job that kills any process but its parent, once that has seen its threads."""
+    if os.getpid() != parent and number:
+        os._exit(3)
+    return number, os.environ.get("MKL_NUM_THREADS"), os.getpid() == parent
+
+
+def test_what_workers_that_die_leave_is_done_here(monkeypatch):
+    """They use one thread each where the user says nothing."""
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with search._workers(os.getpid(), 2) as run:
+        assert list(run([partial(elsewhere, number=0)])) == [(0, "1", False)]
+        found = list(run([partial(elsewhere, number=k) for k in range(1, 6)]))
+    assert [number for number, *_ in found] == [1, 2, 3, 4, 5]
+    assert all(here for *_, here in found) and "MKL_NUM_THREADS" not in os.environ
+
+
+@pytest.mark.parametrize("error", [OSError(11, "again"), RuntimeError("no new thread")])
+@pytest.mark.parametrize("place", ["ProcessPoolExecutor", "ProcessPoolExecutor.submit"])
+def test_where_no_process_can_be_started_the_jobs_are_done_here(place, error, monkeypatch):
+    """As under ``ulimit -u``: pipes and semaphores, or threads and processes, are refused."""
+
+    def refuse(*_, **__):
+        raise error
+
+    monkeypatch.setattr(f"robot_sysid.motion.design.search.{place}", refuse)
+    with search._workers(1, 2) as run:
+        assert list(run([abs, abs])) == [1, 1]
+        with pytest.raises(TypeError):
+            list(run([len]))
+
+
+def number(shared):
+    """A job that tells which process does it."""
+    time.sleep(0.05)
+    return os.getpid()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes cannot be listed")
+def test_workers_end_with_a_process_that_is_killed():
+    """Whoever is killed cannot end his workers; they would wait for ever."""
+    code = (
+        "from tests.motion.design.test_search import number, search\n"
+        "with search._workers(0, 2) as run:\n"
+        "    print(*{*run([number] * 8)}, flush=True)\n"
+        "    input()\n"
+    )
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdin=pipe, stdout=pipe) as run:
+        workers = [Path("/proc", word.decode()) for word in run.stdout.readline().split()]
+        assert workers and all(worker.is_dir() for worker in workers)
+        run.kill()
+    limit = time.monotonic() + 20.0
+    while any(worker.is_dir() for worker in workers) and time.monotonic() < limit:
+        time.sleep(0.02)
+    assert not any(worker.is_dir() for worker in workers)
