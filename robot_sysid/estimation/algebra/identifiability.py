@@ -133,7 +133,7 @@ def _condition(matrix: Array) -> float:
     return float(singular[0] / singular[rank - 1]) if rank else float("inf")
 
 
-# What is zero in words; what is the same number with three digits.
+# What is zero in words; share within which weights are equally large.
 _TOLERANCE, _SAME = 1e-6, 5e-4
 _FIRST_MOMENT, _INERTIA = range(1, 4), range(4, 10)
 _SINGLE = {
@@ -168,7 +168,7 @@ def in_words(weights: Array, first: int, names: Sequence[str]) -> str:
     for index in np.flatnonzero(weights).tolist():
         weight = float(weights[index])
         if index != first:
-            size = "" if abs(abs(weight) - 1.0) < _SAME else f"{abs(weight):.4g}*"
+            size = f"{abs(weight):.4g}*".removeprefix("1*")
             text += f" {'-' if weight < 0.0 else '+'} {size}{names[index]}"
     return text
 
