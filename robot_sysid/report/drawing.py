@@ -294,31 +294,6 @@ def dots(axes: Any, places: Array, values: Array) -> None:
     axes.plot(places[known], values[known], ".", color=MEASURED, ms=2.5, alpha=0.7)
 
 
-def ranges(
-    canvas: Any,
-    names: Sequence[str],
-    values: Array,
-    *errors: Array,
-    label: str,
-    line: float | None = None,
-) -> None:
-    """Draw named values (n,) in rows with their errors (n,), the first as thin bars.
-
-    Args:
-        line: what all of them are compared with.
-    """
-    axes, places = canvas.subplots(), -np.arange(len(names), dtype=float)
-    if line is not None:
-        axes.axvline(line, color=MEASURED)
-    for error, width in zip(errors, (1.0, 3.0)):
-        style: Any = {"color": AFTER, "elinewidth": width, "capsize": 3 if width == 1.0 else 0}
-        axes.errorbar(values, places, xerr=np.nan_to_num(error), fmt="o", **style)
-    axes.set_yticks(places, [shortened(name, 26) for name in names])
-    axes.set_ylim(0.4 - len(names), 0.6)
-    axes.set_xlabel(label)
-    axes.locator_params(axis="x", nbins=4)
-
-
 def bars(
     canvas: Any, groups: Sequence[str], series: Sequence[tuple[str, Any, str]], label: str
 ) -> None:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
-
-import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records.figures import THETA, with_error
-from robot_sysid.report import drawing
-from robot_sysid.report.drawing import Figure, Section, drawn, table
+from robot_sysid.report.drawing import Section, table
 from robot_sysid.report.runs import Run
 from robot_sysid.report.sections.signals import error_numbers, error_sets
 
@@ -38,27 +34,16 @@ def names(runs: Sequence[Run]) -> dict[str, Run]:
 
 def compared(runs: Sequence[Run]) -> Section:
     """Return the parameters of each run's first body beside each other."""
-    words = "Bars are ± one standard error. Runs whose bars do not meet contradict each other."
-    titles = dict.fromkeys(run.bodies[0].title for run in runs)
+    words = "Values ± one standard error. Runs whose ranges do not meet contradict each other."
+    bodies = {name: run.bodies[0] for name, run in names(runs).items()}
+    titles = dict.fromkeys(body.title for body in bodies.values())
     careful = f"Careful: these are different bodies ({', '.join(titles)})."
     sentences = (words, careful) if len(titles) > 1 else (words,)
-    figures = tuple(_parameter(names(runs), k) for k in range(10))
-    return Section("compared", "Parameters", sentences, figures=figures)
-
-
-def _parameter(runs: dict[str, Run], k: int) -> Figure:
-    label, unit = PARAMETER_NAMES[k], THETA[k]
-    bodies = [run.bodies[0] for run in runs.values()]
-    found = [(float(body.after[k]), float(body.errors[k])) for body in bodies]
-    rows = [(name, *drawing.cells(*pair)) for name, pair in zip(runs, found)]
-    numbers = ("run", f"{label} [{unit}]", "± standard error"), rows
-    values, errors = np.array(found).T
-
-    def draw(canvas: Any) -> None:
-        drawing.ranges(canvas, list(runs), values, errors, label=f"{label} [{unit}]")
-
-    caption = f"{label} of each run [{unit}]."
-    return drawn(f"compare-{label}", caption, numbers, 1.0 + 0.3 * len(runs), draw)
+    rows = [
+        (f"{label} [{unit}]", *(with_error(b.after[k], b.errors[k]) for b in bodies.values()))
+        for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, THETA))
+    ]
+    return Section("compared", "Parameters", sentences, (table(("parameter", *bodies), rows),))
 
 
 def predicted(runs: Sequence[Run]) -> Section:

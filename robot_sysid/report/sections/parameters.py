@@ -195,28 +195,15 @@ def scatter(run: Run) -> Section | None:
     payload = run.content["payload"]
     if payload is None or not payload["scatter"]:
         return None
-    found = payload["scatter"]
-    names = [one["name"] for one in found]
-    keys = ("mass", "noise_error", "error")
-    masses, noise, whole = np.array([[number(one[k]) for one in found] for k in keys])
     header = ("recording", "kind", "mass [kg]", "± noise alone [kg]", "± all [kg]")
-    kinds = ["loaded" if one["is_loaded"] else "empty" for one in found]
-    rows = [
-        (name, kind, *drawing.cells(*pair), drawing.plus_minus(error))
-        for name, kind, error, *pair in zip(names, kinds, whole, masses, noise)
-    ]
-    caption = (
-        "Mass of the payload according to each recording against all of the other kind [kg]: thin "
-        "bars ± the whole error, thick bars ± noise alone. The line is the result of all."
-    )
-
-    def draw(canvas: Any) -> None:
-        line = float(run.bodies[0].after[0])
-        drawing.ranges(canvas, names, masses, whole, noise, label="mass [kg]", line=line)
-
-    masses_drawn = drawn("scatter", caption, (header, rows), 1.6 + 0.3 * len(names), draw)
+    rows = []
+    for one in payload["scatter"]:
+        mass, noise, whole = (number(one[key]) for key in ("mass", "noise_error", "error"))
+        pair, kind = drawing.cells(mass, noise), "loaded" if one["is_loaded"] else "empty"
+        rows.append((one["name"], kind, *pair, drawing.plus_minus(whole)))
     words = (
-        "If one recording says something else than the others, it was made with another payload, "
-        "or something was changed between them."
+        "Mass of the payload according to each recording against all of the other kind. If one "
+        "recording says something else than the others, it was made with another payload, or "
+        "something was changed between them."
     )
-    return Section("scatter", "Each recording alone", (words,), figures=(masses_drawn,))
+    return Section("scatter", "Each recording alone", (words,), (table(header, rows),))
