@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.protocol.joints import JointSpace, read_joint_map, write_joint_map
+from robot_sysid.damiao.protocol.joints import (
+    JointSpace,
+    id_problems,
+    read_joint_map,
+    write_joint_map,
+)
 from robot_sysid.errors import InputError
 from tests.support.damiao_rig import map_line
 
@@ -80,3 +85,9 @@ def test_a_map_that_is_none_is_refused_with_its_row(tmp_path, text, words):
         read_joint_map(path)
     with pytest.raises(InputError, match="cannot read"):
         read_joint_map(tmp_path / "nowhere.csv")
+
+
+def test_only_motors_on_one_bus_can_clash():
+    """Replies to 0x102 read as commands to motor 2."""
+    assert list(id_problems([("can0", 1, 0x102), ("can1", 2, 0x102)])) == []
+    assert len(list(id_problems([("can0", 1, 0x102), ("can0", 2, 0x12)]))) == 1
