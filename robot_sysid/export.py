@@ -15,11 +15,14 @@ from typing import TYPE_CHECKING, TextIO
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.updated_model import changed_model_text
+from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import Motion, RobotModel, atomic_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
 from robot_sysid.results.cards import Card, card_text, load_errors, payload_cards
+from robot_sysid.results.json import export_params_json as export_params_json
 from robot_sysid.results.json import params_json_text
 from robot_sysid.results.model import ModelTarget, write_model
 from robot_sysid.results.record import Payload, Result
@@ -66,6 +69,28 @@ def locked_folder(folder: Path, progress: Progress) -> Iterator[None]:
     atomic_files.require_writable(folder)
     with warnings_as_notes(progress), atomic_files.only_run_in(folder):
         yield
+
+
+def export_updated_xml(
+    source: Path,
+    body: str,
+    plan: WriteBack,
+    rmse: float,
+    destination: Path,
+    mesh_dir: Path | None = None,
+    principal: bool = False,
+) -> None:
+    """Write an MJCF or URDF file with one body's inertia replaced.
+
+    Args:
+        body: name of the terminal body, or "#7" for the nameless body with id 7.
+        rmse: of the identification [N m], for the comment.
+        mesh_dir: the user's mesh folder, if any.
+        principal: see ``mjcf.inertial.mjcf_inertial``.
+    """
+    change = ModelChange((BodyChange(body, 0, plan),), rmse, principal=principal)
+    folder = destination.absolute().parent
+    atomic_files.write_whole(destination, changed_model_text(source, change, folder, mesh_dir))
 
 
 def save(

@@ -19,6 +19,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import InertialParameters
+from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.results.cards import Card, card_entries, load_errors
 from robot_sysid.results.console import PRIOR_SHARE, limitations
 from robot_sysid.results.record import (
@@ -63,6 +65,15 @@ _IN_BAM = {
     "load": ("load_friction_base", 0.5),
     "armature": ("armature", 1.0),
 }
+
+
+def export_params_json(result: Result, path: Path, notes: Sequence[str] = ()) -> None:
+    """Write params.json; ``notes`` come beside those of the result, one sentence each.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_whole(path, params_json_text(result, notes=notes))
 
 
 def params_json_text(result: Result, cards: Sequence[Card] = (), notes: Sequence[str] = ()) -> str:

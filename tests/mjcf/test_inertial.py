@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
+from robot_sysid.export import export_updated_xml
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.inertial import check_settings, mjcf_inertial, numbers
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com as urdf_inertial
-from robot_sysid.mjcf.updated_model import changed_model_text, find_element
+from robot_sysid.mjcf.updated_model import find_element
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.inertia import body_label, body_theta
 from robot_sysid.results.verification import reads_fullinertia_exactly, verify_written_model
@@ -156,8 +157,6 @@ def test_the_written_value_survives_and_the_other_bodies_stay(tmp_path, compiler
     )
     source, target = arm(tmp_path, compiler, text), tmp_path / "out" / "m.xml"
     original, plan = mujoco.MjModel.from_xml_path(str(source)), WriteBack(theta)
-    body = BodyChange("link2", original.body("link2").id, plan)
-    change = ModelChange((body,), 0.0, principal=True)
-    target.parent.mkdir()
-    target.write_bytes(changed_model_text(source, change, target.parent, None))
-    verify_written_model(original, target, change)
+    export_updated_xml(source, "link2", plan, 0.0, target, principal=True)
+    change = BodyChange("link2", original.body("link2").id, plan)
+    verify_written_model(original, target, ModelChange((change,), 0.0))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT, TERMS
 from robot_sysid.results.cards import load_errors, payload_cards
-from robot_sysid.results.json import FORMULAS, params_json_text
+from robot_sysid.results.json import FORMULAS, export_params_json, params_json_text
 from robot_sysid.results.record import Figure, JointEstimate, Verdict
 from tests.support import results as made
 from tests.support.model_files import random_theta
@@ -53,7 +53,7 @@ def test_a_schema_is_one(name):
 def test_reading_back_gives_the_same_bits(tmp_path_factory, seed):
     theta = random_theta(np.random.default_rng(seed))
     path = tmp_path_factory.mktemp("p") / "params.json"
-    path.write_text(params_json_text(found(estimate(values=np.append(theta, VALUES[10:])))))
+    export_params_json(found(estimate(values=np.append(theta, VALUES[10:]))), path)
     np.testing.assert_array_equal(theta_in(path), theta)
     content = json.loads(path.read_text())
     _, com, about_com = spatial.com_from_theta(theta)
