@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from robot_sysid import parser
-from robot_sysid.cli import main
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.protocol.frames import DISABLED, TIMEOUT, Address, enable_frame
 from tests.support import arms
@@ -74,13 +73,6 @@ def test_check_says_what_has_to_change(capsys, bus, trajectory):
     assert code == 1
     assert "[STOP] motor 1 is in mode 2 (POS_VEL); set CTRL_MODE to 1 (MIT)" in out
     assert "not DM4340!" in out and "2 to change before playing" in out
-
-
-def test_check_of_an_empty_bus(capsys, bus):
-    for motor in bus.motors:
-        motor.silent = True
-    code, out, _ = run(capsys, "check", *CAN0)
-    assert code == 1 and "no motor answers" in out
 
 
 # --- play ---------------------------------------------------------------------------------------
@@ -198,26 +190,6 @@ def test_bad_usage_is_one_line_and_exit_code_2(capsys, trajectory, model, argume
     files = {"T": trajectory, "M": model}
     code, _, err = run(capsys, *(files.get(word, word) for word in arguments))
     assert code == 2 and words in err, err
-
-
-def help_of(capsys, *arguments):
-    with pytest.raises(SystemExit) as caught:
-        main(["motors", *arguments])
-    assert caught.value.code == 0
-    return capsys.readouterr().out
-
-
-def test_a_command_has_a_short_help_and_one_with_all_options(capsys):
-    assert all(name in help_of(capsys) for name in COMMANDS)
-    name = "play"
-    text = help_of(capsys, name, "--help")
-    assert text.startswith(f"example: robot-sysid motors {name} ")
-    assert len(text.splitlines()) <= 50
-    full = help_of(capsys, name, "--help-all")
-    options = re.findall(r"^  (?:-\w, |)(--[\w-]+)", text, re.MULTILINE)
-    everything = re.findall(r"^  (?:-\w, |)(--[\w-]+)", full, re.MULTILINE)
-    assert set(options) < set(everything)
-    assert {"--start-tolerance", "--bitrate", "--mesh-dir"} <= set(everything) - set(options)
 
 
 # --- a model of the arm -------------------------------------------------------------------------

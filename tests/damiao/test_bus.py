@@ -242,11 +242,3 @@ def test_a_refused_frame_does_not_reach_the_bus():
     with pytest.raises(SysidError):
         bench.link.send(Frame(1, b"\xff" * 7 + b"\xfe"))
     assert bench.bus.sent == []
-
-
-def test_the_system_clock_sleeps_until_the_moment():
-    clock = SystemClock()
-    start = clock.now()
-    clock.sleep_until(start + 0.01)
-    assert clock.now() - start >= 0.01
-    clock.sleep_until(start)

@@ -128,13 +128,6 @@ jN_cmd_step is the torque step that the command answered by this sample then mad
 jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment"""
 
 
-def test_the_head_tells_how_the_recording_was_made(tmp_path):
-    path = tmp_path / "measured.csv"
-    with recorder_for(path, ["DM4340", "DM4310"]):
-        pass
-    assert list(read_recording(path).head) == HEAD.splitlines()
-
-
 def one_cycle(n, value=1.0):
     """Arguments of ``MeasurementRecorder.write`` for n joints."""
     same, codes = np.full(n, value), np.ones(n, dtype=int)
@@ -187,17 +180,6 @@ def test_an_error_is_written_at_the_end(tmp_path):
     with pytest.raises(RuntimeError), recorder_for(path):
         raise RuntimeError("two\nlines")
     assert read_recording(path).ending == "stopped: two lines"
-
-
-def test_only_what_may_be_replaced_is(tmp_path):
-    path = tmp_path / "there.csv"
-    path.write_text("precious")
-    for name in ("no/such/folder.csv", "there.csv"):
-        with pytest.raises(InputError, match=f"cannot write .*{name}"):
-            recorder_for(tmp_path / name)
-    with recorder_for(path, overwrite=True):
-        pass
-    assert read_recording(path).ending == "completed"
 
 
 def test_frames_are_written_beside_the_recording_or_where_that_was_asked_for():

@@ -202,12 +202,6 @@ def test_a_scan_finds_the_extremes(rows, seed, tmp_path_factory):
     np.testing.assert_allclose(scan.end_velocity, np.maximum(np.abs(qd[0]), np.abs(qd[-1])))
 
 
-def test_one_row_cannot_be_played(tmp_path):
-    one = np.zeros((1, 1))
-    with pytest.raises(InputError, match="at least two rows"):
-        scan_trajectory(trajectory_file(tmp_path, (np.zeros(1), one, one, one)))
-
-
 RATES = st.sampled_from([50.0, 100.0, 250.0, 500.0, 1000.0])
 
 

@@ -94,11 +94,6 @@ def test_fingers_head_and_wheels_are_not_the_arm(xml, expected):
     assert found(xml) == expected
 
 
-def test_fingers_longer_than_the_arm_are_doubt_and_the_arm_is_offered_too():
-    asked = candidates(serial_arm((Z, Y), tip=HAND))
-    assert asked == ["joint1", "left_finger_joint2", "right_finger_joint2"]
-
-
 def test_two_arms_on_one_torso_are_doubt_and_the_torso_is_offered_too():
     both = "".join(
         f'<body name="{side}shoulder">{serial_bodies((Z, Y, X), prefix=side)}</body>'
@@ -162,15 +157,6 @@ def test_a_ball_joint_behind_the_joint_asked_for_is_held():
 def test_a_floating_base_is_refused():
     floating = world(link('<freejoint name="root"/>', serial_bodies((Z, Y, X)), "base"))
     assert "free joint root" in refusal(floating)
-
-
-def test_a_model_without_joints_is_refused():
-    assert "no hinge or slide joints" in refusal(world('<body><geom size=".1"/></body>'))
-
-
-def test_an_unknown_joint_is_refused_and_the_known_ones_listed():
-    with pytest.raises(ModelError, match="no such joint; the model has: joint0, joint1, joint2"):
-        resolve_joint(compile_xml(arms.THREE), "joint9")
 
 
 def test_a_joint_that_is_not_the_last_of_its_body_is_refused_and_the_last_named():

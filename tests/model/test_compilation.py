@@ -123,16 +123,6 @@ def test_a_urdf_states_its_speed_limits(tmp_path):
     assert compile_model(path).velocity_limits == {"j0": 1.5}
 
 
-def test_names_in_other_encodings_are_read(tmp_path):
-    """MuJoCo reads every file as UTF-8; the text it gets is converted, included files too."""
-    head = "<?xml version='1.0' encoding='latin-1'?>"
-    body = "<body name='h\u00fcfte'><joint name='h\u00fcfte'/><geom size='.1'/></body>"
-    (tmp_path / "part.xml").write_bytes(f"{head}<mujoco>{body}</mujoco>".encode("latin-1"))
-    main = f"{head}<mujoco><worldbody><include file='part.xml'/></worldbody></mujoco>"
-    (tmp_path / "main.xml").write_bytes(main.encode("latin-1"))
-    assert compile_model(tmp_path / "main.xml").mj_model.body(1).name == "h\u00fcfte"
-
-
 def compiled(theta):
     inertial = mjcf_inertial(theta, principal=True)
     body = f"<body name='b'><joint/>{inertial}</body>"

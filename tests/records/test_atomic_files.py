@@ -16,10 +16,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import atomic_files as files
 from robot_sysid.records.atomic_files import (
     LOCK_NAME,
-    draft_folder,
     only_run_in,
-    refuse_overwriting,
-    require_writable,
     whole_file,
     whole_files,
     write_whole,
@@ -195,41 +192,6 @@ def test_a_path_that_cannot_be_written_is_one_line(tmp_path):
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_the_user_decides_who_may_read_the_file(tmp_path):
-    mask = os.umask(0o022)
-    try:
-        write_whole(tmp_path / "a", "x")
-    finally:
-        os.umask(mask)
-    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o644
-
-
-def test_a_working_folder_that_is_gone_is_one_line(tmp_path, monkeypatch):
-    (gone := tmp_path / "gone").mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
-    refuse_overwriting([tmp_path / "read"], [("--output", tmp_path / "written")])
-    for act in (
-        lambda: require_writable(Path("out")),
-        lambda: refuse_overwriting([Path("read")], [("--output", tmp_path)]),
-        lambda: refuse_overwriting([tmp_path], [("--output", Path("written"))]),
-    ):
-        with pytest.raises(InputError, match="current folder no longer exists"):
-            act()
-
-
-def test_a_link_that_leads_nowhere_is_no_folder_to_write_to(tmp_path):
-    link = tmp_path / "link"
-    for target in ("nowhere/at/all", "link"):
-        link.symlink_to(target)
-        for inside in ("", "sub/deep"):
-            with pytest.raises(InputError, match="link is a link that leads nowhere"):
-                require_writable(link / inside)
-        link.unlink()
-    link.symlink_to(tmp_path)
-    require_writable(link / "sub")
-
-
 def test_only_one_run_at_a_time_has_a_folder(tmp_path):
     folder = tmp_path / "new" / "out"
     with pytest.raises(ZeroDivisionError), only_run_in(folder):
@@ -258,14 +220,3 @@ def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(tmp_path, mon
     with only_run_in(tmp_path):
         assert len(taken) == 2
         assert os.path.samestat(os.fstat(taken[-1]), os.stat(tmp_path / LOCK_NAME))
-
-
-def test_a_folder_is_there_in_the_block_and_may_be_renamed(tmp_path):
-    with draft_folder(tmp_path / "kinova") as draft:
-        (draft / "a").touch()
-        os.rename(draft, tmp_path / "kinova")
-    with pytest.raises(KeyboardInterrupt), draft_folder(tmp_path / "other") as draft:
-        (draft / "a").touch()
-        raise KeyboardInterrupt
-    assert [path.name for path in tmp_path.iterdir()] == ["kinova"]
-    assert (tmp_path / "kinova" / "a").exists()

@@ -15,7 +15,6 @@ from robot_sysid.records.options import (
     OptionRecord,
     PerJoint,
     default_of,
-    folder,
     given_options,
     levels,
     not_negative,
@@ -25,7 +24,6 @@ from robot_sysid.records.options import (
     positive,
     record_from,
     speed_factor,
-    whole_number,
 )
 
 
@@ -90,17 +88,3 @@ def test_one_number_serves_all_joints():
     for wrong in ((1.0, 2.0), ()):
         with pytest.raises(InputError, match="--noise-torque takes one number, or one for each of"):
             per_joint(wrong, 3, "--noise-torque")
-
-
-@pytest.mark.parametrize(
-    ("read", "text", "words"),
-    [
-        (levels, "0.1,", "neither a number nor a list like"),
-        (folder, "", "the folder's name is empty"),
-        (whole_number, "1.5", "is not a whole number; write 3 or 0x03"),
-    ],
-)
-def test_text_that_means_nothing_is_refused(read, text, words):
-    with pytest.raises(InputError, match=words):
-        read(text)
-    assert [whole_number(text) for text in ("17", "0x11", "-1")] == [17, 17, -1]

@@ -180,13 +180,6 @@ def test_a_whole_card_says_what_it_has_to():
     assert cards["payload"].values["standard_errors"]["com_z"] is None
 
 
-def test_a_point_mass_has_clean_zeros_and_says_so():
-    cards = cards_of(1.3, [0.1, -0.2, 0.3], np.zeros((3, 3)))
-    assert cards["ur_set_target_payload"].values["inertia"] == [0.0] * 6
-    assert 'diaginertia="0 0 0"' in cards["mjcf_inertial"].text
-    assert "every card states a point mass" in cards["payload"].notes[-1]
-
-
 @pytest.mark.parametrize(("largest", "is_refused"), [(133.0, False), (133.001, True)])
 def test_what_a_ur_controller_refuses_is_said_beside_the_errors(largest, is_refused):
     inertia = np.diag([100.0, 120.0, largest])

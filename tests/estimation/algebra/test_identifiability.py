@@ -16,7 +16,6 @@ from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, frictio
 from robot_sysid.estimation.algebra.identifiability import (
     analyse_identifiability,
     column_scale,
-    describe,
     readable_basis,
     visible_space,
 )
@@ -196,26 +195,6 @@ def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes)
     expected = known[np.argsort([np.flatnonzero(direction)[0] for direction in known])]
     signs = np.sign(np.sum(found * expected, axis=1))[:, None]
     np.testing.assert_allclose(found, signs * expected, rtol=0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("direction", "words"),
-    [
-        ({"m": -1}, "mass"),
-        ({"hy": 1}, "first moment along y"),
-        ({"Ixy": 1}, "inertia Ixy"),
-        ({"offset[X]": 1}, "offset of X"),
-        ({"hx": 1, "hy": 2, "hz": 4}, "hz + 0.25*hx + 0.5*hy"),
-        ({"Ixx": -3, "Iyy": 3}, "Ixx - Iyy"),
-        ({"Ixx": 1, "hx": 2, "m": -2, "coulomb[tool]": 4},
-         "coulomb[tool] - 0.5*m + 0.5*hx + 0.25*Ixx"),
-    ],
-)  # fmt: skip
-def test_a_direction_reads_as(direction, words):
-    vector = np.array([direction.get(name, 0.0) for name in NAMES])
-    for scale in (np.ones(len(NAMES)), -(10.0 ** np.linspace(-1.0, 1.0, len(NAMES)))):
-        scaled = vector / scale
-        assert describe((scaled / np.linalg.norm(scaled))[:, None], scale, NAMES) == (words,)
 
 
 # --- against MuJoCo alone -----------------------------------------------------------------------

@@ -244,21 +244,6 @@ def test_what_workers_that_die_leave_is_done_here(monkeypatch):
     assert all(here for *_, here in found) and "MKL_NUM_THREADS" not in os.environ
 
 
-@pytest.mark.parametrize("error", [OSError(11, "again"), RuntimeError("no new thread")])
-@pytest.mark.parametrize("place", ["ProcessPoolExecutor", "ProcessPoolExecutor.submit"])
-def test_where_no_process_can_be_started_the_jobs_are_done_here(place, error, monkeypatch):
-    """As under ``ulimit -u``: pipes and semaphores, or threads and processes, are refused."""
-
-    def refuse(*_, **__):
-        raise error
-
-    monkeypatch.setattr(f"robot_sysid.motion.design.search.{place}", refuse)
-    with search._workers(1, 2) as run:
-        assert list(run([abs, abs])) == [1, 1]
-        with pytest.raises(TypeError):
-            list(run([len]))
-
-
 def number(shared):
     """A job that tells which process does it."""
     time.sleep(0.05)
