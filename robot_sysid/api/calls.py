@@ -156,11 +156,7 @@ def identify_arm(
 ) -> Identified:
     """Identify an arm, and print every link of it: ``identify(..., links=True)``.
 
-    Args:
-        model, logs, validation, **options: as for ``identify``.
-
-    Raises:
-        InputError: as for ``identify``.
+    Arguments and errors are those of ``identify``.
     """
     return identify(model, logs, validation=validation, **{**options, "links": True})
 
