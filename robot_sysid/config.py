@@ -146,6 +146,12 @@ class Config:
         """Yield (whether this run uses a group, why it does not, what was given of the group)."""
         designed = self.excitation.kind == "optimal"
         yield designed, "is about a design; add --excitation optimal", _given(self.excitation)
+        fixed = "has nothing to draw: the motion is given, and no noise is simulated"
+        yield self._is_drawn(), fixed, _given(self.trajectory, only=("seed",))
+
+    def _is_drawn(self) -> bool:
+        """Tell whether anything of the run is random."""
+        return self.trajectory.file is None or self.arm.is_noisy
 
     def read_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over."""
@@ -168,6 +174,8 @@ OF_TORQUE = (
     "save_measurements",
 )
 """Keys of options that mean nothing where no torque was measured."""
+OF_AN_ESTIMATE = ("bundle", "report", "plots", "plant_model", "save_measurements")
+"""Keys of options that mean nothing where a motion is only planned."""
 
 
 @dataclass(frozen=True)
@@ -200,6 +208,8 @@ class SysidConfig(Config):
         played = self.log.verify_rollout and bool(logs)
         yield played and torques == "terminal", "--verify-rollout", "--torques terminal"
         yield copied and len(logs) > 1, "--save-measurements", "several --measurements"
+        kept, unsought = "friction" in self.output.keep, self.estimation.no_friction
+        yield kept and unsought, "--keep friction", "--no-friction"
         yield from super()._pairs()
 
     def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
@@ -208,10 +218,16 @@ class SysidConfig(Config):
         yield not log, "is about a motion; a log brings its own", _given(*motion)
         about_log = [*_given(self.log), *_given(self.estimation, only=("torque_from",))]
         yield log, "describes a log; add --measurements LOG.csv", about_log
-        predicted = plan or self.excitation.kind == "optimal"
+        estimate = "is about an estimate; a plan stops before it"
+        of_torque = _given(self.estimation, only=("no_friction",))
+        of_files = _given(self.output, self.arm, only=OF_AN_ESTIMATE)
+        yield not plan, estimate, [*of_torque, *of_files]
         plant = "belongs to a simulated plant; add --plant-model (the model file itself will do)"
-        simulated = self.arm.plant_model is not None or predicted
-        yield simulated, plant, _given(self.arm, but=("save_measurements",))
+        simulated = self.arm.plant_model is not None
+        yield simulated, plant, _given(self.arm, but=("save_measurements", "noise_torque"))
+        # A motion is judged for this noise.
+        judged = simulated or plan or self.excitation.kind == "optimal"
+        yield judged, plant, _given(self.arm, only=("noise_torque",))
         measured = "is about measured torques; add --measurements or --plant-model"
         kept = _given(self.output, only=("keep", "links"))
         yield self.is_measured, measured, [*_given(self.estimation, but=ANY_TORQUE), *kept]
@@ -225,6 +241,10 @@ class SysidConfig(Config):
         motors = "is only used together with --export-damiao; add it"
         yield self.motors.export_damiao, motors, _given(self.motors)
         yield from super()._groups()
+
+    def _is_drawn(self) -> bool:
+        fixed = self.trajectory.file is not None or self.poses.purpose == "friction"
+        return not fixed or (self.arm.plant_model is not None and self.arm.is_noisy)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         if self.arm.save_measurements is not None:
