@@ -44,7 +44,7 @@ def build_parser(full: bool = True) -> Parser:
     )
     add_model(parser)
     parser.add("model and output", ModelOptions, OutputOptions, leave_out=NO_RESULT)
-    parser.add("trajectory", TrajectoryOptions, leave_out=("plan_only",))
+    parser.add("trajectory", TrajectoryOptions)
     parser.add("excitation", ExcitationOptions, usual=USUAL)
     parser.add("plan for a payload", PoseOptions)
     parser.add("limits", LimitOptions)

@@ -403,10 +403,9 @@ def _near_start(plan: Plan, motors: Sequence[InspectedMotor]) -> Iterator[Check]
     for joint, here, first in zip(joints, places, plan.scan.first):
         away = abs(here - first)
         if away > tolerance:
+            whole = abs(away - 2.0 * np.pi) < tolerance
             turn = "; a whole turn apart: the motor lost its turn count when it was off"
             yield _stop(
                 f"{joint.label} is at {here:.3f} rad but the trajectory starts at {first:.3f}, "
-                f"more than {tolerance:g} away; move it there by hand"
-                + turn
-                * bool(abs(away - 2.0 * np.pi) < tolerance)
+                f"more than {tolerance:g} away; move it there by hand{turn if whole else ''}"
             )

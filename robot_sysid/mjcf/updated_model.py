@@ -158,11 +158,14 @@ def write_joint(edits: Edits, change: JointChange) -> None:
         if "armature" in written:
             fault = f"a URDF cannot hold the rotor inertia of joint '{change.label}'"
             raise ExportError(f"{document.path}: {fault}; convert the model to MJCF first")
-        written = {{"frictionloss": "friction"}.get(n, n): value for n, value in written.items()}
+        if "frictionloss" in written:
+            written["friction"] = written.pop("frictionloss")
         old = node.child("dynamics")
-        if old is None and written:
-            edits.append(node, f"<dynamics{attributes(written)}/>")
-        node, written = old or node, written if old else {}
+        if old is None:
+            if written:
+                edits.append(node, f"<dynamics{attributes(written)}/>")
+            return
+        node = old
     elif "damping" in written:
         # Nonlinear damping stands behind the linear one; where none was found the model's stays.
         beyond = (node.get("damping") or "").split()[1:]

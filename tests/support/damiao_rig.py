@@ -240,7 +240,6 @@ class Rig:
             self.report = run(self.link, self.plan, inspection, self.stop, *told, self.pose_check)
         except Exception as error:
             self.error = error
-        self.disabled_at = self.clock.now()
         self.arm.advance(self.clock.now() + settle)
         return self
 
