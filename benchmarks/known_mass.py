@@ -1,10 +1,10 @@
-"""Torque scales from one known mass: how well payloads are weighed afterwards on other logs.
+"""Torque scales from known masses: how well payloads are weighed afterwards on other logs.
 
-    python -m benchmarks.known_mass MODELS [--runs 5] [--arms kinova panda]
+    python -m benchmarks.known_mass MODELS [--runs 5] [--sets 2] [--arms kinova panda]
 
 Each run draws an imperfect arm whose torque scales are 3 % off per joint, calibrates it with 2 kg
-on one set of recordings, and weighs three other payloads on new recordings along new trajectories,
-with the torques as they are and divided by the scales that were found.
+on some sets of recordings, each from where the one before left it, and weighs three other payloads
+on new recordings along new trajectories, with the torques as they are and divided by the scales.
 """
 
 from __future__ import annotations
@@ -20,14 +20,12 @@ from benchmarks.payload_by_difference import MODELS, recordings, rms, weighed
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.parser import load_robot_model
-from robot_sysid.payload_pipeline import SCALE_PRIOR
+from robot_sysid.payload_pipeline import UNWEIGHED
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 
 WEIGHT = 2.0
 PAYLOADS = (0.7, 1.2, 1.9)
 SCALE = 0.03
-CALIBRATED = EstimationOptions(scale_uncertainty=0.5)
-"""How far scales may be off once they were found."""
 
 
 def body(mass):
@@ -42,21 +40,33 @@ def calibrated(recording, scale):
     return replace(recording, samples=samples, pieces=(samples,))
 
 
-def run(robot, seed):
-    """(relative errors as measured, with scales, their stated errors, errors of the scales)."""
+def calibration(robot, arm, rng, sets):
+    """(scales (n,), how far they may be off (n,) [%]) after sets of recordings with a weight."""
+    scale, sure = np.ones(robot.n_joints), UNWEIGHED
+    for _ in range(sets):
+        logs = [
+            calibrated(each, scale) for each in recordings(robot, arm, rng, payload=body(WEIGHT))
+        ]
+        options = EstimationOptions(scale_uncertainty=sure)
+        found = weighed(robot, logs, options, known_mass=WEIGHT).payload
+        more, errors = np.transpose([found.torque_scale[joint] for joint in robot.joint_names])
+        scale, sure = scale * more, tuple((100.0 * errors / more).tolist())
+    return scale, sure
+
+
+def run(robot, seed, sets):
+    """(relative errors as measured, with scales, their stated errors, coverage of the scales)."""
     rng = np.random.default_rng([seed, 78])
     arm = ImperfectArm(robot, rng, Imperfections(scale=SCALE))
-    logs = recordings(robot, arm, rng, payload=body(WEIGHT))
-    found = weighed(robot, logs, known_mass=WEIGHT, scale_prior=SCALE_PRIOR).payload
-    scale = np.array([found.torque_scale[joint][0] for joint in robot.joint_names])
-    stated = np.array([found.torque_scale[joint][1] for joint in robot.joint_names])
-    off = [abs(scale - arm.scale) < 1.96 * stated]
+    scale, sure = calibration(robot, arm, rng, sets)
+    off = [abs(scale / arm.scale - 1.0) < 1.96e-2 * np.array(sure)]
     plain, scaled, promised = [], [], []
     for mass in PAYLOADS:
         raw = recordings(robot, arm, rng, payload=body(mass))
         plain.append(weighed(robot, raw).payload.body.inertial.mass / mass - 1.0)
         better = [calibrated(each, scale) for each in raw]
-        result = weighed(robot, better, estimation=CALIBRATED).payload.body
+        options = EstimationOptions(scale_uncertainty=sure)
+        result = weighed(robot, better, options).payload.body
         scaled.append(result.inertial.mass / mass - 1.0)
         promised.append(result.errors[0] / mass)
     return plain, scaled, promised, off
@@ -66,13 +76,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("models", type=Path)
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--sets", type=int, default=1)
     parser.add_argument("--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS))
     given = parser.parse_args()
     for name in given.arms:
         robot = load_robot_model(given.models / MODELS[name])
         rows = []
         for seed in range(given.runs):
-            rows.append(run(robot, seed))
+            rows.append(run(robot, seed, given.sets))
             print(
                 f"  {name} run {seed}: {np.round(100 * np.array(rows[-1][:2]), 2)} %",
                 file=sys.stderr,
@@ -81,8 +92,8 @@ def main():
         print(
             f"{name}, scales 3 % off, {given.runs} arms, {given.runs * len(PAYLOADS)} payloads: "
             f"rms {100.0 * rms(plain):.2f} % as measured, {100.0 * rms(scaled):.2f} % with the "
-            f"scales of one {WEIGHT:g} kg weight (stated {100.0 * rms(promised):.2f} %); 95 % "
-            f"intervals of the scales cover {100.0 * np.mean(off):.0f} %",
+            f"scales of {WEIGHT:g} kg in {given.sets} sets (stated {100.0 * rms(promised):.2f} %); "
+            f"95 % intervals of the scales cover {100.0 * np.mean(off):.0f} %",
             flush=True,
         )
 

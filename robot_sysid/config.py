@@ -5,7 +5,7 @@ One record for an identification, another for finding a payload.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -26,6 +26,7 @@ from robot_sysid.records.options import (
     whole_number,
 )
 from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME, PLAN_NAME
+from robot_sysid.records.torque_scale import scale_uncertainty
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -148,6 +149,16 @@ class Config:
         yield designed, "is about a design; add --excitation optimal", _given(self.excitation)
         fixed = "has nothing to draw: the motion is given, and no noise is simulated"
         yield self._is_drawn(), fixed, _given(self.trajectory, only=("seed",))
+
+    def calibrated(self: AnyConfig, joint_names: Sequence[str]) -> AnyConfig:
+        """Return the configuration with torque scales as sure as the file that they come from says.
+
+        What the user says of them counts before that.
+        """
+        own = scale_uncertainty(self.log.torque_scale, joint_names)
+        if not own or self.estimation.scale_uncertainty is not None:
+            return self
+        return replace(self, estimation=replace(self.estimation, scale_uncertainty=own))
 
     def _is_drawn(self) -> bool:
         """Tell whether anything of the run is random."""
@@ -294,12 +305,6 @@ class PayloadOptions(OptionRecord):
         "the payload is a weight of this mass: estimate each joint's torque scale with it",
         "KG [kg] > 0",
     )
-    scale_prior: float | None = option(
-        None,
-        "with --known-mass, how far each joint's torque scale may be off",
-        "P [%] > 0",
-        usual="3",
-    )
     save_torque_scale: Path | None = option(
         None, "with --known-mass, write the scales as a file for --torque-scale", "FILE"
     )
@@ -330,9 +335,8 @@ class PayloadOptions(OptionRecord):
                 f"--order {self.order}: needs {len(self.empty)} times A (the empty logs) and "
                 f"{len(self.loaded)} times B (the loaded ones), such as {wanted}"
             )
-        of_scales = _given(self, only=("scale_prior", "save_torque_scale"))
-        if of_scales and self.known_mass is None:
-            raise InputError(f"{of_scales[0].flag} is about torque scales; add --known-mass KG")
+        if self.save_torque_scale is not None and self.known_mass is None:
+            raise InputError("--save-torque-scale is about torque scales; add --known-mass KG")
         if self.known_mass is not None and self.as_body is not None:
             raise InputError("--known-mass writes no model; leave --as-body out")
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from robot_sysid.model.flange import find_flange
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.progress import Progress
-from robot_sysid.results.record import Result
+from robot_sysid.records.torque_scale import SCALE, joint_factors
+from robot_sysid.results.record import Figure, Payload, Result
 from robot_sysid.signals.poses import resting_poses
 from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.loading import load_plant
@@ -31,8 +32,8 @@ _NOISE_STREAM = 1
 LEAST_WITHIN = 0.15
 """Share of the spread of places within one kind of recording below which a drift and the payload
 cannot be told apart: 0 for A B, 0.2 for A A B B at equal distances, 1 for A B B A."""
-SCALE_PRIOR = 3.0
-"""How far torque scales may be off where a known mass is to tell them [%]."""
+UNWEIGHED = 3.0
+"""How far torque scales may be off where a known mass is to tell them, unless somebody says [%]."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +71,14 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
         notes = (*notes, _no_drift(raw, at is not None))
     for note in notes:
         progress.note(note)
+    estimation = config.estimation
+    if options.known_mass is not None and estimation.scale_uncertainty is None:
+        estimation = replace(estimation, scale_uncertainty=UNWEIGHED)
     question = Question(
-        config.estimation,
+        estimation,
         loaded=True,
         drifts=drifts,
         known_mass=options.known_mass,
-        scale_prior=None if options.known_mass is None else options.scale_prior or SCALE_PRIOR,
         resting=options.static,
     )
     answer, free = answer_payload(robot, datasets, question, progress, config.output.keep)
@@ -83,9 +86,22 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
     rate = sum(len(each.samples) - 1 for each in raw) / duration
     origin = DataOrigin(Source.LOG, ", ".join(each.name for each in raw), duration, rate)
     result = payload_of(answer, free, flange, origin, options.static)
+    if config.log.torque_scale is not None and result.payload is not None:
+        divided = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
+        payload = _of_raw_torque(result.payload, dict(zip(robot.joint_names, divided.tolist())))
+        result = replace(result, payload=payload)
     for note in result.notes[len(robot.notes) :]:
         progress.note(note)
     return answer, result
+
+
+def _of_raw_torque(payload: Payload, divided: Mapping[str, float]) -> Payload:
+    """Return a payload with the scales of the log's own torques, which were divided before."""
+    scales = {
+        joint: Figure(divided[joint] * each.value, divided[joint] * each.error)
+        for joint, each in payload.torque_scale.items()
+    }
+    return replace(payload, torque_scale=scales)
 
 
 def _datasets(

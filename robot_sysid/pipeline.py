@@ -166,6 +166,7 @@ def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tupl
 
 def analysed(config: Config, robot: RobotModel, progress: Progress) -> Analysis:
     """Identify, and write no result."""
+    config = config.calibrated(robot.joint_names)
     if isinstance(config, PayloadConfig):
         answer, result = weighed(config, robot, progress)
         motion = answer.fit.columns.datasets[-1].motion
@@ -412,8 +413,7 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
         inputs=[Path(path) for path in config.read_files() if path is not None],
     )
     if scales is not None and saved.failure is None and result.payload:
-        factors = {joint: each.value for joint, each in result.payload.torque_scale.items()}
-        write_torque_scale(scales, factors)
+        write_torque_scale(scales, result.payload.torque_scale)
     for note in saved.notes:
         progress.note(note)
     return Outcome(result, found.traces, saved, config.output)

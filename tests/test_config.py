@@ -12,6 +12,7 @@ from robot_sysid.config import SysidConfig, config_from, payload_config_from
 from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
+from robot_sysid.records.torque_scale import write_torque_scale
 from robot_sysid.trajectory import MOST_SAMPLES
 from tests.support import option_samples
 
@@ -84,6 +85,19 @@ def test_an_option_that_does_not_count_is_refused(values, message):
     assert refused(**values).startswith(message)
 
 
+def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
+    path = tmp_path / "scale.json"
+    write_torque_scale(path, {"one": (1.1, 0.0055), "two": (2.0, 0.02)})
+
+    def sure(**values):
+        made = payload_config_from(MODEL, **EMPTY_AND_LOADED, **values)
+        return made.calibrated(("one", "two")).estimation.scale_uncertainty
+
+    assert sure(torque_scale=path) == pytest.approx((0.5, 1.0))
+    assert sure(torque_scale=path, scale_uncertainty=2.0) == 2.0
+    assert sure(torque_scale=1.1) is sure() is None
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -92,7 +106,7 @@ def test_an_option_that_does_not_count_is_refused(values, message):
         ({**EMPTY_AND_LOADED, "order": "AAB"}, "--order AAB"),
         ({**EMPTY_AND_LOADED, "known_mass": 1.0, "keep": "links"}, "--keep is about a written"),
         ({**EMPTY_AND_LOADED, "known_mass": 1.0, "as_body": "load"}, "--known-mass writes no"),
-        ({**EMPTY_AND_LOADED, "scale_prior": 1.0}, "--scale-prior is about torque scales"),
+        ({**EMPTY_AND_LOADED, "save_torque_scale": Path("s")}, "--save-torque-scale is about"),
         ({**EMPTY_AND_LOADED, "duration": 3.0}, "--duration is about a simulation"),
         ({**EMPTY_AND_LOADED, "static": True, "cutoff": 3.0}, "--cutoff is about motion; --static"),
         ({**MODELS, "units": "deg"}, "--units describes logs"),

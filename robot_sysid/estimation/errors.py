@@ -187,7 +187,7 @@ def _common(fit: Fit) -> float:
     if COMMON not in groups or SCALES not in groups:
         return 0.0
     scale = groups[SCALES]
-    return scale.widened * float(scale.factor[0, 0]) / float(np.sqrt(len(scale.names)))
+    return scale.widened / float(np.linalg.norm(1.0 / np.diag(scale.factor)))
 
 
 def filtering_bias(

@@ -160,7 +160,7 @@ def answer_payload(
     options = question.options
     progress.stage("Estimating arm, friction and payload together...")
     given = AT_REST if question.resting else options.friction
-    weighing = replace(question, known_mass=None, scale_prior=None)
+    weighing = replace(question, known_mass=None)
     fitter = _fitter(robot, datasets, weighing, given)
     choice, tried, start = choose(fitter, weighing, given)
     free = fitter.fit(weighing, choice, start)

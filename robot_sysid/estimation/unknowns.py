@@ -23,6 +23,7 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.estimation.couplings import Coupling
 from robot_sysid.records import DELAY_NAME, Array, RobotModel
+from robot_sysid.records.options import per_joint
 
 LINKS, SCALES, ZEROS, TILT = "links", "torque scale", "joint offsets", "gravity"
 DELAY, DRIFT, FRICTION = "delay", "drift of friction", "friction model"
@@ -45,6 +46,8 @@ FILE_TILT = np.radians(2.0)
 """Standard deviation of the direction of gravity that a file is given [rad]."""
 PLACEHOLDER = 1e-3
 """Share of the other links' usual mass below which a body's numbers say nothing."""
+USUAL_SCALE = 2.0
+"""How far a joint's torque scale may be off where nobody says [%] (documented in options.md)."""
 # Standard deviations of what is known exactly: of coefficients, and of a mass as a share.
 _EXACT, _EXACT_MASS = 1e-9, 1e-6
 _FREE_SIGN = ("offset", "sqrt")
@@ -60,7 +63,6 @@ class Question:
         loaded: whether recordings carry something that is sought.
         drifts: whether a drift of friction over the recordings is sought.
         known_mass: of the payload [kg], where torque scales are sought with it.
-        scale_prior: how far torque scales may be off then [%].
         in_file: whether what is sought has to fit into a model file.
         kept_parts: parts of that file that stay as they are, ``FILE_FRICTION`` and the like.
         carried: the payload (10,) that loaded recordings carry, where it is known.
@@ -71,7 +73,6 @@ class Question:
     loaded: bool = False
     drifts: bool = False
     known_mass: float | None = None
-    scale_prior: float | None = None
     in_file: bool = False
     kept_parts: tuple[str, ...] = ()
     carried: Array | None = None
@@ -169,7 +170,6 @@ def unknowns(
 
     Usual torques (n,) are root mean squares [N m]; ``shown`` (p,) says which columns are not zero.
     """
-    options = question.options
     groups = list(_groups(columns, question, choice, torque))
     bodies = dict(_bodies(columns, question))
     wanted = {name for group in groups for name in group.names}
@@ -196,8 +196,8 @@ def unknowns(
         own_mass, exact = np.array([question.known_mass]), _EXACT_MASS * question.known_mass
         payload = independent(WEIGHT, PAYLOAD_NAMES[:1], ("payload",), exact)
         groups.append(replace(payload, mean=own_mass))
-    elif question.loaded and options.scale_uncertainty > 0.0:
-        groups.append(_no_common_scale(columns))
+    elif question.loaded:
+        groups += [_no_common_scale(group) for group in groups if group.cause == SCALES]
     return Unknowns(columns.names, kept, held, tuple(groups), lower, upper, bodies, settle)
 
 
@@ -308,7 +308,8 @@ def _groups(
             yield independent(TILT, tilts, ("the base",) * 2, FILE_TILT)
         return
     options, wide, joints = question.options, question.loaded, columns.joints
-    scale = question.scale_prior or options.scale_uncertainty
+    said = USUAL_SCALE if options.scale_uncertainty is None else options.scale_uncertainty
+    scale = per_joint(said, columns.robot.n_joints, "--scale-uncertainty")[list(columns.rows_of)]
     sized = (
         (SCALES, "scale", joints, PER_CENT * scale),
         (ZEROS, "zero", columns.robot.joint_names, MILLI * options.zero_uncertainty),
@@ -316,8 +317,8 @@ def _groups(
     )
     for cause, kind, members, size in sized:
         names = tuple(f"{kind}[{joint}]" for joint in members)
-        if size > 0.0:
-            yield independent(cause, names, members, size, wide)
+        if np.any(np.greater(size, 0.0)):
+            yield independent(cause, names, members, np.maximum(size, _EXACT), wide)
     late = 0.0 if question.resting else MILLI * options.delay_uncertainty
     if options.delay == "off" and late > 0.0:
         yield independent(DELAY, (DELAY_NAME,), ("the torque",), late, wide)
@@ -376,13 +377,14 @@ def _link_group(columns: Columns, question: Question, choice: Choice) -> Nuisanc
     return NuisanceGroup(LINKS, own, means, factor, members, aspects=aspects)
 
 
-def _no_common_scale(columns: Columns) -> NuisanceGroup:
-    """Return what holds the mean of all torque scales at one.
+def _no_common_scale(scales: NuisanceGroup) -> NuisanceGroup:
+    """Return what holds the mean of all torque scales at one, each weighted by 1 / its variance.
 
     A scale that all joints have in common scales every mass alike. Only the model's masses could
-    tell it, and they are what is not trusted here, so it goes into the errors instead.
+    tell it, and they are what is not trusted here, so it goes into the errors instead. Of scales
+    that are independent beforehand, this mean is independent of all their differences.
     """
-    names = tuple(f"scale[{joint}]" for joint in columns.joints)
-    mean = np.ones((len(names), len(names))) / len(names)
-    factor = np.eye(len(names)) - (1.0 - _EXACT) * mean
-    return NuisanceGroup(COMMON, names, np.zeros(len(names)), 1e3 * factor, names)
+    weights = np.diag(scales.factor) ** -2
+    mean = np.outer(weights, weights) / (weights @ weights)
+    factor = np.eye(len(weights)) - (1.0 - _EXACT) * mean
+    return replace(scales, cause=COMMON, factor=1e3 * factor, may_widen=False)

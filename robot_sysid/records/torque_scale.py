@@ -2,9 +2,10 @@
 
 A scale says how much too large the column reads: tau = column / scale. A torque constant turns
 motor current into torque: tau = constant * current, at the joint, so with the gear in it. Both are
-one number for all joints, one per joint, or a file::
+one number for all joints, one per joint, or a file; in version 2 each has its standard error::
 
     {"version": 1, "torque_scale": {"joint1": 1.31, "joint2": 1.27}}
+    {"version": 2, "torque_scale": {"joint1": {"value": 1.31, "standard_error": 0.004}, ...}}
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from robot_sysid.records.arm import Array
 from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.records.options import PerJoint, levels, per_joint
 
-VERSION = 1
+VERSION = 2
 SCALE, CONSTANTS = "torque_scale", "torque_constants"
 Factors = Union[PerJoint, Path]
 """One number for all joints, one per joint, or the file that lists them by name."""
@@ -55,31 +56,62 @@ def joint_factors(given: Factors, joint_names: Sequence[str], table: str) -> Arr
     """
     if not isinstance(given, Path):
         return per_joint(given, len(joint_names), "--" + table.replace("_", "-"))
-    values = read_factors(given, table)
+    return _of_joints(given, joint_names, table)[:, 0]
+
+
+def scale_uncertainty(given: Factors | None, joint_names: Sequence[str]) -> tuple[float, ...]:
+    """Return how far each joint's scale may be off (n,) [%]; () where no file tells it."""
+    if not isinstance(given, Path):
+        return ()
+    found = _of_joints(given, joint_names, SCALE)
+    share = 100.0 * found[:, 1] / found[:, 0]
+    return tuple(share.tolist()) if np.all(np.isfinite(share)) else ()
+
+
+def _of_joints(path: Path, joint_names: Sequence[str], table: str) -> Array:
+    """Return factors and their errors (n, 2) of a file, or raise InputError."""
+    values = read_factors(path, table)
     missing = [name for name in joint_names if name not in values]
     if missing:
         raise InputError(
-            f"{given} has no {table} of joint {missing[0]}; it lists {', '.join(values) or 'none'}"
+            f"{path} has no {table} of joint {missing[0]}; it lists {', '.join(values) or 'none'}"
         )
     return np.array([values[name] for name in joint_names])
 
 
-def read_factors(path: Path, table: str = SCALE) -> Mapping[str, float]:
-    """Return joint name to factor of one table of a file, or raise InputError."""
-    form = f'{{"version": {VERSION}, "{table}": {{"JOINT": 1.3, ...}}}}'
+def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, float]]:
+    """Return joint name to factor and standard error of one table of a file, or raise InputError.
+
+    The error is not a number where the file is of version 1, which has none.
+    """
+    form = f'{{"version": 1, "{table}": {{"JOINT": 1.3, ...}}}}'
     content = read_json(path, f"torque factors have the form {form}")
     if not isinstance(content, dict) or not isinstance(content.get(table), dict):
         raise InputError(f"{path} holds no {table}; its form is {form}")
-    if content.get("version") != VERSION:
+    version = content.get("version")
+    if version not in range(1, VERSION + 1):
         raise InputError(
-            f"{path} has version {content.get('version')!r}, this program reads {VERSION}: {form}"
+            f"{path} has version {version!r}, this program reads up to {VERSION}: {form}"
         )
-    return {str(joint): _factor(path, joint, v) for joint, v in content[table].items()}
+    found = {}
+    for joint, each in content[table].items():
+        error = math.nan
+        if version == VERSION:
+            each = each if isinstance(each, dict) else {}
+            error = _factor(path, joint, each.get("standard_error"))
+            each = each.get("value")
+        found[str(joint)] = _factor(path, joint, each), error
+    return found
 
 
-def write_torque_scale(path: Path, scale: Mapping[str, float]) -> None:
-    """Write a file that ``--torque-scale`` reads: how much too large each joint's column reads."""
-    checked = {joint: _factor(path, joint, value) for joint, value in scale.items()}
+def write_torque_scale(path: Path, scale: Mapping[str, tuple[float, float]]) -> None:
+    """Write a file that ``--torque-scale`` reads: how much too large each joint's column reads,
+    and the standard error of that.
+    """
+    checked = {
+        joint: {"value": _factor(path, joint, value), "standard_error": _factor(path, joint, error)}
+        for joint, (value, error) in scale.items()
+    }
     write_whole(path, json.dumps({"version": VERSION, SCALE: checked}, indent=2) + "\n")
 
 

@@ -144,6 +144,21 @@ def test_a_payload_is_the_difference(workshop, tmp_path):
 
 
 @pytest.mark.slow
+def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(workshop, tmp_path):
+    def scales(**given):
+        logs = (workshop / "log.csv", workshop / "loaded.csv")
+        found = rs.payload(workshop / "arm.xml", *logs, known_mass=2.0, **given)
+        return found.to_dict()["payload"]["torque_scale"]
+
+    vague = {"scale_uncertainty": 50.0}
+    plain, divided = scales(**vague), scales(**vague, torque_scale=1.02)
+    assert plain["joint1"]["standard_error"] < 0.01
+    for joint, each in plain.items():
+        again = divided[joint]["value"] - each["value"]
+        assert abs(again) < max(1e-3, 0.1 * each["standard_error"]), joint
+
+
+@pytest.mark.slow
 def test_every_link_has_its_numbers(workshop, result):
     found = rs.identify_arm(workshop / "arm.xml", workshop / "log.csv")
     assert found.to_dict() == result.to_dict()

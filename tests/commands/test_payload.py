@@ -87,7 +87,7 @@ def test_a_known_mass_gives_a_file_of_torque_scales(command, models):
     scales = json.loads((models[0].parent / "scale.json").read_text())["torque_scale"]
     assert list(scales) == ["joint0", "joint1", "joint2", "joint3"]
     # The third joint lifts the weight all the time.
-    assert scales["joint1"] == pytest.approx(1.0, abs=0.01)
+    assert scales["joint1"]["value"] == pytest.approx(1.0, abs=0.01)
     assert "Torque scales by the known mass of 1.2 kg" in printed.out
     folder = models[0].parent / "sysid_output"
     assert not (folder / "updated_model.xml").exists()

@@ -104,7 +104,7 @@ def test_a_drift_of_friction_is_told_from_the_payload():
 def test_a_known_mass_tells_the_torque_scales():
     scale = np.array([1.03, 0.96, 1.02, 0.98])
     recordings = TrueArm(ROBOT, 4, scale=scale).abba(4)
-    weight = {"known_mass": float(PAYLOAD[0]), "scale_prior": 3.0}
+    weight = {"known_mass": float(PAYLOAD[0])}
     fit = fitted(ROBOT, recordings, SURE, loaded=True, **weight)
     np.testing.assert_allclose([1.0 + fit.value(f"scale[{j}]") for j in JOINTS], scale, atol=1e-6)
     assert off_by(payload(fit), PAYLOAD) < 1e-5

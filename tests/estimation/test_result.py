@@ -105,12 +105,12 @@ def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
 
 
 def test_another_weight_than_was_said_is_refused(recordings):
-    result = of_payload(recordings, known_mass=3.0, scale_prior=3.0)
+    result = of_payload(recordings, known_mass=3.0)
     assert result.verdict is Verdict.WRONG_WEIGHT and result.failure
 
 
 def test_a_known_mass_is_the_payloads_and_tells_scales(recordings):
-    result = of_payload(recordings, known_mass=1.2, scale_prior=3.0)
+    result = of_payload(recordings, known_mass=1.2)
     assert result.verdict is Verdict.OK and result.payload.known_mass == 1.2
     assert result.asked.mass == pytest.approx(1.2, rel=1e-4) and result.payload.scatter == ()
     # Axes along gravity show nothing of it.

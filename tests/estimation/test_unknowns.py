@@ -49,7 +49,7 @@ LINK = {LINKS, SCALES, ZEROS, DELAY, TILT, FRICTION}
         ({}, LINK),
         ({"loaded": True}, LINK | {COMMON}),
         ({"loaded": True, "drifts": True}, LINK | {COMMON, DRIFT}),
-        ({"loaded": True, "known_mass": 1.0, "scale_prior": 3.0}, LINK | {WEIGHT}),
+        ({"loaded": True, "known_mass": 1.0}, LINK | {WEIGHT}),
         ({"loaded": True, "resting": True}, LINK - {DELAY, FRICTION} | {COMMON}),
         ({"in_file": True}, {LINKS, TILT}),
         ({"in_file": True, "kept_parts": ("gravity", "links")}, set()),
@@ -80,9 +80,21 @@ def test_sizes_are_those_that_were_said():
     mass = groups[LINKS].factor @ groups[LINKS].factor.T
     # Each link on its own, and all in common.
     assert mass[0, 0] == pytest.approx(2.0 * (0.05 * ROBOT.links[0].theta[0]) ** 2, rel=1e-6)
-    held = {g.cause: g for g in asked(loaded=True, known_mass=2.0, scale_prior=3.0).groups}
-    np.testing.assert_allclose(held[SCALES].factor, 0.03 * np.eye(4))
+    held = {g.cause: g for g in asked(loaded=True, known_mass=2.0).groups}
+    np.testing.assert_allclose(held[SCALES].factor, 0.02 * np.eye(4))
     assert held[WEIGHT].mean[0] == 2.0 and held[WEIGHT].factor[0, 0] < 1e-5
+
+
+def test_the_mean_of_torque_scales_that_is_held_is_that_of_the_surest():
+    sure = EstimationOptions(scale_uncertainty=(1.0, 0.0, 2.0, 4.0))
+    groups = {group.cause: group for group in asked(sure, loaded=True).groups}
+    np.testing.assert_allclose(np.diag(groups[SCALES].factor), [0.01, 1e-9, 0.02, 0.04])
+    sure = EstimationOptions(scale_uncertainty=(1.0, 1.0, 2.0, 4.0))
+    (held,) = (group for group in asked(sure, loaded=True).groups if group.cause == COMMON)
+    # What it allows has no part along the mean weighted by 1 / variance.
+    allowed = held.factor @ np.random.default_rng(1).standard_normal(4)
+    assert np.linalg.norm(allowed) > 10.0
+    np.testing.assert_allclose([1.0, 1.0, 0.25, 0.0625] @ allowed, 0.0, atol=1e-4)
 
 
 def test_bounds_hold_friction_and_no_other_sign():

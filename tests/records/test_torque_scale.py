@@ -16,15 +16,17 @@ from robot_sysid.records.torque_scale import (
     factors_in,
     joint_factors,
     read_factors,
+    scale_uncertainty,
     usable_factor,
     write_torque_scale,
 )
 
 JOINTS = ("base", "elbow", "wrist")
+SIZE = st.floats(1e-6, 1e6)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.dictionaries(st.text('a_ é"\\\n関', min_size=1), st.floats(1e-6, 1e6), max_size=8))
+@given(st.dictionaries(st.text('a_ é"\\\n関', min_size=1), st.tuples(SIZE, SIZE), max_size=8))
 def test_a_written_scale_reads_back_to_the_last_bit(tmp_path, scale):
     path = tmp_path / "scale.json"
     write_torque_scale(path, scale)
@@ -52,6 +54,15 @@ def test_a_file_is_read_by_joint_names(tmp_path):
         joint_factors(path, ("hand",), CONSTANTS)
 
 
+def test_how_sure_scales_are_travels_with_them(tmp_path):
+    path = tmp_path / "scale.json"
+    write_torque_scale(path, {"wrist": (2.0, 0.04), "base": (1.0, 0.01), "elbow": (0.8, 0.004)})
+    np.testing.assert_array_equal(joint_factors(path, JOINTS, SCALE), [1.0, 0.8, 2.0])
+    np.testing.assert_allclose(scale_uncertainty(path, JOINTS), [1.0, 0.5, 2.0])
+    path.write_text('{"version": 1, "torque_scale": {"base": 1, "elbow": 1, "wrist": 2}}')
+    assert scale_uncertainty(path, JOINTS) == scale_uncertainty(1.3, JOINTS) == ()
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -60,6 +71,8 @@ def test_a_file_is_read_by_joint_names(tmp_path):
         ('{"version": 1, "torque_scale": {"a": 1' + "0" * 400 + "}}", "joint a must be positive"),
         ("[]", "holds no torque_scale"),
         ('{"torque_scale": {"a": 1}}', "version None"),
+        ('{"version": 2, "torque_scale": {"a": 1}}', "joint a must be positive"),
+        ('{"version": 2, "torque_scale": {"a": {"value": 1}}}', "joint a must be positive"),
         ('{"version": 1, "torque_scale": {"a": 0}}', "joint a must be positive"),
         ('{"version": 1, "torque_scale": {"a": NaN}}', "joint a must be positive"),
         ('{"version": 1, "torque_scale": {"a": "x"}}', "joint a must be positive"),

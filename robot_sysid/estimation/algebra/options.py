@@ -61,7 +61,12 @@ class EstimationOptions(OptionRecord):
         "how well the model knows the other links: their mass, their centre of mass as part of "
         "their size, half of what their inertia is off by",
     )
-    scale_uncertainty: float = _uncertainty(2.0, "how far each joint's torque scale may be off")
+    scale_uncertainty: PerJoint | None = option(
+        None,
+        "how far each joint's torque scale may be off, one number or one per joint",
+        "P [%] >= 0",
+        usual="2; 3 with --known-mass; what a file of --torque-scale says of itself",
+    )
     zero_uncertainty: float = _uncertainty(
         2.0, "how far each joint's zero position may be off", "mrad"
     )
