@@ -58,12 +58,22 @@ def trajectory(robot, rng, wide):
     return plan.scaled(factor)
 
 
-def recordings(robot, arm, rng, different=False, payload=PAYLOAD, wide=True):
-    """Four recordings in the order empty, loaded, loaded, empty."""
+def turned(theta, angle):
+    """A body turned about the z axis by an angle [rad]."""
+    mass, com, inertia = spatial.com_from_theta(theta)
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
+    )
+    return spatial.theta_from_com(mass, turn @ com, turn @ inertia @ turn.T)
+
+
+def recordings(robot, arm, rng, different=False, payload=PAYLOAD, wide=True, second=None):
+    """Four recordings in the order empty, loaded, loaded (with a second payload), empty."""
     plans = [trajectory(robot, rng, wide) for _ in (ORDER if different else ORDER[:1])]
     found = []
     for k, loaded in enumerate(ORDER):
-        samples = arm.log(plans[k % len(plans)], loaded * payload, rng)
+        carried = payload if second is None or k != 2 else second
+        samples = arm.log(plans[k % len(plans)], loaded * carried, rng)
         found.append(RawRecording(f"log{k}", loaded, samples, (samples,)))
     return found
 
@@ -90,11 +100,11 @@ def single_difference(robot, raw):
     return masses[1] - masses[0]
 
 
-def run(robot, seed, off, different, single, wide):
+def run(robot, seed, off, different, single, wide, second):
     """(error of the mass, stated error, noise error, error of the centre of mass, difference)."""
     rng = np.random.default_rng([seed, 77])
     arm = ImperfectArm(robot, rng, off)
-    raw = recordings(robot, arm, rng, different, wide=wide)
+    raw = recordings(robot, arm, rng, different, wide=wide, second=second)
     found = weighed(robot, raw)
     body = found.payload.body
     difference = single_difference(robot, raw) if single else np.nan
@@ -121,14 +131,17 @@ def main():
     parser.add_argument("--noise", type=float, default=0.3, help="of a strong joint, N m")
     parser.add_argument("--narrow", action="store_true", help="joints move little")
     parser.add_argument("--different", action="store_true", help="four trajectories, not one")
+    parser.add_argument("--turned", type=float, default=0.0, help="second loaded log, degrees")
+    parser.add_argument("--heavier", type=float, default=0.0, help="second loaded log, per cent")
     parser.add_argument("--single", action="store_true", help="difference of two fits as well")
     given = parser.parse_args()
+    second = (1.0 + 0.01 * given.heavier) * turned(PAYLOAD, np.radians(given.turned))
     for name in given.arms:
         robot = load_robot_model(given.models / MODELS[name])
         for scale in given.scale:
             rows = []
             for seed in range(given.runs):
-                choices = given.different, given.single, not given.narrow
+                choices = given.different, given.single, not given.narrow, second
                 off = Imperfections(scale=0.01 * scale, noise=given.noise)
                 rows.append(run(robot, seed, off, *choices))
                 print(f"  {name} {scale:g} % run {seed}: {rows[-1][0]:+.4f} kg", file=sys.stderr)

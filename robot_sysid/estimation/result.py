@@ -20,7 +20,7 @@ from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.answer import Answer, base_parameters, estimate_of, model_file
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.fit import Fit
-from robot_sysid.estimation.recordings import contradictions, disagreeing, each_recording
+from robot_sysid.estimation.recordings import contradiction, disagreeing, each_recording
 from robot_sysid.estimation.unknowns import PLACEHOLDER, usual_bodies
 from robot_sysid.model.inertia import link_reach, subtree_bodies
 from robot_sysid.records import (
@@ -208,22 +208,18 @@ def of_file(before: Validation, after: Validation, noise: float = 0.0) -> Judged
 
 
 def of_payload(
-    robot: RobotModel,
-    payload: BodyEstimate,
-    contradicting: Sequence[tuple[str, float]],
-    validation: Validation,
+    robot: RobotModel, payload: BodyEstimate, contradicting: str, validation: Validation
 ) -> Iterator[Judged]:
     """Yield why a payload may not go into a model and a controller.
 
     Args:
         payload: in the flange frame, before it was made a possible body.
-        contradicting: name and mass of each recording, where those of one kind are not alike.
+        contradicting: how recordings of one kind are not alike; "" where they are.
     """
     mass, error = payload.inertial.mass, float(payload.errors[0])
     said = f"the payload comes out as {mass:.4g} \u00b1 {error:.2g} kg"
     if contradicting:
-        listed = ", ".join(f"{name} {carried:.3g} kg" for name, carried in contradicting)
-        yield Verdict.DISAGREE, f"compared with {contradicting[0][0]} the arm carries: {listed}"
+        yield Verdict.DISAGREE, contradicting
     if mass < -_SURE * error:
         yield Verdict.SWAPPED, said
     elif not np.isfinite(error) or mass <= _SURE * error:
@@ -399,7 +395,9 @@ def payload_of(
     """
     fit, robot, known = answer.fit, answer.robot, answer.fit.question.known_mass
     free = _payload(weighed, flange, weighed.fit.free)
-    found = list(of_payload(robot, free, contradictions(weighed.fit), weighed.validation))
+    stretch = weighed.stretch()
+    apart = contradiction(weighed.fit, flange, stretch)
+    found = list(of_payload(robot, free, apart, weighed.validation))
     if known is not None:
         found = list(of_known_mass(found, free.inertial.mass, known))
     status, reasons = first(found, Verdict.OK)
@@ -409,7 +407,7 @@ def payload_of(
         places = fit.columns.at(PAYLOAD_NAMES)
         mass, com, _ = spatial.com_from_theta(values[places])
         values[places] = spatial.aluminium_ball(mass, com)
-    scatter = each_recording(weighed.fit, flange, weighed.stretch()) if known is None else ()
+    scatter = each_recording(weighed.fit, flange, stretch) if known is None else ()
     payload = _came_on(answer, flange, values, scatter)
     file, said = _arm_file(answer)
     notes = (*robot.notes, *answer.notes, *said, *_said(answer, file))

@@ -66,7 +66,7 @@ class Verdict(Enum):
     )
     DISAGREE = (
         "the recordings contradict each other about the payload: one of them was made with "
-        "another payload, or is listed on the wrong side"
+        "another payload, or with it turned or moved, or is listed on the wrong side"
     )
     WRONG_WEIGHT = (
         "the known mass does not fit the recordings: weighed with torques as they are it comes "

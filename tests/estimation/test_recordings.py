@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.recordings import (
-    contradictions,
+    bodies_apart,
+    contradiction,
     disagreeing,
     each_recording,
     logs_compared,
-    masses_apart,
 )
 from robot_sysid.records import Flange
 from tests.estimation.conftest import SIGMA
@@ -47,33 +49,55 @@ def test_what_noise_does_not_explain_is_named(scatter):
     assert said.startswith(f"{odd.name} alone says")
 
 
-def test_masses_are_those_on_the_arm(payload_fit, recordings):
-    masses, errors = masses_apart(payload_fit, payload_fit.samples)
-    truth = [PAYLOAD[0] * each.is_loaded for each in recordings]
-    assert masses == pytest.approx(truth, abs=0.03)
-    assert errors[0] == 0.0 and np.all(errors[1:] > 0.0) and np.all(errors < 0.05)
-    assert contradictions(payload_fit) == ()
+def test_bodies_are_those_on_the_arm(payload_fit, recordings):
+    bodies, covariance = bodies_apart(payload_fit, payload_fit.samples)
+    assert not np.any(bodies[0]) and not np.any(covariance[0]) and not np.any(covariance[:, :, 0])
+    off = bodies[1:] - np.outer([each.is_loaded for each in recordings[1:]], PAYLOAD)
+    errors = np.sqrt(np.diag(covariance[1:, :, 1:].reshape(30, 30)))
+    assert np.max(np.abs(off.ravel()) / errors) < 4.0 and np.max(errors.reshape(3, 10)[:, 0]) < 0.05
+    assert contradiction(payload_fit, FLANGE, 1.0) == ""
 
 
-def test_a_recording_on_the_wrong_side_is_named_with_all_masses(recordings):
+def test_a_recording_on_the_wrong_side_is_named_with_all_that_the_arm_carries(recordings):
     wrong = list(recordings)
     wrong[0] = replace(wrong[0], is_loaded=True)
     wrong[1] = replace(wrong[1], is_loaded=False)
-    told = contradictions(fitted(four_joint_arm(), wrong, loaded=True))
-    assert [name for name, _ in told] == ["log0", "log1", "log2", "log3"]
-    assert [mass for _, mass in told] == pytest.approx([0.0, 1.2, 1.2, 0.0], abs=0.05)
+    told = contradiction(fitted(four_joint_arm(), wrong, loaded=True), FLANGE, 1.0)
+    assert " in mass; compared with log" in told
+    carried = dict(re.findall(r"(log\d) (\S+) kg at", told))
+    masses = [float(carried.get(f"log{k}", 0.0)) for k in range(4)]
+    assert len(carried) == 3 and masses == pytest.approx([0.0, 1.2, 1.2, 0.0], abs=0.05)
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.05, False), (0.3, True)])
-def test_only_clear_differences_of_a_kind_count(share, told):
-    """One of the two loaded recordings carries a little more."""
-    robot, found = four_joint_arm(), []
-    for number, each in enumerate(TrueArm(robot, 7, wrong=0.03).abba(7, sigma=SIGMA)):
-        if number == 2:
-            heavier = TrueArm(robot, 7, wrong=0.03, payload=(1.0 + share) * PAYLOAD)
-            each = heavier.abba(7, sigma=SIGMA)[2]
-        found.append(each)
-    assert bool(contradictions(fitted(robot, found, loaded=True))) == told
+def turned(theta):
+    """A body turned by half a turn about the flange's axis."""
+    half = np.diag([-1.0, -1.0, 1.0])
+    mass, com, inertia = spatial.com_from_theta(theta)
+    return spatial.theta_from_com(mass, half @ com, half @ inertia @ half)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda theta: 1.01 * theta, ""),
+        (lambda theta: 1.3 * theta, "log2 differs from log1 in mass"),
+        (turned, "in centre of mass"),
+        (lambda theta: theta + [0, 0, 0, 0, 0.05, 0, 0, 0.05, 0, 0.05], "in inertia"),
+    ],
+)
+def test_clear_differences_of_a_kind_are_named(change, what):
+    """One of the two loaded recordings carries something else."""
+    robot = four_joint_arm()
+    found = TrueArm(robot, 7, wrong=0.03).abba(7, sigma=SIGMA)
+    other = TrueArm(robot, 7, wrong=0.03, payload=change(PAYLOAD)).abba(7, sigma=SIGMA)
+    told = contradiction(fitted(robot, [*found[:2], other[2], found[3]], loaded=True), FLANGE, 1.0)
+    assert what in told and bool(what) == bool(told)
+    if change is turned:
+        # The centre of mass is told in the flange frame, 5 cm further out.
+        places = [[-30, 20, 30], [30, -20, 30]]
+        said = re.findall(r"log[12] 1.2\d? kg at \((.+?)\)", told)
+        found = sorted([float(x) for x in place.split(",")] for place in said)
+        np.testing.assert_allclose(found, places, atol=5.0)
 
 
 # ---- logs of the arm alone
