@@ -21,7 +21,7 @@ from robot_sysid.estimation.answer import Answer, base_parameters, estimate_of, 
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.recordings import contradiction, disagreeing, each_recording
-from robot_sysid.estimation.unknowns import PLACEHOLDER, usual_bodies
+from robot_sysid.estimation.unknowns import PLACEHOLDER, SCALES, usual_bodies
 from robot_sysid.model.inertia import link_reach, subtree_bodies
 from robot_sysid.records import (
     DELAY_NAME,
@@ -81,6 +81,10 @@ _SURE, _CLEAR = 2.0, 3.0
 # that is not worth telling [rad].
 _KNOWN_MASS, _LEAST_SIZE, _SMALL_ZERO = 1e-6, 0.02, 1e-3
 
+WEIGH = (
+    "most of the error of the mass is how far torque scales may be off: weigh one known mass "
+    "(--known-mass KG --save-torque-scale FILE) and give --torque-scale FILE from then on"
+)
 Judged = tuple[Verdict, str]
 """A verdict and its reason in words."""
 
@@ -411,6 +415,8 @@ def payload_of(
     payload = _came_on(answer, flange, values, scatter)
     file, said = _arm_file(answer)
     notes = (*robot.notes, *answer.notes, *said, *_said(answer, file))
+    if known is None and status.is_trustworthy and _scales_are_all(answer, payload.body):
+        notes += (WEIGH,)
     return replace(
         _common(answer, data),
         verdict=status,
@@ -421,6 +427,13 @@ def payload_of(
         validation=(answer.validation, *answer.tests),
         notes=tuple(dict.fromkeys((*notes, *disagreeing(scatter, free.inertial.mass)))),
     )
+
+
+def _scales_are_all(answer: Answer, body: BodyEstimate) -> bool:
+    """Tell whether torque scales, of which nobody said anything, are what the mass hangs on."""
+    largest = max([body.noise_errors[0], *(part[0] for part in body.budget.values())])
+    said = answer.fit.question.options.scale_uncertainty is not None
+    return not said and SCALES in body.budget and bool(body.budget[SCALES][0] >= largest)
 
 
 def _came_on(

@@ -11,7 +11,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import answer_link, answer_payload
-from robot_sysid.estimation.result import payload_of, result_of
+from robot_sysid.estimation.result import WEIGH, payload_of, result_of
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.records import Flange, Measurement
 from robot_sysid.records.progress import Progress
@@ -82,10 +82,9 @@ def test_a_log_turned_in_its_joints_is_refused(robot, noisy):
 # ---- payload
 
 
-def of_payload(recordings, kept=None, resting=False, **question):
-    friction = None if resting else BASIC
-    options = EstimationOptions(friction_model=friction)
-    asked = Question(options, loaded=True, resting=resting, **question)
+def of_payload(recordings, kept=None, resting=False, options=None, **question):
+    usual = EstimationOptions(friction_model=None if resting else BASIC)
+    asked = Question(options or usual, loaded=True, resting=resting, **question)
     answer, weighed = answer_payload(ROBOT, recordings, asked, Progress(), kept)
     return payload_of(answer, weighed, FLANGE, ORIGIN, resting)
 
@@ -102,6 +101,13 @@ def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
     kinds = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
     assert result.payload.recordings == kinds and len(result.payload.scatter) == 4
     assert result.payload.torque_scale == {} and "drift[joint0]" not in result.sensors
+
+
+def test_a_known_mass_is_advised_where_scales_are_all_that_the_mass_hangs_on(recordings):
+    assert WEIGH in of_payload(recordings).notes
+    sure = EstimationOptions(friction_model=BASIC, scale_uncertainty=2.0)
+    assert WEIGH not in of_payload(recordings, options=sure).notes
+    assert WEIGH not in of_payload(recordings, known_mass=1.2).notes
 
 
 def test_another_weight_than_was_said_is_refused(recordings):
