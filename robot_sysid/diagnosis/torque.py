@@ -68,7 +68,8 @@ def hypotheses(sample: Sample, robot: RobotModel) -> Iterator[tuple[str, str, Sa
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     text = "positions look like degrees; pass --units deg"
     yield "angle-unit", text, sample.with_motion(to_radians)
-    text = "positions look like radians that were taken for degrees; drop --units deg"
+    text = "positions look like radians that were taken for degrees; say rad where degrees are "
+    text += "said: in --units, the file of --columns, a column's title or the recorder"
     yield "angle-unit", text, sample.with_motion(1.0 / to_radians)
     yield from _signs(sample, robot.joint_names)
     yield from _orders(sample, robot.joint_names)
@@ -112,7 +113,7 @@ def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, S
             ),
         ):
             said = f"the {what} of joint {name} has the opposite sign of the model's; flip it in "
-            yield "sign", f"{said}the columns file: {text}", undone
+            yield "sign", f"{said}the file of --columns: {text}", undone
 
 
 def _orders(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, Sample]]:
@@ -345,8 +346,9 @@ def delay_findings(log: ModelFit, base: Fit) -> Iterator[Finding]:
     if not explains(base, fits[delay]):
         return
     level = Level.WARN if abs(delay) > SHORT_DELAY else Level.NOTE
-    text = f"torque lags position by about {1e3 * delay:.0f} ms; add --delay auto, or record both "
-    yield Finding("delay", level, f"{text}at the same instant")
+    text = f"torque lags position by about {1e3 * delay:.0f} ms; record both at the same instant, "
+    text += "or have it found (identify --delay auto; payload does so by itself)"
+    yield Finding("delay", level, text)
 
 
 UNEXPLAINED = 0.3
