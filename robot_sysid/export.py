@@ -19,9 +19,10 @@ from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import Motion, RobotModel, atomic_files
+from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
-from robot_sysid.results.cards import Card, card_text, load_errors, payload_cards
+from robot_sysid.results.cards import Card, card_text, payload_cards
 from robot_sysid.results.json import export_params_json as export_params_json
 from robot_sysid.results.json import params_json_text
 from robot_sysid.results.model import ModelTarget, write_model
@@ -180,11 +181,10 @@ def _refusal(result: Result, calibrates: bool) -> str | None:
 
 
 def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]:
-    errors, recordings = load_errors(payload.body), payload.recordings
-    cards = payload_cards(payload.body.inertial, payload.flange, errors)
+    cards, recordings = payload_cards(payload.body, payload.flange), payload.recordings
+    mass = with_error(payload.body.inertial.mass, float(payload.body.errors[0]), "kg")
     heading = (
-        f"Payload of {payload.body.inertial.mass:.4f} ± {errors['mass']:.2g} kg, identified with "
-        f"{result.model_path.name} from {len(recordings['empty'])} empty and "
-        f"{len(recordings['loaded'])} loaded recordings."
+        f"Payload of {mass}, identified with {result.model_path.name} from "
+        f"{len(recordings['empty'])} empty and {len(recordings['loaded'])} loaded recordings."
     )
     return cards, card_text(cards, heading)

@@ -85,7 +85,7 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
     duration = sum(float(np.ptp(each.samples.time)) for each in raw)
     rate = sum(len(each.samples) - 1 for each in raw) / duration
     origin = DataOrigin(Source.LOG, ", ".join(each.name for each in raw), duration, rate)
-    result = payload_of(answer, free, flange, origin, options.static)
+    result = payload_of(answer, free, flange, origin)
     if config.log.torque_scale is not None and result.payload is not None:
         divided = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
         payload = _of_raw_torque(result.payload, dict(zip(robot.joint_names, divided.tolist())))

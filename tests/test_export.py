@@ -67,7 +67,7 @@ def test_a_payload_has_a_card_beside_the_model(robot, out):
     assert model.body("load").mass == pytest.approx(2.0, rel=1e-12)
     card = (out / "payload_card.txt").read_text()
     assert card.startswith(
-        "Payload of 2.0000 ± 0.0001 kg, identified with m.xml from 1 empty and 2"
+        "Payload of 2.00000 ± 0.00010 kg, identified with m.xml from 1 empty and 2"
     )
     assert json.loads((out / "params.json").read_text())["payload"]["cards"]
     assert found.failure is None

@@ -22,14 +22,14 @@ from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer, traced
 from robot_sysid.estimation.choices import choose, coupled
-from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import couplings_of
 from robot_sysid.estimation.dataset import Dataset, Mask, equations_at, mean_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import logs_compared
-from robot_sysid.estimation.result import about, of_own_simulation
+from robot_sysid.estimation.result import about, of_own_simulation, written_payload
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.records import DataOrigin, Measurement, MotionPlan, RobotModel, Source, Validation
 from robot_sysid.records.data import Traces
@@ -169,7 +169,7 @@ def answer_payload(
     if question.known_mass is None:
         if kept is not None and options.torques == "chain" and not question.resting:
             progress.stage("Fitting the model file...")
-            carried = free.values[fitter.columns.at(PAYLOAD_NAMES)]
+            carried, _ = written_payload(weighed)
             file = fit_file(fitter, options, kept, free.values, carried=carried)
             weighed = replace(weighed, file=file)
         return weighed, weighed

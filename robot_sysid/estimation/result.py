@@ -33,7 +33,8 @@ from robot_sysid.records import (
     RobotModel,
     Validation,
 )
-from robot_sysid.records.figures import percent
+from robot_sysid.records.figures import percent, with_error
+from robot_sysid.results.cards import inertia_is_known, principal_moments
 from robot_sysid.results.model import versions
 from robot_sysid.results.record import (
     LINK,
@@ -387,15 +388,12 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
         )
 
 
-def payload_of(
-    answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin, resting: bool
-) -> Result:
+def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin) -> Result:
     """Return what came on between recordings.
 
     Args:
         answer: the fit whose scales and payload count, with a known mass where there is one.
         weighed: the fit as if the payload's mass were not known; the same where it is not.
-        resting: whether they are poses at rest, which do not show inertia.
     """
     fit, robot, known = answer.fit, answer.robot, answer.fit.question.known_mass
     free = _payload(weighed, flange, weighed.fit.free)
@@ -406,15 +404,17 @@ def payload_of(
         found = list(of_known_mass(found, free.inertial.mass, known))
     status, reasons = first(found, Verdict.OK)
     values = (fit.values if status.is_trustworthy else fit.free).copy()
-    if resting and status.is_trustworthy:
-        # Nothing shows the inertia: a ball of aluminium of that mass is as good a guess as any.
-        places = fit.columns.at(PAYLOAD_NAMES)
-        mass, com, _ = spatial.com_from_theta(values[places])
-        values[places] = spatial.aluminium_ball(mass, com)
+    unknown = ""
+    if status.is_trustworthy:
+        values[fit.columns.at(PAYLOAD_NAMES)], unknown = written_payload(answer)
     scatter = each_recording(weighed.fit, flange, stretch) if known is None else ()
     payload = _came_on(answer, flange, values, scatter)
+    if unknown:
+        payload = _without_inertia(payload)
+        status = Verdict.INERTIA_NOT_KNOWN if known is None else status
     file, said = _arm_file(answer)
-    notes = (*robot.notes, *answer.notes, *said, *_said(answer, file))
+    notes = (*robot.notes, *answer.notes, *([unknown] if unknown else []), *said)
+    notes += (*_said(answer, file), *disagreeing(scatter, free.inertial.mass))
     if known is None and status.is_trustworthy and _scales_are_all(answer, payload.body):
         notes += (WEIGH,)
     return replace(
@@ -425,7 +425,7 @@ def payload_of(
         payload=payload,
         file=file,
         validation=(answer.validation, *answer.tests),
-        notes=tuple(dict.fromkeys((*notes, *disagreeing(scatter, free.inertial.mass)))),
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 
@@ -434,6 +434,24 @@ def _scales_are_all(answer: Answer, body: BodyEstimate) -> bool:
     largest = max([body.noise_errors[0], *(part[0] for part in body.budget.values())])
     said = answer.fit.question.options.scale_uncertainty is not None
     return not said and SCALES in body.budget and bool(body.budget[SCALES][0] >= largest)
+
+
+def written_payload(answer: Answer) -> tuple[Array, str]:
+    """Return the payload (10,) that a model gets, and why its inertia is not known; "" where it is.
+
+    Where it is not, a ball of aluminium of that mass is as good a guess as any.
+    """
+    theta = answer.fit.values[answer.fit.columns.at(PAYLOAD_NAMES)]
+    mass, com, _ = spatial.com_from_theta(theta)
+    body = answer.body("payload", answer.pick(PAYLOAD_NAMES), theta, None)
+    if mass <= 0.0 or inertia_is_known(body):
+        return theta, ""
+    moments, errors, _ = principal_moments(body)
+    listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
+    said = f"the payload's principal moments of inertia, {listed} kg·m², are not told from zero"
+    if not np.all(np.isfinite(errors)):
+        said = "these torques do not show the payload's inertia"
+    return spatial.aluminium_ball(mass, com), said
 
 
 def _came_on(
@@ -455,6 +473,15 @@ def _came_on(
         {joint: Figure(1.0 + each.value, each.error) for joint, each in scales.items()},
         known,
     )
+
+
+def _without_inertia(payload: Payload) -> Payload:
+    """Return a payload whose inertia is not known, nor that of the link with it."""
+    mass_and_place = np.arange(10) < 4
+    body, total = (
+        replace(each, shown=each.shown & mass_and_place) for each in (payload.body, payload.total)
+    )
+    return replace(payload, body=body, total=total)
 
 
 def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:

@@ -6,7 +6,7 @@ not here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import mjcf_inertial, numbers, urdf_inertial_about_com
 from robot_sysid.records import Array, Flange, InertialParameters
-from robot_sysid.results.record import BodyEstimate
+from robot_sysid.results.record import UNKNOWN, BodyEstimate
 
 DIGITS = 9
 """Significant digits of the numbers that people type into a controller: far below any error."""
@@ -31,8 +32,15 @@ _EDGE = 1e-6
 """How far, relative to its size, a body may be from possible for a card to be written: below the
 digits that a controller keeps."""
 _WIDTH = 98
-ERROR_NAMES = ("mass", "com_x", "com_y", "com_z")
-"""Keys of standard errors: of the mass [kg] and of the centre of mass in flange axes [m]."""
+INERTIA = PARAMETER_NAMES[4:]
+ERROR_NAMES = ("mass", "com_x", "com_y", "com_z", *(f"{name}_about_com" for name in INERTIA))
+"""Keys of standard errors: of the mass [kg], of the centre of mass [m] and of the inertia about it
+[kg m^2], in the axes of the body's frame."""
+NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
+_MOST_TURN = 45.0
+"""Error of an axis' direction [degrees] beyond which it is not known: two axes change places."""
+# Share of each of [xx, xy, xz, yy, yz, zz] in a sum over all elements of a symmetric matrix.
+_TWICE = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -189,23 +197,23 @@ class Card:
     notes: tuple[str, ...]
 
 
-def payload_cards(
-    payload: InertialParameters, flange: Flange, errors: Mapping[str, float]
-) -> tuple[Card, ...]:
+def payload_cards(body: BodyEstimate, flange: Flange) -> tuple[Card, ...]:
     """Return a payload in every form, the plain numbers with their frame first.
 
     Args:
-        payload: in the FLANGE frame, inertia about that frame's origin.
-        errors: standard errors by ``ERROR_NAMES``; infinite where they are not known.
+        body: in the FLANGE frame, inertia about that frame's origin; where its inertia is not
+            shown, that of a ball of aluminium.
 
     Raises:
         ExportError: no rigid body has these parameters, so no controller may get them.
     """
+    payload = body.inertial
     inertia, groups = _groups(payload)
-    cards = [_plain_card(groups, flange, errors)]
+    errors, said = load_errors(body), _error_texts(body)
+    cards = [_plain_card(groups, flange, errors, said)]
     for form in FORMS:
         values = _filled(form.values, groups)
-        notes = [_error_note(errors, "com_mm" in str(form.values))]
+        notes = [*_error_notes(said, form.values)]
         if max(map(abs, groups["six"])) > form.most:
             refused = "The controller refuses this: no element of the inertia may exceed"
             notes.append(f"{refused} {form.most:g}.")
@@ -215,20 +223,59 @@ def payload_cards(
     return tuple(cards)
 
 
-def load_errors(body: BodyEstimate) -> dict[str, float]:
-    """Return the standard errors of mass and centre of mass, c = h / m to first order.
+def load_covariance(body: BodyEstimate) -> Array:
+    """Return the covariance (10, 10) of what ``ERROR_NAMES`` names, to first order.
 
-    Infinite where the mass or the first moment is not known.
+    c = h / m and I_com = I - m (|c|^2 1 - c c^T). Variances are infinite where the mass, the first
+    moment or the inertia is not known.
     """
-    found = body.inertial
-    if not found.mass > 0.0 or not np.all(body.shown[:4]):
-        return dict(zip(ERROR_NAMES, (float(body.errors[0]), *[float("inf")] * 3)))
-    jacobian = np.zeros((4, 10))
-    jacobian[0, 0] = 1.0
-    jacobian[1:, 0] = -found.com / found.mass
-    jacobian[1:, 1:4] = np.eye(3) / found.mass
-    spread = np.diag(jacobian @ body.covariance @ jacobian.T)
+    found, one = body.inertial, np.eye(3)
+    known = found.mass > 0.0 and bool(np.all(body.shown[:4]))
+    mass, com = found.mass if known else 1.0, found.com
+    slopes = [com @ com * one - np.outer(com, com)]
+    slopes += [np.outer(e, com) + np.outer(com, e) - 2.0 * (e @ com) * one for e in one]
+    change = np.eye(10)
+    change[1:4, :4] = np.column_stack((-com, one)) / mass
+    change[4:, :4] = np.column_stack([spatial.six_from_symmetric(each) for each in slopes])
+    covariance = change @ body.covariance @ change.T
+    shown = [bool(body.shown[0]), known, known and bool(np.all(body.shown))]
+    hidden = ~np.repeat(shown, [1, 3, 6])
+    covariance[hidden] = covariance[:, hidden] = 0.0
+    covariance[hidden, hidden] = np.inf
+    return covariance
+
+
+def load_errors(body: BodyEstimate) -> dict[str, float]:
+    """Return the standard errors by ``ERROR_NAMES``; infinite where a number is not known."""
+    spread = np.diag(load_covariance(body))
     return dict(zip(ERROR_NAMES, np.sqrt(np.maximum(spread, 0.0)).tolist()))
+
+
+def principal_moments(body: BodyEstimate) -> tuple[Array, Array, Array]:
+    """Return (principal moments (3,), their standard errors, those of the axes' turn [degrees]).
+
+    To first order, a_i^T dI a_i, and a_i^T dI a_j over the difference of the moments i and j.
+    """
+    moments, axes = spatial.principal_axes(body.inertial.inertia_com)
+    covariance = load_covariance(body)[4:, 4:]
+    if not np.all(np.isfinite(covariance)):
+        return moments, np.full(3, np.inf), np.full(3, np.inf)
+    pairs = [np.outer(axes[:, i], axes[:, j]) for i, j in zip(*np.triu_indices(3))]
+    rows = np.array([_TWICE * spatial.six_from_symmetric(0.5 * (p + p.T)) for p in pairs])
+    xx, xy, xz, yy, yz, zz = np.sqrt(np.maximum(np.diag(rows @ covariance @ rows.T), 0.0))
+    apart = np.abs(moments[[1, 0, 0]] - moments[[2, 2, 1]])
+    turns = np.degrees(np.array([yz, xz, xy]) / np.maximum(apart, 1e-300))
+    return moments, np.array([xx, yy, zz]), np.where(turns <= _MOST_TURN, turns, np.inf)
+
+
+def inertia_is_known(body: BodyEstimate) -> bool:
+    """Tell whether two standard errors leave any principal moment above zero, as of a mass.
+
+    One is enough: the least moment of a rod is never told from zero, and a wrist that spins shows
+    one moment only.
+    """
+    moments, errors, _ = principal_moments(body)
+    return bool(np.any(errors < UNKNOWN * moments))
 
 
 def card_text(cards: Sequence[Card], heading: str) -> str:
@@ -254,6 +301,9 @@ def _groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
     rounding = _NOTHING * abs(mass) * float(com @ com)
     if np.max(np.abs(moments)) <= rounding:
         inertia, moments, axes = np.zeros((3, 3)), np.zeros(3), np.eye(3)
+    if np.ptp(moments) <= rounding + _NOTHING * np.max(np.abs(moments)):
+        # Any axes will do: those of the frame, not those that rounding has.
+        moments, axes = np.diag(inertia), np.eye(3)
     slack = _EDGE * float(np.sum(np.abs(moments))) + rounding
     beyond = max(-float(np.min(moments)), float(2.0 * np.max(moments) - np.sum(moments)))
     if mass <= 0.0 or beyond > slack:
@@ -312,9 +362,11 @@ def _texts(value: Any) -> list[str]:
     return [listed(value if isinstance(value, list) else [value])]
 
 
-def _plain_card(groups: Mapping[str, Any], flange: Flange, errors: Mapping[str, float]) -> Card:
+def _plain_card(
+    groups: Mapping[str, Any], flange: Flange, errors: Mapping[str, float], said: Mapping[str, str]
+) -> Card:
     place, turn = flange.translation, spatial.quaternion(flange.rotation)
-    known = {name: errors[name] if np.isfinite(errors[name]) else None for name in ERROR_NAMES}
+    known = {name: each if np.isfinite(each) else None for name, each in errors.items()}
     values = {
         "flange": flange.name,
         "terminal_body": flange.terminal,
@@ -341,13 +393,38 @@ def _plain_card(groups: Mapping[str, Any], flange: Flange, errors: Mapping[str, 
         "flange: where that is another one, make the cards again for it."
     )
     point = () if any(groups["six"]) else ("The inertia is zero: every card states a point mass.",)
-    notes = (*([flange.note] if flange.note else []), _error_note(errors), *point)
+    own = _error_notes(said, {"mass": "kg", "center_of_mass": "com_m", "inertia": "six"})
+    notes = (*([flange.note] if flange.note else []), *own, *point)
     return Card("payload", "Payload", explanation, values, "\n".join(text), notes)
 
 
-def _error_note(errors: Mapping[str, float], in_mm: bool = False) -> str:
-    factor, unit = (1e3, "mm") if in_mm else (1.0, "m")
-    scaled = [errors["mass"], *(factor * errors[name] for name in ERROR_NAMES[1:])]
-    mass, *com = (f"{each:.2g}" if np.isfinite(each) else "not known" for each in scaled)
-    weight = mass if mass == "not known" else f"{mass} kg"
-    return f"Standard errors: mass {weight}; centre of mass {', '.join(com)} {unit}."
+def _error_texts(body: BodyEstimate) -> dict[str, str]:
+    """Return what is said of the errors of each group of numbers in ``_groups``."""
+    errors, (_, moments, turns) = [*load_errors(body).values()], principal_moments(body)
+    com, inertia = np.array(errors[1:4]), errors[4:]
+    mass, place = f"mass {_listed(errors[:1], 'kg')}", f"centre of mass {_listed(com, 'm')}"
+    elements, principal, axes = NOT_KNOWN, NOT_KNOWN, NOT_KNOWN
+    if np.all(np.isfinite(inertia)):
+        named = ", ".join(f"{name[1:]} {each:.2g}" for name, each in zip(INERTIA, inertia))
+        elements, principal = f"inertia {named} kg m^2", f"moments {_listed(moments, 'kg m^2')}"
+        axes = f"turn about the axes X, Y, Z {_listed(turns, 'degrees')}"
+    return {
+        **{"kg": mass, "mass": mass, "com_m": place, "com": place},
+        "com_mm": f"centre of mass {_listed(1e3 * com, 'mm')}",
+        **dict.fromkeys(("six", "nine", "upper", "full"), elements),
+        **{"moments": principal, "yaw_pitch_roll": axes, "turn": axes},
+    }
+
+
+def _listed(errors: Sequence[float] | Array, unit: str) -> str:
+    texts = [f"{each:.2g}" if np.isfinite(each) else "not known" for each in errors]
+    return f"{', '.join(texts)} {unit}" if np.any(np.isfinite(errors)) else "not known"
+
+
+def _error_notes(said: Mapping[str, str], values: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what is said of the errors of a form's numbers."""
+    parts = (each.values() if isinstance(each, dict) else (each,) for each in values.values())
+    told = dict.fromkeys(said[group] for part in parts for group in part if group in said)
+    yield f"Standard errors: {'; '.join(each for each in told if each != NOT_KNOWN)}."
+    if NOT_KNOWN in told:
+        yield NOT_KNOWN

@@ -15,16 +15,15 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length,
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.write_back import plan_write_back
 from robot_sysid.records import DELAY_NAME, Array
-from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
-from robot_sysid.results.record import BaseParameters, BodyEstimate, Payload, Result
+from robot_sysid.records.figures import THETA, percent, term_unit, with_error
+from robot_sysid.results.cards import NOT_KNOWN, load_errors
+from robot_sysid.results.record import UNKNOWN, BaseParameters, BodyEstimate, Payload, Result
 from robot_sysid.results.rollout import rollout_lines
 from robot_sysid.results.tables import asked_rows, friction_text, link_rows, shown, table_lines
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
-UNKNOWN = 0.5
-"""Relative error of a mass from which on it is not known: two of them reach zero."""
 _NAMED = 3
 """Bodies of a link that are named; more make a line too long."""
 _ROUNDING = 1e-9
@@ -59,7 +58,7 @@ def block_lines(result: Result) -> list[str]:
     """Return the block "Identified parameters: ..." or "Identified payload ..." line by line."""
     if result.payload is not None:
         rows, payload = asked_rows(result), result.payload
-        ball = ["  Inertia: not seen; what is written is that of a ball of aluminium"]
+        ball = [f"  {NOT_KNOWN}"]
         unseen = len(rows) > 1 and not np.all(payload.body.shown)
         heading = f"Identified payload, in the frame of {payload.flange.name}:"
         return [heading, *table_lines(rows), *(ball if unseen else [])]
@@ -156,9 +155,10 @@ def _causes(body: BodyEstimate) -> Iterator[str]:
 
 def _payload_lines(payload: Payload) -> Iterator[str]:
     for words, body in (("without", payload.link), ("with", payload.total)):
-        com = "[" + ", ".join(figure(float(value)) for value in body.inertial.com) + "]"
-        mass = with_error(body.inertial.mass, body.errors[0], "kg")
-        yield f"Terminal link {words} it: {mass}, centre of mass {com} m"
+        mass, *errors = list(load_errors(body).values())[:4]
+        com = ", ".join(map(with_error, body.inertial.com.tolist(), errors))
+        total = with_error(body.inertial.mass, mass, "kg")
+        yield f"Terminal link {words} it: {total}, centre of mass [{com}] m"
     if payload.scatter:
         yield "Mass according to each recording alone (± noise):"
     for one in payload.scatter:
@@ -342,7 +342,7 @@ def _weak(body: BodyEstimate) -> Iterator[str]:
         listed = ", ".join(f"{PARAMETER_NAMES[k]} (± {percent(relative[k])})" for k in weak)
         yield (
             f"weakly seen, in percent of what a body of this mass and size has: {listed}; move "
-            "faster, wider or longer, or use --excitation optimal"
+            "faster, wider or longer (robot-sysid plan designs such a motion)"
         )
 
 
@@ -358,17 +358,19 @@ def _conflicts(result: Result) -> Iterator[str]:
 
 
 def _negative_friction(result: Result) -> Iterator[str]:
-    clear = []
+    clear, given = [], False
     for name, joint in result.joints.items():
         model = friction_model(joint.friction_model)
         bounded = {term for term, bound in zip(model.terms, model.non_negative) if bound}
         for term, (value, error) in joint.terms.items():
             if term in bounded and value < -SURE * error:
                 clear.append(f"{term} {value:.2g} of {name}")
+                given = given or not joint.candidates
     if clear:
+        other = ", or let --friction-model auto choose other terms" if given else ""
         yield (
             f"friction that drives instead of brakes ({', '.join(clear)}): check the sign and the "
-            "scale of these torques, or let --friction-model auto choose other terms"
+            f"scale of these torques{other}"
         )
 
 

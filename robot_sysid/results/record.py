@@ -25,6 +25,9 @@ from robot_sysid.records.results import RolloutTest
 
 LINK, PAYLOAD = "link", "payload"
 """Questions: the terminal link with every other link around it, or what came on to it."""
+UNKNOWN = 0.5
+"""Relative error of a mass, or of a moment of inertia, from which on it is not known: two of them
+reach zero."""
 
 
 class Verdict(Enum):
@@ -33,7 +36,11 @@ class Verdict(Enum):
     OK = "all requested parameters are identified from the data"
     PARTLY_FROM_MODEL = (
         "some parameter combinations do not show in these torques and keep the model's values; "
-        "use --torques chain, a longer --duration or another --seed to see more"
+        "use --torques chain, or a longer or wider motion, to see more"
+    )
+    INERTIA_NOT_KNOWN = (
+        "mass and centre of mass are identified; the inertia is not known, a ball of aluminium of "
+        "that mass stands in its place (joints that swing the payload faster and wider show it)"
     )
     BETTER = "the written model predicts torques that were not fitted clearly better than before"
     AS_GOOD = (
@@ -77,7 +84,8 @@ class Verdict(Enum):
     @property
     def is_trustworthy(self) -> bool:
         """Whether the result may go into a model or a controller."""
-        return self in (Verdict.OK, Verdict.PARTLY_FROM_MODEL, Verdict.BETTER, Verdict.AS_GOOD)
+        whole = Verdict.OK, Verdict.BETTER, Verdict.AS_GOOD
+        return self in (*whole, Verdict.PARTLY_FROM_MODEL, Verdict.INERTIA_NOT_KNOWN)
 
 
 class Figure(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.records import Array
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
-from robot_sysid.results.cards import ERROR_NAMES, load_errors
+from robot_sysid.results.cards import ERROR_NAMES, INERTIA, load_errors
 from robot_sysid.results.record import BodyEstimate, Result
 
 LABELS: Mapping[str, str] = {
@@ -146,7 +146,7 @@ def link_rows(result: Result) -> list[BeforeAfter]:
 
 def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
     """Yield the centre of mass where its error is known, or none is stated."""
-    errors = [load_errors(body)[name] for name in ERROR_NAMES[1:]]
+    errors = [load_errors(body)[name] for name in ERROR_NAMES[1:4]]
     if not np.all(np.isfinite(errors)):
         return
     length = max(spatial.characteristic_length(body.inertial.theta), _LEAST)
@@ -156,17 +156,11 @@ def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
 
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
-    """Yield the inertia about the centre of mass, errors to first order; none where not seen."""
-    if not np.all(body.shown):
-        return
-    com, one = body.inertial.com, np.eye(3)
-    slopes = [com @ com * one - np.outer(com, com)]
-    slopes += [np.outer(e, com) + np.outer(com, e) - 2.0 * (e @ com) * one for e in one]
-    change = np.column_stack((*map(spatial.six_from_symmetric, slopes), np.eye(6)))
-    errors = np.sqrt(np.maximum(np.diag(change @ body.covariance @ change.T), 0.0))
-    about = spatial.six_from_symmetric(body.inertial.inertia_com)
-    for axes, value, error in zip(("xx", "xy", "xz", "yy", "yz", "zz"), about, errors):
-        yield BeforeAfter(f"inertia {axes} about it", None, float(value), float(error), "kg·m²")
+    """Yield the inertia about the centre of mass; none where it is not known."""
+    errors, about = load_errors(body), spatial.six_from_symmetric(body.inertial.inertia_com)
+    for name, error, value in zip(INERTIA, list(errors.values())[4:], about.tolist()):
+        if np.isfinite(error):
+            yield BeforeAfter(f"inertia {name[1:]} about it", None, value, error, "kg·m²")
 
 
 def _friction_rows(result: Result) -> Iterator[BeforeAfter]:

@@ -7,20 +7,34 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
-from robot_sysid.dynamics.spatial import theta_from_com
+from robot_sysid.dynamics.spatial import (
+    aluminium_ball,
+    com_from_theta,
+    six_from_symmetric,
+    theta_from_com,
+)
 from robot_sysid.errors import ExportError
 from robot_sysid.records import Flange, InertialParameters
-from robot_sysid.results.cards import FORMS, card_entries, card_text, load_errors, payload_cards
+from robot_sysid.results.cards import (
+    FORMS,
+    NOT_KNOWN,
+    card_entries,
+    card_text,
+    inertia_is_known,
+    load_errors,
+    payload_cards,
+    principal_moments,
+)
 from robot_sysid.results.record import BodyEstimate
 from tests.support.arms import SEEDS, random_rotation
 
 FLANGE = Flange("site 'tool'", np.eye(3), np.array([0.0, 0.0, 0.107]), "link7")
-ERRORS = {"mass": 0.0153, "com_x": 1e-4, "com_y": 2e-4, "com_z": np.inf}
+COVARIANCE = np.diag(np.square([0.0153, *[2e-4] * 3, *[1e-4] * 6]))
 KINDS = ("any", "nearly round", "nearly a disc", "round", "rod", "point", "tiny", "heavy")
 
 
@@ -120,9 +134,15 @@ READERS = {
 }
 
 
-def cards_of(mass, com, inertia, flange=FLANGE):
-    theta = theta_from_com(mass, np.array(com), inertia)
-    return {card.name: card for card in payload_cards(InertialParameters(theta), flange, ERRORS)}
+def body_of(mass, com, inertia, covariance=COVARIANCE, seen=10):
+    """A body of whose parameters the first are shown."""
+    theta = InertialParameters(theta_from_com(mass, np.array(com), inertia))
+    return BodyEstimate("it", theta, covariance, np.arange(10) < seen, np.zeros(10))
+
+
+def cards_of(mass, com, inertia, flange=FLANGE, seen=10):
+    body = body_of(mass, com, inertia, seen=seen)
+    return {card.name: card for card in payload_cards(body, flange)}
 
 
 @given(SEEDS, st.sampled_from(KINDS))
@@ -170,14 +190,36 @@ def test_a_whole_card_says_what_it_has_to():
     for said in (
         *("site 'tool': origin at 0.0, 0.0, 0.107 m", "of body 'link7'", "# found by name"),
         "mass            1.517 kg",
-        "Standard errors: mass 0.015 kg; centre of mass 0.0001, 0.0002, not known m.",
-        "Standard errors: mass 0.015 kg; centre of mass 0.1, 0.2, not known mm.",
+        "Standard errors: mass 0.015 kg; centre of mass 0.00013, 0.00024, 0.00048 m; inertia xx",
+        "Standard errors: mass 0.015 kg; centre of mass 0.13, 0.24, 0.48 mm.",
         "set_target_payload(1.517, [0.001, -0.02, 0.0453], [0.002, 0.0025, 0.001, 0.0, 0.0, 0.0])",
         *("SetPayload(1.517, 1.0, -20.0, 45.3)", "arm.set_tcp_load(1.517, [1.0, -20.0, 45.3])"),
     ):
         assert said in text, said
     assert max(len(line) for line in text.splitlines() if line.startswith("#")) <= 100
-    assert cards["payload"].values["standard_errors"]["com_z"] is None
+    errors = cards["payload"].values["standard_errors"]
+    assert errors["com_z"] == pytest.approx(4.8e-4, rel=0.01) and len(errors) == 10
+
+
+def test_a_round_body_is_not_turned():
+    body = aluminium_ball(0.3, np.array([-0.0011, -0.0033, 0.1445]))
+    card = cards_of(*com_from_theta(body))["kuka_load"]
+    assert [card.values["CM"][name] for name in "ABC"] == [0.0, 0.0, 0.0]
+
+
+def test_every_card_states_how_far_each_of_its_numbers_may_be_off():
+    """... or that it is not known; two take no inertia."""
+    body = 1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3])
+    for seen, inertia in ((10, "xx 0.00011, xy 0.0001, xz 0.0001, yy 0.00011, yz"), (4, NOT_KNOWN)):
+        for name, card in cards_of(*body, seen=seen).items():
+            note = " ".join(card.notes)
+            assert note.startswith("Standard errors: mass 0.015 kg; centre of mass "), name
+            takes_none = name in ("xarm_set_tcp_load", "mecademic_set_payload")
+            turned = name in ("kuka_load", "abb_loaddata") and seen == 10
+            axes = "turn about the axes X, Y, Z 3.9, 5.8, 11 degrees; moments 0.00011, 0.00011, 0"
+            assert ((axes if turned else inertia) in note) != takes_none, name
+    known = cards_of(*body, seen=4)["payload"].values["standard_errors"]
+    assert [name for name, each in known.items() if each is None] == list(known)[4:]
 
 
 @pytest.mark.parametrize(("largest", "is_refused"), [(133.0, False), (133.001, True)])
@@ -199,23 +241,63 @@ def test_no_controller_gets_an_impossible_body(mass, moments):
         cards_of(mass, [0.1, 0.0, 0.0], np.diag(np.array(moments, dtype=float)))
 
 
-@given(SEEDS)
-def test_errors_of_the_centre_of_mass_follow_from_those_of_theta(seed):
+def random_estimate(seed):
+    """(a body, a factor of its covariance, which is small)."""
     rng = np.random.default_rng(seed)
-    theta = theta_from_com(*random_body(rng, "any"))
-    factor = rng.normal(size=(10, 10))
-    shown = np.ones(10, dtype=bool)
-    body = BodyEstimate("it", InertialParameters(theta), factor @ factor.T, shown, np.zeros(10))
-    step = 1e-6
+    factor = 1e-7 * rng.normal(size=(10, 10))
+    return body_of(*random_body(rng, "any"), factor @ factor.T), factor
 
-    def outcome(values):
-        return np.array([values[0], *(values[1:4] / values[0])])
 
-    slopes = [
-        (outcome(theta + step * unit) - outcome(theta - step * unit)) / (2.0 * step)
-        for unit in np.eye(10)
-    ]
-    expected = np.linalg.norm(np.transpose(slopes) @ factor, axis=1)
+def spread_of(outcome, theta, factor):
+    """Standard errors of what follows from theta, by finite differences along the factor."""
+    both = [(outcome(theta + each), outcome(theta - each)) for each in factor.T]
+    return np.linalg.norm([0.5 * (a - b) for a, b in both], axis=0)
+
+
+@given(SEEDS)
+def test_errors_of_place_and_inertia_follow_from_those_of_theta(seed):
+    body, factor = random_estimate(seed)
+
+    def outcome(theta):
+        mass, com, inertia = com_from_theta(theta)
+        return np.array([mass, *com, *six_from_symmetric(inertia)])
+
     found = load_errors(body)
-    np.testing.assert_allclose(list(found.values()), expected, rtol=1e-6)
-    assert list(found) == ["mass", "com_x", "com_y", "com_z"]
+    expected = spread_of(outcome, body.inertial.theta, factor)
+    np.testing.assert_allclose(list(found.values()), expected, rtol=1e-4)
+    assert list(found)[:5] == ["mass", "com_x", "com_y", "com_z", "Ixx_about_com"]
+
+
+@given(SEEDS)
+def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
+    body, factor = random_estimate(seed)
+    moments, errors, turns = principal_moments(body)
+    values, axes = np.linalg.eigh(body.inertial.inertia_com)
+    order = [int(np.argmin(np.abs(values - each))) for each in moments]
+    assume(np.min(np.diff(values)) > 1e-3 * values[-1])
+
+    def outcome(theta):
+        """Moments, and by how much each axis leans to the next one."""
+        own, now = np.linalg.eigh(com_from_theta(theta)[2])
+        lean = np.cross(axes[:, order].T, (now * np.sign(np.sum(now * axes, axis=0)))[:, order].T)
+        about = np.stack([lean[(k + 1) % 3] @ axes[:, order[k]] for k in range(3)])
+        return np.array([*own[order], *np.degrees(about)])
+
+    expected = spread_of(outcome, body.inertial.theta, factor)
+    np.testing.assert_allclose([*errors, *turns], expected, rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("moments", "error", "seen", "is_known"),
+    [
+        ((1e-3, 1e-3, 1e-3), 0.4e-3, 10, True),
+        ((1e-3, 1e-3, 1e-3), 0.6e-3, 10, False),
+        ((1e-9, 1e-3, 1e-3), 0.4e-3, 10, True),  # a rod
+        ((1e-9, 1e-3, 1e-3), 1.2e-3, 10, False),  # what only the bound of a possible body holds up
+        ((1e-3, 1e-3, 1e-3), 1e-9, 4, False),
+    ],
+)
+def test_inertia_is_known_where_one_moment_is_told_from_zero(moments, error, seen, is_known):
+    covariance = np.diag([0.0] * 4 + [error**2] * 6)
+    body = body_of(1.0, np.zeros(3), np.diag(moments), covariance, seen)
+    assert inertia_is_known(body) == is_known

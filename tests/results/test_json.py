@@ -168,9 +168,7 @@ def test_every_formula_is_the_column_of_its_term():
 
 def test_a_payload_stands_between_the_link_without_and_with_it():
     result = payload(known_mass=2.0, torque_scale={"j5": Figure(1.02, 0.003)})
-    content = content_of(
-        result, payload_cards(result.asked, result.payload.flange, load_errors(result.body))
-    )
+    content = content_of(result, payload_cards(result.body, result.payload.flange))
     told = content["payload"]
     assert (content["question"], content["mass"]) == ("payload", 2.0)
     assert [told[key]["mass"] for key in ("body", "link", "total")] == [1.2, 0.8, 2.0]

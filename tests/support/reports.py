@@ -12,7 +12,7 @@ from robot_sysid.records import DataOrigin, JointLimits, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.report.page import REPORT_NAME, save_data, write_report
 from robot_sysid.report.runs import fingerprint
-from robot_sysid.results.cards import load_errors, payload_cards
+from robot_sysid.results.cards import payload_cards
 from robot_sysid.results.json import params_json_text
 from robot_sysid.results.record import Figure, Verdict
 from tests.support import arms
@@ -75,7 +75,7 @@ def saved(folder, result):
     folder.mkdir(parents=True, exist_ok=True)
     found, cards = result.payload, ()
     if found is not None and result.verdict.is_trustworthy:
-        cards = payload_cards(found.body.inertial, found.flange, load_errors(found.body))
+        cards = payload_cards(found.body, found.flange)
     (folder / "params.json").write_text(params_json_text(result, cards), encoding="utf-8")
     return folder
 
