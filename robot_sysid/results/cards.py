@@ -271,8 +271,8 @@ def principal_moments(body: BodyEstimate) -> tuple[Array, Array, Array]:
 def inertia_is_known(body: BodyEstimate) -> bool:
     """Tell whether two standard errors leave any principal moment above zero, as of a mass.
 
-    One is enough: the least moment of a rod is never told from zero, and a wrist that spins shows
-    one moment only.
+    One moment is enough: the least one of a rod is never told from zero, and a wrist that spins
+    shows no other. One error is not: of 18 balls it would call 11 known, where two call one.
     """
     moments, errors, _ = principal_moments(body)
     return bool(np.any(errors < UNKNOWN * moments))

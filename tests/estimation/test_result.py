@@ -110,6 +110,26 @@ def test_a_known_mass_is_advised_where_scales_are_all_that_the_mass_hangs_on(rec
     assert WEIGH not in of_payload(recordings, known_mass=1.2).notes
 
 
+def test_an_inertia_that_is_not_told_from_zero_is_a_balls():
+    """... in the payload, the link with it and what the file is judged with; a note has its ±."""
+    ball = spatial.aluminium_ball(0.4, np.array([0.03, -0.02, 0.08]))
+    arm = TrueArm(ROBOT, 0, wrong=0.03, payload=ball)
+    asked = Question(EstimationOptions(friction_model=BASIC), loaded=True)
+    answer, weighed = answer_payload(ROBOT, arm.abba(0, sigma=0.1), asked, Progress())
+    result = payload_of(answer, weighed, FLANGE, ORIGIN)
+    payload, theta = result.payload, result.asked.theta
+    assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.verdict.is_trustworthy
+    expected = spatial.aluminium_ball(theta[0], theta[1:4] / theta[0])
+    np.testing.assert_allclose(theta, expected, atol=1e-12)
+    total = payload.total.inertial.theta - payload.link.inertial.theta
+    for carried in (total, answer.file.fit.question.carried):
+        np.testing.assert_allclose(FLANGE.to_flange(carried), theta, atol=1e-12)
+    for body in (payload.body, payload.total):
+        assert np.all(np.isfinite(body.errors[:4])) and np.all(np.isinf(body.errors[4:]))
+    (said,) = [note for note in result.notes if "not told from zero" in note]
+    assert said.count("±") == 3
+
+
 def test_another_weight_than_was_said_is_refused(recordings):
     result = of_payload(recordings, known_mass=3.0)
     assert result.verdict is Verdict.WRONG_WEIGHT and result.failure
