@@ -477,11 +477,9 @@ def _came_on(
 
 def _without_inertia(payload: Payload) -> Payload:
     """Return a payload whose inertia is not known, nor that of the link with it."""
-    mass_and_place = np.arange(10) < 4
-    body, total = (
-        replace(each, shown=each.shown & mass_and_place) for each in (payload.body, payload.total)
-    )
-    return replace(payload, body=body, total=total)
+    known, own, total = np.arange(10) < 4, payload.body, payload.total
+    own = replace(own, shown=own.shown & known, data_share=own.data_share * known)
+    return replace(payload, body=own, total=replace(total, shown=total.shown & known))
 
 
 def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:

@@ -44,10 +44,15 @@ def figure(value: float, error: float | None = None) -> str:
 
 
 def with_error(value: float, error: float | None, unit: str = "") -> str:
-    """Return "1.551 ± 0.087 kg"; without a known error, the number and its unit."""
-    known = error is not None and math.isfinite(error)
-    parts = [figure(value, error), *([f"± {figure(error, error)}"] if error and known else [])]
-    return " ".join([*parts, unit]).rstrip()
+    """Return "1.551 ± 0.087 kg", or "1.551 kg (± not known)" where the error is not finite.
+
+    None states no error.
+    """
+    if not error:
+        return f"{figure(value)} {unit}".rstrip()
+    if not math.isfinite(error):
+        return f"{f'{figure(value)} {unit}'.rstrip()} (± not known)"
+    return f"{figure(value, error)} ± {figure(error, error)} {unit}".rstrip()
 
 
 def percent(share: float) -> str:

@@ -62,7 +62,7 @@ class Section:
     Attributes:
         blocks: (title, text) of what is to be copied as it is.
         missing: what is not there and what would make it so, one sentence each.
-        verdict: "good", "bad" or "".
+        verdict: "good", "part" where some of it is not known, "bad", or "".
         details: (title, sentences) of what only some want to read.
     """
 

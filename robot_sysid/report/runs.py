@@ -22,6 +22,7 @@ from robot_sysid.logs.formats.arrays import npz_arrays
 from robot_sysid.records import Array, Validation
 from robot_sysid.records.data import SIGNALS, Signals, Traces
 from robot_sysid.records.results import PARAMS_NAME, Source
+from robot_sysid.results.cards import ERROR_NAMES
 from robot_sysid.results.json import SCHEMA_VERSION
 from robot_sysid.results.record import PAYLOAD, Figure
 
@@ -214,6 +215,7 @@ class Body:
             the model, "in the file" that was written and the "truth" of a simulated arm.
         errors: (10,) standard errors, all causes together; NaN where they are not known.
         budget: cause to the part (10,) of the errors that it explains.
+        central: (4,) standard errors of mass and centre of mass; NaN where they are not known.
         share: (10,) how much of each value comes from the data; NaN where nothing is known.
         kept: (10,) whether a value was kept from the model.
     """
@@ -222,6 +224,7 @@ class Body:
     thetas: Mapping[str, Array]
     errors: Array
     budget: Mapping[str, Array]
+    central: Array
     share: Array
     kept: Sequence[bool]
 
@@ -229,6 +232,10 @@ class Body:
     def after(self) -> Array:
         """Identified parameters (10,)."""
         return self.thetas["after"]
+
+    def stated(self, errors: Array) -> list[float | None]:
+        """Return errors; None where the run states none, as of a model's own simulation."""
+        return [each if self.budget else None for each in errors.tolist()]
 
 
 @dataclass(frozen=True)
@@ -262,6 +269,11 @@ class Run:
     def trustworthy(self) -> bool:
         """Whether the result may be used."""
         return bool(self.content["valid"]["trustworthy"])
+
+    @property
+    def all_known(self) -> bool:
+        """Whether all of a payload is known; of a link, the model has what is not."""
+        return bool(self.content["valid"]["all_identified"]) or not self.is_payload
 
     @property
     def is_itself(self) -> bool:
@@ -373,6 +385,7 @@ def _body(entries: Mapping[str, Any]) -> Body:
         thetas={what: theta for what, theta in thetas.items() if theta is not None},
         errors=_ten(entries["standard_errors"]),
         budget={cause: _ten(part) for cause, part in entries["error_budget"].items()},
+        central=_named(entries["standard_errors"], ERROR_NAMES[:4]),
         share=_ten(entries.get("data_share")),
         kept=[kept.get(name) == "from_model" for name in PARAMETER_NAMES],
     )
@@ -380,4 +393,8 @@ def _body(entries: Mapping[str, Any]) -> Body:
 
 def _ten(named: Mapping[str, Any] | None) -> Array:
     """Return the values of the ten parameters (10,); NaN for null."""
-    return np.array([(named or {}).get(name) for name in PARAMETER_NAMES], dtype=float)
+    return _named(named, PARAMETER_NAMES)
+
+
+def _named(named: Mapping[str, Any] | None, names: Sequence[str]) -> Array:
+    return np.array([(named or {}).get(name) for name in names], dtype=float)

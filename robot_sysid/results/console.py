@@ -15,7 +15,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length,
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.write_back import plan_write_back
 from robot_sysid.records import DELAY_NAME, Array
-from robot_sysid.records.figures import THETA, percent, term_unit, with_error
+from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.results.cards import NOT_KNOWN, load_errors
 from robot_sysid.results.record import UNKNOWN, BaseParameters, BodyEstimate, Payload, Result
 from robot_sysid.results.rollout import rollout_lines
@@ -253,8 +253,8 @@ def _details(result: Result) -> Iterator[str]:
     if result.sensors:
         yield "  Sensors:"
     for name, (value, error) in result.sensors.items():
-        held = " (held)" if math.isnan(error) else ""
-        yield f"    {name}: {with_error(value, error)}{held}"
+        held = math.isnan(error)
+        yield f"    {name}: {f'{figure(value)} (held)' if held else with_error(value, error)}"
     for joint, each in result.joints.items():
         if each.candidates:
             tried = sorted(each.candidates.items(), key=lambda item: item[1])

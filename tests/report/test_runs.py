@@ -31,10 +31,12 @@ from robot_sysid.report.runs import (
     report_data,
 )
 from robot_sysid.report.sections.comparison import predicted
-from robot_sysid.report.sections.parameters import card
+from robot_sysid.report.sections.parameters import card, visibility
 from robot_sysid.report.sections.signals import errors, rollout
 from robot_sysid.report.sections.verdict import next_steps, verdict
+from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.record import Verdict
+from tests.support import results as made
 from tests.support.arms import SEEDS
 from tests.support.reports import ODD, payload_result, saved
 
@@ -270,6 +272,19 @@ def test_a_payload_has_its_card_unless_it_is_refused(link_run, tmp_path):
     assert sum("Mass of" in words for words in verdict(run).sentences) == 3
     run = load_run(saved(tmp_path, payload_result(model, Verdict.SWAPPED)))
     assert verdict(run).verdict == "bad" and "no card" in card(run).missing[0]
+
+
+def test_a_payload_whose_inertia_is_not_known_is_not_all_good(link_run, tmp_path):
+    result = payload_result(link_run.parent / "arm.xml")
+    own = made.body(shown=False)
+    result = replace(result, payload=replace(result.payload, body=own))
+    run = load_run(saved(tmp_path, result))
+    told, section = verdict(run), visibility(run)
+    assert told.verdict == "part" and NOT_KNOWN in section.sentences
+    assert "do not show: the payload's inertia (its ±" in section.sentences[-1]
+    rows = {row[0]: row[1:] for row in section.tables[0].rows}
+    assert rows["Izz"][::2] == ("not known", "not known") and rows["m"][0] == "the data"
+    assert any("inertia of the payload is not known" in point for point in next_steps(run).points)
 
 
 def test_errors_of_every_joint_stand_beside_each_other(link_run):

@@ -16,7 +16,7 @@ def verdicts(runs: Sequence[Run]) -> Section:
     rows, told = [], []
     for name, run in names(runs).items():
         body, use = run.bodies[0], "may be used" if run.trustworthy else "must not be used"
-        mass = with_error(float(body.after[0]), float(body.errors[0]), "kg")
+        mass = with_error(float(body.after[0]), body.stated(body.errors)[0], "kg")
         path = run.content["model"]["path"]
         rows.append((name, run.content["question"], use, body.title, mass, path))
         told += [f"{name}: {line}" for line in run.missing]
@@ -39,10 +39,9 @@ def compared(runs: Sequence[Run]) -> Section:
     titles = dict.fromkeys(body.title for body in bodies.values())
     careful = f"Careful: these are different bodies ({', '.join(titles)})."
     sentences = (words, careful) if len(titles) > 1 else (words,)
-    rows = [
-        (f"{label} [{unit}]", *(with_error(b.after[k], b.errors[k]) for b in bodies.values()))
-        for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, THETA))
-    ]
+    columns = [map(with_error, each.after, each.stated(each.errors)) for each in bodies.values()]
+    labels = (f"{label} [{unit}]" for label, unit in zip(PARAMETER_NAMES, THETA))
+    rows = list(zip(labels, *columns))
     return Section("compared", "Parameters", sentences, (table(("parameter", *bodies), rows),))
 
 

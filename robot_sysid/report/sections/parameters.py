@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import cycle
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.records import Array
 from robot_sysid.records.figures import THETA, percent, with_error
 from robot_sysid.report import drawing
 from robot_sysid.report.drawing import AFTER, Figure, Section, Table, drawn, table
 from robot_sysid.report.runs import Body, Run, number
+from robot_sysid.results.cards import NOT_KNOWN
 
 _GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
 _MARKS: dict[str, tuple[float, dict[str, Any]]] = {
@@ -47,16 +49,19 @@ def masses(bodies: Sequence[Body]) -> Table:
     """Return mass and centre of mass of some bodies: before, after, as written and in truth."""
     header = ("body", "", "mass [kg]", *(f"centre {axis} [m]" for axis in "xyz"))
     rows = [
-        (
-            *(body.title, when),
-            with_error(float(theta[0]), body.errors[0] if when == "after" else None),
-            *(f"{c + 0.0:.4f}" for c in theta[1:4] / theta[0]),
-        )
+        (body.title, when, *_mass_and_place(theta, body, when == "after"))
         for body in bodies
         for when, theta in body.thetas.items()
         if theta[0] != 0.0
     ]
     return table(header, rows)
+
+
+def _mass_and_place(theta: Array, body: Body, identified: bool) -> Iterator[str]:
+    mass, *errors = body.stated(body.central) if identified else [None] * 4
+    yield with_error(float(theta[0]), mass)
+    for place, error in zip((theta[1:4] / theta[0] + 0.0).tolist(), errors):
+        yield f"{place:.4f}" if error is None else with_error(place, error)
 
 
 def _before_after(body: Body, name: str) -> Figure:
@@ -100,6 +105,7 @@ def _before_after(body: Body, name: str) -> Figure:
 def _causes(body: Body, name: str) -> Figure:
     causes = list(body.budget)
     squares = np.square(np.nan_to_num(np.array(list(body.budget.values()))))
+    squares[:, ~np.isfinite(body.errors)] = 0.0
     total = np.sum(squares, axis=0)
     shares = np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0)
     rows = [
@@ -130,10 +136,9 @@ def _causes(body: Body, name: str) -> Figure:
 def visibility(run: Run) -> Section:
     """Return what is identified, what was kept from the model, and what does not show."""
     body, content = run.bodies[0], run.content
-    rows = [
-        (label, _source(body, k), percent(body.share[k]), drawing.plus_minus(body.errors[k]))
-        for k, label in enumerate(PARAMETER_NAMES)
-    ]
+    sources = [_source(body, k, run.is_payload) for k in range(len(PARAMETER_NAMES))]
+    errors = map(drawing.plus_minus, body.errors)
+    rows = list(zip(PARAMETER_NAMES, sources, map(percent, body.share), errors))
     tables, sentences = [table((body.title, "comes from", "data", "±"), rows)], []
     base, sensors = content["base_parameters"], content["sensors"]
     if base:
@@ -152,15 +157,18 @@ def visibility(run: Run) -> Section:
     if sensors:
         found = [(name, with_error(*each)) for name, each in sensors.items()]
         tables.append(table(("sensor", "found beside them"), found))
-    hidden = "; ".join(content["unidentifiable_combinations"])
+    hidden = list(content["unidentifiable_combinations"])
+    if not run.all_known:
+        hidden.insert(0, "the payload's inertia (its ± does not tell it from zero)")
+        sentences.append(NOT_KNOWN)
     every = "All parameters that were asked for show in these torques."
-    sentences.append(f"These torques do not show: {hidden}." if hidden else every)
+    sentences.append(f"These torques do not show: {'; '.join(hidden)}." if hidden else every)
     return Section("visible", "Identified, kept, not visible", sentences, tables)
 
 
-def _source(body: Body, k: int) -> str:
+def _source(body: Body, k: int, is_payload: bool) -> str:
     if body.kept[k]:
-        return "the model (not visible)"
+        return "not known" if is_payload else "the model (not visible)"
     if np.isfinite(body.share[k]) and body.share[k] < _MOSTLY:
         return "more model than data"
     return "the data" if np.isfinite(body.errors[k]) or not body.budget else "partly the model"

@@ -20,11 +20,13 @@ _LESS = {
     "other links": "record the empty arm as long and as widely as the loaded one",
     "torque scale": "calibrate the torques with a known weight (`robot-sysid payload "
     "--known-mass KG --save-torque-scale FILE`)",
-    "common torque scale": "calibrate the torques with a known weight (`--known-mass KG`)",
+    "common torque scale": "calibrate the torques with a known weight (`robot-sysid payload "
+    "--known-mass KG`)",
     "joint offsets": "calibrate the joints' zero positions",
-    "gravity": "level the base, or let `--tilt auto` find how it stands",
+    "gravity": "level the base, and say how well (`--gravity-uncertainty`)",
     "filtering": "record at a higher rate, or give a higher `--cutoff`",
-    "friction model": "let `--friction-model auto` choose, and warm the arm up before recording",
+    "friction model": "warm the arm up before recording, and let the data choose the friction "
+    "model (`--friction-model auto`, as usual)",
 }
 """Cause of error to what makes it smaller."""
 _LARGE = 0.02
@@ -44,7 +46,7 @@ def verdict(run: Run) -> Section:
         sentences=(f"This result {use}: {content['status_text']}.", *_masses(run), *_origin(run)),
         points=(*content["reasons"], *content["limitations"]),
         missing=run.missing,
-        verdict="good" if good else "bad",
+        verdict="bad" if not good else "good" if run.all_known else "part",
         details=(("What the run had to say", content["notes"]),),
     )
 
@@ -55,7 +57,8 @@ def _masses(run: Run) -> Iterator[str]:
         relative = f" ({percent(error / mass)})" if np.isfinite(error) and mass > 0.0 else ""
         if run.is_itself:
             relative = " (the model's own value, which had to come back)"
-        yield f"Mass of {body.title}: {with_error(mass, error, 'kg')}{relative}."
+        stated = body.stated(body.errors)[0]
+        yield f"Mass of {body.title}: {with_error(mass, stated, 'kg')}{relative}."
     if run.content["file"] is not None:
         errors = run.content["file"]["torque_error"].values()
         before, after = (None if each is None else percent(each) for each in errors)
@@ -114,12 +117,12 @@ def _uses(run: Run) -> Iterator[str]:
             older = f"Do not load {path.name}: it is from another run, and this one wrote none."
             yield f"Load {path.name} in place of the model." if own else older
     if payload is not None and payload["cards"]:
-        yield "Copy the payload into the controller from the card below; mind the frame it names."
+        yield "Copy the payload into the controller from the card above; mind the frame it names."
     if any(run.bodies[0].kept):
-        yield (
-            "Some values are the model's own, because these torques do not show them: use "
-            "`--torques chain` and a designed motion (`robot-sysid plan`) to see more."
-        )
+        said = "Some values are the model's own, because these torques do not show them"
+        said = said if run.all_known else "The inertia of the payload is not known"
+        chain = "`--torques chain` and " if run.content["torques"] == "terminal" else ""
+        yield f"{said}: use {chain}a designed motion (`robot-sysid plan`) to see more."
 
 
 def _smaller_errors(run: Run) -> Iterator[str]:
