@@ -334,7 +334,8 @@ def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
         answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
         yield _stop(
             f"{motor.name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
-            f"{joint.master_id:#x}; set MST_ID, or export with --master-id"
+            f"{joint.master_id:#x}; set it (robot-sysid motors setup --new-master-id), or export "
+            "again (robot-sysid plan --export-damiao --master-id)"
         )
 
 

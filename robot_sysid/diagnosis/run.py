@@ -73,7 +73,7 @@ def look_at(
     if not links_known:
         found = tuple(replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found)
     for each in found:
-        progress.note(each.line())
+        progress.note(each.line().removeprefix("note: "))
     try:
         require_acceptable(str(log.path), found, accepted)
     except SysidError:

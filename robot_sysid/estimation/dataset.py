@@ -121,7 +121,7 @@ def decimated_equations(
     if not np.any(usable):
         raise InputError(
             f"none of the joints {', '.join(equations.joints)} moves faster than its velocity "
-            "deadband; record a motion, or lower --velocity-deadband"
+            "deadband; move faster, or give identify or payload a lower --velocity-deadband"
         )
     tables = [np.concatenate(part) for part in parts]
     return _samples_of(equations, signals.decimated_time(), tables).where(usable)

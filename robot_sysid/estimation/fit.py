@@ -239,7 +239,7 @@ class Fitter:
             raise SysidError(
                 f"the estimates of {' and '.join(sought)} do not settle within {rounds} rounds "
                 f"(last delay {1e3 * fit.point.delay:.3g} ms): this log does not show them well "
-                "enough; lower --cutoff, or leave --delay and --tilt off"
+                f"enough; lower the cut-off, or leave --{' and --'.join(sought)} off"
             )
         return fit
 

@@ -76,17 +76,18 @@ def filtered(
         InputError: one is too short.
     """
 
-    def processed(piece: Piece, cutoff: float | None) -> ProcessedSignals:
-        band = options.velocity_deadband
+    def processed(piece: Piece, cutoff: float | None, by: str = "as given") -> ProcessedSignals:
+        own = options.velocity_deadband, piece.least_deadband, by
         try:
-            return process(piece.samples, robot.joint_names, cutoff, band, piece.least_deadband)
+            return process(piece.samples, robot.joint_names, cutoff, *own)
         except InputError as error:
             raise InputError(f"{piece.name}: {error}" if piece.name else str(error)) from None
 
     pairs = [(piece, processed(piece, options.cutoff)) for piece in pieces]
     lowest = min(each.cutoff for _, each in pairs)
     if options.cutoff is None:
-        pairs = [(p, s if s.cutoff == lowest else processed(p, lowest)) for p, s in pairs]
+        by = "as another recording asks for"
+        pairs = [(p, s if s.cutoff == lowest else processed(p, lowest, by)) for p, s in pairs]
     found = [Dataset(p.name, each, p.is_loaded, p.place) for p, each in pairs]
     told: dict[str, tuple[str, ...]] = {}
     for piece, each in pairs:

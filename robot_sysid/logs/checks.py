@@ -115,7 +115,7 @@ def require_one_clock(rows: LogRows) -> None:
     stamps = rows.samples.joint_time
     if stamps is None:
         return
-    remedy = "keep them out with 'joint_time = none' in the columns file"
+    remedy = "keep them out with 'joint_time = none' in the file of --columns"
     backwards = rows.lines[1:][np.any(np.diff(stamps, axis=0) < 0.0, axis=1)]
     if len(backwards):
         where = rows.listed(backwards)

@@ -326,7 +326,7 @@ class _Columns:
             raise InputError(f"{fault}; rename the column, or scale it with --columns FILE")
         if declared is not None and written != declared:
             fault = f"column {title.text!r} names a unit that contradicts the declared units"
-            raise InputError(f"{fault}; declare what the column holds, or drop --units")
+            raise InputError(f"{fault}; declare what the column holds, or rename it")
         return Source(index, self._texts[index], factor * (1.0 if written is None else written))
 
 

@@ -195,7 +195,7 @@ def earlier_logs(params: Path, robot: RobotModel) -> tuple[Path, ...]:
     if not isinstance(logs, list) or not logs or not all(isinstance(log, str) for log in logs):
         raise InputError(f"{params} is of no identification from logs; give one that is")
     if not isinstance(model, dict) or model.get("sha256") != robot.sha256:
-        remedy = "give the same model file, or all logs with --measurements"
+        remedy = "give the same model file, or all logs at once"
         raise InputError(f"{params} was made with another model than {robot.path}; {remedy}")
     missing = [log for log in logs if not os.path.exists(log)]
     if missing:

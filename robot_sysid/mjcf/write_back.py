@@ -77,7 +77,7 @@ def plan_write_back(
     own = possible_body(rest, mass, *tolerance)
     if own is None or scale < NOTHING:
         fault = f"the identified parameters of body '{top.name}' are not a possible rigid body"
-        raise ExportError(f"{fault}, so no model was written; use a longer --duration")
+        raise ExportError(f"{fault}, so no model was written; use a longer motion")
     inflated = float(own[4] - rest[4])
     notes = (*_shared_notes(top, lumped, scaled, scale), *_inflated_note(own, inflated))
     return WriteBack(own, lumped, "; ".join(notes) or None, inflated, scaled, scale)

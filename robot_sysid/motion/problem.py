@@ -359,7 +359,7 @@ def _obstacles(
     said = (
         "links that overlap by design, next to each other or in every position, are not looked at",
         "touching already at rest, and never to get deeper",
-        "so near at rest that they keep half that distance, not --clearance",
+        "so near at rest that they keep half that distance, less than elsewhere",
     )
     listed = ("; ".join(pairs[kind]) for kind in ("ignored", "touching", "near"))
     return clearance, tuple(f"{words}: {which}" for words, which in zip(said, listed) if which)

@@ -283,7 +283,7 @@ class SavedTrajectory:
             raise InputError(
                 f"--trajectory: made for the {len(self.joint_names)} joints "
                 f"{', '.join(self.joint_names)}, but this arm has the {len(joint_names)} joints "
-                f"{', '.join(joint_names)}; design one for this arm with --excitation optimal"
+                f"{', '.join(joint_names)}; design one for this arm with robot-sysid plan"
             )
 
 
@@ -315,11 +315,11 @@ def load_trajectory(path: Path) -> SavedTrajectory:
     Raises:
         InputError: the file cannot be read, or is something else; says what.
     """
-    content = read_json(Path(path), "--trajectory takes the .json file of --save-trajectory")
+    content = read_json(
+        Path(path), "--trajectory takes the .json file that robot-sysid plan writes"
+    )
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(
-            f"{path} is not a trajectory of this program; --save-trajectory writes one"
-        )
+        raise InputError(f"{path} is not a trajectory of this program; robot-sysid plan writes one")
     if content.get("version") != VERSION:
         raise InputError(
             f"{path} has version {content.get('version')!r} of the format, this program reads "

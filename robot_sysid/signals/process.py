@@ -206,7 +206,7 @@ class LogPiece(Measurement):
         """Return ``choose_cutoff`` of the piece, or raise InputError where it is too short."""
         if self.spectra is None:
             few = f"{len(resampled(self).q)} samples are too few to choose a cut-off from"
-            raise InputError(f"{few}; record longer, or give --cutoff HZ")
+            raise InputError(f"{few}; record longer, or give identify or payload a --cutoff HZ")
         return choose_cutoff(self.spectra)
 
 
@@ -216,6 +216,7 @@ def process(
     cutoff: float | None = None,
     deadband: PerJoint | None = None,
     least_deadband: Sequence[float] = (),
+    chosen_by: str = "as given",
 ) -> ProcessedSignals:
     """Turn a log into signals, or raise InputError where the cut-off does not fit it.
 
@@ -224,13 +225,14 @@ def process(
         deadband: speed below which a joint's friction has no sure direction [rad/s], one number or
             one per joint; None takes 0.5 % of the joint's peak speed, zero uses all rows.
         least_deadband: (n,) where the deadband is taken from the data, it is at least this [rad/s].
+        chosen_by: where a cut-off that is not chosen here comes from, in words.
     """
     uniform, expected = resampled(measurement), 0.0
     piece = measurement if isinstance(measurement, LogPiece) else LogPiece(**vars(measurement))
     if cutoff is None:
         cutoff, expected, reason = piece.choice()
     else:
-        reason = f"cut-off {cutoff:g} Hz as given"
+        reason = f"cut-off {cutoff:.4g} Hz {chosen_by}"
     low_pass = design_low_pass(cutoff, uniform.rate)
     needed = _needed(low_pass)
     if len(uniform.q) < needed:

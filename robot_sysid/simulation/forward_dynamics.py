@@ -168,7 +168,7 @@ class ForwardPlant:
             raise SimulationError(
                 f"joint {self._plant.joint_names[joint]} of the plant is too stiff to be "
                 f"simulated: its damping stops it within {1e6 / rate:.2g} microseconds; lower its "
-                "damping, give it armature, or use --simulation inverse"
+                "damping, or give it armature"
             )
         return substeps
 

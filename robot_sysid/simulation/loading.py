@@ -40,14 +40,14 @@ def load_plant(robot: RobotModel, plant_path: Path, mesh_dir: Path | None = None
     if terminal not in _hinges_and_slides(compiled.mj_model):
         known = ", ".join(_hinges_and_slides(compiled.mj_model)) or "none"
         raise InputError(
-            f"--plant-model {Path(plant_path).name} has no joint {terminal}, the last joint of "
+            f"the plant {Path(plant_path).name} has no joint {terminal}, the last joint of "
             f"{robot.path.name}; its joints are: {known}"
         )
     plant = robot_from_compiled(compiled, Path(plant_path), terminal)
     differences = joint_differences(robot, plant)
     if differences:
         raise InputError(
-            f"--plant-model {plant.path.name} does not have the joints of {robot.path.name}: "
+            f"the plant {plant.path.name} does not have the joints of {robot.path.name}: "
             f"{'; '.join(differences)}. Give a model of the same arm with the same joint names"
         )
     ours = _hinges_and_slides(robot.mj_model)

@@ -365,5 +365,5 @@ def map_joints(asked: Asked) -> int:
     with asked.bus(refuse_motion) as link:
         rows = map_by_hand(link, robot)
     write_joint_map(options.output, rows)
-    asked.console.stage(f"written to {options.output}; give it to play with --joint-map")
+    asked.console.stage(f"written to {options.output}; give it to motors play with --joint-map")
     return 0

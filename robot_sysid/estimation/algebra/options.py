@@ -35,7 +35,8 @@ class EstimationOptions(OptionRecord):
         None,
         "friction terms of every joint, such as coulomb-viscous-offset, or auto",
         "TERMS",
-        usual=f"auto: each joint's by held-out torques; {DEFAULT_TERMINAL} with --torques terminal",
+        usual="auto: each joint's by held-out torques; of the last joint's torque alone "
+        f"{DEFAULT_TERMINAL}",
     )
     cutoff: float | None = option(
         None,

@@ -56,7 +56,8 @@ _CUT: Mapping[str, tuple[str, ...]] = {
     ),
     "time budget": (
         "the time budget ended the search; the same seed may give another trajectory on another "
-        "machine, so keep this one with --save-trajectory or raise --excitation-time-budget",
+        "machine, so keep this one (robot-sysid plan --save-trajectory) or raise "
+        "--excitation-time-budget",
     ),
 }
 """What a reader is told of a search that was cut."""

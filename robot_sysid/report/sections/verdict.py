@@ -104,7 +104,7 @@ def _steps(run: Run) -> Iterator[str]:
     if not run.is_payload and len(run.content["validation"]) < 2:
         yield (
             "Test the result on a log that was not fitted, with another motion: "
-            "`--validation-measurements LOG`."
+            "`robot-sysid identify --validation-measurements LOG`."
         )
 
 
@@ -121,7 +121,8 @@ def _uses(run: Run) -> Iterator[str]:
     if any(run.bodies[0].kept):
         said = "Some values are the model's own, because these torques do not show them"
         said = said if run.all_known else "The inertia of the payload is not known"
-        chain = "`--torques chain` and " if run.content["torques"] == "terminal" else ""
+        chain = "all torques (`robot-sysid identify --torques chain`) and "
+        chain = chain if run.content["torques"] == "terminal" else ""
         yield f"{said}: use {chain}a designed motion (`robot-sysid plan`) to see more."
 
 

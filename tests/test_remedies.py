@@ -1,0 +1,235 @@
+"""Every option that a message names can be given to the command that prints the message.
+
+What a command can print is walked from its module: names lead to functions, classes and constants,
+those to the names in them. A text may name an option of another command where it says whose.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+
+import pytest
+
+from robot_sysid.commands import identify, log, motors, payload, plan, report, run
+from tests.test_architecture import FUNCTIONS, nodes_of, package_sources
+
+Place = tuple[str, str]
+"""A module and a name in it."""
+MODULES = {
+    **{"run": run, "plan": plan, "identify": identify, "payload": payload},
+    **{"log": log, "report": report},
+}
+COMMANDS = (*MODULES, *(f"motors {name}" for name in motors.COMMANDS))
+NAMES = (ast.Name, ast.Attribute, ast.arg)
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
+
+
+def places(module: str, *names: str) -> tuple[Place, ...]:
+    return tuple((f"robot_sysid.{module}", name) for name in names)
+
+
+OF_LOGS = places("pipeline", "_of_logs") + places("servo.run", "run_servo")
+OF_MOTIONS = places("pipeline", "analysed", "designed", "_of_itself", "_of_plant", "_motor_file")
+OF_PLANS = places("pipeline", "_plan_outcome") + places("motion.static", "design_poses")
+OF_PAYLOADS = places("payload_pipeline", "weighed") + places("config", "PayloadConfig")
+CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
+USUAL = places("trajectory", "require_countable")  # the motion that nobody asked for is short
+EXPORT = places("damiao.protocol.joints", "damiao_joints")
+ONLY = {"identify": OF_LOGS}
+"""Command to the stage that it takes of those that all questions share."""
+UNSAID = {"motors simulate": "; give --yes"}
+"""Command to what it does not say of what it shares: a simulated arm is not asked for."""
+RUNS = ("run", "identify", "payload")
+"""Commands whose options a page speaks of."""
+NEVER = {
+    "run": (*OF_PAYLOADS, *OF_PLANS),
+    "plan": (*OF_PAYLOADS, *OF_LOGS, *CHOSEN, *places("pipeline", "analysed", "written", "Outcome"))
+    + places("commands.report", "report_of"),
+    "identify": (*OF_PAYLOADS, *OF_MOTIONS, *OF_PLANS, *USUAL, *EXPORT),
+    "payload": (*OF_LOGS, *OF_MOTIONS[1:], *OF_PLANS, *EXPORT, *places("config", "SysidConfig"))
+    + places("results.record", "Verdict.PARTLY_FROM_MODEL"),
+    "log": (*CHOSEN, *USUAL),
+    # A page names the joint that the run found.
+    "report": places("model.chain", "resolve_joint", "_require_end")
+    + places("errors", "AmbiguousJointError")
+    + places("parser", "_notes"),
+    "motors map": places("damiao.preflight", "plan_checks")  # nothing is played
+    + places("damiao.model_check", "model_checks"),
+    # No model.
+    **dict.fromkeys(("motors monitor", "motors setup"), places("commands.motors.asked", "Asked")),
+}
+"""Command to what it never comes to: stages of other questions, and what it does not ask."""
+
+
+@cache
+def parser_of(command: str):
+    word, _, name = command.partition(" ")
+    return motors.build_parser(name) if name else MODULES[word].build_parser()
+
+
+@cache
+def options_of(command: str) -> frozenset[str]:
+    """Return the options of a command."""
+    return frozenset(o for action in parser_of(command)._actions for o in action.option_strings)
+
+
+# ---- what a command reaches
+
+
+@cache
+def definitions(module: str) -> dict[str, ast.AST]:
+    """Return what stands at the top of a module, and constants of its classes, by name."""
+    found: dict[str, ast.AST] = {}
+    for node in nodes_of(package_sources()[module])[0].body:
+        if isinstance(node, (*FUNCTIONS, ast.ClassDef)):
+            found[node.name] = node
+        if isinstance(node, ast.ClassDef):
+            inner = [each for each in node.body if isinstance(each, (ast.Assign, ast.AnnAssign))]
+            found |= {f"{node.name}.{name}": each for each in inner for name in targets(each)}
+        found |= dict.fromkeys(targets(node), node)
+    return found
+
+
+def targets(node: ast.AST) -> list[str]:
+    """Return the names that a statement assigns to."""
+    told = getattr(node, "targets", [getattr(node, "target", None)])
+    return [n.id for each in told if each for n in ast.walk(each) if isinstance(n, ast.Name)]
+
+
+@cache
+def imported(module: str) -> dict[str, Place]:
+    """Return name in a module to what of the package it stands for; "" is a module itself."""
+    found = {}
+    for node in nodes_of(package_sources()[module]):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("robot_sysid"):
+            for each in node.names:
+                whole = f"{node.module}.{each.name}"
+                known = whole in package_sources()
+                found[each.asname or each.name] = (whole, "") if known else (node.module, each.name)
+    return found
+
+
+def place_of(module: str, name: str) -> Place | None:
+    """Return where a name of a module is defined, through those that only pass it on."""
+    if name in definitions(module):
+        return module, name
+    there = imported(module).get(name)
+    return there if there is None or not there[1] else place_of(*there) or there
+
+
+def parts(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield all of a definition but docstrings, a class's constants and bits of a longer text."""
+    yield node
+    left_out = {
+        ast.Expr: (ast.Constant,),
+        ast.ClassDef: (ast.Assign, ast.AnnAssign),
+        ast.JoinedStr: (ast.Constant,),
+    }.get(type(node), ())
+    for child in ast.iter_child_nodes(node):
+        if not isinstance(child, left_out):
+            yield from parts(child)
+
+
+@cache
+def parts_of(place: Place) -> tuple[ast.AST, ...]:
+    """Return all of a definition that has a name or a text."""
+    found = parts(definitions(place[0])[place[1]])
+    return tuple(n for n in found if isinstance(n, (*NAMES, ast.Constant, ast.JoinedStr)))
+
+
+@cache
+def leads_to(place: Place) -> frozenset[Place]:
+    """Return what a definition names."""
+    module, name = place
+    found, own = set(), parts_of(place)
+    local = {n.arg for n in own if isinstance(n, ast.arg)}
+    local |= {n.id for n in own if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    local = local if isinstance(definitions(module)[name], FUNCTIONS) else set()
+    for node in own:
+        if isinstance(node, ast.Name) and node.id not in local:
+            found.add(place_of(module, node.id))
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            there = place_of(module, node.value.id)
+            if there is not None and not there[1]:
+                found.add(place_of(there[0], node.attr))
+            elif there is not None:
+                found.add((there[0], f"{there[1]}.{node.attr}"))
+    return frozenset(each for each in found if each and each[1] in definitions(each[0]))
+
+
+@cache
+def reached(command: str) -> frozenset[Place]:
+    """Return what a command may run."""
+    word, _, name = command.partition(" ")
+    if name:
+        waiting = [(motors.COMMANDS[name].run.__module__, motors.COMMANDS[name].run.__name__)]
+    else:
+        start = f"robot_sysid.commands.{word}"
+        waiting = [*((start, each) for each in definitions(start)), *ONLY.get(word, ())]
+    found = set(waiting)
+    while waiting:
+        for each in leads_to(waiting.pop()) - found - set(NEVER.get(command, ())):
+            found.add(each)
+            waiting.append(each)
+    return frozenset(found)
+
+
+def is_record(place: Place) -> bool:
+    """Tell whether it checks options: what it says, it says of one that was given."""
+    bases = getattr(definitions(place[0])[place[1]], "bases", ())
+    return any(getattr(each, "id", "") in ("OptionRecord", "Config") for each in bases) or (
+        place == ("robot_sysid.config", "Config")
+    )
+
+
+@cache
+def texts(place: Place) -> tuple[str, ...]:
+    """Return the texts with options in a definition, {} for what is filled in."""
+    found = []
+    for node in parts_of(place):
+        if isinstance(node, ast.JoinedStr):
+            filled = [p.value if isinstance(p, ast.Constant) else "{}" for p in node.values]
+            found.append("".join(map(str, filled)))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.append(node.value)
+    return tuple(text for text in found if OPTION.search(text))
+
+
+def faults(command: str, text: str) -> Iterator[str]:
+    """Yield the options in a text that neither the command has nor the one that it names.
+
+    What begins with an option is about its value, which somebody gave.
+    """
+    for match in OPTION.finditer(text):
+        named = re.search(rf"({'|'.join(COMMANDS)})( [\w-]+| --[\w-]+)*? $", text[: match.start()])
+        known = options_of(named[1]) if named else frozenset()
+        if match[0] not in options_of(command) | known and match.start():
+            yield match[0]
+
+
+def test_what_is_never_come_to_exists():
+    for module, name in {each for cut in (*NEVER.values(), *ONLY.values()) for each in cut}:
+        assert name in definitions(module), (module, name)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_what_a_command_may_say_names_its_own_options(command):
+    wrong = [
+        f"{module}.{name}: {option} in {text!r}"
+        for module, name in sorted(reached(command))
+        if not is_record((module, name))
+        for text in texts((module, name))
+        if text != UNSAID.get(command)
+        for reader in (RUNS if module.startswith("robot_sysid.report.") else (command,))
+        for option in faults(reader, text)
+    ]
+    assert wrong == []
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_a_command_names_its_own_options(command):
+    told = [action.help or "" for action in parser_of(command)._actions]
+    assert [(text, option) for text in told for option in faults(command, text)] == []
