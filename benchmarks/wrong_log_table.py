@@ -50,6 +50,11 @@ NAMES = {
     "collision": ("contact",),
     "late_torque": ("delay",),
     "clock_jump": ("clock",),
+    **dict.fromkeys(("long_time", "drifting_0.05", "drifting_0.1"), ("[clock]",)),
+    "late_joint": ("alone lags",),
+    "hum": ("hums",),
+    **dict.fromkeys(("times_0.85", "times_1.15", "times_1.25"), ("[torque-scale]", "torque scale")),
+    "one_joint_in_millinewtonmetres": SCALE,
     "other_arm": ("[model]", "model of another arm"),
 }
 """Kind to what names it rightly, any of them."""

@@ -185,6 +185,49 @@ def clock_jump(truth):
     return replace(truth.log, time=time)
 
 
+def scaled(factor):
+    """All torques times something that could be heavier or lighter links."""
+    return lambda truth: _torque(truth, factor * truth.log.tau)
+
+
+def one_joint_in_millinewtonmetres(truth):
+    """The lightest joint that carries anything."""
+    factor = np.ones(truth.robot.n_joints)
+    usual = np.sqrt(np.mean(truth.rigid**2, axis=0))
+    factor[int(np.argmin(usual))] = 1e3
+    return _torque(truth, factor * truth.log.tau)
+
+
+def late_joint(truth):
+    """One joint's torque is 60 ms behind."""
+    shift, joint = 15, _carrying(truth)
+    log, tau = truth.log, truth.log.tau.copy()
+    tau[shift:, joint] = truth.log.tau[:-shift, joint]
+    return Measurement(log.time[shift:], log.q[shift:], log.qd[shift:], tau[shift:])
+
+
+def hum(truth):
+    """A slow sine in one joint's torque, a twelfth of what it carries."""
+    tau, joint = truth.log.tau.copy(), _carrying(truth)
+    size = 0.12 * float(np.sqrt(np.mean(truth.rigid[:, joint] ** 2)))
+    tau[:, joint] += size * np.sin(2.0 * np.pi * 0.47 * truth.log.time)
+    return _torque(truth, tau)
+
+
+def drifting(share):
+    """A clock that is fast by more and more, by a share at the end."""
+
+    def made(truth):
+        time = truth.log.time
+        return replace(truth.log, time=time * (1.0 + share * time / time[-1]), qd=None)
+
+    return made
+
+
+def long_time(truth):
+    return replace(truth.log, time=1.05 * truth.log.time, qd=None)
+
+
 def other_arm(truth):
     """The log is of another arm with as many joints."""
     rivals = {6: ("ur5e", "wxai"), 7: ("panda", "iiwa14", "xarm7", "gen3")}[truth.robot.n_joints]
@@ -206,6 +249,8 @@ KINDS: dict[str, Callable[[Truth], Measurement]] = {
         *(gravity_compensated, external, computed, torque_sign, position_sign, exchanged),
         *(reversed_order, degrees_as_radians, radians_as_degrees, position_offset),
         *(dropped_samples, milliseconds, saturated, held, collision, late_torque, clock_jump),
-        other_arm,
+        *(one_joint_in_millinewtonmetres, late_joint, hum, long_time, other_arm),
     )
 }
+KINDS.update({f"times_{factor}": scaled(factor) for factor in (0.85, 1.15, 1.25)})
+KINDS.update({f"drifting_{share}": drifting(share) for share in (0.05, 0.1)})

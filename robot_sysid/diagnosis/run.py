@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from robot_sysid.diagnosis.finding import Finding, Level, require_acceptable
 from robot_sysid.diagnosis.model_fit import Fit, ModelFit
+from robot_sysid.diagnosis.offsets import joint_zeros, offset_findings, zero_findings
 from robot_sysid.diagnosis.recording import (
     clock_findings,
     enough_findings,
@@ -17,14 +18,11 @@ from robot_sysid.diagnosis.recording import (
 from robot_sysid.diagnosis.torque import (
     computed_findings,
     contact_findings,
-    delay_findings,
     explanations,
     gravity_findings,
-    joint_zeros,
     model_findings,
     scale_findings,
     torque_scales,
-    zero_findings,
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.reader import MeasurementLog
@@ -93,8 +91,7 @@ def _of_torque(log: ModelFit) -> list[Finding]:
     if found:
         return found
     found = [*contact_findings(log, base), *computed_findings(log, base)]
-    if not found:
-        found = [*delay_findings(log, base)] or [*zero_findings(log, base)]
+    found = found or offset_findings(log, base)
     return found or [*model_findings(log)] or [*slow_findings(log)]
 
 
@@ -103,7 +100,7 @@ def _likelier(log: ModelFit, base: Fit, after: Fit, mistake: Finding) -> list[Fi
     scales = [*scale_findings(log)]
     if scales and log.fit(log.sample.with_torque(1.0 / torque_scales(log)[0])).cost < after.cost:
         return scales
-    zeros = [*zero_findings(log, base)]
-    if zeros and joint_zeros(log)[2].cost < after.cost:
-        return zeros
+    zeros = joint_zeros(log)
+    if zeros.after.cost < after.cost:
+        return [*zero_findings(log, base, zeros)] or [mistake]
     return [mistake]

@@ -19,21 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis.finding import Finding, Level
-from robot_sysid.diagnosis.model_fit import INDEPENDENT, Fit, ModelFit, Sample, rms, slow_speed
-from robot_sysid.dynamics.nuisances import zero_columns
-from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.diagnosis.model_fit import Fit, ModelFit, Sample, explains, rms, slow_speed
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import percent
 
-# Numbers that say nothing else are judged by the table of benchmarks/wrong_log_table.py: with them
-# 287 of 288 wrong logs are named, and 50 of 50 right ones draw no alarm.
-CLEARLY = 60.0
-"""Fall of chi-squared by undoing a mistake that chance and small errors of a model do not bring."""
-LIKELY = 15.0
-"""The same where the log as it is would need an impossible terminal link."""
-WELL = 1.4
-"""Cost of a log that fits: right logs stay below one."""
-BETTER = 0.25
-"""Part of the cost that is left where a log that does not fit for other reasons fits better."""
 # One fit per mistake: fewer instants than elsewhere do.
 _EVERY = 2
 REFUSED, WARNED = 1.6, 1.3
@@ -85,18 +74,6 @@ def explanations(log: ModelFit) -> list[tuple[Fit, Finding]]:
         if log.plausible(after) and explains(base, after, certain=possible):
             convincing.append((after, Finding(name, Level.REFUSE, text)))
     return sorted(convincing, key=lambda each: each[0].cost)
-
-
-def explains(base: Fit, after: Fit, certain: bool = True) -> bool:
-    """Return whether a log fits so much better without a mistake that it was made.
-
-    Args:
-        certain: whether the log as it is has a possible terminal link; one that has none takes less
-            to be called mistaken.
-    """
-    fall = (base.cost - after.cost) * len(base.per_joint) * INDEPENDENT
-    enough = fall > (CLEARLY if certain else LIKELY)
-    return enough and (after.cost < WELL or after.cost < BETTER * base.cost)
 
 
 def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, Sample]]:
@@ -272,7 +249,8 @@ def computed_findings(log: ModelFit, base: Fit) -> Iterator[Finding]:
     sample, joints = log.sample, loaded(log)
     usual = rms(sample.tau)
     exact = rms(base.residual) < _EXACT * usual
-    friction = rms(base.friction_torque) < _FRICTIONLESS * usual
+    sizes = np.stack((np.ones_like(usual), rms(sample.qd)), axis=1)
+    friction = np.sum(np.abs(base.friction[:, :2]) * sizes, axis=1) < _FRICTIONLESS * usual
     quiet = log.noise < _QUIET * usual
     if np.all((exact & friction & quiet)[joints]):
         yield Finding(
@@ -292,63 +270,6 @@ def loaded(log: ModelFit) -> np.ndarray:
     usual, slide = rms(log.model_torque), log.robot.is_slide
     strongest = [np.max(usual[slide == kind], initial=0.0) for kind in (False, True)]
     return np.asarray(usual >= _LOADED * np.where(slide, strongest[1], strongest[0]))
-
-
-SMALL_ZERO, LARGE_ZERO = 0.02, 0.04
-"""Error of a joint's zero that is told, and that stops an identification [rad]."""
-SURE_ZERO = 3.5
-"""Standard errors that a zero has to be away from nothing."""
-SHORT_DELAY = 0.015
-"""Delay that is only told [s]: friction that builds up over some speed looks like one."""
-# Standard deviation of a zero, and largest step in one of the rounds in which it is found [rad].
-_LIKELY, _ZERO_ROUNDS = 0.5, 4
-
-
-def zero_findings(log: ModelFit, base: Fit) -> Iterator[Finding]:
-    """Yield a finding per joint whose position is surely off by a constant."""
-    zeros, errors, after = joint_zeros(log)
-    names = log.robot.joint_names
-    # How sure each zero is decides; the fit as a whole need not fall as much as for a mistake.
-    if not explains(base, after, certain=False):
-        return
-    far = int(np.argmax(np.abs(zeros) * (np.abs(zeros) > SURE_ZERO * errors)))
-    if abs(zeros[far]) > _LIKELY:
-        text = f"to fit this log, the position of joint {names[far]} would have to be off by "
-        text += f"{zeros[far]:.2g} rad: is the model of this arm, with zeros in the same places?"
-        yield Finding("model", Level.REFUSE, text)
-        return
-    for name, zero, error in zip(names, zeros, errors):
-        if abs(zero) >= max(SMALL_ZERO, SURE_ZERO * error):
-            level = Level.WARN if abs(zero) >= LARGE_ZERO else Level.NOTE
-            text = f"the position of joint {name} reads {zero:+.3g} rad too much (standard "
-            yield Finding("zero", level, f"{text}error {error:.1g}); correct its zero")
-
-
-def joint_zeros(log: ModelFit) -> tuple[Array, Array, Fit]:
-    """Return (what each position reads too much (n,) [rad], standard errors (n,), what is left)."""
-    sample, joints = log.sample, log.robot.n_joints
-    total, thetas = np.zeros(joints), log.links
-    for _ in range(_ZERO_ROUNDS):
-        motion = Motion(log.time, sample.q, sample.qd, sample.qdd)
-        columns = zero_columns(log.robot, thetas, motion)
-        found = log.fit(sample, columns, np.full(joints, _LIKELY))
-        step = np.clip(found.extra, -_LIKELY, _LIKELY)
-        total, thetas = total + step, found.thetas
-        sample = replace(sample, q=sample.q - step)
-    return total, found.error, log.fit(sample)
-
-
-def delay_findings(log: ModelFit, base: Fit) -> Iterator[Finding]:
-    """Yield a finding where torque belongs to an earlier or later position."""
-    sample = log.sample
-    fits = {delay: log.fit(replace(sample, tau=tau)) for delay, tau in log.shifted.items()}
-    delay = min(fits, key=lambda each: fits[each].cost)
-    if not explains(base, fits[delay]):
-        return
-    level = Level.WARN if abs(delay) > SHORT_DELAY else Level.NOTE
-    text = f"torque lags position by about {1e3 * delay:.0f} ms; record both at the same instant, "
-    text += "or have it found (identify --delay auto; payload does so by itself)"
-    yield Finding("delay", level, text)
 
 
 UNEXPLAINED = 0.3
@@ -406,5 +327,5 @@ def _beyond_friction(log: ModelFit, base: Fit) -> Array:
     low-passed speed does not tell.
     """
     speed = np.abs(log.sample.qd)
-    unsure = np.where(speed < slow_speed(log.sample.qd), 2.0 * np.abs(base.coulomb), 0.0)
+    unsure = np.where(speed < slow_speed(log.sample.qd), 2.0 * np.abs(base.friction[:, 0]), 0.0)
     return np.asarray(np.sign(base.residual) * np.maximum(np.abs(base.residual) - unsure, 0.0))

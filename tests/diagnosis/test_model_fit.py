@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 
 from robot_sysid.diagnosis.model_fit import ModelFit
-from robot_sysid.diagnosis.torque import (
-    explanations,
-    hypotheses,
-    joint_zeros,
-    loaded,
-    torque_scales,
-)
+from robot_sysid.diagnosis.offsets import joint_delays, joint_zeros, time_base
+from robot_sysid.diagnosis.torque import explanations, hypotheses, loaded, torque_scales
 from tests.support import arms
 from tests.support.wrong_logs import truth_of
 
@@ -53,10 +48,27 @@ def test_scaling_all_torques_scales_what_is_found(truth, right):
     np.testing.assert_allclose(other, 300.0 * one, rtol=1e-6)
 
 
-def test_a_shifted_zero_is_found(truth):
-    q = truth.log.q + [0.0, 0.12, 0.0, 0.0, 0.0]
-    zeros, errors, _ = joint_zeros(ModelFit(truth.robot, [replace(truth.log, q=q)]))
-    assert abs(zeros[1] - 0.12) < 4.0 * errors[1] + 0.02
+@pytest.mark.parametrize(
+    ("found_by", "spoilt", "true"),
+    [
+        (joint_zeros, lambda log: {"q": log.q + [0.0, 0.12, 0.0, 0.0, 0.0]}, {1: 0.12}),
+        (
+            joint_delays,
+            lambda log: {"tau": np.roll(log.tau, 10, axis=0)},
+            dict.fromkeys(range(5), 0.04),
+        ),
+        (
+            time_base,
+            lambda log: {"time": log.time * (1.0 + 0.06 * log.time / 12.0)},
+            {0: 0.06, 1: 0.06},
+        ),
+    ],
+)
+def test_constants_are_found_within_their_errors(truth, found_by, spoilt, true):
+    found = found_by(ModelFit(truth.robot, [replace(truth.log, **spoilt(truth.log))]))
+    for place, value in enumerate(found.value):
+        assert abs(value - true.get(place, 0.0)) < 3.0 * found.error[place], found
+    assert found.after.cost < 1.0
 
 
 def test_the_newtons_of_a_lift_say_nothing_of_the_arm_on_it():

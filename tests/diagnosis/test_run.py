@@ -51,6 +51,7 @@ WRONG = {
     "zero": lambda t: {"q": t.log.q + [0.0, 0.2, 0.0, 0.0]},
     "contact": lambda t: {"tau": pushed(t)},
     "delay": lambda t: {"tau": np.roll(t.log.tau, 10, axis=0)},
+    "clock": lambda t: {"time": t.log.time * (1.0 + 0.008 * t.log.time)},
 }
 """Name of a check to a way to spoil a log that it has to tell; for all ways, on public arms, see
 benchmarks/wrong_log_table.py."""

@@ -1,0 +1,226 @@
+"""Constants that a log may be off by: zeros of its positions, delays of its torques, its clock.
+
+Each constant is one column in a fit of all joints, made around what was found in the round before:
+
+    zero of joint i      -d tau / d q_i
+    delay of joint j     -d/dt [torque that the fit explains]_j in its own equation
+    time base 1 + c      2 [rigid-body torque without gravity], for qdd grows with (1 + c)^2
+    its drift            the same times t, from -1 to 1 over the log
+
+Gravity needs no clock, inertia does: where they disagree, the time base is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.diagnosis.finding import Finding, Level
+from robot_sysid.diagnosis.model_fit import (
+    INDEPENDENT,
+    LATEST,
+    TOLERANCE,
+    WELL,
+    Fit,
+    ModelFit,
+    Sample,
+    explains,
+    friction_sign,
+)
+from robot_sysid.dynamics.nuisances import zero_columns
+from robot_sysid.records import Array, Motion
+from robot_sysid.records.figures import percent
+
+SMALL_ZERO, LARGE_ZERO = 0.02, 0.04
+"""Error of a joint's zero that is told, and that stops an identification [rad]."""
+SURE_ZERO = 3.5
+"""Standard errors that a zero has to be away from nothing."""
+SURE_DELAY, SHORT_DELAY, LONG_DELAY = 4.0, 0.005, 0.015
+"""Standard errors that a delay has to be away from none; delay that is told, and that stops [s]."""
+SURE_CLOCK, LIKELY_CLOCK = 9.0, 4.0
+"""Fall of chi-squared by a time base that is refused, and told of; right logs have 2.2 at most."""
+LAGS = (0.04, 0.12)
+"""By how much dry friction may be late [s]."""
+# Standard deviations of zeros [rad], of delays [s] and of the time base and its drift (shares).
+_ZEROS, _DELAYS, _CLOCK = 0.5, 0.05, 0.2
+_ROUNDS, _STEP = 4, 0.01
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Constants (e,), their standard errors (e,), and the fit of the log without them."""
+
+    value: Array
+    error: Array
+    after: Fit
+
+    def fall(self, base: Fit) -> float:
+        """Return by how much chi-squared falls without them."""
+        return (base.cost - self.after.cost) * len(base.per_joint) * INDEPENDENT
+
+    def gain(self, base: Fit) -> float:
+        """Return by how much more chi-squared falls than by chance."""
+        return self.fall(base) - len(self.value)
+
+
+def _found(
+    log: ModelFit,
+    columns: Callable[[Sample, Fit], Array],
+    undone: Callable[[Array], Sample],
+    spread: Array,
+) -> Offsets:
+    """Return constants of some standard deviations (e,).
+
+    Args:
+        columns: makes the columns (K, n, e) around a sample and its fit.
+        undone: returns the sample without constants (e,).
+    """
+    sample, total, found = log.sample, np.zeros(len(spread)), log.fit()
+    for _ in range(_ROUNDS):
+        found = log.fit(sample, columns(sample, found), spread)
+        total = total + np.clip(found.extra, -spread, spread)
+        sample = undone(total)
+    return Offsets(total, found.error, log.fit(sample))
+
+
+def joint_zeros(log: ModelFit) -> Offsets:
+    """Return what each position (n,) reads too much [rad]."""
+
+    def columns(sample: Sample, found: Fit) -> Array:
+        motion = Motion(log.time, sample.q, sample.qd, sample.qdd)
+        return zero_columns(log.robot, found.thetas, motion)
+
+    def undone(zeros: Array) -> Sample:
+        return replace(log.sample, q=log.sample.q - zeros)
+
+    return _found(log, columns, undone, np.full(log.robot.n_joints, _ZEROS))
+
+
+def joint_delays(log: ModelFit) -> Offsets:
+    """Return by how much each torque (n,) is late [s]."""
+    own = np.eye(log.robot.n_joints)
+
+    def columns(sample: Sample, found: Fit) -> Array:
+        q, qd, qdd, third = sample.q, sample.qd, sample.qdd, log.jerk
+        torque = sample.tau, sample.sigma
+        before, after = (
+            log.explained(Sample(q + h * qd, qd + h * qdd, qdd + h * third, *torque), found)
+            for h in (-_STEP, _STEP)
+        )
+        return ((before - after) / (2.0 * _STEP))[:, :, None] * own
+
+    def undone(delays: Array) -> Sample:
+        return replace(log.sample, tau=log.later(np.clip(delays, -LATEST, LATEST)))
+
+    return _found(log, columns, undone, np.full(len(own), _DELAYS))
+
+
+def time_base(log: ModelFit) -> Offsets:
+    """Return (by which share the log's time is too long, and its drift from middle to end)."""
+    ends = log.time[[0, -1]]
+    place = (2.0 * log.time - ends.sum()) / np.ptp(ends)
+    course = np.stack((np.ones_like(place), place), axis=1)
+
+    def columns(sample: Sample, found: Fit) -> Array:
+        return 2.0 * log.torque(sample, found.thetas, weightless=True)[:, :, None] * course[:, None]
+
+    def undone(shares: Array) -> Sample:
+        faster, sample = 1.0 + (course @ shares)[:, None], log.sample
+        return replace(sample, qd=faster * sample.qd, qdd=faster**2 * sample.qdd)
+
+    return _found(log, columns, undone, np.full(2, _CLOCK))
+
+
+def _late_friction(log: ModelFit) -> Offsets:
+    """Return late dry friction (2 n,) [N m]: it builds up over some way after each reversal."""
+    sample, own = log.sample, np.eye(log.robot.n_joints)
+    late = [friction_sign(sample, lag) - friction_sign(sample) for lag in LAGS]
+    columns = np.concatenate([each[:, :, None] * own for each in late], axis=2)
+    after = log.fit(extra=columns, prior=np.tile(0.5 * sample.sigma / TOLERANCE, len(LAGS)))
+    return Offsets(after.extra, after.error, after)
+
+
+def offset_findings(log: ModelFit, base: Fit) -> list[Finding]:
+    """Return what is found of those constants without which the log fits best.
+
+    Nothing where dry friction that is late explains it as well.
+    """
+    kinds = (
+        (joint_delays(log), delay_findings),
+        (joint_zeros(log), zero_findings),
+        (time_base(log), clock_findings),
+    )
+    best, found = _late_friction(log).gain(base), list[Finding]()
+    for each, tell in kinds:
+        told = [*tell(log, base, each)] if each.gain(base) > best else []
+        best, found = (each.gain(base), told) if told else (best, found)
+    return found
+
+
+def delay_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
+    """Yield a finding where all torques, or one, belong to an earlier or later position."""
+    weight, count = found.error**-2, len(found.error)
+    common = float(np.sum(weight * found.value) / np.sum(weight))
+    cases = [np.full(count, common), *np.diag(found.value)]
+    fits = [log.fit(replace(log.sample, tau=log.later(each))) for each in cases]
+    best = min(range(len(cases)), key=lambda each: fits[each].cost)
+    delay = common if best == 0 else float(found.value[best - 1])
+    error = float(np.sum(weight) ** -0.5 if best == 0 else found.error[best - 1])
+    # Friction that builds up over some speed looks like a short delay, or a negative one.
+    long = abs(delay) > LONG_DELAY
+    if abs(delay) < SURE_DELAY * error or delay < (-LONG_DELAY if long else SHORT_DELAY):
+        return
+    clear = explains(base, fits[best])
+    if not (clear or long and explains(base, fits[best], certain=False)):
+        return
+    level = Level.WARN if long and clear else Level.NOTE
+    if best > 0:
+        text = f"torque of joint {log.robot.joint_names[best - 1]} alone lags position by about "
+        yield Finding("delay", level, f"{text}{1e3 * delay:.0f} ms; record all joints at once")
+        return
+    text = f"torque lags position by about {1e3 * delay:.0f} ms; record both at the same instant, "
+    text += "or have it found (identify --delay auto; payload does so by itself)"
+    yield Finding("delay", level, text)
+
+
+def zero_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
+    """Yield a finding per joint whose position is surely off by a constant."""
+    names, far_off = log.robot.joint_names, np.abs(found.value) > SURE_ZERO * found.error
+    sure = np.where(far_off, found.value, 0.0)
+    # How sure each zero is decides; the fit as a whole need not fall as much as for a mistake.
+    if not explains(base, found.after, certain=False):
+        return
+    far = int(np.argmax(np.abs(sure)))
+    if abs(sure[far]) > _ZEROS:
+        text = f"to fit this log, the position of joint {names[far]} would have to be off by "
+        text += f"{sure[far]:.2g} rad: is the model of this arm, with zeros in the same places?"
+        yield Finding("model", Level.REFUSE, text)
+        return
+    for name, zero, error in zip(names, sure, found.error):
+        if abs(zero) >= SMALL_ZERO:
+            level = Level.WARN if abs(zero) >= LARGE_ZERO else Level.NOTE
+            text = f"the position of joint {name} reads {zero:+.3g} rad too much (standard "
+            yield Finding("zero", level, f"{text}error {error:.1g}); correct its zero")
+
+
+def clock_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
+    """Yield a finding where inertia and gravity disagree about the time base."""
+    fall = found.fall(base)
+    if found.after.cost > WELL or fall < LIKELY_CLOCK:
+        return
+    share, drift = found.value
+    remedy = "record the controller's own time stamps"
+    if abs(drift) > 2.0 * found.error[1]:
+        text = f"the clock drifts: time is {_too_long(share - drift)} at first, "
+        text += f"{_too_long(share + drift)} at the end"
+    else:
+        text = f"time in the log is {_too_long(share)}"
+        remedy += f", or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
+    text = f"by inertia beside gravity, {text} (\u00b1 {percent(float(found.error[0]))}); {remedy}"
+    yield Finding("clock", Level.REFUSE if fall > SURE_CLOCK else Level.NOTE, text)
+
+
+def _too_long(share: float) -> str:
+    return f"{percent(abs(share))} too {'long' if share > 0.0 else 'short'}"
