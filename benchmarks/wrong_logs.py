@@ -191,11 +191,12 @@ def scaled(factor):
 
 
 def one_joint_in_millinewtonmetres(truth):
-    """The lightest joint that carries anything."""
-    factor = np.ones(truth.robot.n_joints)
-    usual = np.sqrt(np.mean(truth.rigid**2, axis=0))
-    factor[int(np.argmin(usual))] = 1e3
-    return _torque(truth, factor * truth.log.tau)
+    """The joint that carries least, with little noise."""
+    tau, sound = truth.log.tau.copy(), truth.rigid + truth.friction
+    joint = int(np.argmin(np.mean(sound**2, axis=0)))
+    noise = 0.02 * np.max(np.abs(sound[:, joint])) * truth.rng.normal(size=len(tau))
+    tau[:, joint] = 1e3 * (sound[:, joint] + noise)
+    return _torque(truth, tau)
 
 
 def late_joint(truth):

@@ -1,4 +1,4 @@
-"""Constants that a log may be off by: zeros of its positions, delays of its torques, its clock.
+"""Constants that a log may be off by: zeros of its positions, delays of its torques, clock, a hum.
 
 Each constant is one column in a fit of all joints, made around what was found in the round before:
 
@@ -6,6 +6,7 @@ Each constant is one column in a fit of all joints, made around what was found i
     delay of joint j     -d/dt [torque that the fit explains]_j in its own equation
     time base 1 + c      2 [rigid-body torque without gravity], for qdd grows with (1 + c)^2
     its drift            the same times t, from -1 to 1 over the log
+    hum of joint j       a sine, of the frequency that most is left of
 
 Gravity needs no clock, inertia does: where they disagree, the time base is wrong.
 """
@@ -41,8 +42,10 @@ SURE_DELAY, SHORT_DELAY, LONG_DELAY = 4.0, 0.005, 0.015
 """Standard errors that a delay has to be away from none; delay that is told, and that stops [s]."""
 SURE_CLOCK, LIKELY_CLOCK = 9.0, 4.0
 """Fall of chi-squared by a time base that is refused, and told of; right logs have 2.2 at most."""
-LAGS = (0.04, 0.12)
-"""By how much dry friction may be late [s]."""
+LAGS, LOSS = (0.04, 0.12), 0.1
+"""By how much dry friction may be late [s]; standard deviation of a gear's loss, a share."""
+HUM, CLEAR_HUM = 0.7, 0.4
+"""Part of a joint's residual squares beside a hum that is told, and that stops; right logs: 0.9."""
 # Standard deviations of zeros [rad], of delays [s] and of the time base and its drift (shares).
 _ZEROS, _DELAYS, _CLOCK = 0.5, 0.05, 0.2
 _ROUNDS, _STEP = 4, 0.01
@@ -133,26 +136,46 @@ def time_base(log: ModelFit) -> Offsets:
     return _found(log, columns, undone, np.full(2, _CLOCK))
 
 
-def _late_friction(log: ModelFit) -> Offsets:
-    """Return late dry friction (2 n,) [N m]: it builds up over some way after each reversal."""
+def other_friction(log: ModelFit) -> Offsets:
+    """Return friction (3 n,) that joints may have beside: what builds up over some way after each
+    reversal [N m], and a gear's loss, which grows with its load (a share).
+    """
     sample, own = log.sample, np.eye(log.robot.n_joints)
-    late = [friction_sign(sample, lag) - friction_sign(sample) for lag in LAGS]
-    columns = np.concatenate([each[:, :, None] * own for each in late], axis=2)
-    after = log.fit(extra=columns, prior=np.tile(0.5 * sample.sigma / TOLERANCE, len(LAGS)))
+    sign, usual = friction_sign(sample), sample.sigma / TOLERANCE
+    each = [friction_sign(sample, lag) - sign for lag in LAGS] + [sign * np.abs(log.model_torque)]
+    columns = np.concatenate([column[:, :, None] * own for column in each], axis=2)
+    prior = np.concatenate((np.tile(0.5 * usual, len(LAGS)), np.full(len(own), LOSS)))
+    after = log.fit(extra=columns, prior=prior)
     return Offsets(after.extra, after.error, after)
+
+
+def strongest_sine(log: ModelFit) -> Offsets:
+    """Return the sine that stands out most in what is left of a torque: joint, Hz, size [N m]."""
+    base, time, count = log.fit(), log.time - log.time[0], len(log.time)
+    span, step = float(np.ptp(time)), float(np.median(np.diff(time)))
+    rates = np.arange(2.0 / span, 0.4 / step, 0.25 / span)
+    waves = np.exp(2j * np.pi * np.outer(rates, time))
+    taken = np.abs(waves @ base.residual) ** 2 * (2.0 / count)
+    at, joint = np.unravel_index(int(np.argmax(taken / log.sample.sigma**2)), taken.shape)
+    columns = np.zeros((count, len(log.links), 2))
+    columns[:, joint] = np.stack((waves[at].real, waves[at].imag), axis=1)
+    after = log.fit(extra=columns, prior=np.full(2, log.sample.sigma[joint] / TOLERANCE))
+    value = np.array([joint, rates[at], np.hypot(*after.extra)])
+    return Offsets(value, np.zeros(3), after)
 
 
 def offset_findings(log: ModelFit, base: Fit) -> list[Finding]:
     """Return what is found of those constants without which the log fits best.
 
-    Nothing where dry friction that is late explains it as well.
+    Nothing where friction explains it as well.
     """
     kinds = (
         (joint_delays(log), delay_findings),
         (joint_zeros(log), zero_findings),
         (time_base(log), clock_findings),
+        (strongest_sine(log), hum_findings),
     )
-    best, found = _late_friction(log).gain(base), list[Finding]()
+    best, found = other_friction(log).gain(base), list[Finding]()
     for each, tell in kinds:
         told = [*tell(log, base, each)] if each.gain(base) > best else []
         best, found = (each.gain(base), told) if told else (best, found)
@@ -220,6 +243,17 @@ def clock_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding
         remedy += f", or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
     text = f"by inertia beside gravity, {text} (\u00b1 {percent(float(found.error[0]))}); {remedy}"
     yield Finding("clock", Level.REFUSE if fall > SURE_CLOCK else Level.NOTE, text)
+
+
+def hum_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
+    """Yield a finding where most of what is left of a joint's torque is one sine."""
+    joint, rate, size = int(found.value[0]), *found.value[1:]
+    before, after = (float(np.sum(fit.residual[:, joint] ** 2)) for fit in (base, found.after))
+    if after > HUM * before or not explains(base, found.after, certain=False):
+        return
+    text = f"torque of joint {log.robot.joint_names[joint]} hums: a sine of {rate:.2g} Hz and "
+    text += f"{size:.2g} N m that neither motion nor friction makes; find its source, record again"
+    yield Finding("contact", Level.WARN if after < CLEAR_HUM * before else Level.NOTE, text)
 
 
 def _too_long(share: float) -> str:

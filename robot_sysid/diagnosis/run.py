@@ -23,6 +23,7 @@ from robot_sysid.diagnosis.torque import (
     model_findings,
     scale_findings,
     torque_scales,
+    unit_findings,
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.reader import MeasurementLog
@@ -87,7 +88,7 @@ def _of_torque(log: ModelFit) -> list[Finding]:
     found = [*gravity_findings(log, best)]
     if found or explained:
         return found or _likelier(log, base, *explained[0])
-    found = [*scale_findings(log)]
+    found = [*unit_findings(log)] or [*scale_findings(log)]
     if found:
         return found
     found = [*contact_findings(log, base), *computed_findings(log, base)]

@@ -43,6 +43,11 @@ _RATHER_HEAVY = 0.35
 _KNOWN = 0.3
 # Part of the strongest joint's load, by the known links, below which a joint's scale is not asked.
 _LOADED = 0.1
+ODD_UNIT = 20.0
+"""Factor by which one joint's torque over the model's is larger than the other joints'; right logs
+have 2 at most."""
+# Part of the strongest joint's load below which a joint's torque is mostly friction.
+_LEAST_LOAD = 0.03
 # Scales of any unit and gear lie between.
 _LEAST, _MOST = 1e-4, 1e5
 # Rounds in which a scale is found, and standard deviation of how far it may be from where a round
@@ -142,6 +147,22 @@ def torque_scales(log: ModelFit) -> tuple[Array, Array]:
 def _without(sample: Sample, joints: NDArray[np.bool_]) -> Sample:
     """Return a sample in which some joints (n,) hardly count."""
     return replace(sample, sigma=np.where(joints, _IGNORED, 1.0) * sample.sigma)
+
+
+def unit_findings(log: ModelFit) -> Iterator[Finding]:
+    """Yield a finding where one joint's torque is in another unit than the others'."""
+    floor = _LEAST_LOAD * strongest(log)
+    ratio = rms(log.sample.tau) / np.maximum(rms(log.model_torque), floor)
+    joint = int(np.argmax(ratio))
+    factor = float(ratio[joint] / np.median(np.delete(ratio, joint))) if len(ratio) > 2 else 1.0
+    if factor > ODD_UNIT:
+        name = log.robot.joint_names[joint]
+        yield Finding(
+            "torque-scale",
+            Level.REFUSE,
+            f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in mN·m "
+            f"or N·cm; put it right with --columns FILE: torque.{name} = 0.001 * TITLE",
+        )
 
 
 def scale_findings(log: ModelFit) -> Iterator[Finding]:
@@ -263,13 +284,18 @@ def computed_findings(log: ModelFit, base: Fit) -> Iterator[Finding]:
 
 
 def loaded(log: ModelFit) -> np.ndarray:
-    """Return (n,) whether a joint carries a fair part of what the strongest of its kind carries.
+    """Return (n,) whether a joint carries a fair part of what the strongest of its kind carries."""
+    return np.asarray(rms(log.model_torque) >= _LOADED * strongest(log))
+
+
+def strongest(log: ModelFit) -> Array:
+    """Return (n,) the usual torque of the strongest joint of its kind.
 
     A lift carries many more newtons than the arm on it newton metres.
     """
     usual, slide = rms(log.model_torque), log.robot.is_slide
-    strongest = [np.max(usual[slide == kind], initial=0.0) for kind in (False, True)]
-    return np.asarray(usual >= _LOADED * np.where(slide, strongest[1], strongest[0]))
+    most = [np.max(usual[slide == kind], initial=0.0) for kind in (False, True)]
+    return np.where(slide, most[1], most[0])
 
 
 UNEXPLAINED = 0.3

@@ -27,7 +27,7 @@ class Truth:
         theta: (10,) the true terminal link.
         log: a right log.
         still: (N, n) the torque at rest, by the truth [N m].
-        rigid: (N, n) the torque without friction and noise [N m].
+        rigid, friction: (N, n) the torque without friction and noise, and friction [N m].
         model: (N, n) what the user's model says [N m].
         rng: for what goes wrong.
     """
@@ -37,6 +37,7 @@ class Truth:
     log: Measurement
     still: np.ndarray
     rigid: np.ndarray
+    friction: np.ndarray
     model: np.ndarray
     rng: np.random.Generator
 
@@ -62,13 +63,14 @@ def truth_of(robot: RobotModel, seed: int, wrong_links: float = 0.02) -> Truth:
     still = dynamics.motion(motion.q, zero, zero).torque(thetas)
     links = np.array([link.theta for link in robot.links])
     model = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(links)
-    tau = rigid + _friction(rng, rigid, motion.qd)
+    friction = _friction(rng, rigid, motion.qd)
+    tau = rigid + friction
     noise = min(0.3, 0.02 * float(np.max(np.abs(rigid))))
     tau = tau + noise * rng.normal(size=tau.shape)
     step = 2.0 * np.pi / 2**17
     q = np.round(motion.q / step) * step
     log = Measurement(time, q, motion.qd, tau)
-    return Truth(robot, thetas[-1], log, still, rigid, model, rng)
+    return Truth(robot, thetas[-1], log, still, rigid, friction, model, rng)
 
 
 def _friction(rng, rigid, qd):
