@@ -2,13 +2,12 @@
 
 MuJoCo before 3.14 finds the principal axes of a full inertia matrix to about six digits. A URDF
 cannot state them any other way, so its compiled inertias are replaced by accurate ones. What would
-make MuJoCo wait for ever, end the process or eat the memory is refused before it is shown the file.
+make MuJoCo wait for ever, end the process or eat the memory is refused by ``mjcf.hazards``.
 """
 
 from __future__ import annotations
 
 import locale
-import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -21,9 +20,10 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import check_assets, find_assets, relocated_text
-from robot_sysid.mjcf.documents import SUFFIXES, ModelDocument, Node, read_document
+from robot_sysid.mjcf.assets import check_assets, relocated_text
+from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.hazards import refuse_hazards
 from robot_sysid.mjcf.urdf import LARGEST, compilable_urdf, link_inertias, velocity_limits
 from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array
@@ -89,6 +89,7 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
         raise ModelError(
             f"a locale that has {point!r} for a decimal point spoils OBJ meshes; {remedy}"
         )
+    refuse_hazards(document, mesh_dir)
     with captured_warnings() as warnings:
         if document.kind == "urdf":
             mj_model, notes = _compile_urdf(document, mesh_dir)
@@ -101,7 +102,6 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
 
 
 def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
-    refuse_hazards(document, mesh_dir)
     try:
         if mesh_dir is None and all(file.is_utf8 for file in document.files):
             return mujoco.MjModel.from_xml_path(str(document.path))
@@ -184,77 +184,3 @@ def restore_exact_inertias(
             changed = True
     if changed:
         mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
-
-
-MOST_CELLS = 5e7
-"""Largest height field, texture or block of user data, in numbers: 0.4 GB of doubles."""
-MOST_COPIES = 3000
-"""Copies of a part; MuJoCo takes the square of their number, a minute for 20 000."""
-_CELLS: Mapping[str, tuple[str, ...]] = {
-    "hfield": ("nrow", "ncol"), "texture": ("width", "height"), "numeric": ("size",),
-    "user": ("dim",),
-}  # fmt: skip
-_COPIED = ("replicate", "composite", "flexcomp")
-
-
-def refuse_hazards(document: ModelDocument, mesh_dir: Path | None = None) -> None:
-    """Raise ModelError for an MJCF document that MuJoCo must not even be shown."""
-    _refuse_element(document, document.root, 1.0)
-    _refuse_files(document, mesh_dir, (), set())
-
-
-def _refuse_element(document: ModelDocument, node: Node, times: float) -> None:
-    """Refuse a hazard in an element that is repeated so many times, or in one below it."""
-    # MuJoCo takes the name of a class that it does not know for a format of printf.
-    if "%" in (node.get("class") or ""):
-        fault = f"the class {node.get('class')!r} of a {node.tag} has a % in its name; rename it"
-        raise ModelError(f"{document.path}: {fault}")
-    cells = math.prod(_product(node.get(name)) for name in _CELLS.get(node.tag, ()))
-    if node.tag == "size":
-        cells = max([_bytes(node) / 100.0, *map(_product, node.attributes.values())])
-    if cells > MOST_CELLS:
-        fault = f"a {node.tag} of {cells:.3g} cells; at most {MOST_CELLS:.0e} are read"
-        raise ModelError(f"{document.path}: {fault}")
-    if node.tag in _COPIED:
-        times *= max(1.0, _product(node.get("count")))
-    if times > MOST_COPIES:
-        fault = f"a {node.tag} makes {times:.3g} copies; at most {MOST_COPIES} are read"
-        raise ModelError(f"{document.path}: {fault}")
-    for child in node.children():
-        _refuse_element(document, child, times)
-
-
-def _bytes(node: Node) -> float:
-    """Return the memory that a <size> asks for: a number with K, M, G, T, P or E behind it."""
-    text = (node.get("memory") or "0").strip()
-    power = "KMGTPE".find(text[-1:].upper()) + 1
-    return _product(text[: -1 if power else None]) * 1024.0**power
-
-
-def _product(text: str | None) -> float:
-    """Return the product of an attribute's numbers; zero for none, of which MuJoCo will speak."""
-    try:
-        return math.prod(float(word) for word in (text or "0").split())
-    except ValueError:
-        return 0.0
-
-
-def _refuse_files(
-    document: ModelDocument, mesh_dir: Path | None, above: tuple[Path, ...], known: set[Path]
-) -> None:
-    """Refuse special files, and models that attach one of those ``above`` them."""
-    own = document.path.resolve()
-    for asset in find_assets(document, mesh_dir):
-        # What was not found is no file, but may be there; too long a name is an error to Path.
-        name = Path(asset.name.replace("\\", "/")).name
-        for path in (folder / name for folder in asset.looked_in if asset.path is None):
-            if os.path.exists(path) and not os.path.isdir(path):
-                raise ModelError(f"{document.path}: {path} is not a file but a pipe or a device")
-        if asset.node.tag != "model" or asset.path is None:
-            continue
-        attached = asset.path.resolve()
-        if attached in (*above, own):
-            raise ModelError(f"{document.path} attaches itself by way of {asset.name}; take it out")
-        if attached not in known and attached.suffix.lower() in SUFFIXES:
-            _refuse_files(read_document(attached), None, (*above, own), known)
-            known.add(attached)

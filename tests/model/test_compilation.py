@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import locale
 import os
-import sys
 
 import mujoco
 import numpy as np
@@ -30,7 +29,6 @@ from tests.support.model_files import (
     urdf_robot,
     write_files,
 )
-from tests.support.releases import since
 
 BODY = "<body name='b'><joint/>{}</body>"
 MESH_MODEL = """<mujoco><compiler meshdir="d"/><asset><mesh name="m" file="m.obj"/></asset>
@@ -159,72 +157,6 @@ def test_a_decimal_comma_is_refused_before_meshes_are_read_wrongly(tmp_path, mon
     monkeypatch.setattr(locale, "localeconv", lambda: {"decimal_point": ","})
     path = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON})
     with pytest.raises(ModelError, match=r"has ',' for a decimal point.*LC_NUMERIC, 'C'"):
-        compile_model(path)
-
-
-LEAF = '<body name="b"><geom size=".1"/></body>'
-
-
-def model(folder, name, assets="", bodies=LEAF):
-    path = folder / name
-    text = f"<mujoco><asset>{assets}</asset><worldbody>{bodies}</worldbody></mujoco>"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def attaching(folder, name, *files):
-    assets = "".join(f'<model name="m{k}" file="{file}"/>' for k, file in enumerate(files))
-    bodies = "".join(
-        f'<frame><attach model="m{k}" body="b" prefix="{name[0]}{k}"/></frame>'
-        for k in range(len(files))
-    )
-    return model(folder, name, assets, LEAF + bodies)
-
-
-@pytest.mark.parametrize("ring", [("a.xml",), ("a.xml", "c.xml"), ("a.xml", "c.xml", "d.xml")])
-def test_a_model_that_attaches_itself_is_refused(tmp_path, ring):
-    """MuJoCo ends the process over it."""
-    for name, following in zip(ring, (*ring[1:], ring[0])):
-        attaching(tmp_path, name, following)
-    with pytest.raises(ModelError, match="attaches itself by way of a.xml"):
-        compile_model(tmp_path / "a.xml")
-
-
-@since(3, 3)
-def test_a_model_may_be_attached_more_than_once(tmp_path):
-    model(tmp_path, "leaf.xml")
-    attaching(tmp_path, "c.xml", "leaf.xml")
-    attaching(tmp_path, "d.xml", "leaf.xml")
-    path = attaching(tmp_path, "a.xml", "c.xml", "d.xml")
-    assert compile_model(path).kind == "mjcf"
-
-
-@pytest.mark.parametrize(
-    ("part", "message"),
-    [
-        (
-            '<asset><hfield name="h" nrow="9e4" ncol="9e4" size="1 1 1 1"/></asset>',
-            "cells; at most",
-        ),
-        ('<size memory="900G"/>', "cells; at most"),
-        ('<size nuser_body="100000000"/>', "cells; at most"),
-        ('<worldbody><replicate count="1000000"><site/></replicate></worldbody>', "at most 3000"),
-        (
-            '<worldbody><replicate count="99"><frame><replicate count="99"><site/></replicate>'
-            "</frame></replicate></worldbody>",
-            "copies; at most 3000",
-        ),
-        ('<worldbody><geom class="%s%n%d" size=".1"/></worldbody>', "'%s%n%d' of a geom has a %"),
-        ('<asset><mesh name="m" file="shape.stl"/></asset>', "shape.stl is not a file but a pipe"),
-        ('<option gravity="0 0 -1e300"/>', r"a value no arm has \(gravity 1e\+300\)"),
-    ],
-)
-@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
-def test_what_would_end_or_stop_the_process_is_refused(tmp_path, part, message):
-    os.mkfifo(tmp_path / "shape.stl")
-    path = model(tmp_path, "a.xml")
-    path.write_text(path.read_text().replace("<asset>", f"{part}<asset>"))
-    with pytest.raises(ModelError, match=message):
         compile_model(path)
 
 

@@ -1,0 +1,139 @@
+"""What would end, stop or fill the process is refused before MuJoCo sees it."""
+
+from __future__ import annotations
+
+import os
+import struct
+import sys
+import zlib
+
+import pytest
+
+from robot_sysid.errors import ModelError
+from robot_sysid.mjcf import hazards
+from robot_sysid.model.compilation import compile_model
+from tests.support.releases import since
+
+LEAF = '<body name="b"><geom size=".1"/></body>'
+
+
+def model(folder, name, assets="", bodies=LEAF):
+    path = folder / name
+    text = f"<mujoco><asset>{assets}</asset><worldbody>{bodies}</worldbody></mujoco>"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def attaching(folder, name, *files):
+    assets = "".join(f'<model name="m{k}" file="{file}"/>' for k, file in enumerate(files))
+    bodies = "".join(
+        f'<frame><attach model="m{k}" body="b" prefix="{name[0]}{k}"/></frame>'
+        for k in range(len(files))
+    )
+    return model(folder, name, assets, LEAF + bodies)
+
+
+@pytest.mark.parametrize("ring", [("a.xml",), ("a.xml", "c.xml"), ("a.xml", "c.xml", "d.xml")])
+def test_a_model_that_attaches_itself_is_refused(tmp_path, ring):
+    """MuJoCo ends the process over it."""
+    for name, following in zip(ring, (*ring[1:], ring[0])):
+        attaching(tmp_path, name, following)
+    with pytest.raises(ModelError, match="attaches itself by way of a.xml"):
+        compile_model(tmp_path / "a.xml")
+
+
+@since(3, 3)
+def test_a_model_may_be_attached_more_than_once(tmp_path):
+    model(tmp_path, "leaf.xml")
+    attaching(tmp_path, "c.xml", "leaf.xml")
+    attaching(tmp_path, "d.xml", "leaf.xml")
+    path = attaching(tmp_path, "a.xml", "c.xml", "d.xml")
+    assert compile_model(path).kind == "mjcf"
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (
+            '<asset><hfield name="h" nrow="9e4" ncol="9e4" size="1 1 1 1"/></asset>',
+            "take 130 GB when unpacked.*largest: <hfield> in line 1",
+        ),
+        ('<size memory="900G"/>', "largest: <size>"),
+        ('<size nuser_body="100000000"/>', "take 1.6 GB"),
+        ('<worldbody><replicate count="1000000"><site/></replicate></worldbody>', "at most 3000"),
+        (
+            '<worldbody><replicate count="99"><frame><replicate count="99"><site/></replicate>'
+            "</frame></replicate></worldbody>",
+            "copies; at most 3000",
+        ),
+        ('<worldbody><geom class="%s%n%d" size=".1"/></worldbody>', "'%s%n%d' of a geom has a %"),
+        ('<asset><mesh name="m" file="shape.stl"/></asset>', "shape.stl is not a file but a pipe"),
+        ('<option gravity="0 0 -1e300"/>', r"a value no arm has \(gravity 1e\+300\)"),
+    ],
+)
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+def test_what_would_end_or_stop_the_process_is_refused(tmp_path, part, message):
+    os.mkfifo(tmp_path / "shape.stl")
+    path = model(tmp_path, "a.xml")
+    path.write_text(path.read_text().replace("<asset>", f"{part}<asset>"))
+    with pytest.raises(ModelError, match=message):
+        compile_model(path)
+
+
+def png(width, height, content=b"\0", colours=2):
+    """A PNG file's bytes; what its head says need not be what it holds."""
+    head = struct.pack(">IIBBBBB", width, height, 8, colours, 0, 0, 0)
+    parts = [(b"IHDR", head), (b"IDAT", zlib.compress(content, 9)), (b"IEND", b"")]
+    chunks = (
+        struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(k + c)) for k, c in parts
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+TEXTURE = '<texture name="t{}" type="2d" file="a.png"/>'
+LARGE = {
+    "texture": (TEXTURE, (30_000, 30_000), "take 5.4 GB .*largest: a.png"),
+    "height field": ('<hfield name="h" file="a.png" size="1 1 1 1"/>', (9000, 9000), "1.3 GB"),
+    "together": ("".join(TEXTURE.format(k) for k in range(9)), (3000, 3000), "0.486 GB"),
+    "sides of a cube": (
+        '<texture name="t" fileup="a.png" filedown="a.png"/>', (6000, 6000), "0.432 GB",
+    ),
+    "made": ('<texture name="t" builtin="flat" width="4000"/>', (1, 1), "0.576 GB"),
+    "mesh and numbers": (
+        '<mesh name="m" file="m.obj"/><hfield name="h" nrow="4000" ncol="4000" size="1 1 1 1"/>',
+        (1, 1), "0.456 GB",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_what_unpacks_to_too_much_together_is_refused_by_its_head(tmp_path, name):
+    assets, size, said = LARGE[name]
+    (tmp_path / "a.png").write_bytes(png(*size))
+    with (tmp_path / "m.obj").open("wb") as mesh:
+        mesh.truncate(100_000_000)
+    with pytest.raises(ModelError, match=said):
+        compile_model(model(tmp_path, "a.xml", assets))
+
+
+@pytest.mark.parametrize("times", [1, 6])
+def test_what_is_attached_counts_each_time(tmp_path, times):
+    (tmp_path / "a.png").write_bytes(png(4000, 4000, bytes(4000 * 12001)))
+    model(tmp_path, "b.xml", TEXTURE)
+    path = attaching(tmp_path, "a.xml", *["b.xml"] * times)
+    if times == 1:
+        hazards.refuse_hazards(hazards.read_document(path))
+    else:
+        with pytest.raises(ModelError, match="take 1.15 GB"):
+            compile_model(path)
+
+
+def test_an_image_that_unpacks_to_more_than_it_says_is_refused(tmp_path, monkeypatch):
+    """MuJoCo would unpack 2 GB of 2 MB, and then see that they should have been 200 bytes."""
+    monkeypatch.setattr(hazards, "MOST_MEMORY", 1e6)
+    path = model(tmp_path, "a.xml", TEXTURE)
+    (tmp_path / "a.png").write_bytes(png(8, 8, bytes(3_000_000)))
+    with pytest.raises(ModelError, match="largest: a.png"):
+        compile_model(path)
+    (tmp_path / "a.png").write_bytes(png(300, 300, bytes(300 * 901)))
+    assert compile_model(path).mj_model.ntex == 1
