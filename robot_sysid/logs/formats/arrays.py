@@ -4,6 +4,7 @@ LeRobot data sets: a folder with meta/info.json and Parquet files.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import subprocess
@@ -22,8 +23,6 @@ from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.formats import table
 from robot_sysid.records import Array
 
-LARGEST = 1e9
-"""Largest recording of arrays that is unpacked [bytes]: four hours of seven joints at 1 kHz."""
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
 _ALOHA = [*("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")]
@@ -35,8 +34,8 @@ from scipy.io import loadmat, whosmat
 
 def refuse(size):
     if size > most:
-        text = f"it unpacks to {size / 1e9:.3g} GB, more than the {most / 1e9:g} GB that are read"
-        sys.exit(f"{text}; split the recording")
+        text = f"it unpacks to {size / 1e9:.3g} GB, more than the {most / 1e9:.3g} GB that are"
+        sys.exit(f"{text} read of its size; split the recording, or save it without compression")
 
 def arrays(name, value):
     if isinstance(value, dict):
@@ -45,15 +44,20 @@ def arrays(name, value):
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
         yield name, value
 
-path, unpacked, most = sys.argv[1], sys.argv[2], float(sys.argv[3])
+path, unpacked, most, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3]), int(sys.argv[4])
 try:
     import resource
-    resource.setrlimit(resource.RLIMIT_AS, (int(2.0 * most + 2e9),) * 2)
+    seconds += int(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+    taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (int(taken + 1.2 * most + 1e8),) * 2)
 except (ImportError, OSError, ValueError):
     pass
 try:
-    refuse(sum(8.0 * float(np.prod(shape, dtype=float)) for _, shape, _ in whosmat(path)))
-    found = dict(arrays("", loadmat(path, simplify_cells=True)))
+    found = [each for each in whosmat(path) if each[2] not in ("cell", "char", "function")]
+    refuse(sum(8.0 * float(np.prod(shape, dtype=float)) for _, shape, _ in found))
+    names = [name for name, _, _ in found]
+    found = dict(arrays("", loadmat(path, simplify_cells=True, variable_names=names)))
     refuse(sum(float(each.nbytes) for each in found.values()))
     np.savez(unpacked, *found.values(), names=np.array([*found], dtype=str))
 except MemoryError:
@@ -62,6 +66,8 @@ except Exception as error:
     sys.exit(" ".join(str(error).split()) or type(error).__name__)
 """
 """Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones."""
+_SLOWEST = 2e7
+"""Bytes of a .mat file that are read in a second of processor time at least."""
 
 
 def npz_table(asked: table.Asked) -> table.LogTable:
@@ -73,9 +79,14 @@ def npz_arrays(path: Path) -> dict[str, Any]:
     """Return the arrays of an .npz file, or raise InputError; nothing in it is unpickled."""
     with table.as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
         with zipfile.ZipFile(stream) as packed:
-            _refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
-            for each in packed.namelist():
-                _refuse_bomb(path, _stated_bytes(packed, each))
+            names, size = packed.namelist(), path.stat().st_size
+            table.refuse_bomb(path, sum(i.file_size for i in packed.infolist()), size, len(names))
+            if not any(name.endswith(".npy") for name in names):
+                is_sheet = "[Content_Types].xml" in names
+                remedy = "export it as CSV" if is_sheet else "unpack it, and give the log in it"
+                inside = ", ".join(names[:3]) or "nothing"
+                raise InputError(f"{path} is no recording but an archive of {inside}; {remedy}")
+            table.refuse_bomb(path, sum(_stated_bytes(packed, each) for each in names), size)
         stream.seek(0)
         archive = np.load(stream, allow_pickle=False)
         return {name: archive[name] for name in archive.files}
@@ -99,58 +110,100 @@ def matlab_table(asked: table.Asked) -> table.LogTable:
     complaints = table.as_input_errors(asked.path, "a MATLAB .mat file")
     with complaints, tempfile.TemporaryDirectory() as folder:
         unpacked = Path(folder, "log.npz")
-        call = [sys.executable, "-c", _UNPACK, str(asked.path), str(unpacked), str(LARGEST)]
+        size = asked.path.stat().st_size
+        most, seconds = table.most_bytes(size), math.ceil(3.0 + size / _SLOWEST)
+        files, bounds = [str(asked.path), str(unpacked)], [str(most), str(seconds)]
+        call = [sys.executable, "-Wignore", "-c", _UNPACK, *files, *bounds]
         one_thread = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         ended = subprocess.run(call, capture_output=True, text=True, env=one_thread)
         if ended.returncode:
-            raise ValueError((ended.stderr.splitlines() or ["it is damaged"])[-1])
+            damaged = "it takes longer than a recording does, or is damaged"
+            raise ValueError((ended.stderr.splitlines() or [damaged])[-1])
         cells = npz_arrays(unpacked)
     named = {str(name): cells[f"arr_{k}"] for k, name in enumerate(cells["names"])}
     return table.arrays_table(asked.path, "MATLAB .mat", named)
 
 
 def hdf5_table(asked: table.Asked) -> table.LogTable:
-    """Return the joint states in an HDF5 file, and ALOHA's actions where commands are asked for."""
+    """Return the joint states in an HDF5 file, and ALOHA's actions where commands are asked for.
+
+    Only what is in the file itself is read: no link to another one is followed.
+    """
     path, found = asked.path, {}
     h5py = table.library("h5py", "hdf5", "an HDF5 file")
+    seen = itertools.count()
 
     def collect(name: str, member: Any) -> None:
+        table.refuse_bomb(path, 0.0, 0.0, next(seen))
         # What is called #refs# holds the cells of a MATLAB file.
         if isinstance(member, h5py.Dataset) and not name.startswith("#"):
             found[name] = member
 
     with table.as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
-        if "observations/qpos" in file:
+        is_aloha = _member(h5py, file, "observations/qpos") is not None
+        if is_aloha:
             names = {n: f"observations/{n}" for n in ("qpos", "qvel", "effort")}
             names.update({"command": "action"} if asked.options.commanded else {})
-            found.update({n: file[place] for n, place in names.items() if place in file})
+            members = {name: _member(h5py, file, place) for name, place in names.items()}
+            found.update({name: data for name, data in members.items() if data is not None})
         else:
             file.visititems(collect)
-        _refuse_bomb(path, sum(data.nbytes for data in found.values()))
-        arrays = {name: data[()] for name, data in found.items()}
-        if "qpos" in arrays:
+        columns = {name: data for name, data in found.items() if table.is_column(data)}
+        for name, data in columns.items():
+            _require_own(path, name, data)
+        # A chunk is unpacked whole, however little of it belongs to the array.
+        chunks = (math.prod(d.chunks or ()) * d.dtype.itemsize for d in columns.values())
+        sizes = (max(d.nbytes, chunk) for d, chunk in zip(columns.values(), chunks))
+        table.refuse_bomb(path, sum(sizes), path.stat().st_size)
+        arrays = {name: data[()] for name, data in columns.items()}
+        if is_aloha and "qpos" in arrays:
             return _aloha(path, arrays)
-    return table.arrays_table(path, "HDF5", arrays)
+        return table.arrays_table(path, "HDF5", {**found, **arrays})
 
 
-def _refuse_bomb(path: Path, size: float) -> None:
-    if size > LARGEST:
-        most = f"more than the {LARGEST / 1e9:g} GB that are read; split the recording"
-        raise InputError(f"{path} unpacks to {size / 1e9:.3g} GB, {most}")
+def _member(h5py: Any, file: Any, place: str) -> Any:
+    """Return what a file holds in a place, through links within the file; None for nothing."""
+    group, rest, links = file, place.split("/"), 0
+    while rest and isinstance(group, h5py.Group):
+        name = rest.pop(0)
+        link = group.get(name, getlink=True) if name else None
+        if isinstance(link, h5py.ExternalLink):
+            other = f"{name} is a link to another file, {link.filename}"
+            raise InputError(f"{file.filename}: {other}; {_COPY}")
+        if isinstance(link, h5py.SoftLink) and links < 50:
+            links += 1
+            group = file if link.path.startswith("/") else group
+            rest = [*link.path.split("/"), *rest]
+        elif name:
+            group = group[name] if isinstance(link, h5py.HardLink) else None
+    return None if rest else group
+
+
+_COPY = "copy what is in it into this one (h5repack, or h5copy)"
+
+
+def _require_own(path: Path, name: str, data: Any) -> None:
+    """Raise InputError for a data set whose numbers are in other files."""
+    others = [str(place[0]) for place in data.external or ()]
+    others += [s.file_name for s in (data.virtual_sources() if data.is_virtual else ())]
+    for other in (other for other in others if other != "."):
+        raise InputError(f"{path}: {name} has its numbers in another file, {other}; {_COPY}")
 
 
 def _aloha(path: Path, arrays: Mapping[str, Any]) -> table.LogTable:
     if not {"effort", "command"} & {*arrays}:
         raise InputError(f"{path} has no /observations/effort, no measured torque; record effort")
+    if len({values.shape for values in arrays.values()}) > 1 or arrays["qpos"].ndim != 2:
+        shapes = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
+        raise InputError(f"{path} does not hold the same joints in {shapes}; record them together")
     width = arrays["qpos"].shape[1]
     both = [f"{side}/{joint}" for side in ("left", "right") for joint in _ALOHA]
     known = {len(_ALOHA): _ALOHA, len(both): both}
     names = known.get(width, [f"joint{k}" for k in range(width)])
     titles = tuple(f"{name} {quantity}" for quantity in arrays for name in names)
-    cells = np.hstack([np.asarray(values, float) for values in arrays.values()])
     rate = ColumnChoices(rate=ALOHA_RATE)
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
-    return table.pieces_table(path, layout, titles, (cells,), rate)
+    return table.pieces_table(path, layout, titles, [list(arrays.values())], rate)
 
 
 LEROBOT = "a LeRobot data set"
@@ -180,13 +233,14 @@ def lerobot_table(asked: table.Asked) -> table.LogTable:
     present = [name for name in titles if titles[name]]
     frames = _frames(path, ["timestamp", "episode_index", *present])
     wanted = _wanted(path, asked.options.episode, frames["episode_index"])
-    cells = np.column_stack([frames["timestamp"], *(frames[name] for name in present)])
-    pieces = tuple(cells[frames["episode_index"] == episode] for episode in wanted)
+    index = frames.pop("episode_index")
+    pieces = [[values[index == episode] for values in frames.values()] for episode in wanted]
+    width = sum(values.reshape(len(values), -1).shape[1] for values in frames.values())
     version, fps = info.get("codebase_version", "?"), info.get("fps", "unknown")
     layout = f"LeRobot data set {version} at {fps} Hz, {len(pieces)} episodes"
     flat = tuple(title for name in present for title in titles[name])
-    if cells.shape[1] != 1 + len(flat):
-        fault = f"names {len(flat)} numbers of a frame in meta/info.json, not {cells.shape[1] - 1}"
+    if width != 1 + len(flat):
+        fault = f"names {len(flat)} numbers of a frame in meta/info.json, not {width - 1}"
         raise InputError(f"{path} {fault}; download the data set whole")
     return table.pieces_table(path, layout, ("timestamp [s]", *flat), pieces)
 
@@ -220,19 +274,38 @@ def _titles(features: Mapping[str, Any], name: str, joint_names: Sequence[str]) 
     return [f"{known[stem]} {end}" for stem, end in zip(stems, ends)]
 
 
-def _frames(path: Path, columns: Sequence[str]) -> Mapping[str, Array]:
+def _frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     """Return the columns of all files, lists as (N, k)."""
     parquet = table.library("pyarrow.parquet", "lerobot", LEROBOT)
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{path} has no Parquet files in data/; download the data set whole")
     parts: list[dict[str, Array]] = []
+    unpacked, packed = 0.0, sum(file.stat().st_size for file in files)
+    for file in files:
+        with table.as_input_errors(file, LEROBOT):
+            unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
+    table.refuse_bomb(path, unpacked, packed)
     for file in files:
         with table.as_input_errors(file, LEROBOT):
             read = parquet.read_table(file, columns=list(columns))
             parts.append({name: _array(read.column(name)) for name in columns})
     with table.as_input_errors(path, LEROBOT):
         return {name: np.concatenate([part[name] for part in parts]) for name in columns}
+
+
+def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
+    """Return what the columns of a Parquet file take [bytes]: as numbers, and while put together.
+
+    Pages of equal numbers say a few bytes of thousands, and a page may hold more than its numbers.
+    """
+    size = 0.0
+    for group in map(metadata.row_group, range(metadata.num_row_groups)):
+        for chunk in map(group.column, range(group.num_columns)):
+            # Of a list: its name, then such as ".list.element".
+            if any(f"{chunk.path_in_schema}.".startswith(f"{name}.") for name in columns):
+                size += max(16.0 * chunk.num_values, 2.0 * chunk.total_uncompressed_size)
+    return size
 
 
 def _array(column: Any) -> Array:

@@ -29,7 +29,16 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.table import Asked, Block, LogTable, as_input_errors, library, renamed
+from robot_sysid.logs.formats.table import (
+    ALWAYS,
+    MOST_RATIO,
+    Asked,
+    Block,
+    LogTable,
+    as_input_errors,
+    library,
+    renamed,
+)
 
 WHAT = "a ROS bag"
 POSITION, TORQUE = ("position",), ("effort", "current")
@@ -167,10 +176,6 @@ def _opened(path: Path) -> Iterator[Any]:
         reader = bounded_reader().AnyReader
         with reader([path.parent if single else path], default_typestore=store) as bag:
             yield bag
-
-
-MOST_RATIO, ALWAYS = 100, 10**8
-"""Recordings shrink to a tenth; a piece may unpack to 100 times its size, or to 100 MB."""
 
 
 @functools.cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -82,62 +83,91 @@ class Asked:
     options: LogOptions
 
 
+LARGEST = 8e8
+"""Largest recording of arrays that is unpacked [bytes]: three hours of seven joints at 1 kHz."""
+MOST_RATIO, ALWAYS = 100, 10**8
+"""Recordings shrink to a tenth; one may unpack to 100 times its size, or to 100 MB."""
+MOST_ARRAYS = 10_000
+"""Arrays in a recording, and columns of them; with ten times as many, names take a minute."""
+
+
+def most_bytes(packed: float) -> float:
+    """Return how many bytes a recording of so many may unpack to."""
+    return min(LARGEST, max(ALWAYS, MOST_RATIO * packed))
+
+
+def refuse_bomb(path: Path, unpacked: float, packed: float, arrays: int = 0) -> None:
+    """Raise InputError for a recording of so many bytes, packed to so many, that is not unpacked.
+
+    Every caller asks for all of a recording together, before any of it takes memory.
+    """
+    most = most_bytes(packed)
+    if unpacked > most:
+        raise InputError(
+            f"{path} unpacks to {unpacked / 1e9:.3g} GB, more than the {most / 1e9:.3g} GB that "
+            "are read of its size; split the recording, or save it without compression"
+        )
+    if arrays > MOST_ARRAYS:
+        fault = f"{path} holds {arrays} arrays or columns, more than the {MOST_ARRAYS} of a log"
+        raise InputError(f"{fault}; save those of the arm alone")
+
+
 def pieces_table(
     path: Path,
     layout: str,
     titles: Sequence[str],
-    pieces: Sequence[Array],
+    pieces: Sequence[Sequence[Array]],
     choices: ColumnChoices | None = None,
 ) -> LogTable:
-    """Return a recording that is in memory already, in pieces with cells (N, W)."""
+    """Return a recording in memory, in pieces of arrays (N,) or (N, k) that stand side by side."""
     return LogTable(path, layout, tuple(titles), partial(_rows, pieces), choices or ColumnChoices())
 
 
-def _rows(pieces: Sequence[Array], columns: Sequence[int]) -> Iterator[Block]:
-    total, start = max(1, sum(map(len, pieces))), 0
-    for number, piece in enumerate(pieces):
-        for first in range(0, len(piece), BLOCK):
-            cells = piece[first : first + BLOCK, list(columns)]
+def _rows(pieces: Sequence[Sequence[Array]], columns: Sequence[int]) -> Iterator[Block]:
+    lengths = [len(piece[0]) for piece in pieces]
+    total, start = max(1, sum(lengths)), 0
+    for number, (piece, length) in enumerate(zip(pieces, lengths)):
+        for first in range(0, length, BLOCK):
+            parts = [np.asarray(part[first : first + BLOCK], dtype=float) for part in piece]
+            cells = np.column_stack(parts)[:, list(columns)]
             start += len(cells)
             lines = np.arange(start - len(cells), start) + 1
             yield Block(lines, cells, piece=number, done=start / total)
 
 
 def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
-    """Return a recording that is named arrays, see ``titled_arrays``."""
-    titles, cells = titled_arrays(path, arrays)
-    return pieces_table(path, layout, titles, (cells,))
-
-
-def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...], Array]:
-    """Return (titles, cells (N, W)) of named arrays with one row, or column, per sample.
+    """Return a recording of named arrays with one row, or column, per sample.
 
     A column of a two-dimensional array ``q`` is called ``q[0]``; an array of another length or
     shape, or of no numbers, is no column. Of ``group/q`` the last part is the name, if no other
     array has it. InputError where there is no array with rows.
     """
     last = [name.rsplit("/", 1)[-1] for name in arrays]
-    ends = zip(last, arrays.items())
-    named = {end if last.count(end) == 1 else name: np.asarray(a) for end, (name, a) in ends}
-    sized = {
-        n: a for n, a in named.items() if a.dtype.kind in "fiub" and a.ndim in (1, 2) and a.size > 1
-    }
+    ends, often = zip(last, arrays.items()), Counter(last)
+    named = {end if often[end] == 1 else name: a for end, (name, a) in ends}
+    sized = {n: a for n, a in named.items() if is_column(a)}
     # As many samples as times, else what most arrays have.
     times = [max(a.shape) for name, a in sized.items() if read_title(name).kind == "time"]
     lengths = times or [max(a.shape) for a in sized.values()]
     if not lengths:
         shapes = ", ".join(f"{name} {np.shape(a)}" for name, a in arrays.items()) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {shapes}")
-    rows = max(set(lengths), key=lengths.count)
-    titles: list[str] = []
-    columns: list[Array] = []
-    for name, values in sized.items():
-        upright = values if len(values) == rows else values.T
-        if len(upright) == rows:
-            columns.append(np.asarray(upright, dtype=float).reshape(rows, -1))
-            width = columns[-1].shape[1]
-            titles += [name] if width == 1 else [f"{name}[{k}]" for k in range(width)]
-    return tuple(titles), np.hstack(columns)
+    rows = max(set(lengths), key=Counter(lengths).__getitem__)
+    upright = {n: a if len(a) == rows else a.T for n, a in sized.items()}
+    kept = {n: a.reshape(rows, -1) for n, a in upright.items() if len(a) == rows}
+    refuse_bomb(path, 0.0, 0.0, sum(a.shape[1] for a in kept.values()))
+    titles = [
+        f"{name}[{k}]" if a.shape[1] > 1 else name
+        for name, a in kept.items()
+        for k in range(a.shape[1])
+    ]
+    return pieces_table(path, layout, titles, [list(kept.values())])
+
+
+def is_column(array: Any) -> bool:
+    """Return whether something may hold columns of a recording; asks for no element of it."""
+    is_numbers = hasattr(array, "dtype") and array.dtype.kind in "fiub"
+    return is_numbers and len(array.shape) in (1, 2) and array.size > 1
 
 
 def renamed(names: Sequence[str], joint_names: Sequence[str]) -> list[str]:

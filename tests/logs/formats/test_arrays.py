@@ -3,19 +3,48 @@
 from __future__ import annotations
 
 import io
+import json
+import os
+import struct
+import sys
 import zipfile
+import zlib
 
 import numpy as np
 import pytest
 from scipy.io import savemat
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.formats import arrays
+from robot_sysid.logs.formats import table
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs.reader import content_lines
+from robot_sysid.records.progress import Progress
 from tests.support.log_files import JOINTS, motion, read_measurements
 
 DATA = motion()
 COLUMNS = {"t": DATA.time[:, None], "q": DATA.q, "qd": DATA.qd, "tau": DATA.tau}
 EXTRAS = {"gains": np.ones(7), "limits": np.ones((7, 2)), "name": "arm", "cells": [1, "a"]}
+
+
+def hdf5(path, **arrays):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, values in arrays.items():
+            file.create_dataset(name, data=values, compression="gzip", chunks=True)
+
+
+def lerobot(path, time, **states):
+    """A data set of two files with as many frames."""
+    parquet, pa = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+    for folder in ("meta", "data"):
+        (path / folder).mkdir(parents=True, exist_ok=True)
+    names = [f"j{k}.torque" for k in range(3)]
+    info = {"features": {"observation.state": {"names": names}}}
+    (path / "meta" / "info.json").write_text(json.dumps(info))
+    for name, values in states.items():
+        flat = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), 3)
+        columns = {"timestamp": time, "episode_index": 0 * time, "observation.state": flat}
+        parquet.write_table(pa.table(columns), path / "data" / f"{name}.parquet")
 
 
 class Harmless:
@@ -39,7 +68,7 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "log.npz"
     np.savez_compressed(path, time=np.zeros(200_000))
     assert path.stat().st_size < 10_000
-    monkeypatch.setattr(arrays, "LARGEST", 1e6)
+    monkeypatch.setattr(table, "LARGEST", 1e6)
     with pytest.raises(InputError, match="unpacks to 0.0016 GB, more than"):
         read_measurements(path, JOINTS)
 
@@ -54,6 +83,43 @@ def test_an_array_that_only_says_it_is_huge_is_refused(tmp_path):
         read_measurements(tmp_path / "log.npz", JOINTS)
 
 
+@pytest.mark.parametrize(
+    ("write", "rows"), [(np.savez_compressed, 20_000), (hdf5, 20_000), (lerobot, 8000)]
+)
+def test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused(
+    tmp_path, monkeypatch, write, rows
+):
+    """By what its heads say; each of its arrays or files alone is within the bound."""
+    monkeypatch.setattr(table, "ALWAYS", 10**6)
+    monkeypatch.setattr(table, "MOST_RATIO", 20)
+    path = tmp_path / "log.npz"
+    noise = {name: np.random.default_rng(0).normal(size=(200, 3)) for name in "ab"}
+    write(path, time=np.arange(200.0), **noise)
+    assert content_lines(path, LogOptions(), Progress())
+    write(path, time=np.zeros(rows), a=np.zeros((rows, 3)), b=np.zeros((rows, 3)))
+    with pytest.raises(InputError, match=r"unpacks to 0.00\d+ GB, more than the 0.001 GB .* size"):
+        content_lines(path, LogOptions(), Progress())
+
+
+def test_no_more_arrays_are_read_than_a_log_has(tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "MOST_ARRAYS", 20)
+    for write in (np.savez, hdf5):
+        write(tmp_path / "log", **{f"a{k}": np.arange(9.0) for k in range(22)})
+        path = next(tmp_path.iterdir())
+        with pytest.raises(InputError, match="more than the 20 of a log; save those of the arm"):
+            content_lines(path, LogOptions(), Progress())
+        path.unlink()
+
+
+def test_an_archive_of_something_else_says_what_it_holds(tmp_path):
+    for name, remedy in (("log.csv", "unpack it"), ("[Content_Types].xml", "export it as CSV")):
+        with zipfile.ZipFile(tmp_path / "log.zip", "w") as packed:
+            packed.writestr(name, "time,q1\n")
+        with pytest.raises(InputError) as caught:
+            read_measurements(tmp_path / "log.zip", JOINTS)
+        assert f"no recording but an archive of {name}; {remedy}" in str(caught.value)
+
+
 @pytest.mark.parametrize("names", [("a/q", "a/tau"), ("observations/qpos", "observations/effort")])
 def test_hdf5_whose_arrays_are_too_much_together_is_refused(tmp_path, names):
     h5py = pytest.importorskip("h5py")
@@ -63,6 +129,49 @@ def test_hdf5_whose_arrays_are_too_much_together_is_refused(tmp_path, names):
             file.create_dataset(name, (10**7, 7), "f8", chunks=(1024, 7))
     with pytest.raises(InputError, match="unpacks to 1.12 GB"):
         read_measurements(path, JOINTS)
+
+
+def external_link(file, h5py):
+    file["observations/qpos"] = h5py.ExternalLink("other", "/q")
+
+
+def soft_to_external(file, h5py):
+    file["there"] = h5py.ExternalLink("other", "/q")
+    file["observations/qpos"] = h5py.SoftLink("/there/qpos")
+
+
+def external_storage(file, h5py):
+    file.create_dataset("q", (10,), "u1", external=[("other", 0, 10)])
+
+
+def virtual(file, h5py):
+    layout = h5py.VirtualLayout((10,), "f8")
+    layout[:] = h5py.VirtualSource("other", "q", (10,))
+    file.create_virtual_dataset("q", layout)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+@pytest.mark.parametrize("refer", [external_link, soft_to_external, external_storage, virtual])
+def test_hdf5_does_not_follow_what_leads_to_another_file(tmp_path, monkeypatch, refer):
+    h5py = pytest.importorskip("h5py")
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("other")  # it would be waited for without end
+    with h5py.File("log.hdf5", "w") as file:
+        file["time"] = np.arange(10.0)
+        refer(file, h5py)
+    with pytest.raises(InputError, match="another file, other; copy what is in it into this one"):
+        read_measurements("log.hdf5", JOINTS)
+
+
+def test_hdf5_links_within_the_file_are_followed(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log.hdf5"
+    with h5py.File(path, "w") as file:
+        file["raw/q"], file["observations/effort"] = DATA.q, DATA.tau
+        file["state"] = h5py.SoftLink("raw")
+        file["observations/qpos"] = h5py.SoftLink("/state/q")
+    names = [f"joint{k}" for k in range(3)]
+    np.testing.assert_array_equal(read_measurements(path, names).samples.q, DATA.q)
 
 
 def assert_read(path):
@@ -104,9 +213,26 @@ def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch
     several = {f"q{k}": np.zeros(100_000) for k in range(3)}
     savemat(tmp_path / "log.mat", {"log": {"arm": several}}, do_compression=True)
     assert (tmp_path / "log.mat").stat().st_size < 10_000
-    monkeypatch.setattr(arrays, "LARGEST", 1e6)
+    monkeypatch.setattr(table, "LARGEST", 1e6)
     with pytest.raises(InputError, match="unpacks to 0.0024 GB, more than"):
         read_measurements(tmp_path / "log.mat", JOINTS)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a bound on memory")
+def test_a_matlab_files_empty_cells_are_not_unpacked(tmp_path):
+    """Three million take 12 kB in the file, and 0.4 GB if they were made."""
+    path, count = tmp_path / "log.mat", 3_000_000
+    savemat(path, {"time": DATA.time, "q": DATA.q, "tau": DATA.tau})
+
+    def element(kind, content):
+        return struct.pack("<II", kind, len(content)) + content + b"\0" * (-len(content) % 8)
+
+    head = element(6, struct.pack("<II", 1, 0)) + element(5, struct.pack("<ii", count, 1))
+    cells = element(14, head + element(1, b"c") + struct.pack("<II", 14, 0) * count)
+    with path.open("ab") as stream:
+        packed = zlib.compress(cells)
+        stream.write(struct.pack("<II", 15, len(packed)) + packed)
+    np.testing.assert_array_equal(read_measurements(path, JOINTS).samples.q, DATA.q)
 
 
 def test_a_matlab_file_that_is_cut_off_is_one_line(tmp_path):
