@@ -48,6 +48,8 @@ BAD_OPTIONS = {
     "zero duration": (["--duration", "0"], "--duration must be positive"),
     "duration in words": (["--duration", "long"], "argument --duration: invalid float value"),
     "one number of two": (["--workspace", "1"], "argument --workspace: expected 6 arguments"),
+    "two dashes": (["--duration=--"], "argument --duration: expected a value, not --"),
+    "two dashes of several": (["--max-acceleration=--"], "expected a value, not --"),
     "no such choice": (["--torques", "all"], "argument --torques: invalid choice: 'all'"),
     "no output folder": (["--output-dir", ""], "--output-dir: the folder's name is empty"),
     "output folder without a name": (["--output-dir", "\udcff"], "cannot be written as UTF-8"),
@@ -83,6 +85,25 @@ def test_names_cannot_steer_the_terminal(tmp_path, command, arm_file):
     path = arm_file(ARM.replace("joint1", "joi\u202ent1"), "a\u202e.xml")
     printed = command.run(path, *SHORT)
     assert "\u202e" not in printed.out + printed.err
+
+
+def test_names_do_not_break_the_lines_of_what_is_written(arm, command):
+    """Of joints, bodies, files and columns: every end of a line that Unicode knows."""
+    ends = "\n\r\v\x1c\x85\u2028\u2029"
+    odd = arm.with_name(f"a{ends}m.xml")
+    references = "".join(f"&#{ord(end)};" for end in "\n\r\x85\u2028\u2029")
+    odd.write_text(
+        ARM.replace("joint1", f"jo{references}int1").replace("link1", f"--{references}>")
+    )
+
+    def lines(model, folder):
+        log = f"{folder}/log.csv"
+        made = command.run(model, *SHORT, "--save-measurements", log, "--output-dir", folder)
+        texts = [arm.parent / folder / name for name in ("updated_model.xml", "params.json")]
+        text = [path.read_text(encoding="utf-8").strip() for path in texts]
+        return [len(each.splitlines()) for each in (*made, *command.run("log", log), *text)]
+
+    assert lines(odd, f"o{ends[1:]}ut") == lines(arm, "out")
 
 
 def test_what_is_not_sought_or_not_seen_is_said(arm, command):

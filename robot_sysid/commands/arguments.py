@@ -72,6 +72,9 @@ class Parser(argparse.ArgumentParser):
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse all arguments; an unknown option is told with the known one that is nearest."""
+        for word in args or ():
+            if word.startswith("-") and word.endswith("=--"):  # argparse makes an empty list of it
+                self.error(f"argument {word[:-3]}: expected a value, not --")
         known, unknown = self.parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}{self._meant(unknown)}")
@@ -86,7 +89,8 @@ class Parser(argparse.ArgumentParser):
         return ""
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        print_line(message.rstrip("\n"), file or sys.stdout)
+        for line in message.rstrip("\n").split("\n"):
+            print_line(line, file or sys.stdout)
 
     def add(
         self,

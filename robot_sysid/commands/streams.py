@@ -11,16 +11,16 @@ from typing import Any
 
 from robot_sysid.errors import InputError
 
-# What a title or a path from a file could do to a terminal; the last two ranges are marks by which
-# text runs from right to left.
-_MARKS = (*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
-_CONTROL = {code: "?" for code in _MARKS if chr(code) not in "\n\t"}
+# What a title or a path from a file could do to a terminal; the last two ranges are line ends and
+# marks by which text runs from right to left.
+_MARKS = (*range(32), *range(127, 160), *range(0x2028, 0x202F), *range(0x2066, 0x206A))
+_CONTROL = {code: "?" for code in _MARKS if chr(code) != "\t"}
 
 
 def print_line(message: str, stream: Any) -> None:
     """Print a line; a reader that has gone away (``| head``) does not stop the run.
 
-    Control characters are shown as "?".
+    Control characters, and ends of lines within it, are shown as "?".
     """
     try:
         stream.write(f"{message.translate(_CONTROL)}\n")

@@ -83,7 +83,7 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
     entries: dict[str, str] = {}
     columns: dict[str, dict[str, str]] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(text.split("\n"), start=1):  # titles may hold other line ends
         # A blank before the mark makes a remark of the rest; without one it is column "#3".
         content = re.sub(r"(^|\s)#(?!\d).*", "", line).strip()
         if not content:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -141,7 +142,8 @@ def write_measurement_csv(
         for chunk in chunks:
             if not there:
                 there = {n: a for n, a in _WRITTEN.items() if getattr(chunk, a) is not None}
-                writer.writerow(["time", *(f"{j}_{n}" for n in there for j in joint_names)])
+                titles = [f"{joint}_{name}" for name in there for joint in joint_names]
+                writer.writerow(["time", *(re.sub(r"[\r\n]", " ", title) for title in titles)])
             values = [getattr(chunk, attribute) for attribute in there.values()]
             writer.writerows(map(repr, r) for r in np.column_stack((chunk.time, *values)).tolist())
         if not there:

@@ -20,7 +20,7 @@ _DECLARED_ENCODING = re.compile(rb"""\A(<\?xml[^>]*encoding\s*=\s*["'])[^"']*(["
 _ATTRIBUTE = re.compile(rb"""([^\s=/<>"']+)(\s*=\s*)("[^"]*"|'[^']*')""")
 _TAG_NAME = re.compile(rb"<[^\s/>]+")
 _ESCAPES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
-_ESCAPED = str.maketrans({**_ESCAPES, "\t": "&#9;", "\n": "&#10;", "\r": "&#13;"})
+_ESCAPED = str.maketrans({**_ESCAPES, **{c: f"&#{ord(c)};" for c in "\t\n\r\x85\u2028\u2029"}})
 
 
 class Edit(NamedTuple):

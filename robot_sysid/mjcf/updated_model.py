@@ -85,7 +85,8 @@ def _comment(what: str, rmse: float, addition: str | None) -> str:
     """Return the comment that says what was identified, of which body, say."""
     words = f"System ID: {what} identified with {rmse_words(rmse)}"
     words += f"; {addition}" if addition else ""
-    return f"<!-- {words.replace('--', '- -')} -->"
+    # A name may hold ends of lines, and dashes that would end the comment.
+    return f"<!-- {re.sub('-(?=-)', '- ', ' '.join(words.split()))} -->"
 
 
 def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
