@@ -127,9 +127,9 @@ def model_servos(robot: RobotModel) -> Servos:
     return Servos(actuators.stiffness, damping, *rest, 0.0)
 
 
-def servo_copy(robot: RobotModel, servos: Servos, timestep: float) -> Any:
-    """Return a copy of an arm's model with these servos and joints, to be rolled out."""
-    model, dofs, actuators = rollout_copy(robot, timestep), robot.dof_index, actuators_of(robot)
+def servo_copy(robot: RobotModel, timestep: float) -> Any:
+    """Return a copy of an arm's model whose actuators do nothing yet, to be rolled out."""
+    model = rollout_copy(robot, timestep)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     model.actuator_gaintype[:] = int(mujoco.mjtGain.mjGAIN_FIXED)
     model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -138,6 +138,12 @@ def servo_copy(robot: RobotModel, servos: Servos, timestep: float) -> Any:
     if hasattr(model, "actuator_delay"):
         # Releases whose actuators can act late; the delay is in the commands of a window already.
         model.actuator_delay[:] = 0.0
+    return model
+
+
+def set_servos(model: Any, robot: RobotModel, servos: Servos) -> None:
+    """Give a ``servo_copy`` these servos and joints; whatever it had before is gone."""
+    dofs, actuators = robot.dof_index, actuators_of(robot)
     model.dof_armature[dofs], model.dof_frictionloss[dofs] = servos.armature, servos.frictionloss
     kv, driven = actuators.share * servos.damping, actuators.index != NONE
     model.dof_damping[dofs] = servos.damping - kv
@@ -150,8 +156,8 @@ def servo_copy(robot: RobotModel, servos: Servos, timestep: float) -> Any:
     limit = actuators.limit[driven]
     model.actuator_forcelimited[at] = np.isfinite(limit)
     model.actuator_forcerange[at] = np.column_stack((-limit, limit))
-    model.jnt_stiffness[_joints(robot)[~driven]] += servos.stiffness[~driven]
-    return model
+    sprung = _joints(robot)[~driven]
+    model.jnt_stiffness[sprung] = robot.mj_model.jnt_stiffness[sprung] + servos.stiffness[~driven]
 
 
 @dataclass(frozen=True)
@@ -193,19 +199,20 @@ def played_servos(
         windows: W of them, all of one length.
         edges: (S + 1,) ends of the steps, from the start of a window [s].
     """
-    count, steps, joints = len(choices) * len(windows), len(edges) - 1, robot.n_joints
-    timestep = float(edges[1] - edges[0])
-    models = [servo_copy(robot, servos, timestep) for servos in choices]
-    pairs = [(servos, window) for servos in choices for window in windows]
-    control = np.stack([window.controls(servos.delay, edges) for servos, window in pairs])
-    q, qd = (np.stack([getattr(w, name) for _, w in pairs]) for name in ("q", "qd"))
+    # One copy serves all choices: an arm's meshes make it large, and slow to copy.
+    model = servo_copy(robot, float(edges[1] - edges[0]))
+    q, qd = (np.stack([getattr(w, name) for w in windows]) for name in ("q", "qd"))
     index = actuators_of(robot).index
     driven = index != NONE
-    given = np.zeros((count, steps, robot.mj_model.nu))
-    given[:, :, index[driven]] = control[:, :, driven]
     rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
-    gains = np.stack([servos.stiffness * ~driven for servos, _ in pairs])
-    torque = gains[:, None] * (control - rest)
-    found = roll(robot, [model for model in models for _ in windows], Inputs(q, qd, torque, given))
-    whole = np.concatenate((q[:, None], found), axis=1)
-    return whole.reshape(len(choices), len(windows), steps + 1, joints)
+    found = []
+    for servos in choices:
+        set_servos(model, robot, servos)
+        control = np.stack([window.controls(servos.delay, edges) for window in windows])
+        given = np.zeros((*control.shape[:2], robot.mj_model.nu))
+        given[:, :, index[driven]] = control[:, :, driven]
+        torque = servos.stiffness * ~driven * (control - rest)
+        inputs = Inputs(q, qd, torque, given)
+        played = roll(robot, [model] * len(windows), inputs)
+        found.append(np.concatenate((q[:, None], played), axis=1))
+    return np.stack(found)

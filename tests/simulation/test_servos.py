@@ -13,6 +13,7 @@ from robot_sysid.simulation.servos import (
     model_servos,
     played_servos,
     servo_copy,
+    set_servos,
 )
 from tests.support.arms import robot_of
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
@@ -44,7 +45,9 @@ def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
     robot = robot_of(XML)
     own, servos = actuators_of(robot), model_servos(robot)
     changed = replace(servos, damping=factor * servos.damping)
-    model = servo_copy(robot, changed, 0.002)
+    model = servo_copy(robot, 0.002)
+    set_servos(model, robot, TRUTH)
+    set_servos(model, robot, changed)
     np.testing.assert_allclose(model.dof_damping, factor * robot.mj_model.dof_damping, rtol=1e-12)
     np.testing.assert_allclose(-model.actuator_biasprm[:, 2], factor * own.damping, rtol=1e-12)
 
@@ -53,7 +56,8 @@ def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
     whole = robot_of(XML.replace(' forcerange="-60 60"', ""))
     bare = robot_of(XML.replace(SERVOS, ""))
     assert actuators_of(bare).index.tolist() == [NONE, NONE]
-    found = [played_servos(robot, [TRUTH], [window()], EDGES)[0, 0] for robot in (whole, bare)]
+    both = [model_servos(whole), TRUTH]
+    found = [played_servos(robot, both, [window()], EDGES)[1, 0] for robot in (whole, bare)]
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
 
 
