@@ -25,9 +25,10 @@ from robot_sysid.results.json import json_text
 from robot_sysid.results.model import ModelTarget, versions, write_joints
 from robot_sysid.results.rollout import LAST_FIFTH, refusal, rollout_entry, rollout_lines
 from robot_sysid.servo import search
-from robot_sysid.servo.search import MOST_PERIODS, ServoFit
+from robot_sysid.servo.commands import MOST_PERIODS, commanded_pieces, moving
+from robot_sysid.servo.search import ServoFit
 from robot_sysid.signals.resampling import usual_period
-from robot_sysid.simulation.servos import Servos, actuators_of, model_servos
+from robot_sysid.simulation.servos import actuators_of, model_servos
 
 SERVO_NAME, SERVO_SCHEMA = "servo.json", "robot-sysid servo 1"
 WITHOUT_TORQUE = (
@@ -36,10 +37,10 @@ WITHOUT_TORQUE = (
 )
 UNITS = {"gain": "N·m/rad", "damping": "N·m·s/rad", "frictionloss": "N·m", "armature": "kg·m²"}
 """What is found of a joint, in the order of ``Servos``, and its unit."""
-_KEYS = ("before", "value", "standard_error", "data_share")
-OFTEN, UNSURE = 0.2, 0.1
-"""Share of time at its limit, and relative error, from which on a gain is said to be hardly seen;
-chosen, nothing else depends on them."""
+_KEYS = ("before", "value", "standard_error")
+OFTEN, UNSURE = 0.2, 0.5
+"""Share of time at its limit from which on that is said, and relative error from which on only the
+ratios of a joint's numbers are; chosen, nothing else depends on them."""
 _POSITIONS = 200
 
 
@@ -68,16 +69,14 @@ class ServoIdentification:
         return np.isfinite(actuators_of(self.robot).stiffness)
 
     @property
-    def numbers(self) -> dict[str, dict[str, dict[str, float]]]:
+    def numbers(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Joint to name, as in ``UNITS``, to what was found; before is NaN where there is none."""
         names, before = self.robot.joint_names, model_servos(self.robot)
-        vectors = (s.vector() for s in (before, self.fit.servos, self.fit.errors))
-        columns = np.stack([*vectors, self.fit.share], axis=1)[:-1]
-        tables = columns.reshape(len(UNITS), len(names), 4).tolist()
-        return {
-            joint: {name: dict(zip(_KEYS, table[k])) for name, table in zip(UNITS, tables)}
-            for k, joint in enumerate(names)
-        }
+        vectors = [s.vector() for s in (before, self.fit.servos, self.fit.errors)]
+        rows = [dict(zip(_KEYS, row)) for row in np.stack(vectors, axis=1).tolist()]
+        for row, seen in zip(rows, self.fit.seen.tolist()):
+            row["source"] = "identified" if seen else "from_model"
+        return {joint: dict(zip(UNITS, rows[k : -1 : len(names)])) for k, joint in enumerate(names)}
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
         """Return what the joints and the position actuators of the model get."""
@@ -133,9 +132,9 @@ def _figures(found: ServoIdentification, joint: str) -> Iterator[str]:
         yield "does not move in these logs; all as in the model"
         return
     for name, number in found.numbers[joint].items():
-        before, value, error, share = number.values()
-        old = "" if np.isnan(before) else f"{before:.3g} -> "
-        doubt = "" if share > 0.5 else ", hardly seen"
+        before, value, error, source = number.values()
+        old = "" if np.isnan(before) or source == "from_model" else f"{before:.3g} -> "
+        doubt = "" if source == "identified" else " (not seen: as in the model)"
         yield f"{name} {old}{value:.3g} ± {error:.1g} {UNITS[name]}{doubt}"
 
 
@@ -158,14 +157,21 @@ def servo_notes(found: ServoIdentification, period: float) -> Iterator[str]:
         )
     for k, (joint, numbers) in enumerate(found.numbers.items()):
         if found.moves[k]:
-            yield from _joint_notes(found, k, joint, numbers["gain"])
+            yield from _joint_notes(found, k, joint, numbers)
         else:
             yield f"{joint} does not move in these logs: it keeps the model's numbers"
 
 
 def _joint_notes(
-    found: ServoIdentification, k: int, joint: str, gain: dict[str, float]
+    found: ServoIdentification, k: int, joint: str, numbers: dict[str, dict[str, Any]]
 ) -> Iterator[str]:
+    gain = numbers["gain"]
+    unseen = [name for name, own in numbers.items() if own["source"] == "from_model"]
+    if unseen:
+        yield (
+            f"the servo of {joint} hides its {', '.join(unseen)}: what the model has stays, and "
+            "may be off by twice the stated error; a softer servo (a lower gain) would show more"
+        )
     if found.at_limit[k] > OFTEN:
         yield (
             f"the servo of {joint} asks for more than its limit of "
@@ -173,7 +179,7 @@ def _joint_notes(
             f"{100.0 * found.at_limit[k]:.0f} % of the time: its gain is then hardly seen, and its "
             "limit matters"
         )
-    if gain["standard_error"] > UNSURE * gain["value"]:
+    if gain["source"] == "identified" and gain["standard_error"] > UNSURE * gain["value"]:
         yield (
             "these logs hardly show the absolute size of gain, friction and rotor inertia of "
             f"{joint}, only their ratios (gravity and the links' inertia would); the size "
@@ -237,12 +243,12 @@ def identify_servos(
         return open_log(robot, path, replace(logs, commanded=True), progress)
 
     opened, other = [read(path) for path in logs.measurements], logs.validation_measurements
-    pieces, words = search.commanded_pieces(opened, robot.joint_names), LAST_FIFTH
+    pieces, words = commanded_pieces(opened, robot.joint_names), LAST_FIFTH
     fitted, held = search.parted(pieces)
     if other is not None:
-        held = search.commanded_pieces([read(other)], robot.joint_names)
+        held = commanded_pieces([read(other)], robot.joint_names)
         fitted, words = pieces, "the validation log"
-    moves = search.moving(pieces)
+    moves = moving(pieces)
     period = float(np.median([usual_period(piece.time) for piece in pieces]))
     q = np.concatenate([piece.q for piece in pieces])
     q = q[np.linspace(0, len(q) - 1, _POSITIONS).astype(int)]
@@ -250,11 +256,15 @@ def identify_servos(
     progress.stage("Searching for servos, friction and rotor inertia...")
     problem = search.problem_of(robot, fitted)
     fit = search.fit_servos(problem, search.better_start(problem, start), progress)
-    rollout = search.play_servos(robot, held, (_before(robot, fit.servos), fit.servos), words)
+    if not np.all(fit.seen[start.free]):
+        start = replace(start, start=search.as_in_model(robot, fit.servos, ~fit.seen))
+        fit = search.fit_servos(problem, start, progress, fit.seen)
+    before = search.as_in_model(robot, fit.servos)
+    rollout = search.play_servos(robot, held, (before, fit.servos), words)
     if other is None:
         # What was held out has done its work; the numbers come from all that was recorded.
         problem = search.problem_of(robot, pieces)
-        fit = search.fit_servos(problem, replace(start, start=fit.servos), progress)
+        fit = search.fit_servos(problem, replace(start, start=fit.servos), progress, fit.seen)
     fit = search.with_links_error(fit, search.links_share(robot, pieces, fit.servos))
     limited = search.at_limit(problem, fit.servos)
     found = ServoIdentification(robot, fit, moves, limited, origin_of(opened), rollout)
@@ -262,15 +272,6 @@ def identify_servos(
     notes += servo_notes(found, period)
     rest = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
     return replace(found, notes=tuple(dict.fromkeys(notes))), rest
-
-
-def _before(robot: RobotModel, found: Servos) -> Servos:
-    """Return the model before, with the delay that was found; gains it does not have, too."""
-    own = model_servos(robot)
-    known = np.isfinite(own.stiffness)
-    stiffness = np.where(known, own.stiffness, found.stiffness)
-    damping = np.where(known, own.damping, found.damping)
-    return replace(own, stiffness=stiffness, damping=damping, delay=found.delay)
 
 
 def _write(

@@ -8,29 +8,25 @@ links and gravity are small beside them, and in logarithms that is a straight li
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CLOSED, RolloutError, RolloutTest
 from robot_sysid.results.rollout import HELD_OUT_SHARE, HORIZONS
+from robot_sysid.servo.commands import MOST_PERIODS
 from robot_sysid.signals.resampling import part_of, usual_period
 from robot_sysid.simulation.playback import MOST_WINDOWS
 from robot_sysid.simulation.servos import Servos, Window, actuators_of, model_servos, played_servos
 
 SERVO_WORDS = "the log's commands through the model's servos, both late by the delay that was found"
-# Logs: range of positions from which on a joint moves [rad or m]; largest delay that is sought, in
-# sampling periods; slopes of commands in other units; how much is alike, followed, off.
-MOVES, MOST_PERIODS = 0.02, 10
-_SLOPES = {"degrees": 180.0 / np.pi, "steps of 4096 a turn": 4096 / (2 * np.pi)}
-_ALIKE, _FOLLOWS, _OFFSET = 0.98, 0.5, 0.3
 # Windows: time step of rollouts, at most, length, what does not count at the beginning, where the
 # state is known from steps of the encoder, the parabolas that give it [s]; how many are fitted.
 STEP, LENGTH, SETTLED, SMOOTHED = 0.002, 3.0, 0.6, 0.12
@@ -43,88 +39,14 @@ GAINS, _FEW = (0.03, 0.1, 0.3, 1.0, 3.0), 6
 # step of differences: a servo that is at its limit again and again is rough over smaller ones.
 WIDEST, SOFT, PULL, MOST_ROUNDS = 100.0, 0.3, 2.5, 8
 _STEP, _SETTLED, _LEAST_SIZE = 0.04, 1e-4, 1e-3
+# Standard error, in units, from which on twice it is as large as a number usually is: not seen.
+UNSEEN = 0.5
+_FRICTION = 2  # Where friction stands in ``Servos``.
 # Bandwidth of a servo of which nothing is known [rad/s].
 _UNKNOWN_RATE = 20.0
 # How far the links' masses, which are trusted, may be off; what of a joint's torque a model does
 # not explain at best (both docs/rollout.md); the links' share below which only ratios are seen.
 LINKS_WRONG, UNEXPLAINED, LEAST_SHARE = 0.02, 0.005, 0.1
-
-
-def commanded_pieces(logs: Sequence[MeasurementLog], joints: Sequence[str]) -> list[Measurement]:
-    """Return the pieces between the gaps of some logs that were read for their commands.
-
-    Raises:
-        InputError: the commands cannot be what they seem; says which joint and why.
-    """
-    for log in logs:
-        for joint in np.flatnonzero(moving(log.pieces)).tolist():
-            asked = [(p.q, p.command) for p in log.pieces if p.command is not None]
-            pairs = [(q[:, joint], command[:, joint]) for q, command in asked]
-            for fault in _faults(pairs):
-                raise InputError(f"{log.path}: the commands of joint {joints[joint]} {fault}")
-    return [part for log in logs for part in log.pieces]
-
-
-def moving(parts: Sequence[Measurement]) -> NDArray[np.bool_]:
-    """Return (n,) which joints move."""
-    return np.asarray(np.ptp(np.concatenate([part.q for part in parts]), axis=0) >= MOVES)
-
-
-def _faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
-    """Yield what is wrong with a joint's commands, as the end of a sentence."""
-    best, at, slope = _best_lag(pairs)
-    same = [[np.abs(c[: len(c) - lag] - q[lag:]) < 1e-9 for q, c in pairs] for lag in range(4)]
-    unit = next((u for u, k in _SLOPES.items() if 0.7 < abs(slope) / k < 1.4), None)
-    offset = float(np.median(np.concatenate([c - q for q, c in pairs])))
-    if max(float(np.mean(np.concatenate(each))) for each in same) > _ALIKE:
-        yield (
-            "repeat the measured positions: the log holds no real commands; record what was sent "
-            "to the servos"
-        )
-    if unit is not None:
-        yield (
-            f"change {abs(slope):.3g} times as much as its positions: they look like {unit}; say "
-            "what they are with --units, or scale the columns with --columns FILE, such as "
-            f"'command.JOINT = {1.0 / slope:.4g} * TITLE'"
-        )
-    if best < _FOLLOWS:
-        yield (
-            f"are not followed (correlation {best:.2f} at the best delay); check the columns, and "
-            "that the servos were on"
-        )
-    if not 0.5 < slope < 2.0:
-        yield f"change {slope:.3g} times as much as its positions; check their units and sign"
-    if at < 0:
-        yield (
-            f"come {-at} samples after its positions; check the time stamps, and whether the "
-            "columns of commands and positions were exchanged"
-        )
-    if at > MOST_PERIODS:
-        yield (
-            f"come {at} samples before its positions, more than the {MOST_PERIODS} that are "
-            "sought; check the time stamps, or record faster"
-        )
-    if abs(offset) > _OFFSET:
-        yield (
-            f"differ from its positions by {offset:.3g} all the time; check that both count from "
-            "the same zero"
-        )
-
-
-def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
-    """Return (correlation, by how many samples positions are behind, slope of commands) there."""
-    reach = min(3 * MOST_PERIODS, min(len(q) for q, _ in pairs) // 4)
-    found = []
-    for lag in range(-reach, reach + 1):
-        first, last = max(0, lag), min(0, lag)
-        same = [(q[first : len(q) + last], c[-last : len(c) - first]) for q, c in pairs]
-        position, asked = (np.concatenate([v - np.mean(v) for v in side]) for side in zip(*same))
-        own, both = float(position @ position), float(position @ asked)
-        norm = np.sqrt(own) * float(np.linalg.norm(asked))
-        alike, slope = (abs(both) / norm, both / own) if norm > 0.0 else (0.0, 0.0)
-        found.append((alike, -abs(lag), lag, slope))
-    alike, _, lag, slope = max(found)
-    return alike, lag, slope
 
 
 @dataclass(frozen=True)
@@ -144,6 +66,10 @@ class Problem:
         """Return the problem with at most so many of its windows, spread evenly."""
         keep = np.linspace(0, len(self.windows) - 1, min(len(self.windows), most))
         return replace(self, windows=tuple(self.windows[k] for k in keep.round().astype(int)))
+
+    def halved(self) -> Problem:
+        """Return the problem with time steps of half the length."""
+        return replace(self, edges=np.linspace(0.0, self.edges[-1], 2 * len(self.edges) - 1))
 
     def played(self, choices: Sequence[Servos]) -> Array:
         """Return positions (C, W, S + 1, n) of each choice in every window."""
@@ -252,10 +178,10 @@ class Scale:
         return Servos.of(np.where(self.free, whole * self.size.vector(), self.start.vector()))
 
     def derivative(self, servos: Servos) -> Array:
-        """Return (p,) how much each number changes where its unknown changes by one."""
+        """Return (4 n + 1,) how much each number changes where its unknown changes by one."""
         size = self.size.vector()
         size[:-1] = servos.vector()[:-1] + SOFT * size[:-1]
-        return size[self.free]
+        return size
 
     def bounds(self) -> tuple[Array, Array]:
         """Return the least and the largest vector that is sought."""
@@ -276,10 +202,13 @@ def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.b
     stiffness = np.where(np.isnan(own.stiffness), stiffness, own.stiffness)
     damping = np.where(own.damping > 0.0, own.damping, usual)
     start = replace(own, stiffness=stiffness, damping=damping, delay=period)
+    # Friction is rarely less than this of what a geared motor carries or can give.
+    limit = np.nan_to_num(actuators_of(robot).limit, posinf=0.0)
+    resisted = np.maximum(0.05 * gravity, 0.02 * limit)
     size = Servos(
         stiffness,
         np.maximum(damping, usual),
-        np.maximum(own.frictionloss, np.maximum(0.05 * gravity, _LEAST_SIZE)),
+        np.maximum(own.frictionloss, np.maximum(resisted, _LEAST_SIZE)),
         np.maximum(own.armature, np.maximum(0.2 * inertia, 1e-2 * _LEAST_SIZE)),
         period,
     )
@@ -308,10 +237,11 @@ def better_start(problem: Problem, scale: Scale) -> Scale:
     start, delays = scale.start, scale.size.delay * np.arange(0.0, MOST_PERIODS + 1.0)
     grid = [(gain, delay) for gain in GAINS for delay in delays]
     choices = [replace(start, stiffness=g * start.stiffness, delay=float(d)) for g, d in grid]
-    squared = np.mean(problem.some(_FEW).errors(choices) ** 2, axis=1)
-    if not np.all(np.isfinite(squared)):
+    # Absolute: where a stiff servo comes off its limit, single windows run off and rule squares.
+    error = np.mean(np.abs(problem.some(_FEW).errors(choices)), axis=1)
+    if not np.all(np.isfinite(error)):
         raise InputError("the model cannot be played with these commands; check their units")
-    by_gain = squared.reshape(len(GAINS), len(delays), -1)
+    by_gain = error.reshape(len(GAINS), len(delays), -1)
     best = int(np.argmin(np.sum(np.min(by_gain, axis=0), axis=1)))
     gains = np.array(GAINS)[np.argmin(by_gain[:, best], axis=0)]
     better = replace(start, stiffness=gains * start.stiffness, delay=float(delays[best]))
@@ -324,23 +254,27 @@ class ServoFit:
 
     Attributes:
         errors: their standard errors, zero for what was not sought.
-        share: (4 n + 1,) how much of each comes from the data: 1 all, 0 all from the start.
+        seen: (4 n + 1,) which of them the data shows; the others are the model's own.
         sigma: (n,) root mean square position error [rad].
     """
 
     servos: Servos
     errors: Servos
-    share: Array
+    seen: NDArray[np.bool_]
     sigma: Array
 
 
-def fit_servos(problem: Problem, scale: Scale, progress: Progress) -> ServoFit:
+def fit_servos(
+    problem: Problem, whole: Scale, progress: Progress, seen: NDArray[np.bool_] | None = None
+) -> ServoFit:
     """Search for the servos whose rollouts come nearest to the measured positions.
 
-    Twice: all joints' errors count alike at first, then each in units of its own error.
+    Twice: all joints' errors count alike at first, then each in units of its own error. Of all that
+    is free, only what is ``seen`` is sought where that is known; errors are stated of all.
     """
     from scipy.optimize import least_squares
 
+    scale = whole if seen is None else replace(whole, free=whole.free & seen)
     bounds = scale.bounds()
     origin = x = np.clip(scale.unknowns(scale.start), *bounds)
     done = 0.0
@@ -353,7 +287,9 @@ def fit_servos(problem: Problem, scale: Scale, progress: Progress) -> ServoFit:
         nonlocal done
         done = min(done + 1.0, MOST_ROUNDS - 0.5)
         progress.advance(stage, done, MOST_ROUNDS, "")
-        slopes = _slopes(problem, scale, at) / sigma[:, None]
+        servos = scale.servos(at)
+        slopes = _slopes(problem, scale, servos) * scale.derivative(servos)[scale.free]
+        slopes /= sigma[:, None]
         return np.vstack((slopes.reshape(-1, len(at)), np.eye(len(at)) / PULL))
 
     settled = {"xtol": _SETTLED, "ftol": _SETTLED, "max_nfev": MOST_ROUNDS}
@@ -361,7 +297,19 @@ def fit_servos(problem: Problem, scale: Scale, progress: Progress) -> ServoFit:
         done, sigma = 0.0, _sigma(problem.errors([scale.servos(x)])[0])
         x = least_squares(residuals, x, jacobian, bounds, args=(sigma, stage), **settled).x
         progress.advance(stage, 1.0, 1.0, "")
-    return _judged(problem, scale, x)
+    fit = judged(problem, whole, scale.servos(x))
+    return fit if seen is None else replace(fit, seen=seen)
+
+
+def as_in_model(robot: RobotModel, found: Servos, which: Any = True) -> Servos:
+    """Return the servos with some or all numbers as the model has them, where it has them.
+
+    The delay stays as found, and so do gain and damping of a joint without servo in the model.
+    """
+    own = model_servos(robot)
+    has_servo = np.isfinite(own.stiffness)
+    known = np.concatenate((has_servo, has_servo, has_servo | True, has_servo | True, [False]))
+    return Servos.of(np.where(known & which, own.vector(), found.vector()))
 
 
 def _sigma(errors: Array) -> Array:
@@ -369,40 +317,71 @@ def _sigma(errors: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)) + 1e-9)
 
 
-def _slopes(problem: Problem, scale: Scale, x: Array) -> Array:
-    """Return the derivative (M, n, p) of the errors, by central differences.
+def _slopes(problem: Problem, scale: Scale, servos: Servos) -> Array:
+    """Return the derivative (M, n, p) of the errors in each number, by central differences.
 
-    Differences to one side would hide the directions in which hardly anything changes.
+    Differences to one side would hide the directions in which hardly anything changes. Friction
+    changes by as much as is usual: behind a stiff servo luck makes more than a little friction.
     """
-    least, most = scale.bounds()
-    low, high = np.maximum(x - _STEP, least), np.minimum(x + _STEP, most)
-    moved = np.vstack([np.where(np.eye(len(x), dtype=bool), end, x) for end in (low, high)])
-    low_errors, high_errors = np.split(problem.errors([scale.servos(each) for each in moved]), 2)
-    return np.moveaxis(high_errors - low_errors, 0, -1) / (high - low)
+    x, unit = servos.vector(), _unit(scale, servos)
+    is_friction = np.arange(len(x)) // len(servos.stiffness) == _FRICTION
+    step = np.where(is_friction, 1.0, _STEP) * unit
+    low, high = np.maximum(x - step, 0.0), x + step
+    moved = [np.where(np.eye(len(x), dtype=bool), end, x)[scale.free] for end in (low, high)]
+    errors = problem.errors([Servos.of(each) for each in np.vstack(moved)])
+    low_errors, high_errors = np.split(errors, 2)
+    return np.moveaxis(high_errors - low_errors, 0, -1) / (high - low)[scale.free]
 
 
-def _judged(problem: Problem, scale: Scale, x: Array) -> ServoFit:
-    """Return the result with its errors: noise as long-lived as the residuals' own.
+def _unit(scale: Scale, servos: Servos) -> Array:
+    """Return (4 n + 1,) how far each number goes with its unknown, at least its usual size."""
+    return np.maximum(scale.derivative(servos), scale.size.vector())
 
-    A number that is next to nothing may still be as large as is usual: what is known beforehand of
-    each is its usual size, or the pull of the search where that is wider.
+
+def judged(problem: Problem, scale: Scale, servos: Servos) -> ServoFit:
+    """Return the result with its errors.
+
+    They hold noise as long-lived as the residuals' own, and what rollouts of steps without length
+    would change, which is twice what half a step changes. What is known beforehand of each number
+    is its unit, as far as the search pulls.
     """
-    servos, free = scale.servos(x), scale.free
-    derivative = scale.derivative(servos)
-    reach = np.maximum(scale.size.vector()[free] / derivative, 1.0) * PULL
+    free, joints = np.flatnonzero(scale.free), len(servos.stiffness)
+    unit = _unit(scale, servos)[free]
     residuals = problem.errors([servos])[0]
+    drift = 2.0 * (residuals - problem.halved().errors([servos])[0])
     sigma = _sigma(residuals)
-    normal = np.diag(reach**-2.0)
+    normal, bias = np.eye(len(free)) / PULL**2, np.zeros(len(free))
     score = normal.copy()
-    slopes = _slopes(problem, scale, x) / sigma[:, None]
-    for rows, own in zip(np.moveaxis(slopes, 1, 0), residuals.T):
+    slopes = _slopes(problem, scale, servos) * unit
+    for joint in range(joints):
+        rows = slopes[:, joint] / sigma[joint]
+        weight = usual_share(rows[:, (free % joints == joint) & (free < 4 * joints)])
+        rows *= weight[:, None]
         normal += rows.T @ rows
-        score += correlation_stretch(own) * rows.T @ rows
+        score += correlation_stretch(weight * residuals[:, joint]) * rows.T @ rows
+        bias += rows.T @ (weight * drift[:, joint]) / sigma[joint]
     inverse = np.linalg.inv(normal)
-    spread = np.sqrt(np.minimum(np.diag(inverse @ score @ inverse), reach**2))
-    errors, share = np.zeros(len(free)), np.zeros(len(free))
-    errors[free], share[free] = spread * derivative, 1.0 - (spread / reach) ** 2
-    return ServoFit(servos, Servos.of(errors), share, sigma)
+    variance = np.diag(inverse @ score @ inverse) + (inverse @ bias) ** 2
+    spread = np.sqrt(np.minimum(variance, PULL**2))
+    errors, seen = np.zeros(len(scale.free)), np.zeros(len(scale.free), dtype=bool)
+    seen[free] = spread < UNSEEN
+    errors[free] = np.where(seen[free], spread, np.maximum(spread, 1.0)) * unit
+    return ServoFit(servos, Servos.of(errors), seen, sigma)
+
+
+def usual_share(rows: Array) -> Array:
+    """Return (M,) what part of each row (M, k) counts: no more than its columns usually have.
+
+    Where a servo comes off its limit, or a joint begins to slip, rollouts part by luck, and tiny
+    changes of a number look like large ones. Rows without slope, of rest, are not usual.
+    (Bounded influence: Hampel, Ronchetti, Rousseeuw, Stahel, "Robust Statistics", 1986, ch. 6.)
+    """
+    share = np.ones(len(rows))
+    for column in np.abs(rows.T):
+        large = column[column > 1e-3 * np.max(column)]
+        if len(large):
+            share = np.minimum(share, 1.48 * np.median(large) / np.maximum(column, 1e-300))
+    return share
 
 
 def correlation_stretch(residual: Array) -> float:
@@ -434,8 +413,7 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
     All numbers of a joint grow together with the links' torque, so links that are off by
     ``LINKS_WRONG`` move them by as much; and where that torque is a small share of the whole, what
     no model explains passes for a part of it; below ``LEAST_SHARE`` it may be anything, and the
-    errors are as large as the numbers. A step h of the implicit integrator adds an apparent rotor
-    inertia of h times the damping, which no arm has.
+    errors are as large as the numbers.
 
     Args:
         share: (n,) root mean square torque of the links over that of all.
@@ -443,7 +421,6 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
     size = np.hypot(LINKS_WRONG, UNEXPLAINED / np.maximum(share, LEAST_SHARE))
     size = np.where(share > LEAST_SHARE, size, 1.0)
     own, added = fit.errors.vector(), np.append(np.tile(size, 4), 0.0) * fit.servos.vector()
-    added[3 * len(share) : -1] += STEP * fit.servos.damping
     return replace(fit, errors=Servos.of(np.where(own > 0.0, np.hypot(own, added), 0.0)))
 
 

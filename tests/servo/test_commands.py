@@ -7,7 +7,8 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.servo.search import commanded_pieces, moving, smoothed
+from robot_sysid.servo.commands import commanded_pieces, moving
+from robot_sysid.servo.search import smoothed
 
 TIME = np.arange(500) / 50.0
 COMMAND = 0.5 * np.sin(np.outer(TIME, [2.0, 3.0])) + 0.1 * np.sin(np.outer(TIME, [7.0, 8.0]))

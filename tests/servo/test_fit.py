@@ -11,15 +11,18 @@ from robot_sysid.records import Measurement
 from robot_sysid.servo.search import (
     LEAST_SHARE,
     LINKS_WRONG,
-    STEP,
     ServoFit,
+    as_in_model,
     first_servos,
+    judged,
     parted,
+    problem_of,
+    usual_share,
     with_links_error,
 )
-from robot_sysid.simulation.servos import Servos
+from robot_sysid.simulation.servos import Servos, Window, model_servos, played_servos
 from tests.support.arms import robot_of
-from tests.support.servo_logs import SERVOS, TRUTH, XML
+from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
 
 NUMBERS = st.lists(st.floats(0.0, 30.0), min_size=9, max_size=9)
 
@@ -58,11 +61,10 @@ def test_a_search_begins_at_the_models_numbers_or_at_usual_ones():
 
 
 def test_errors_hold_what_the_links_masses_and_the_time_step_add():
-    exact = ServoFit(TRUTH, Servos.of(np.full(9, 1e-9)), np.ones(9), np.ones(2))
+    exact = ServoFit(TRUTH, Servos.of(np.full(9, 1e-9)), np.ones(9, dtype=bool), np.ones(2))
     errors = with_links_error(exact, np.array([0.5 * LEAST_SHARE, 1.0])).errors
     assert errors.stiffness[0] == pytest.approx(TRUTH.stiffness[0])
     assert errors.stiffness[1] == pytest.approx(LINKS_WRONG * TRUTH.stiffness[1], rel=0.1)
-    assert errors.armature[1] >= STEP * TRUTH.damping[1]
     still = replace(exact, errors=Servos.of(np.zeros(9)))
     assert not np.any(with_links_error(still, np.ones(2)).errors.vector())
 
@@ -80,3 +82,61 @@ def test_joints_that_do_not_move_keep_the_models_numbers():
     bare = XML.replace(' frictionloss=".3"', "")
     own = scale(bare, (True, False)).start
     assert own.frictionloss[0] > 0.0 and own.frictionloss[1] == 0.0
+
+
+SMALL = """<mujoco><worldbody><body>
+<joint name="pan" axis="0 0 1" range="-2 2" damping=".6" armature=".028"/>
+<inertial pos="0 0 .05" mass=".2" diaginertia="2e-4 2e-4 2e-4"/><body pos="0 0 .1">
+<joint name="lift" axis="0 1 0" range="-2 2" damping=".6" armature=".028"/>
+<inertial pos=".12 0 .02" mass=".3" diaginertia="2e-4 5e-4 5e-4"/></body></body></worldbody>
+<actuator><position joint="pan" kp="KP" kv="2.7" forcerange="-3.35 3.35"/>
+<position joint="lift" kp="KP" kv="2.7" forcerange="-3.35 3.35"/></actuator></mujoco>"""
+"""Two joints like those of a small hobby arm, without friction."""
+
+
+def of_small(kp, friction, stated, steps=20):
+    """Judge some friction of what an encoder reads of an arm with other friction."""
+    robot, (time, command) = robot_of(SMALL.replace("KP", kp)), commanded(8.0)
+    own = replace(model_servos(robot), delay=0.02)
+    start = Window(0.0, command[0], 0.0 * command[0], time, command)
+    edges = np.linspace(0.0, time[-1], steps * (len(time) - 1) + 1)
+    arm = replace(own, frictionloss=friction)
+    q = np.round(played_servos(robot, [arm], [start], edges)[0, 0, ::steps] / 1.5e-3) * 1.5e-3
+    log = Measurement(time, q, None, command - q, command=command)
+    sought = first_servos(robot, q[::10], 0.02, np.array([True, True]))
+    return judged(problem_of(robot, [log]), sought, replace(own, frictionloss=stated))
+
+
+def test_friction_behind_a_stiff_servo_is_not_seen_and_its_error_holds_what_could_be():
+    truth = np.array([0.13, 0.1])
+    for stated in (0.0 * truth, truth):
+        fit = of_small("998", truth, stated)
+        assert np.all(np.abs(stated - truth) <= 2.0 * fit.errors.frictionloss)
+        assert not np.any(fit.seen[4:6])
+    fit = of_small("20", truth, truth)
+    assert np.all(fit.seen) and np.all(fit.errors.frictionloss < 0.2 * truth)
+
+
+def test_a_row_counts_no_more_than_usual_and_rest_is_not_usual():
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(1000, 2)) * [1.0, 1e-3]
+    usual = usual_share(rows)
+    assert np.mean(usual) > 0.8
+    rows[:9] *= 30.0
+    share = usual_share(rows)
+    np.testing.assert_allclose(share[9:], usual[9:], rtol=0.05)
+    assert np.max(np.abs(rows * share[:, None]) / [1.0, 1e-3]) < 2.0
+    rested = usual_share(np.concatenate((rows, 0.0 * rows, 1e-5 * rows)))
+    np.testing.assert_allclose(rested[: len(rows)], share, rtol=0.05)
+
+
+def test_what_is_not_seen_is_as_in_the_model_where_it_has_any():
+    robot, bare = robot_of(XML), robot_of(XML.replace(SERVOS, ""))
+    which = np.arange(9) % 2 == 0
+    own, found = model_servos(robot).vector(), TRUTH.vector()
+    mixed = as_in_model(robot, TRUTH, which).vector()
+    np.testing.assert_array_equal(mixed[:-1], np.where(which, own, found)[:-1])
+    whole = as_in_model(bare, TRUTH)
+    np.testing.assert_array_equal(whole.stiffness, TRUTH.stiffness)
+    np.testing.assert_array_equal(whole.frictionloss, model_servos(bare).frictionloss)
+    assert mixed[-1] == whole.delay == TRUTH.delay

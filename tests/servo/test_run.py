@@ -43,7 +43,7 @@ def identified(robot, delay=0.02):
     errors = (RolloutError("closed loop", 1.0, 3, np.ones(2), 0.1 * np.ones(2)),)
     return ServoIdentification(
         robot,
-        ServoFit(servos, wrong, np.ones(9), np.full(2, 1e-3)),
+        ServoFit(servos, wrong, np.ones(9, dtype=bool), np.full(2, 1e-3)),
         np.ones(2, dtype=bool),
         np.zeros(2),
         DataOrigin(Source.LOG, "log.csv", 10.0, 50.0),
