@@ -1,35 +1,53 @@
 """How often stated 95 % intervals hold the truth on arms that are not as modelled.
 
     python -m benchmarks.honest_intervals MODELS_FOLDER [--runs 40] [--arms kinova panda]
+        [--cells exact told usual payload loaded]
 
-Each run draws an arm: the other links off by 2 % (mass, centre of mass as part of the link's size,
-twice that for the inertia; each link for itself, and all alike), torque scales, encoder zeros and
-the base's tilt off as the cell says, torque noise of 1 % of each joint's largest torque, encoder
-steps of 1e-4 rad. Everything is then identified with priors as wide as what was drawn. Printed per
-arm and cell, for
-the mass of the terminal link and of one in the middle, and Coulomb friction of all joints:
-coverage, root mean square error, and that error over the stated one.
+Each run draws an arm: the other links off by some per cent (mass, centre of mass as part of the
+link's size, twice that for the inertia; each link for itself, and all alike), torque scales,
+encoder zeros and the base's tilt off as the cell says. Torque noise is white, 1 % of each joint's
+largest torque, and once more half as large with a memory of 100 ms; encoder steps are 1e-4 rad.
+
+exact     nothing is off but the noise; identified with default priors
+told      two sizes of what is off, identified with priors as wide as what was drawn
+usual     links 2 %, scales 1 %, zeros 1 mrad, tilt 0.1 degrees, under default priors
+payload   the same with 2 kg at the flange in the order ABBA, Stribeck and load friction in all
+          joints, under default priors
+loaded    2 kg at the flange in that order, and nothing off but the noise
+
+Printed per arm and cell: coverage, root mean square error (of what the body's size makes of 1), and
+that error over the stated one, for the mass, centre of mass and inertia of the terminal link (or of
+the payload), the mass of a link in the middle, and Coulomb friction of all joints; then the share
+of runs with a sentence that names a cause as larger than it was said to be.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
 from robot_sysid.estimation.algebra.nuisances import link_factor
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.identify import Piece, answer_payload, filtered
+from robot_sysid.estimation.result import WIDER, payload_of
+from robot_sysid.estimation.unknowns import Question
+from robot_sysid.model.flange import find_flange
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records.progress import Progress
+from robot_sysid.results.record import BodyEstimate
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.support.core_fits import result_of_logs
+from tests.support.core_fits import ORIGIN, result_of_logs
 
 ARMS = {
     "kinova": "kinova_gen3/gen3.xml",
@@ -38,83 +56,171 @@ ARMS = {
     "xarm7": "ufactory_xarm7/xarm7.xml",
 }
 RATE, DURATION, STEP = 250.0, 15.0, 1e-4
+NOISE, COLOURED, MEMORY = 0.01, 0.5, 0.1
+PAYLOAD = spatial.theta_from_com(2.0, np.array([0.02, 0.01, 0.08]), 0.006 * np.eye(3))
+"""At the terminal link, which for these arms is the flange's."""
+ORDER = (False, True, True, False)
+STRIBECK, LOSS = 0.3, 0.03
+"""Part of Coulomb friction that goes with speed, and of the load that a gear loses."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """How far an arm is off: links, scale [%], zeros [mrad], tilt [deg]."""
+    """How far an arm is off: links, scale [%], zeros [mrad], tilt [deg]; is its friction bent."""
 
-    links: float
-    scale: float
-    zero: float
-    tilt: float
+    links: float = 0.0
+    scale: float = 0.0
+    zero: float = 0.0
+    tilt: float = 0.0
+    bent: bool = False
 
-    def options(self, **changes: float) -> EstimationOptions:
+    def options(self) -> EstimationOptions:
         """Return the options that say so."""
-        known = {
-            "link_uncertainty": self.links,
-            "scale_uncertainty": self.scale,
-            "zero_uncertainty": self.zero,
-            "gravity_uncertainty": self.tilt,
-        }
-        return EstimationOptions(**{**known, **changes})
+        return EstimationOptions(
+            link_uncertainty=self.links,
+            scale_uncertainty=self.scale,
+            zero_uncertainty=self.zero,
+            gravity_uncertainty=self.tilt,
+        )
 
 
-CELLS = (Cell(2.0, 1.0, 1.0, 0.1), Cell(2.0, 3.0, 10.0, 0.3))
+USUAL = Cell(2.0, 1.0, 1.0, 0.1)
+TOLD = (USUAL, Cell(2.0, 3.0, 10.0, 0.3))
 
 
-def log_of(
-    robot: RobotModel, cell: Cell, rng: np.random.Generator
-) -> tuple[Measurement, np.ndarray, np.ndarray]:
-    """Return (what the sensors of an arm drawn for this cell say, its links, its dry friction)."""
-    angles = np.radians(cell.tilt) * rng.standard_normal(2)
-    arm = with_gravity(robot, turned(gravity(robot), angles))
-    plan, _ = generate_excitation_trajectory(robot, rng, DURATION)
-    motion = plan.evaluate(np.arange(int(RATE * DURATION)) / RATE)
-    exact = next(iter(simulate_inverse(arm, iter([motion]))))
-    links = other_links(robot)
-    lengths = [float(np.linalg.norm(robot.links[link + 1].translation)) for link in links]
-    factor = link_factor([robot.links[link].theta for link in links], 0.01 * cell.links, lengths)
-    wrong = factor @ rng.standard_normal(len(factor))
-    motion = LinkDynamics(arm).motion(exact.q, exact.qd, exact.qdd)
-    rigid = exact.tau - arm.friction.torque(exact.qd) + motion.columns(links) @ wrong
-    scales = 1.0 + 0.01 * cell.scale * rng.standard_normal(robot.n_joints)
-    dry = 0.03 * np.max(np.abs(rigid), axis=0)
-    viscous = dry / np.max(np.abs(exact.qd), axis=0)
-    tau = scales * rigid + dry * np.sign(exact.qd) + viscous * exact.qd
-    tau += 0.01 * np.max(np.abs(tau), axis=0) * rng.standard_normal(tau.shape)
-    q = exact.q + 1e-3 * cell.zero * rng.standard_normal(robot.n_joints)
-    truth = np.array([link.theta for link in robot.links])
-    for link, change in zip(links, wrong.reshape(-1, 10)):
-        truth[link] += change
-    return Measurement(exact.time, np.round(q / STEP) * STEP, None, tau), truth, dry
+class Arm:
+    """An arm as it was drawn."""
+
+    def __init__(self, robot: RobotModel, cell: Cell, rng: np.random.Generator) -> None:
+        self.robot, self.rng, self.bent = robot, rng, cell.bent
+        angles = np.radians(cell.tilt) * rng.standard_normal(2)
+        self.arm = with_gravity(robot, turned(gravity(robot), angles))
+        links = other_links(robot)
+        lengths = [float(np.linalg.norm(robot.links[link + 1].translation)) for link in links]
+        self.thetas = np.array([link.theta for link in robot.links])
+        if cell.links:
+            usual = [robot.links[link].theta for link in links]
+            factor = link_factor(usual, 0.01 * cell.links, lengths)
+            wrong = factor @ rng.standard_normal(len(factor))
+            self.thetas[list(links)] += wrong.reshape(-1, 10)
+        self.scales = 1.0 + 0.01 * cell.scale * rng.standard_normal(robot.n_joints)
+        self.zeros = 1e-3 * cell.zero * rng.standard_normal(robot.n_joints)
+        self.plan, _ = generate_excitation_trajectory(robot, rng, DURATION)
+        self.dry: Array = np.zeros(robot.n_joints)
+
+    def log(self, loaded: bool = False) -> Measurement:
+        """What its sensors say; friction that is bent falls with speed and grows with load."""
+        motion = self.plan.evaluate(np.arange(int(RATE * DURATION)) / RATE)
+        exact = next(iter(simulate_inverse(self.arm, iter([motion]))))
+        own = np.array([link.theta for link in self.robot.links])
+        moves = LinkDynamics(self.arm).motion(exact.q, exact.qd, exact.qdd)
+        rest = exact.tau - self.arm.friction.torque(exact.qd) - moves.torque(own)
+        carried = self.thetas.copy()
+        bare = rest + moves.torque(carried)
+        carried[-1] += PAYLOAD * loaded
+        rigid = rest + moves.torque(carried)
+        self.dry = 0.03 * np.max(np.abs(bare), axis=0)
+        fastest = np.max(np.abs(exact.qd), axis=0)
+        dry = self.dry * (1.0 + STRIBECK * self.bent * np.exp(-np.abs(exact.qd) / (0.1 * fastest)))
+        dry = dry + LOSS * self.bent * np.abs(rigid)
+        tau = self.scales * rigid + dry * np.sign(exact.qd) + self.dry / fastest * exact.qd
+        tau += NOISE * np.max(np.abs(tau), axis=0) * noise(self.rng, tau.shape)
+        q = exact.q + self.zeros
+        return Measurement(exact.time, np.round(q / STEP) * STEP, None, tau)
 
 
-def study(robot: RobotModel, cell: Cell, runs: int) -> dict[str, str]:
-    """Return one line per quantity."""
+def noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """White noise, and half as large noise with a memory."""
+    from scipy.signal import lfilter
+
+    kept, ahead = np.exp(-1.0 / (RATE * MEMORY)), int(10 * RATE * MEMORY)
+    drawn = rng.standard_normal((shape[0] + ahead, shape[1]))
+    slow = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], drawn, axis=0)[ahead:]
+    return rng.standard_normal(shape) + COLOURED * slow
+
+
+Off = tuple[str, float, float, float]
+"""What a number is of, its error, its stated error, the size that counts as one."""
+
+
+def body_off(found: BodyEstimate, true: Array) -> Iterator[Off]:
+    """Yield how far a body's numbers are off."""
+    mass, com, inertia = spatial.com_from_theta(true)
+    size = float(np.sqrt(np.trace(inertia) / mass))
+    jacobian = np.zeros((3, 10))
+    jacobian[:, 0] = -found.inertial.com / found.inertial.mass
+    jacobian[:, 1:4] = np.eye(3) / found.inertial.mass
+    spread = np.sqrt(np.diag(jacobian @ found.covariance @ jacobian.T))
+    yield "mass", found.inertial.mass - true[0], float(found.errors[0]), float(true[0])
+    for k in range(3):
+        yield "centre of mass", float(found.inertial.com[k] - com[k]), float(spread[k]), size
+    for k in range(4, 10):
+        off = float(found.inertial.theta[k] - true[k])
+        yield "inertia", off, float(found.errors[k]), mass * size**2
+
+
+def identified(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
+    """How far the numbers of an arm are off, and the causes that are said to be larger."""
+    robot, result = arm.robot, result_of_logs(arm.robot, [arm.log()], options)
+    found = list(body_off(result.links[-1], arm.thetas[-1]))
     middle = other_links(robot)[len(other_links(robot)) // 2]
-    joint = robot.joint_names[middle]
-    found: dict[str, list[tuple[float, float, float]]] = {}
+    link = next((b for b in result.links if b.joint == robot.joint_names[middle]), None)
+    if link is not None:
+        true = float(arm.thetas[middle][0])
+        off = link.inertial.mass - true
+        found.append(("middle mass", off, float(link.errors[0]), true))
+    for joint, dry in zip(robot.joint_names, arm.dry.tolist()):
+        level = result.joints[joint].terms.get("coulomb") or result.joints[joint].terms["sigmoid"]
+        found.append(("Coulomb", level.value - dry, level.error, dry))
+    return found, [each.cause for each in result.conflicts]
+
+
+def weighed(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
+    """How far the payload's numbers are off, and the causes that are said to be larger."""
+    places = np.linspace(-1.0, 1.0, len(ORDER)).tolist()
+    pieces = [
+        Piece(f"log{k}", arm.log(loaded), loaded, places[k]) for k, loaded in enumerate(ORDER)
+    ]
+    datasets, _ = filtered(arm.robot, sorted(pieces, key=lambda p: p.is_loaded), options)
+    question, flange = Question(options, loaded=True, drifts=True), find_flange(arm.robot, None)
+    answer, free = answer_payload(arm.robot, datasets, question, Progress(), None)
+    result = payload_of(answer, free, flange, ORIGIN, False)
+    assert result.payload is not None
+    wide = [g.cause for g in answer.fit.unknowns.groups if g.may_widen and g.widened > WIDER]
+    if not result.verdict.is_trustworthy:
+        wide.append(result.verdict.name)
+    return list(body_off(result.payload.body, flange.to_flange(PAYLOAD))), wide
+
+
+def study(robot: RobotModel, name: str, cell: Cell, runs: int) -> Iterator[str]:
+    """Yield one line per quantity, and one of the sentences."""
+    found: dict[str, list[tuple[float, ...]]] = {}
+    said: list[list[str]] = []
     for seed in range(runs):
-        log, truth, friction = log_of(robot, cell, np.random.default_rng(seed))
-        result = result_of_logs(robot, [log], cell.options())
-        for name, body, link in (
-            ("terminal mass", result.links[-1], len(robot.links) - 1),
-            ("middle mass", next(b for b in result.links if b.joint == joint), middle),
-        ):
-            off = body.inertial.mass - truth[link][0]
-            found.setdefault(name, []).append((off, body.errors[0], truth[link][0]))
-        for each, dry in zip(robot.joint_names, friction.tolist()):
-            terms = result.joints[each].terms
-            level = terms.get("coulomb") or terms["sigmoid"]
-            found.setdefault("Coulomb", []).append((level.value - dry, level.error, dry))
-    return {name: _line(*np.array(rows).T) for name, rows in found.items()}
+        arm = Arm(robot, cell, np.random.default_rng(seed))
+        options = cell.options() if name == "told" else EstimationOptions()
+        off, causes = (weighed if name in ("payload", "loaded") else identified)(arm, options)
+        said.append(causes)
+        for what, *numbers in off:
+            found.setdefault(what, []).append(tuple(numbers))
+    for what, rows in found.items():
+        error, sigma, size = np.array(rows).T
+        inside = 100.0 * np.mean(np.abs(error) < 1.96 * sigma)
+        share = 100.0 * float(np.sqrt(np.mean((error / size) ** 2)))
+        ratio = float(np.sqrt(np.mean((error / sigma) ** 2)))
+        yield f"{what:<16}{inside:6.0f} %{share:8.2f} %{ratio:8.2f}"
+    listed = sorted({cause for causes in said for cause in causes})
+    share = 100.0 * np.mean([bool(causes) for causes in said])
+    yield f"{'false sentences':<16}{share:6.0f} %  {', '.join(listed)}"
 
 
-def _line(off: np.ndarray, sigma: np.ndarray, size: np.ndarray) -> str:
-    inside = 100.0 * np.mean(np.abs(off) < 1.96 * sigma)
-    share = 100.0 * float(np.sqrt(np.mean((off / size) ** 2)))
-    return f"{inside:6.0f} %{share:8.2f} %{float(np.sqrt(np.mean((off / sigma) ** 2))):8.2f}"
+CELLS = {
+    "exact": (Cell(),),
+    "told": TOLD,
+    "usual": (USUAL,),
+    "payload": (replace(USUAL, bent=True),),
+}
+CELLS["loaded"] = CELLS["exact"]
 
 
 def main() -> int:
@@ -123,15 +229,18 @@ def main() -> int:
     parser.add_argument("models", type=Path)
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=list(ARMS))
+    parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=list(CELLS))
     chosen = parser.parse_args()
-    head = "coverage     rms  rms/stated"
-    print(f"{'arm':<8}{'links scale zeros tilt':<26}{'':<14}{head}")
+    print(
+        f"{'arm':<8}{'cell':<9}{'links scale zeros tilt':<26}{'':<16}coverage     rms  rms/stated"
+    )
     for name in chosen.arms:
         robot = load_robot_model(chosen.models / ARMS[name])
-        for cell in CELLS:
-            words = f"{cell.links:g} % {cell.scale:g} % {cell.zero:g} mrad {cell.tilt:g} deg"
-            for quantity, line in study(robot, cell, chosen.runs).items():
-                print(f"{name:<8}{words:<26}{quantity:<14}{line}", flush=True)
+        for kind in chosen.cells:
+            for cell in CELLS[kind]:
+                words = f"{cell.links:g} % {cell.scale:g} % {cell.zero:g} mrad {cell.tilt:g} deg"
+                for line in study(robot, kind, cell, chosen.runs):
+                    print(f"{name:<8}{kind:<9}{words:<26}{line}", flush=True)
     return 0
 
 

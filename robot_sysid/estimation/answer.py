@@ -82,14 +82,6 @@ class Answer:
         judge = held_out(self.fit)
         return judge.validation(judge.of(self.fit))
 
-    def stretch(self) -> float:
-        """Return by how much correlated noise makes the mass's error larger than white noise."""
-        change = self.pick((PAYLOAD_NAMES if self.fit.question.loaded else PARAMETER_NAMES)[:1])
-        noise, inverse = float(self.errors.of(change)[1][0]), self.errors.whole.inverse
-        rows = replace(self.fit.information, prior=None).stacked(self.fit.weights)[0]
-        white = float(np.linalg.norm(rows @ inverse @ change[0]))
-        return max(noise / white, 1.0) if white > 0.0 and np.isfinite(noise) else 1.0
-
     def pick(self, names: Sequence[str]) -> Array:
         """Return rows (m, k) that pick parameters out of those that were sought."""
         kept = self.fit.unknowns.kept

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
-from robot_sysid.estimation.algebra.information import restricted
+from robot_sysid.estimation.algebra.information import restricted, sample_counts
 from robot_sysid.estimation.algebra.nuisances import misfits
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
 from robot_sysid.estimation.columns import Columns, Point
@@ -103,7 +103,9 @@ def fit_errors(
         values, root = fit.values[fit.unknowns.kept], joint_space(information, weights)
         given = fit.rows, values, root.inverse_root(), weights
         left = collect_residuals(information, *given)
-    left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
+    # What the residuals' own correlation in time does not tell.
+    again = fit.inflation / fit.memory
+    left = [replace(r, products=d * r.products) for r, d in zip(left, again)]
     whole = uncertainty(information, weights, 1.0 / weights, left)
     causes = {
         group.cause: whole.inverse @ group.precision(information.names) @ whole.inverse
@@ -113,24 +115,30 @@ def fit_errors(
         point = replace(fit.point, values=fit.values)
         pairs = zip([each.delayed(point.delay) for each in fit.columns.datasets], fit.samples)
         pull = np.sum([filtering_bias(fit.columns, point, *pair) for pair in pairs], axis=0)
-    found = _conflicts(fit)
+    found = _conflicts(fit, whole.effective)
     bias = whole.inverse @ (weights**2 @ pull[:, fit.unknowns.kept])
     more = _more(fit, whole.inverse, causes, found)
     for name, part in (*more, (FILTERING, np.outer(bias, bias))):
         causes[name] = causes.get(name, 0.0) + part
         spread = np.hypot(whole.standard_errors, np.sqrt(np.maximum(np.diag(part), 0.0)))
         whole = replace(whole, covariance=whole.covariance + part, standard_errors=spread)
-    counts = tuple(n / d for n, d in zip(whole.effective, fit.inflation.tolist()))
+    counts = tuple(n / d for n, d in zip(whole.effective, again.tolist()))
     whole = replace(whole, effective=counts)
     return FitErrors(whole, causes, _common(fit), found)
 
 
-def _conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
-    """Return the causes that the data asks for more clearly than chance does."""
+def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...]:
+    """Return the causes that the data asks for more clearly than chance does.
+
+    Noise counts as it does in the errors: ``effective`` (joints,) independent samples, which are
+    fewer than residuals show where the fit has taken slow noise out of them.
+    """
     if fit.question.loaded or fit.question.in_file:
         return ()
+    slow = sample_counts(fit.information) / np.maximum(effective, 1.0)
+    noise = np.sqrt(np.maximum(slow / fit.memory, 1.0)) / fit.weights
     plain = restricted(fit.evidence.whole, fit.unknowns.kept_names, fit.unknowns.held)
-    return misfits(plain, 1.0 / fit.weights, fit.unknowns.groups)
+    return misfits(plain, noise, fit.unknowns.groups)
 
 
 def _more(

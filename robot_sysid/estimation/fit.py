@@ -26,8 +26,8 @@ from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 
-# Most rounds of the point that rows are made around; of what crosses bounds; of what repeats.
-_MOST_ROUNDS, _MOST_BOUNDS, _WIDENING_ROUNDS = 8, 6, 2
+# Most rounds of the point that rows are made around; of what crosses bounds.
+_MOST_ROUNDS, _MOST_BOUNDS = 8, 6
 # Rounds of a delay or tilt that is sought; what no longer counts as movement: of the prediction, in
 # standard deviations of the noise, of the delay [s], of gravity [rad], of speeds (a share).
 _SOUGHT_ROUNDS = 20
@@ -115,6 +115,7 @@ class Fit:
         information: what data and priors say of the k parameters that are sought.
         weights: (joints,) by which each joint's equations count [1/(N m)].
         inflation: (joints,) by how much less than independent samples each joint's count.
+        memory: (joints,) the part of it that is correlation in time.
         free: (p,) the estimate before bodies had to be possible.
         values: (p,) the estimate.
     """
@@ -129,6 +130,7 @@ class Fit:
     information: SquareRootInformation
     weights: Array
     inflation: Array
+    memory: Array
     free: Array
     values: Array
 
@@ -224,13 +226,13 @@ class Fitter:
         terms = {term for model in choice.friction for term in model.terms}
         exact = not terms.isdisjoint(("load", *BENT))
         point = replace(point or self.columns.start(), exact_load=exact)
-        options, noise = question.options, None
+        options, noise, inflation = question.options, None, None
         sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
         rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds
         for _ in range(rounds):
             samples, data = self.around(point)
             given = self.columns, question, choice, point, data, samples, self.visits
-            fit = solved(*given, noise=noise)
+            fit = solved(*given, inflation=inflation, noise=noise)
             noise, after = fit.noise, fit.next_point
             if _rests(fit, after):
                 return fit
@@ -268,7 +270,7 @@ def solved(
     data: Evidence,
     samples: tuple[DecimatedSamples, ...] = (),
     visits: Visits | None = None,
-    inflation: Array | None = None,
+    inflation: tuple[Array, Array] | None = None,
     noise: Array | None = None,
 ) -> Fit:
     """Solve the equations as they stand around a point.
@@ -276,22 +278,23 @@ def solved(
     Args:
         data, samples: what the rows around the point say, and the rows, for motion that repeats.
         visits: which of them pass the same states.
-        inflation, noise: (joints,) where no rows tell it, and (joints,) to begin with [N m].
+        inflation: as ``Visits.inflation``, where no rows tell it.
+        noise: (joints,) to begin with [N m].
     """
     sought = unknowns(columns, question, choice, data.torque, data.shown)
-    counted = np.ones(len(columns.joints)) if inflation is None else inflation
+    counted, memory = inflation or np.ones((2, len(columns.joints)))
     inside: Unknowns | None = sought
     for _ in range(_MOST_BOUNDS):
         sought = inside or sought
-        for _ in range(_WIDENING_ROUNDS if visits is not None else 1):
+        for left in (1, 0) if visits is not None and inflation is None else (0,):
             sought, known, free, counts = _bounded(columns, sought, data, counted, noise)
             noise = counts / np.sqrt(counted)
-            if visits is None:
-                break
-            rows, found = ChosenRows(samples, sought), free[sought.kept]
-            before, counted = counted, visits.inflation(known, rows, found)
-            if np.array_equal(before, counted):
-                break
+            if left and visits is not None:
+                rows, found = ChosenRows(samples, sought), free[sought.kept]
+                # What is left of exact data is no noise.
+                noisy = noise > _AT_FLOOR * noise_floor(known)
+                pair = visits.inflation(known, rows, found)
+                counted, memory = (np.where(noisy, each, 1.0) for each in pair)
         values = possible(sought, known, 1.0 / counts, free)
         # Bodies that have to be possible push others across their bounds.
         inside = sought.bounded(values)
@@ -299,7 +302,7 @@ def solved(
             break
     values = np.clip(values, sought.lower, sought.upper)
     made = columns, question, choice, point, samples, data, sought
-    return Fit(*made, known, 1.0 / counts, counted, free, values)
+    return Fit(*made, known, 1.0 / counts, counted, memory, free, values)
 
 
 def _bounded(

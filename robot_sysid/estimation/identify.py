@@ -138,7 +138,7 @@ def answer_link(
     notes: list[str] = []
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
         notes += [note for each in signals for note in each.one_way_joints(robot.joint_names)]
-    said, apart = logs_compared(fit, [each.name for each in datasets], answer.stretch())
+    said, apart = logs_compared(fit, [each.name for each in datasets])
     others = tuple(tested(fit, each, name) for name, each in (tests or {}).items())
     return replace(answer, notes=tuple(dict.fromkeys((*notes, *said))), tests=(*others, *apart))
 

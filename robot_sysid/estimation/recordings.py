@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.equations import N_INERTIAL
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.identifiability import visible_space
-from robot_sysid.estimation.algebra.information import combined, restricted, sample_counts
+from robot_sysid.estimation.algebra.information import combined, sample_counts
 from robot_sysid.estimation.algebra.least_squares import least_squares, weighted
-from robot_sysid.estimation.algebra.nuisances import with_prior
+from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.choices import HeldOut
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
-from robot_sysid.estimation.unknowns import WEIGHT, independent
-from robot_sysid.records import Array, Flange, SquareRootInformation, Validation
+from robot_sysid.estimation.unknowns import WEIGHT, Unknowns, independent
+from robot_sysid.records import Array, Flange, Validation
 from robot_sysid.records.results import validation_of
 from robot_sysid.results.record import OneRecording
+from robot_sysid.signals.repetition import memory
 
 DISAGREE, SURE = 2.0, 3.0
 """Scatter over stated errors beyond which logs do not agree; standard errors between a recording
@@ -35,29 +36,49 @@ UNSEEN = 100.0
 """Standard deviation of a body's parameters that keeps those in bounds that nothing shows [SI]."""
 
 
-def alone(fit: Fit, parts: Sequence[SquareRootInformation]) -> tuple[Array, Array, Array]:
-    """Return what some recordings say with the noise and the priors of the whole fit.
+def within(part: DecimatedSamples, sought: Unknowns) -> DecimatedSamples:
+    """Return a recording's rows in what is sought alone, the rest taken off."""
+    chosen = list(ChosenRows((part,), sought))
+    places = [np.searchsorted(sought.kept, at[np.isin(at, sought.kept)]) for at in part.columns]
+    return replace(
+        part,
+        names=sought.kept_names,
+        columns=tuple(places),
+        rows=tuple(rows for _, rows, _ in chosen),
+        tau=tuple(tau for _, _, tau in chosen),
+    )
 
-    That is (values (k,) of what is sought, their errors by white noise alone, their whole errors).
+
+def alone(
+    parts: Sequence[DecimatedSamples], groups: Sequence[NuisanceGroup], prior: Array
+) -> tuple[Array, Array, Array]:
+    """Return what some recordings say by themselves, with what is known beforehand.
+
+    Their noise and its memory are those of what they leave themselves: what they do not agree on
+    with others is no noise of theirs.
+
+    Returns:
+        (values (k,), covariance (k, k) of noise, whole covariance; infinite where nothing is seen).
     """
-    weights, sought = fit.weights, fit.unknowns
-    plain = restricted(combined(parts), sought.kept_names, sought.held)
-    matrix, right = with_prior(plain, sought.groups).stacked(weights)
-    of_data = plain.stacked(weights)[0]
-    space, prior = visible_space(matrix), fit.columns.prior[sought.kept]
-    inverse = space.inverse()
-    noise = np.sqrt(np.maximum(np.sum((of_data @ inverse) ** 2, axis=0), 0.0))
-    errors = np.where(space.identified, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf)
-    return prior + space.solve(right - matrix @ prior), noise, errors
+    plain = combined([part.information() for part in parts])
+    known = with_prior(plain, groups)
+    noise = weighted(known, prior)
+    values, slow = least_squares(known, prior, 1.0 / noise), []
+    for joint, at in enumerate(parts[0].columns):
+        left = [part.tau[joint] - part.rows[joint] @ values[at] for part in parts]
+        slow.append(memory(np.concatenate(left)))
+    weights = 1.0 / (noise * np.sqrt(slow))
+    space = visible_space(known.stacked(weights)[0])
+    inverse, seen = space.inverse(), space.identified
+    of_noise = plain.stacked(weights)[0] @ inverse
+    whole = np.where(np.outer(seen, seen), inverse, np.inf)
+    return least_squares(known, prior, weights), of_noise.T @ of_noise, whole
 
 
-def logs_compared(
-    fit: Fit, names: Sequence[str], stretch: float
-) -> tuple[tuple[str, ...], tuple[Validation, ...]]:
+def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[Validation, ...]]:
     """Return (sentences on the logs' own masses, each log predicted from the others).
 
-    Each dataset is of the log that ``names`` says; correlated noise makes errors ``stretch`` times
-    as large as white noise would.
+    Each dataset is of the log that ``names`` says.
     """
     logs = {name: [s for s, n in zip(fit.samples, names) if n == name] for name in names}
     if len(logs) < 2:
@@ -72,10 +93,11 @@ def logs_compared(
         )
         for name, part, error, square in zip(logs, parts, wrong, squares)
     )
-    masses = {}
-    for name, part in zip(logs, parts):
-        values, noise, errors = alone(fit, [part])
-        masses[name] = float(values[0]), float(np.hypot(errors[0], stretch * noise[0]))
+    masses, sought = {}, fit.unknowns
+    for name, own in logs.items():
+        given = sought.groups, fit.columns.prior[sought.kept]
+        values, _, whole = alone([within(part, sought) for part in own], *given)
+        masses[name] = float(values[0]), float(np.sqrt(whole[0, 0]))
     return tuple(_agreement(masses)), tests
 
 
@@ -105,25 +127,22 @@ def _agreement(masses: Mapping[str, tuple[float, float]]) -> Iterator[str]:
         yield f"the logs agree: {scatter}"
 
 
-def each_recording(fit: Fit, flange: Flange, stretch: float) -> tuple[OneRecording, ...]:
-    """Return the payload of each recording against all of the other kind, in the flange's frame.
-
-    Correlated noise makes errors ``stretch`` times as large as white noise would.
-    """
-    informations = [part.information() for part in fit.samples]
-    recordings, found = fit.columns.datasets, []
-    places = np.searchsorted(fit.unknowns.kept, fit.columns.at(PAYLOAD_NAMES))
+def each_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
+    """Return the payload of each recording against all of the other kind, in the flange's frame."""
+    sought, recordings, found = fit.unknowns, fit.columns.datasets, []
+    parts = [within(part, sought) for part in fit.samples]
+    given = sought.groups, fit.columns.prior[sought.kept]
+    places = np.searchsorted(sought.kept, fit.columns.at(PAYLOAD_NAMES))
     for kind in (False, True):
         same = [k for k, each in enumerate(recordings) if each.is_loaded is kind]
         others = [k for k, each in enumerate(recordings) if each.is_loaded is not kind]
         for k in same if len(same) > 1 else ():
-            values, white, errors = alone(fit, [informations[i] for i in (k, *others)])
-            theta, noise = flange.to_flange(values[places]), stretch * white[places[0]]
-            rest = np.sqrt(max(errors[places[0]] ** 2 - white[places[0]] ** 2, 0.0))
+            values, *spread = alone([parts[i] for i in (k, *others)], *given)
+            theta = flange.to_flange(values[places])
+            noise, error = (float(np.sqrt(each[places[0], places[0]])) for each in spread)
             mass = float(theta[0])
             com = theta[1:4] / mass if mass else np.full(3, np.nan)
-            error = float(np.hypot(rest, noise))
-            found.append(OneRecording(recordings[k].name, kind, mass, com, float(noise), error))
+            found.append(OneRecording(recordings[k].name, kind, mass, com, noise, error))
     return tuple(found)
 
 
@@ -137,12 +156,11 @@ def disagreeing(scatter: Sequence[OneRecording], mass: float) -> Iterator[str]:
             )
 
 
-def contradiction(fit: Fit, flange: Flange, stretch: float) -> str:
+def contradiction(fit: Fit, flange: Flange) -> str:
     """Return how recordings of one kind are not alike, in the flange's frame; "" where they are.
 
-    Correlated noise makes errors ``stretch`` times as large as white noise would. A fit to
-    recordings on the wrong side has scaled torques to explain them; the bodies are then taken
-    around the model's values instead.
+    A fit to recordings on the wrong side has scaled torques to explain them; the bodies are then
+    taken around the model's values instead.
     """
     recordings = fit.columns.datasets
     kinds, bodies = np.array([each.is_loaded for each in recordings]), np.zeros((0, N_INERTIAL))
@@ -151,7 +169,7 @@ def contradiction(fit: Fit, flange: Flange, stretch: float) -> str:
         return ""
     for samples in (lambda: fit.samples, lambda: fit.columns.samples(fit.columns.start())):
         bodies, covariance = bodies_apart(fit, samples())
-        found = sorted(_differences(kinds, bodies, stretch**2 * covariance))
+        found = sorted(_differences(kinds, bodies, covariance))
         if not found:
             return ""
     _, number, what = found[-1]
@@ -215,28 +233,25 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     added = tuple(f"{n}({k})" for k in range(count) for n in PARAMETER_NAMES)
     names = (*fewer.kept_names, *added)
 
-    def wider(number: int, part: DecimatedSamples) -> SquareRootInformation:
-        rows, columns = [], []
-        for (_, block, _), full, at in zip(ChosenRows((part,), fewer), part.rows, part.columns):
-            own = np.zeros((len(block), count, N_INERTIAL))
+    def wider(number: int, part: DecimatedSamples) -> DecimatedSamples:
+        own, rows = within(part, fewer), []
+        for block, full in zip(own.rows, part.rows):
+            bodies = np.zeros((len(block), count, N_INERTIAL))
             if number:
-                own[:, number - 1] = full[:, :N_INERTIAL]
-            rows.append(np.hstack((block, own.reshape(len(block), -1))))
-            stay = np.searchsorted(kept, at[np.isin(at, kept)])
-            columns.append(np.append(stay, np.arange(len(kept), len(names))))
-        tau = tuple(right for _, _, right in ChosenRows((part,), fewer))
-        own_names = replace(part, names=names, columns=tuple(columns))
-        return replace(own_names, rows=tuple(rows), tau=tau).information()
+                bodies[:, number - 1] = full[:, :N_INERTIAL]
+            rows.append(np.hstack((block, bodies.reshape(len(block), -1))))
+        last = np.arange(len(kept), len(names))
+        columns = tuple(np.append(at, last) for at in own.columns)
+        return replace(own, names=names, columns=columns, rows=tuple(rows))
 
     # Recordings on the wrong side widen priors that have nothing to do with it.
     priors = [replace(g, widened=1.0) for g in sought.groups if g.cause != WEIGHT]
     priors.append(independent("unseen", added, added, UNSEEN))
-    known = with_prior(combined([wider(*pair) for pair in enumerate(samples)]), priors)
     prior = np.append(fit.columns.prior[kept], np.zeros(len(added)))
-    weights = 1.0 / weighted(known, prior)
+    parts = [wider(*pair) for pair in enumerate(samples)]
+    values, _, whole = alone(parts, priors, prior)
     own = slice(len(kept), None)
     bodies, covariance = np.zeros((count + 1, N_INERTIAL)), np.zeros((count + 1, N_INERTIAL) * 2)
-    bodies[1:] = least_squares(known, prior, weights)[own].reshape(count, -1)
-    inverse = visible_space(known.stacked(weights)[0]).inverse()[own, own]
-    covariance[1:, :, 1:] = inverse.reshape((count, N_INERTIAL) * 2)
+    bodies[1:] = values[own].reshape(count, -1)
+    covariance[1:, :, 1:] = whole[own, own].reshape((count, N_INERTIAL) * 2)
     return bodies, covariance

@@ -397,8 +397,7 @@ def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin
     """
     fit, robot, known = answer.fit, answer.robot, answer.fit.question.known_mass
     free = _payload(weighed, flange, weighed.fit.free)
-    stretch = weighed.stretch()
-    apart = contradiction(weighed.fit, flange, stretch)
+    apart = contradiction(weighed.fit, flange)
     found = list(of_payload(robot, free, apart, weighed.validation))
     if known is not None:
         found = list(of_known_mass(found, free.inertial.mass, known))
@@ -407,7 +406,7 @@ def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin
     unknown = ""
     if status.is_trustworthy:
         values[fit.columns.at(PAYLOAD_NAMES)], unknown = written_payload(answer)
-    scatter = each_recording(weighed.fit, flange, stretch) if known is None else ()
+    scatter = each_recording(weighed.fit, flange) if known is None else ()
     payload = _came_on(answer, flange, values, scatter)
     if unknown:
         payload = _without_inertia(payload)

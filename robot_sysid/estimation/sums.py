@@ -45,7 +45,7 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.results.model import CHECKPOINTS
-from robot_sysid.signals.repetition import RowSample, sampled
+from robot_sysid.signals.repetition import RowSample, memory_of, sampled
 
 MOST_NOTES = 20
 
@@ -203,9 +203,13 @@ class _Fixed(Fitter):
         self, question: Question, choice: Choice, point: Point | None = None, rounds: int = 1
     ) -> Fit:
         """Return the fit around the one point that there is."""
-        data = self._found.evidence
-        inflation = self._found.rows.inflation() if self._found.residuals else None
-        return solved(self.columns, question, choice, self._point, data, inflation=inflation)
+        found, inflation = self._found, None
+        if found.residuals:
+            own = np.array([memory_of(each.products, each.count) for each in found.residuals])
+            inflation = found.rows.inflation() + own - 1.0, own
+        return solved(
+            self.columns, question, choice, self._point, found.evidence, inflation=inflation
+        )
 
 
 def log_information(

@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import FILTERING, filtering_bias, fit_errors
 from robot_sysid.estimation.unknowns import COMMON, SCALES
@@ -123,7 +122,6 @@ def test_squares_of_the_causes_and_of_noise_add_up(payload_fit, errors, change):
     assert COMMON not in budget and len(budget) >= 6
     total = noise**2 + np.sum([part**2 for part in budget.values()], axis=0)
     np.testing.assert_allclose(np.diag(covariance), total, rtol=1e-6)
-    assert 1.0 <= Answer(payload_fit, None, errors).stretch() < 1.7
 
 
 def test_a_scale_of_all_joints_is_an_error_in_proportion(errors, change):

@@ -28,7 +28,7 @@ FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 @pytest.fixture(scope="module")
 def scatter(payload_fit):
-    return each_recording(payload_fit, FLANGE, 1.0)
+    return each_recording(payload_fit, FLANGE)
 
 
 def test_every_recording_says_the_same_within_its_errors(payload_fit, scatter):
@@ -55,14 +55,14 @@ def test_bodies_are_those_on_the_arm(payload_fit, recordings):
     off = bodies[1:] - np.outer([each.is_loaded for each in recordings[1:]], PAYLOAD)
     errors = np.sqrt(np.diag(covariance[1:, :, 1:].reshape(30, 30)))
     assert np.max(np.abs(off.ravel()) / errors) < 4.0 and np.max(errors.reshape(3, 10)[:, 0]) < 0.05
-    assert contradiction(payload_fit, FLANGE, 1.0) == ""
+    assert contradiction(payload_fit, FLANGE) == ""
 
 
 def test_a_recording_on_the_wrong_side_is_named_with_all_that_the_arm_carries(recordings):
     wrong = list(recordings)
     wrong[0] = replace(wrong[0], is_loaded=True)
     wrong[1] = replace(wrong[1], is_loaded=False)
-    told = contradiction(fitted(four_joint_arm(), wrong, loaded=True), FLANGE, 1.0)
+    told = contradiction(fitted(four_joint_arm(), wrong, loaded=True), FLANGE)
     assert " in mass; compared with log" in told
     carried = dict(re.findall(r"(log\d) (\S+) kg at", told))
     masses = [float(carried.get(f"log{k}", 0.0)) for k in range(4)]
@@ -90,7 +90,7 @@ def test_clear_differences_of_a_kind_are_named(change, what):
     robot = four_joint_arm()
     found = TrueArm(robot, 7, wrong=0.03).abba(7, sigma=SIGMA)
     other = TrueArm(robot, 7, wrong=0.03, payload=change(PAYLOAD)).abba(7, sigma=SIGMA)
-    told = contradiction(fitted(robot, [*found[:2], other[2], found[3]], loaded=True), FLANGE, 1.0)
+    told = contradiction(fitted(robot, [*found[:2], other[2], found[3]], loaded=True), FLANGE)
     assert what in told and bool(what) == bool(told)
     if change is turned:
         # The centre of mass is told in the flange frame, 5 cm further out.
@@ -109,7 +109,7 @@ def compared(plant, robot, *plants):
         for k, each in enumerate(plants)
     ]
     datasets, options = datasets_of(robot, *logs, link_uncertainty=2.0)
-    return logs_compared(fitted(robot, datasets, options), [d.name for d in datasets], 1.0)
+    return logs_compared(fitted(robot, datasets, options), [d.name for d in datasets])
 
 
 def test_logs_that_agree_are_said_to(plant, robot):
