@@ -184,7 +184,7 @@ def weighed(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]
     datasets, _ = filtered(arm.robot, sorted(pieces, key=lambda p: p.is_loaded), options)
     question, flange = Question(options, loaded=True, drifts=True), find_flange(arm.robot, None)
     answer, free = answer_payload(arm.robot, datasets, question, Progress(), None)
-    result = payload_of(answer, free, flange, ORIGIN, False)
+    result = payload_of(answer, free, flange, ORIGIN)
     assert result.payload is not None
     wide = [g.cause for g in answer.fit.unknowns.groups if g.may_widen and g.widened > WIDER]
     if not result.verdict.is_trustworthy:

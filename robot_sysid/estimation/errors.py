@@ -103,9 +103,7 @@ def fit_errors(
         values, root = fit.values[fit.unknowns.kept], joint_space(information, weights)
         given = fit.rows, values, root.inverse_root(), weights
         left = collect_residuals(information, *given)
-    # What the residuals' own correlation in time does not tell.
-    again = fit.inflation / fit.memory
-    left = [replace(r, products=d * r.products) for r, d in zip(left, again)]
+    left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
     whole = uncertainty(information, weights, 1.0 / weights, left)
     causes = {
         group.cause: whole.inverse @ group.precision(information.names) @ whole.inverse
@@ -122,7 +120,7 @@ def fit_errors(
         causes[name] = causes.get(name, 0.0) + part
         spread = np.hypot(whole.standard_errors, np.sqrt(np.maximum(np.diag(part), 0.0)))
         whole = replace(whole, covariance=whole.covariance + part, standard_errors=spread)
-    counts = tuple(n / d for n, d in zip(whole.effective, again.tolist()))
+    counts = tuple(n / d for n, d in zip(whole.effective, fit.inflation.tolist()))
     whole = replace(whole, effective=counts)
     return FitErrors(whole, causes, _common(fit), found)
 
@@ -136,7 +134,7 @@ def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...
     if fit.question.loaded or fit.question.in_file:
         return ()
     slow = sample_counts(fit.information) / np.maximum(effective, 1.0)
-    noise = np.sqrt(np.maximum(slow / fit.memory, 1.0)) / fit.weights
+    noise = np.sqrt(np.maximum(slow, 1.0)) / fit.weights
     plain = restricted(fit.evidence.whole, fit.unknowns.kept_names, fit.unknowns.held)
     return misfits(plain, noise, fit.unknowns.groups)
 

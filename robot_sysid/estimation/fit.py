@@ -115,7 +115,6 @@ class Fit:
         information: what data and priors say of the k parameters that are sought.
         weights: (joints,) by which each joint's equations count [1/(N m)].
         inflation: (joints,) by how much less than independent samples each joint's count.
-        memory: (joints,) the part of it that is correlation in time.
         free: (p,) the estimate before bodies had to be possible.
         values: (p,) the estimate.
     """
@@ -130,7 +129,6 @@ class Fit:
     information: SquareRootInformation
     weights: Array
     inflation: Array
-    memory: Array
     free: Array
     values: Array
 
@@ -226,13 +224,13 @@ class Fitter:
         terms = {term for model in choice.friction for term in model.terms}
         exact = not terms.isdisjoint(("load", *BENT))
         point = replace(point or self.columns.start(), exact_load=exact)
-        options, noise, inflation = question.options, None, None
+        options, noise = question.options, None
         sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
         rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds
         for _ in range(rounds):
             samples, data = self.around(point)
             given = self.columns, question, choice, point, data, samples, self.visits
-            fit = solved(*given, inflation=inflation, noise=noise)
+            fit = solved(*given, noise=noise)
             noise, after = fit.noise, fit.next_point
             if _rests(fit, after):
                 return fit
@@ -287,14 +285,14 @@ def solved(
     for _ in range(_MOST_BOUNDS):
         sought = inside or sought
         for left in (1, 0) if visits is not None and inflation is None else (0,):
-            sought, known, free, counts = _bounded(columns, sought, data, counted, noise)
+            given = data, (counted, memory), noise
+            sought, known, free, counts = _bounded(columns, sought, *given)
             noise = counts / np.sqrt(counted)
             if left and visits is not None:
                 rows, found = ChosenRows(samples, sought), free[sought.kept]
-                # What is left of exact data is no noise.
-                noisy = noise > _AT_FLOOR * noise_floor(known)
-                pair = visits.inflation(known, rows, found)
-                counted, memory = (np.where(noisy, each, 1.0) for each in pair)
+                before, (counted, memory) = counted, visits.inflation(known, rows, found)
+                if np.array_equal(before, counted) and not any(g.may_widen for g in sought.groups):
+                    break
         values = possible(sought, known, 1.0 / counts, free)
         # Bodies that have to be possible push others across their bounds.
         inside = sought.bounded(values)
@@ -302,11 +300,15 @@ def solved(
             break
     values = np.clip(values, sought.lower, sought.upper)
     made = columns, question, choice, point, samples, data, sought
-    return Fit(*made, known, 1.0 / counts, counted, memory, free, values)
+    return Fit(*made, known, 1.0 / counts, counted, free, values)
 
 
 def _bounded(
-    columns: Columns, sought: Unknowns, data: Evidence, inflation: Array, noise: Array | None
+    columns: Columns,
+    sought: Unknowns,
+    data: Evidence,
+    inflation: tuple[Array, Array],
+    noise: Array | None,
 ) -> tuple[Unknowns, SquareRootInformation, Array, Array]:
     """Return (what is sought in the end, what is known of it, values (p,) within bounds, what
     each joint's equations are divided by (joints,) [N m]).
@@ -315,8 +317,9 @@ def _bounded(
         prior = columns.prior[sought.kept]
         plain = restricted(data.whole, sought.kept_names, sought.held)
         noise = weighted(with_prior(plain, sought.groups), prior, start=noise)
-        counts = noise * np.sqrt(inflation)
-        sought = replace(sought, groups=widened_groups(plain, counts, sought.groups))
+        counts = noise * np.sqrt(inflation[0])
+        slow = counts * np.sqrt(inflation[1])
+        sought = replace(sought, groups=widened_groups(plain, slow, sought.groups))
         known = with_prior(plain, sought.groups)
         counts = _sharpened(known, counts, prior)
         values = sought.full(least_squares(known, prior, 1.0 / counts))

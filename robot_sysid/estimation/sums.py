@@ -206,7 +206,7 @@ class _Fixed(Fitter):
         found, inflation = self._found, None
         if found.residuals:
             own = np.array([memory_of(each.products, each.count) for each in found.residuals])
-            inflation = found.rows.inflation() + own - 1.0, own
+            inflation = found.rows.inflation(), own
         return solved(
             self.columns, question, choice, self._point, found.evidence, inflation=inflation
         )

@@ -380,8 +380,8 @@ def _beyond_noise(result: Result) -> Iterator[str]:
     slow = [name for name, share in estimate.independent_share.items() if share < COLOURED]
     if slow:
         yield (
-            f"residuals of {', '.join(slow)} are correlated in time: errors of the other links' "
-            "parameters or of the friction model limit the result, not sensor noise"
+            f"residuals of {', '.join(slow)} are correlated in time: slow noise, or something that "
+            "the model lacks; the errors above allow for it"
         )
     for test in result.validation:
         if test.rmse > WORSE * estimate.rmse:

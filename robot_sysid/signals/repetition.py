@@ -55,10 +55,10 @@ class Visits:
     ) -> tuple[Array, Array]:
         """Return (D, M) (joints,) of an estimate (p,).
 
-        M is what memory of a joint's own residuals brings, part of D; what comes again with the
-        motion is 0 where that does not repeat as a whole.
+        D is 1 where the motion does not repeat as a whole; M is what the memory of a joint's own
+        residuals does to the variance of a slow sum.
         """
-        again, own = np.zeros(len(information.joints)), np.ones(len(information.joints))
+        again, own = np.ones((2, len(information.joints)))
         each = np.unique(self.probes)
         for index, rows, tau in samples:
             left = tau - rows @ values[information.joints[index].columns]
@@ -66,9 +66,9 @@ class Visits:
             squared = float(np.sum(residual[each] ** 2))
             if self.repeats >= 1.0 and squared > 0.0:
                 twice = float(residual[self.probes] @ residual[self.others])
-                again[index] = max(twice / squared, 0.0)
-            own[index] = memory(left, 1.0 + again[index])
-        return own + again, own
+                again[index] = max(1.0 + twice / squared, 1.0)
+            own[index] = memory(left, again[index])
+        return again, own
 
 
 def memory(residual: Array, repeats: float = 1.0) -> float:

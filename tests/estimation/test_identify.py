@@ -77,7 +77,7 @@ def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
 
 def test_rows_that_a_refit_leaves_out_say_nothing(robot, noisy):
     last = np.arange(len(noisy))[:, None] > 0.9 * len(noisy)
-    answer = answered(robot, replace(noisy, tau=noisy.tau + 30.0 * last))
+    answer = answered(robot, replace(noisy, tau=noisy.tau + 8.0 * last))
     (dataset,) = answer.fit.columns.datasets
     time = dataset.motion.time
     again = refit(answer, [time < time[0] + 0.8 * (time[-1] - time[0])], ())

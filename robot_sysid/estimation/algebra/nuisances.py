@@ -217,9 +217,9 @@ def misfits(
     """Return the causes that the data asks for more clearly than chance does.
 
     A cause is asked for where leaving it at what it is thought to be makes the misfit worse by more
-    than chi-square allows. It is as wide then as its worst aspect asks for: links of another
-    density contradict their masses alone, which would be lost among ten numbers of each. Noise
-    (joints,) is in N m, groups are as wide as they were used.
+    than chi-square allows any of them. It is as wide then as its worst aspect asks for: links of
+    another density contradict their masses alone, which would be lost among ten numbers of each.
+    Noise (joints,) is in N m, groups are as wide as they were used.
     """
     from scipy.stats import chi2
 
@@ -233,7 +233,7 @@ def misfits(
         gained = problem.solve(fixed)[2] - with_all
         every = np.eye(len(group.names))
         freedom = max(float(np.sum(_determined(group, every, problem.names, covariance))), 1.0)
-        if gained > chi2.ppf(SURE, freedom):
+        if gained > chi2.ppf(SURE ** (1.0 / len(groups)), freedom):
             off = group.deviations(problem.names, values)
             worst, wide = _worst_members(group, off), wanted[index]
             alone = [_asked(wide, some, problem.names, *wider) for some in group.aspects()]
