@@ -130,8 +130,8 @@ def _datasets(
 def _no_drift(raw: Sequence[RawRecording], known: bool) -> str:
     order = (
         "their order does not tell it from the payload"
-        if known
-        else "the order in which they were recorded is not known (--order ABBA tells it)"
+        if known or len(raw) == 2
+        else "the order in which they were recorded is not known (--order tells it)"
     )
     return (
         f"a drift of friction over the {len(raw)} logs is not estimated: {order}; record in the "

@@ -33,6 +33,7 @@ from robot_sysid.model.flange import place_in_carrier
 from robot_sysid.model.inertia import body_theta, link_bodies
 from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
 from robot_sysid.records.atomic_files import WholeFiles
+from robot_sysid.records.figures import with_error
 from robot_sysid.results.record import Figure, Payload, Result
 from robot_sysid.results.verification import (
     reads_fullinertia_exactly,
@@ -86,7 +87,10 @@ def write_model(
     payload, welded, words, beside = result.payload, None, "", np.zeros(10)
     if payload is not None:
         carried = payload.flange.from_flange(payload.body.inertial.theta)
-        words = f"a payload of {payload.body.inertial.mass:.4g} kg"
+        words = (
+            f"a payload of {with_error(payload.body.inertial.mass, payload.body.errors[0], 'kg')}"
+        )
+        words += "" if np.all(payload.body.shown) else ", inertia not known,"
         if as_body is not None:
             welded, beside = _welded(robot, payload, as_body, words), carried
             words = "without the payload"
