@@ -85,7 +85,7 @@ def weighed(robot, raw, estimation=USUAL, drifts=True, **known):
     datasets, _ = filtered(robot, pieces, estimation)
     question = Question(estimation, loaded=True, drifts=drifts, **known)
     found, free = answer_payload(robot, datasets, question, Progress(), kept=None)
-    return payload_of(found, free, find_flange(robot, "0,0,0"), ORIGIN, False)
+    return payload_of(found, free, find_flange(robot, "0,0,0"), ORIGIN)
 
 
 def single_difference(robot, raw):

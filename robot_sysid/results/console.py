@@ -17,13 +17,15 @@ from robot_sysid.mjcf.write_back import plan_write_back
 from robot_sysid.records import DELAY_NAME, Array
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.results.cards import NOT_KNOWN, load_errors
-from robot_sysid.results.record import UNKNOWN, BaseParameters, BodyEstimate, Payload, Result
+from robot_sysid.results.record import BaseParameters, BodyEstimate, Payload, Result
 from robot_sysid.results.rollout import rollout_lines
 from robot_sysid.results.tables import asked_rows, friction_text, link_rows, shown, table_lines
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
+UNKNOWN = 0.5
+"""Relative error of a mass from which on it is not known: two of them reach zero."""
 _NAMED = 3
 """Bodies of a link that are named; more make a line too long."""
 _ROUNDING = 1e-9

@@ -25,9 +25,6 @@ from robot_sysid.records.results import RolloutTest
 
 LINK, PAYLOAD = "link", "payload"
 """Questions: the terminal link with every other link around it, or what came on to it."""
-UNKNOWN = 0.5
-"""Relative error of a mass, or of a moment of inertia, from which on it is not known: two of them
-reach zero."""
 
 
 class Verdict(Enum):
