@@ -38,6 +38,8 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.records.data import Traces
+from robot_sysid.records.figures import with_error
+from robot_sysid.results.cards import inertia_is_known, principal_moments
 from robot_sysid.results.record import (
     BaseParameters,
     BodyEstimate,
@@ -210,6 +212,24 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     said = file.before, file.after, (), tuple(sorted(kept))
     found = ModelFile(thetas, spread, joints, turned, *said)
     return found, () if FILE_FRICTION in kept else tuple(notes)
+
+
+def written_payload(answer: Answer) -> tuple[Array, str]:
+    """Return the payload (10,) that a model gets, and why its inertia is not known; "" where it is.
+
+    Where it is not, a ball of aluminium of that mass is as good a guess as any.
+    """
+    theta = answer.fit.values[answer.fit.columns.at(PAYLOAD_NAMES)]
+    mass, com, _ = spatial.com_from_theta(theta)
+    body = answer.body("payload", answer.pick(PAYLOAD_NAMES), theta, None)
+    if mass <= 0.0 or inertia_is_known(body):
+        return theta, ""
+    moments, errors, _ = principal_moments(body)
+    listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
+    said = f"the payload's principal moments of inertia, {listed} kg·m², are not told from zero"
+    if not np.all(np.isfinite(errors)):
+        said = "these torques do not show the payload's inertia"
+    return spatial.aluminium_ball(mass, com), said
 
 
 def estimate_of(answer: Answer) -> Estimate:

@@ -20,7 +20,7 @@ from robot_sysid.dynamics.nuisances import gravity, tilt_axes
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.answer import Answer, traced
+from robot_sysid.estimation.answer import Answer, traced, written_payload
 from robot_sysid.estimation.choices import choose, coupled
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import couplings_of
@@ -29,7 +29,7 @@ from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import logs_compared
-from robot_sysid.estimation.result import about, of_own_simulation, written_payload
+from robot_sysid.estimation.result import about, of_own_simulation
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.records import DataOrigin, Measurement, MotionPlan, RobotModel, Source, Validation
 from robot_sysid.records.data import Traces

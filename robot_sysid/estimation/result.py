@@ -17,7 +17,13 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.nuisances import gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.information import sample_counts
-from robot_sysid.estimation.answer import Answer, base_parameters, estimate_of, model_file
+from robot_sysid.estimation.answer import (
+    Answer,
+    base_parameters,
+    estimate_of,
+    model_file,
+    written_payload,
+)
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.recordings import contradiction, disagreeing, each_recording
@@ -33,8 +39,7 @@ from robot_sysid.records import (
     RobotModel,
     Validation,
 )
-from robot_sysid.records.figures import percent, with_error
-from robot_sysid.results.cards import inertia_is_known, principal_moments
+from robot_sysid.records.figures import percent
 from robot_sysid.results.model import versions
 from robot_sysid.results.record import (
     LINK,
@@ -433,24 +438,6 @@ def _scales_are_all(answer: Answer, body: BodyEstimate) -> bool:
     largest = max([body.noise_errors[0], *(part[0] for part in body.budget.values())])
     said = answer.fit.question.options.scale_uncertainty is not None
     return not said and SCALES in body.budget and bool(body.budget[SCALES][0] >= largest)
-
-
-def written_payload(answer: Answer) -> tuple[Array, str]:
-    """Return the payload (10,) that a model gets, and why its inertia is not known; "" where it is.
-
-    Where it is not, a ball of aluminium of that mass is as good a guess as any.
-    """
-    theta = answer.fit.values[answer.fit.columns.at(PAYLOAD_NAMES)]
-    mass, com, _ = spatial.com_from_theta(theta)
-    body = answer.body("payload", answer.pick(PAYLOAD_NAMES), theta, None)
-    if mass <= 0.0 or inertia_is_known(body):
-        return theta, ""
-    moments, errors, _ = principal_moments(body)
-    listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
-    said = f"the payload's principal moments of inertia, {listed} kg·m², are not told from zero"
-    if not np.all(np.isfinite(errors)):
-        said = "these torques do not show the payload's inertia"
-    return spatial.aluminium_ball(mass, com), said
 
 
 def _came_on(

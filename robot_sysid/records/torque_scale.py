@@ -47,7 +47,7 @@ def usable_factor(value: float | Path) -> str | None:
     """Complain unless a value is a file or a positive number."""
     if isinstance(value, Path) or (value > 0.0 and math.isfinite(value)):
         return None
-    return f"must be positive (got {value:g}); turn a sign round in the file of --columns"
+    return f"must be positive (got {value:g}); turn a sign round in the columns file"
 
 
 def joint_factors(given: Factors, joint_names: Sequence[str], table: str) -> Array:
