@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib.metadata
 import os
 import re
@@ -13,7 +12,6 @@ import numpy as np
 
 import robot_sysid
 from robot_sysid.cli import main
-from robot_sysid.commands import identify, motors, payload, plan, run
 from robot_sysid.regressor import derive_regressor
 from tests.support.places import ROOT
 
@@ -28,17 +26,6 @@ SECTIONS = (
 )
 QUICK_START = re.compile(r"<!-- quick start output -->\n```text\n(.*?)```", re.DOTALL)
 KINOVA_OUTPUT = re.compile(r"<!-- kinova output -->\n```text\n(.*?)```", re.DOTALL)
-
-
-def parsers() -> list[argparse.ArgumentParser]:
-    """Return the parsers of all commands."""
-    whole = [module.build_parser() for module in (run, plan, identify, payload)]
-    return [*whole, *(motors.build_parser(name) for name in motors.COMMANDS)]
-
-
-def options() -> set[str]:
-    """Return every option string of all commands."""
-    return {name for p in parsers() for a in p._actions for name in a.option_strings}
 
 
 def test_readme_has_every_section():
@@ -187,13 +174,3 @@ def test_a_run_starts_without_what_it_does_not_need_and_in_one_thread(tmp_path):
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, env=free)
     assert (done.returncode, done.stderr) == (0, b"")
-
-
-def test_every_option_that_the_package_speaks_of_exists():
-    """Messages, notes and docstrings must not send a user to an option that is not there."""
-    known = options() | {"--hypothesis-seed"}
-    spoken = {}
-    for path in (ROOT / "robot_sysid").rglob("*.py"):
-        for name in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", path.read_text(encoding="utf-8")):
-            spoken.setdefault(name, path.name)
-    assert {name: where for name, where in spoken.items() if name not in known} == {}

@@ -39,8 +39,8 @@ ERROR_NAMES = ("mass", "com_x", "com_y", "com_z", *(f"{name}_about_com" for name
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
 TOLD = 2.5
 """Standard errors from zero from which on a principal moment is told. A body that was made possible
-has too large ones: of 24 payloads in simulation, all that are kept at 2.5 are nearer the truth than
-the ball (benchmarks/payload_by_difference.py); at 2, four of ten are not, by up to 183 times."""
+has too large ones: of 48 payloads in simulation, all 11 that are kept at 2.5 are nearer the truth
+than the ball (arms of benchmarks/payload_by_difference.py); at 2, some are 183 times too large."""
 _MOST_TURN = 45.0
 """Error of an axis' direction [degrees] beyond which it is not known: two axes change places."""
 # Share of each of [xx, xy, xz, yy, yz, zz] in a sum over all elements of a symmetric matrix.
