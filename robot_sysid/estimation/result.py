@@ -7,7 +7,7 @@ better than the one before.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -46,6 +46,7 @@ from robot_sysid.results.record import (
     PAYLOAD,
     BodyEstimate,
     Figure,
+    JointEstimate,
     ModelFile,
     OneRecording,
     Payload,
@@ -59,6 +60,11 @@ HARMLESS = 0.02
 """Held-out error, as a part of the torque, that is no reason to doubt whatever the noise is."""
 ODD_JOINT, ODD_NOISE = 10.0, 0.3
 """A joint is odd whose noise, as a part of its torque, is so many times the others' and large."""
+MEMORY = 0.5
+"""Share of independent samples from which residuals are noise, which is no misfit: white noise has
+0.6 to 1, torque that belongs to something else 0.1."""
+DRY_FRICTION = 3.0
+"""Dry friction over the usual torque of the strongest other joint that no joint has."""
 COM_BEYOND, GYRATION_BEYOND = 0.3, 0.1
 """How far beyond the link of the model, in parts of the arm's reach, centre of mass and radius of
 gyration may be: something may be bolted to it that the model does not have."""
@@ -105,11 +111,12 @@ def first(findings: Iterable[Judged], otherwise: Verdict) -> tuple[Verdict, tupl
 
 
 def unexplained(
-    fit: Fit, tests: Sequence[Validation], acceleration_error: float
+    fit: Fit, tests: Sequence[Validation], acceleration_error: float, apart: Mapping[str, float]
 ) -> Iterator[Judged]:
     """Yield why torques do not follow from the motion as far as noise would let them.
 
-    The acceleration's expected error is a part of it, 0 where unknown.
+    The acceleration's expected error is a part of it, 0 where unknown; ``apart`` says which share
+    of a joint's residuals is independent samples.
     """
     noise = fit.noise_per_joint
     if acceleration_error > COARSE:
@@ -132,7 +139,11 @@ def unexplained(
     shares = {joint: noise[joint] / torque[joint] for joint in noise if torque.get(joint)}
     for joint, share in shares.items():
         others = [shares[other] for other in shares if other != joint]
-        if others and share > max(ODD_NOISE, ODD_JOINT * float(np.median(others))):
+        if (
+            others
+            and apart.get(joint, 0.0) < MEMORY
+            and share > max(ODD_NOISE, ODD_JOINT * float(np.median(others)))
+        ):
             yield (
                 Verdict.UNEXPLAINED,
                 f"{percent(share)} of the torque of {joint} is unexplained, of the other "
@@ -163,6 +174,23 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judged]:
             f"these torques do not show the mass, yet the rest is only possible with "
             f"{body.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg",
         )
+
+
+def implausible_joints(
+    robot: RobotModel, joints: Mapping[str, JointEstimate], torque: Array
+) -> Iterator[Judged]:
+    """Yield what no joint of this arm can have, of usual torques (n,) [N m]."""
+    reach = sum(float(np.linalg.norm(link.translation)) for link in robot.links)
+    inertia = sum(float(link.theta[0]) for link in robot.links) * reach**2
+    for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
+        terms = {term: each.value - _SURE * each.error for term, each in joints[name].terms.items()}
+        dry, rotor = terms.get("coulomb", terms.get("sigmoid", 0.0)), terms.get("armature", 0.0)
+        others = np.delete(torque, index)[np.delete(robot.is_slide, index) == slide]
+        strongest = DRY_FRICTION * float(np.max(others, initial=0.0)) or np.inf
+        if dry > min(robot.limits.torque[index], strongest):
+            yield Verdict.IMPLAUSIBLE, f"{name} would have {dry:.3g} N m of dry friction or more"
+        if not slide and rotor > inertia > 0.0:
+            yield Verdict.IMPLAUSIBLE, f"{name} would have a rotor of {rotor:.3g} kg m^2 or more"
 
 
 def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judged]:
@@ -284,9 +312,10 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
     """Return everything that is said of the arm from recordings of it alone."""
     fit, robot, file = answer.fit, answer.robot, None
     links, tests, notes = tuple(answer.links()), (answer.validation, *answer.tests), answer.notes
-    findings = [*unexplained(fit, tests, answer.acceleration_error)]
+    common, coarse = _common(answer, data), answer.acceleration_error
+    findings = [*unexplained(fit, tests, coarse, common.estimate.independent_share)]
     findings += implausible_link(robot, links[-1])
-    common = _common(answer, data)
+    findings += implausible_joints(robot, common.joints, fit.evidence.torque)
     seen = common.estimate.identifiability
     ended = Verdict.OK if seen.rank >= seen.n_parameters else Verdict.PARTLY_FROM_MODEL
     judged = _file_verdict(answer)

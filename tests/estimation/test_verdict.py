@@ -9,10 +9,12 @@ import pytest
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation import result as verdict
+from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.result import first
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import InertialParameters, Validation
-from robot_sysid.results.record import BodyEstimate, Verdict
+from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Verdict
 from tests.support import arms
 from tests.support.core_fits import datasets_of, fitted
 
@@ -131,16 +133,43 @@ def test_held_out_torque_may_be_three_times_the_noise(robot, noisy):
     for times, relative, status in ((2.5, 0.1, OK), (3.5, 0.01, OK), (3.5, 0.1, None)):
         errors = {joint: times * each for joint, each in noise.items()}
         test = replace(prediction(relative), rmse_per_joint=errors)
-        found, reasons = first(verdict.unexplained(fit, [test], 0.0), OK)
+        found, reasons = first(verdict.unexplained(fit, [test], 0.0, {}), OK)
         assert found is (status or Verdict.UNEXPLAINED)
         assert status or "of parts are predicted 3.5 times worse" in reasons[0]
-    coarse, (reason,) = first(verdict.unexplained(fit, [], 0.49), OK)
+    coarse, (reason,) = first(verdict.unexplained(fit, [], 0.49, {}), OK)
     assert coarse is Verdict.UNEXPLAINED and "49 %" in reason
 
 
-def test_a_joint_whose_torque_follows_from_nothing_is_named(robot, noisy):
-    odd = noisy.tau.copy()
-    odd[:, 2] = odd[::-1, 0]
-    fit = fit_of(robot, replace(noisy, tau=odd))
-    found, reasons = first(verdict.unexplained(fit, [], 0.0), OK)
-    assert found is Verdict.UNEXPLAINED and "of the torque of joint2 is unexplained" in reasons[0]
+@pytest.mark.parametrize("what", ["another joint's torque", "white noise"])
+def test_a_joint_whose_torque_follows_from_nothing_is_named_one_with_noise_is_not(
+    robot, noisy, what
+):
+    tau = noisy.tau.copy()
+    tau[:, 2] = tau[::-1, 0]
+    if what == "white noise":
+        usual = np.sqrt(np.mean(noisy.tau[:, 2] ** 2))
+        tau[:, 2] = (
+            noisy.tau[:, 2]
+            + 9.0 * usual * np.repeat(np.random.default_rng(0).normal(size=len(tau)), 8)[: len(tau)]
+        )
+    fit = fit_of(robot, replace(noisy, tau=tau))
+    counts = sample_counts(fit.information)
+    share = dict(zip(robot.joint_names, np.array(fit_errors(fit).whole.effective) / counts))
+    odd = first(verdict.unexplained(fit, [], 0.0, {}), OK)
+    assert "of the torque of joint2 is unexplained" in odd[1][0]
+    found = first(verdict.unexplained(fit, [], 0.0, share), OK)
+    assert found == (odd if what != "white noise" else (OK, ())), share
+
+
+def test_friction_and_rotors_that_no_joint_has_are_refused():
+    torque = np.array([9.0, 40.0, 5.0, 20.0, 1.0, 4.0, 0.5])
+
+    def judged(**terms):
+        joints = {name: JointEstimate("some", {}) for name in SEVEN.joint_names}
+        figures = {term: Figure(value, 0.1) for term, value in terms.items()}
+        joints[SEVEN.joint_names[-1]] = JointEstimate("some", figures)
+        return first(verdict.implausible_joints(SEVEN, joints, torque), OK)
+
+    assert judged(coulomb=30.0, viscous=200.0, armature=0.5) == (OK, ())
+    assert "141 N m of dry friction" in judged(coulomb=141.2)[1][0]
+    assert judged(armature=1e3)[0] is Verdict.IMPLAUSIBLE
