@@ -214,8 +214,17 @@ def recognise_columns(
     found = naming.match_joints(readable, joint_names, first_row)
     asked, other = ("command", "torque") if commanded else ("torque", "command")
     columns = _Columns(list(titles), parsed, joint_names, chosen, is_slide, ("position", asked))
-    sources = {kind: columns.of_joints(kind, found) for kind in naming.QUANTITIES if kind != other}
-    time = columns.time(found)
+    faults, time = list[str](), None
+    sources: dict[str, tuple[Source, ...] | None] = {}
+    for kind in (kind for kind in naming.QUANTITIES if kind != other):
+        with naming.collected(faults):
+            sources[kind] = columns.of_joints(kind, found)
+    with naming.collected(faults):
+        time = columns.time(found)
+    if faults:
+        ending = columns.listed()
+        said = [fault[: -len(ending)] if fault.endswith(ending) else fault for fault in faults]
+        raise InputError("; ".join(said) + (ending if said != faults else ""))
     used = {s.index for group in (*sources.values(), [time]) for s in group or () if s}
     unused = tuple(title for index, title in enumerate(titles) if index not in used)
     position, torque = sources["position"], sources[asked]
@@ -274,9 +283,13 @@ class _Columns:
         if not found:
             raise InputError(
                 f"the log has no time column; {naming.REMEDY} ('time = TITLE', or 'rate = HZ' for "
-                f"evenly spaced rows). Columns: {', '.join(self._texts)}"
+                f"evenly spaced rows){self.listed()}"
             )
         return self._source("time", 0, found[0], 1.0)
+
+    def listed(self) -> str:
+        """Return how an error ends that lists the columns."""
+        return f". Columns: {', '.join(self._texts)}"
 
     def _incomplete(self, kind: str) -> InputError:
         candidates = [title.text for title in self._titles if naming.joint_kind(title) == kind]
@@ -292,8 +305,7 @@ class _Columns:
             hint += "; with commanded positions, identify --torque-from position-error needs none"
         return InputError(
             f"the log needs one {kind} column for each of the {len(self._joints)} chain joints "
-            f"({', '.join(self._joints)}), found {found}{hint}; {naming.REMEDY}. Columns: "
-            f"{', '.join(self._texts)}"
+            f"({', '.join(self._joints)}), found {found}{hint}; {naming.REMEDY}{self.listed()}"
         )
 
     def _lookup(self, text: str) -> tuple[int, float]:

@@ -11,6 +11,7 @@ have to be exactly 0..n-1 or 1..n. Two answers for one quantity are an error.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import re
@@ -179,6 +180,15 @@ def _pieces(text: str) -> list[str]:
     whole_units = re.sub(r"(?<![a-zA-Z])[mk]?Nm(?![a-z])", lambda m: m[0].lower(), text)
     apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", whole_units)
     return re.findall(r"[a-zA-Z°µ]+|\d+", apart.lower())
+
+
+@contextlib.contextmanager
+def collected(faults: list[str]) -> Iterator[None]:
+    """Add what is wrong to a list, so that all that is wrong can be said at once."""
+    try:
+        yield
+    except InputError as error:
+        faults.append(str(error))
 
 
 Found = dict[tuple[str, int], list[int]]

@@ -1,8 +1,8 @@
 """The rows of a log as numbers, with what had to be left out or mended.
 
-Rows with an empty or NaN cell, rows that are no row of numbers at all and rows that repeat the
-previous time stamp are left out, a jump by a full turn is unwrapped; each kind is counted, and its
-first line kept. What cannot be mended (time running backwards) is an error with its line number.
+Rows with an empty or NaN cell, rows that are no row of numbers at all and rows that are no later
+than the one before are left out, a jump by a full turn is unwrapped; each kind is counted, and its
+first line kept, for ``checks`` to judge.
 The rows pass by in blocks; a log that is longer than any identification needs is low-passed and
 thinned on the way.
 """
@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnMap
 from robot_sysid.logs.formats.table import Block, Lines, LogTable
 from robot_sysid.records import Array, Measurement
@@ -23,6 +22,7 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.signals.resampling import Thinning
 
 UNREADABLE, MISSING, REPEATED, WRAPPED = "unreadable", "missing", "repeated", "wrapped"
+BACKWARDS = "backwards"
 _TURN = 2.0 * np.pi
 # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
 _WRAP_TOLERANCE = 0.5
@@ -50,7 +50,9 @@ class LogRows:
         lines: (N,) file lines; of thinned rows, those in whose middle a row is.
         n_read, foreign: number of rows in the file, and of those that hold nothing of this arm.
         odd: the rows left out as UNREADABLE (no numbers, or none that can be true), MISSING (an
-            empty cell) and REPEATED (the time stamp before them), and those that were WRAPPED.
+            empty cell), REPEATED (the time stamp before them) and BACKWARDS (of an earlier time
+            than the row before them), and those that were WRAPPED.
+        empty: title of a column to the number of MISSING rows in which it is empty.
         thinned: how many rows were made one.
         word: what its rows are called.
     """
@@ -59,6 +61,7 @@ class LogRows:
     samples: Measurement
     n_read: int
     odd: Mapping[str, Odd]
+    empty: Mapping[str, int]
     foreign: int
     thinned: int
     word: str
@@ -72,7 +75,7 @@ class LogRows:
 def read_rows(
     table: LogTable, columns: ColumnMap, is_slide: Sequence[bool], progress: Progress | None = None
 ) -> LogRows:
-    """Read all rows of a log, or raise InputError where time runs backwards.
+    """Read all rows of a log.
 
     Args:
         is_slide: (n,) whether a joint is a slide, which has no full turn.
@@ -88,7 +91,9 @@ def read_rows(
     cells = np.concatenate(kept)
     kept.clear()
     every = thinning.every if thinning else 1
-    told = cleaner.n_read, cleaner.odd, cleaner.foreign
+    titles = [source.title for source in columns.sources()]
+    empty = {t: int(n) for t, n in zip(titles, cleaner.empty) if n}
+    told = cleaner.n_read, cleaner.odd, empty, cleaner.foreign
     lines, samples = _samples(columns, cells)
     return LogRows(lines, samples, *told, every, table.word)
 
@@ -118,7 +123,7 @@ class _Cleaner:
     """Leaves out and mends rows, block by block; a joint may be a slide (n,)."""
 
     def __init__(self, table: LogTable, columns: ColumnMap, is_slide: Sequence[bool]) -> None:
-        self._name, self._word = table.path, table.word
+        self._word = table.word
         self._columns, self._turning = columns, ~np.array(is_slide)
         self._factors = np.array([source.factor for source in columns.sources()])
         self._n = len(columns.position)
@@ -126,7 +131,9 @@ class _Cleaner:
         self._last: Array | None = None
         self._turns = np.zeros(self._n)
         self.n_read, self.foreign = 0, 0
-        self.odd = {kind: Odd() for kind in (UNREADABLE, MISSING, REPEATED, WRAPPED)}
+        self.empty = np.zeros(len(self._factors), dtype=int)
+        kinds = UNREADABLE, MISSING, REPEATED, BACKWARDS, WRAPPED
+        self.odd = {kind: Odd() for kind in kinds}
 
     def clean(self, block: Block) -> Array:
         """Return the usable rows (R, 2 + C) of a block: line, time, then the wanted columns."""
@@ -141,7 +148,6 @@ class _Cleaner:
             self._new_piece(block.piece, cells)
             cells[:, 0] += self._offset
             later = self._later(lines, cells[:, 0])
-            self._count(REPEATED, lines[~later])
             lines, cells = lines[later], cells[later]
         if len(cells):
             self._unwrap(lines, cells)
@@ -162,7 +168,9 @@ class _Cleaner:
         self.n_read += int(np.count_nonzero(~foreign))
         finite = np.isfinite(cells).all(axis=1)
         self._count(UNREADABLE, block.lines[noise], block.complaint)
-        self._count(MISSING, block.lines[~finite & ~noise & ~foreign])
+        missing = ~finite & ~noise & ~foreign
+        self._count(MISSING, block.lines[missing])
+        self.empty += np.isnan(block.cells[missing]).sum(axis=0)
         return np.asarray(finite & ~noise)
 
     def _new_piece(self, piece: int, cells: Array) -> None:
@@ -175,13 +183,16 @@ class _Cleaner:
         self._last = None
 
     def _later(self, lines: Lines, time: Array) -> NDArray[np.bool_]:
-        """Return (R,) whether each row is later than the one before, or raise InputError."""
-        step = np.diff(time, prepend=time[0] - 1.0 if self._last is None else self._last[0])
-        if np.any(step < 0.0):
-            at = int(np.argmax(step < 0.0))
-            fault = f"time runs backwards at {self._word} {lines[at]}, by {-step[at]:.6g} s"
-            raise InputError(f"{self._name}: {fault}; cut the log where a second recording begins")
-        return step > 0.0
+        """Return (R,) whether each row is later than all before; count the others."""
+        before = time[0] - 1.0 if self._last is None else self._last[0]
+        step = np.diff(time, prepend=before)
+        latest = np.maximum.accumulate(np.concatenate(([before], time)))[:-1]
+        back = step < 0.0
+        if np.any(back):
+            at = int(np.argmax(back))
+            self._count(BACKWARDS, lines[back], f"{self._word} {lines[at]}, by {-step[at]:.6g} s")
+        self._count(REPEATED, lines[step == 0.0])
+        return np.asarray(time > latest)
 
     def _unwrap(self, lines: Lines, cells: Array) -> None:
         q = cells[:, 1 : 1 + self._n]

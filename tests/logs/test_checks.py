@@ -44,6 +44,18 @@ def changed(place, change):
     return fault
 
 
+def apart(rows):
+    """Joints in messages of their own."""
+    rows[::2, [1, 4]], rows[1::2, [2, 3, 5, 6]] = np.nan, np.nan
+    return rows
+
+
+def all_at_once(rows):
+    rows[[20, 21], 0] = rows[[21, 20], 0]
+    rows[5::10, 2], rows[:, 4], rows[:, 6] = np.nan, 0.0, 1.0
+    return rows
+
+
 TIME, Q = np.s_[:, 0], np.s_[:, 1:4]
 # Each fault changes the table and is an error that says the words.
 ERRORS: dict[str, tuple[Callable, list[str]]] = {
@@ -72,6 +84,44 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     "microseconds": (changed(TIME, lambda t: 1e6 * t), ["--units us"]),
     "nanoseconds since 1970": (changed(TIME, lambda t: 1.7e18 + 1e9 * t), ["--units ns"]),
     "tiny time": (changed(TIME, lambda t: 1e-3 * t), ["time steps of 5e-06 s", "declare the unit"]),
+    "minutes": (
+        changed(TIME, lambda t: t / 60.0),
+        ["time steps of 8.33e-05 s are so short that joint base", "'time = 60 * TITLE'"],
+    ),
+    "hours": (changed(TIME, lambda t: t / 3600.0), ["too short", "'time = 3600 * TITLE'"]),
+    "stamps of arrival": (
+        changed((slice(10, None, 9), 0), lambda t: t - 4.99e-3),
+        ["uneven (11% of the steps", "joint base would often", "'rate = 200'"],
+    ),
+    "whole seconds": (
+        changed(TIME, np.floor),
+        ["398 of 400 rows repeat the time stamp", "'rate = HZ' in --columns"],
+    ),
+    "noise": (
+        changed(Q, lambda q: q + np.random.default_rng(0).normal(0.0, 0.1, q.shape)),
+        ["position of joint base goes to and fro by 0.09", "encoder"],
+    ),
+    "full turns": (
+        changed(np.s_[:, 2], lambda q: q + 6.0 * np.pi),
+        ["joint elbow reaches 19.7", "3 full turns from the model's zero", "--units rad"],
+    ),
+    "no effort": (
+        changed(np.s_[:, [4, 6]], lambda tau: np.nan * tau),
+        ["columns 'tau1', 'tau3' hold no number in any row", "--columns FILE"],
+    ),
+    "joints apart": (
+        apart,
+        ["no line holds numbers in all columns (empty: column 'q1', in 200 of 400)", "one row per"],
+    ),
+    "all at once": (
+        all_at_once,
+        [
+            "40 of 400 rows",
+            "column 'q2', in 40 of 400",
+            "backwards at line 23",
+            "torque of joint base is zero in every row, that of joint wrist is the same (1 N m)",
+        ],
+    ),
     "degrees": (changed(Q, np.degrees), ["look like degrees", "--units deg"]),
     "at rest": (changed(Q, lambda q: 0.3 + 1e-3 * q), ["at rest", "no joint moves"]),
     "spike": (changed((33, 3), lambda q: q + 2.0), ["joint wrist", "jumps at line 35 and 1 more"]),
@@ -95,6 +145,16 @@ def test_a_log_that_cannot_be_used_is_refused(tmp_path, name):
     message = str(caught.value)
     assert all(word in message for word in words), message
     assert "\n" not in message
+    assert ("degrees" in message) == (name == "degrees")
+
+
+@pytest.mark.parametrize("name", ["minutes", "hours", "stamps of arrival", "whole seconds"])
+def test_the_remedy_for_a_clock_is_one(tmp_path, name):
+    remedies = {"minutes": "time = 60 * time", "hours": "time = 3600 * time"}
+    columns = tmp_path / "columns.txt"
+    columns.write_text(remedies.get(name, "rate = 200"))
+    log = read(tmp_path, ERRORS[name][0](table(motion())), columns=columns)
+    np.testing.assert_allclose(log.samples.time, motion().time, atol=1e-12)
 
 
 def stands_still(rows):

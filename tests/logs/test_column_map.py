@@ -178,6 +178,10 @@ def test_declared_degrees_leave_slides_alone():
         ("t,q1,q2,q3,tau1,tau2,tau3<script>", ["torque", "found 2"]),
         ("t,q1,q2,q3,tau1_cmd,tau2_cmd,tau3_cmd", ["torque", "commanded"]),
         ("q1,q2,q3,tau1,tau2,tau3", ["no time column", "rate"]),
+        (
+            "when,q1,q2,q3,tau1,tau2,tau9",
+            ["one torque column for each", "found 3 (tau1, tau2, tau9)", "; the log has no time"],
+        ),
         ("t,joint1_pos,joint2_pos,joint3_pos,tau1,tau2,tau3", ["carries the name of joint joint1"]),
         ("t,q1 [furlong],q2,q3,tau1,tau2,tau3", ["furlong", "unknown"]),
     ],

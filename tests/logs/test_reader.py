@@ -108,6 +108,30 @@ def restyled(text: str, style: str) -> bytes:
     return changed.encode("utf-16" if style == "utf16" else "utf-8")
 
 
+@pytest.mark.parametrize(
+    "form", ["{day}T{clock}", "{day} {clock}Z", "{day}T{clock}+05:30", "{clock}", '"{clock}"']
+)
+def test_dates_are_times_from_the_first(tmp_path, form):
+    data = motion(50)
+    rows = table(data).tolist()
+    for row in rows:
+        clock = f"23:15:{row[0]:012.9f}"
+        row[0] = form.format(day="2024-05-01", clock=clock)
+    log = read_measurements(write(tmp_path / "log.csv", rows), JOINTS)
+    assert_same(replace(data, qd=None), log.samples, tolerance=1e-12)
+    assert "time in dates" in log.notes[0]
+
+
+def test_dates_go_on_over_a_change_of_the_clock(tmp_path):
+    rows = table(motion(40)).tolist()
+    for row, second in zip(rows, range(40)):
+        day, hour = ("02", "01") if second < 20 else ("01", "22")
+        ahead = "+02:00" if second < 20 else "-01:00"
+        row[0] = f"2024-05-{day}T{hour}:59:{30 + second * 0.02:06.3f}{ahead}"
+    log = read_measurements(write(tmp_path / "log.csv", rows), JOINTS)
+    np.testing.assert_allclose(log.samples.time, 0.02 * np.arange(40), atol=1e-12)
+
+
 def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(tmp_path):
     data = motion(30)
     path = write(tmp_path / "log.csv", table(data), titles=())

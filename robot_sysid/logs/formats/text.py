@@ -2,19 +2,22 @@
 
 Understood without being told: comma, semicolon, tab, bar or blanks between cells, a decimal comma
 where the separator is not one, comment lines (``#`` or ``%``), a byte-order mark, UTF-16, Windows
-line ends, quoted cells, and a header that is itself the last comment line (as ``numpy.savetxt``
-writes it). NumPy reads the rows; only a block with a row that NumPy refuses is read cell by cell.
+line ends, quoted cells, a header that is itself the last comment line (as ``numpy.savetxt``
+writes it), and times such as 2024-05-01T12:00:00.005Z or 12:00:00.005. NumPy reads the rows; only a
+block with a row that NumPy refuses is read cell by cell.
 """
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import functools
+import itertools
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import TextIOWrapper
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +30,11 @@ from robot_sysid.records import Array
 
 _MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
 _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
+# Year to day, time of the day, and how far the clock is ahead of UTC.
+_DATE = re.compile(
+    r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)(?:Z|([+-])(\d\d):?(\d\d))?",
+    re.ASCII | re.IGNORECASE,
+)
 # Characters of a line beyond which it is no row of a table; csv refuses cells of 131072.
 _LONGEST_LINE = 100_000
 # Control characters, and their share at the beginning of a file that makes it no text: a few may
@@ -73,6 +81,7 @@ def text_table(asked: Asked) -> LogTable:
     layout = f"{len(dialect.titles)} columns separated by {_SEPARATORS[dialect.separator]}"
     layout += ", decimal comma" * dialect.decimal_comma
     layout += ", titles in a comment line" * bool(dialect.header and not dialect.header_line)
+    layout += ", time in dates" * any(_DATE.fullmatch(cell) for cell in dialect.first_row)
     is_franka = {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header)
     layout = "libfranka's logToCSV, time in ms, " * is_franka + layout
     choices = ColumnChoices(time_unit="ms" if is_franka else None)
@@ -121,11 +130,31 @@ def is_number(cell: str) -> bool:
     return False
 
 
-def _number(cell: str, decimal_comma: bool) -> float:
-    """Return the value of a cell, NaN where it is empty or marked missing, or ValueError."""
+def _number(cell: str, decimal_comma: bool, start: str = "") -> float:
+    """Return the value of a cell, NaN where it is empty or marked missing, or ValueError; of a date
+    the time since another one [s].
+    """
     if cell.lower() in _MISSING:
         return float("nan")
+    if ":" in cell:
+        return 1e-9 * (_nanoseconds(cell) - _start(start))
     return float(cell.replace(",", ".") if decimal_comma else cell)
+
+
+def _nanoseconds(cell: str) -> int:
+    """Return a date and time, or a time alone, as ISO 8601 writes them, or ValueError."""
+    matched = _DATE.fullmatch(cell)
+    if matched is None:
+        raise ValueError(cell)
+    day, clock, sign, hours, minutes = matched.groups()
+    stamp = np.datetime64(f"{day or '1970-01-01'}T{clock.replace(',', '.')}", "ns")
+    ahead = 60 * int(hours or 0) + int(minutes or 0)
+    return int(stamp.astype(np.int64)) - int(f"{sign or '+'}1") * ahead * 60 * 10**9
+
+
+@functools.lru_cache(maxsize=1)
+def _start(cell: str) -> int:
+    return _nanoseconds(cell) if _DATE.fullmatch(cell) else 0
 
 
 def _lines(path: Path, encoding: str) -> Iterator[Line]:
@@ -187,7 +216,7 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
         for row in _lines(dialect.path, dialect.encoding)
         if row[0] != dialect.header_line and not _is_comment(row[1])
     )
-    while batch := list(islice(rows, table.BLOCK)):
+    while batch := list(itertools.islice(rows, table.BLOCK)):
         lines, texts = np.array([row[0] for row in batch]), [row[1] for row in batch]
         done = batch[-1][2] if len(batch) == table.BLOCK else 1.0
         cells, complaint = _fast(dialect, columns, texts), ""
@@ -206,7 +235,14 @@ def _fast(dialect: Dialect, columns: Sequence[int], texts: list[str]) -> Array |
         return None
     if dialect.decimal_comma:
         texts = [text.replace(",", ".") for text in texts]
+    first = dialect.first_row
+    dates = [k for k in columns if k < len(first) and ":" in first[k]]
     try:
+        if dates:
+            rows = [text.split(mark) for text in texts]
+            for row, k in itertools.product(rows, dates):
+                row[k] = repr(_number(row[k].strip(), False, first[k]))
+            texts = [(mark or " ").join(row) for row in rows]
         return np.loadtxt(texts, delimiter=mark, usecols=list(columns), comments=None, ndmin=2)
     except ValueError:
         return None
@@ -218,7 +254,9 @@ def _read_row(dialect: Dialect, columns: Sequence[int], text: str, row: Array) -
     if len(cells) != len(titles):
         return f": {len(cells)} cells instead of {len(titles)}"
     try:
-        row[:] = [_number(cells[(at := index)], dialect.decimal_comma) for index in columns]
+        for place, at in enumerate(columns):
+            start = dialect.first_row[at] if at < len(dialect.first_row) else ""
+            row[place] = _number(cells[at], dialect.decimal_comma, start)
     except ValueError:
         return f", column {titles[at]!r}: {cells[at][:40]!r} is not a number"
     return ""
