@@ -170,7 +170,7 @@ class _Cleaner:
         self._count(UNREADABLE, block.lines[noise], block.complaint)
         missing = ~finite & ~noise & ~foreign
         self._count(MISSING, block.lines[missing])
-        self.empty += np.isnan(block.cells[missing]).sum(axis=0)
+        self.empty += (~np.isfinite(block.cells[missing])).sum(axis=0)
         return np.asarray(finite & ~noise)
 
     def _new_piece(self, piece: int, cells: Array) -> None:

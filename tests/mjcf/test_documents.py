@@ -133,6 +133,20 @@ def test_includes_are_not_followed_without_end(tmp_path):
         read_document(tmp_path / "0.xml")
 
 
+def test_a_file_that_is_too_large_is_not_read(tmp_path):
+    with (tmp_path / "m.xml").open("wb") as file:
+        file.truncate(5 * 10**9)
+    with pytest.raises(ModelError, match="m.xml has more than the 100 MB of a model file"):
+        read_document(tmp_path / "m.xml")
+
+
+def test_elements_are_counted_with_those_of_includes(tmp_path):
+    main = '<mujoco><include file="a.xml"/><worldbody/></mujoco>'
+    files = {"m.xml": main, "a.xml": f"<mujoco>{'<site/>' * 20_000}</mujoco>"}
+    with pytest.raises(ModelError, match="a.xml: more than the 20000 elements .* includes counted"):
+        read_document(write_files(tmp_path, files))
+
+
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("mark", ["<!--", "<!DOCTYPE"])
 def test_marks_that_never_end_take_no_longer_than_their_length(tmp_path, mark):
