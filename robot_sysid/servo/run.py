@@ -37,7 +37,7 @@ WITHOUT_TORQUE = (
 )
 UNITS = {"gain": "N·m/rad", "damping": "N·m·s/rad", "frictionloss": "N·m", "armature": "kg·m²"}
 """What is found of a joint, in the order of ``Servos``, and its unit."""
-_KEYS = ("before", "value", "standard_error")
+_KEYS = ("before", "value", "standard_error", "source")
 OFTEN, UNSURE = 0.2, 0.5
 """Share of time at its limit from which on that is said, and relative error from which on only the
 ratios of a joint's numbers are; chosen, nothing else depends on them."""
@@ -73,9 +73,8 @@ class ServoIdentification:
         """Joint to name, as in ``UNITS``, to what was found; before is NaN where there is none."""
         names, before = self.robot.joint_names, model_servos(self.robot)
         vectors = [s.vector() for s in (before, self.fit.servos, self.fit.errors)]
-        rows = [dict(zip(_KEYS, row)) for row in np.stack(vectors, axis=1).tolist()]
-        for row, seen in zip(rows, self.fit.seen.tolist()):
-            row["source"] = "identified" if seen else "from_model"
+        sources = ["identified" if seen else "from_model" for seen in self.fit.seen]
+        rows = [dict(zip(_KEYS, row)) for row in zip(*(v.tolist() for v in vectors), sources)]
         return {joint: dict(zip(UNITS, rows[k : -1 : len(names)])) for k, joint in enumerate(names)}
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
@@ -176,8 +175,7 @@ def _joint_notes(
         yield (
             f"the servo of {joint} asks for more than its limit of "
             f"{actuators_of(found.robot).limit[k]:.3g} N·m (the model's) in "
-            f"{100.0 * found.at_limit[k]:.0f} % of the time: its gain is then hardly seen, and its "
-            "limit matters"
+            f"{100.0 * found.at_limit[k]:.0f} % of the time: what is found rests on that limit"
         )
     if gain["source"] == "identified" and gain["standard_error"] > UNSURE * gain["value"]:
         yield (

@@ -39,8 +39,8 @@ GAINS, _FEW = (0.03, 0.1, 0.3, 1.0, 3.0), 6
 # step of differences: a servo that is at its limit again and again is rough over smaller ones.
 WIDEST, SOFT, PULL, MOST_ROUNDS = 100.0, 0.3, 2.5, 8
 _STEP, _SETTLED, _LEAST_SIZE = 0.04, 1e-4, 1e-3
-# Standard error, in units, from which on twice it is as large as a number usually is: not seen.
-UNSEEN = 0.5
+# Standard error, in units, from which on thrice it is as large as a number usually is: not seen.
+UNSEEN = 1.0 / 3.0
 _FRICTION = 2  # Where friction stands in ``Servos``.
 # Bandwidth of a servo of which nothing is known [rad/s].
 _UNKNOWN_RATE = 20.0
@@ -70,6 +70,11 @@ class Problem:
     def halved(self) -> Problem:
         """Return the problem with time steps of half the length."""
         return replace(self, edges=np.linspace(0.0, self.edges[-1], 2 * len(self.edges) - 1))
+
+    def moves(self) -> NDArray[np.bool_]:
+        """Return (M, n) when each joint is not at rest: a tenth of its usual speed or faster."""
+        speed = np.concatenate([np.gradient(q, time, axis=0) for _, time, q in self.windows])
+        return np.asarray(np.abs(speed) > 0.1 * np.sqrt(np.mean(speed**2, axis=0)))
 
     def played(self, choices: Sequence[Servos]) -> Array:
         """Return positions (C, W, S + 1, n) of each choice in every window."""
@@ -328,9 +333,8 @@ def _slopes(problem: Problem, scale: Scale, servos: Servos) -> Array:
     step = np.where(is_friction, 1.0, _STEP) * unit
     low, high = np.maximum(x - step, 0.0), x + step
     moved = [np.where(np.eye(len(x), dtype=bool), end, x)[scale.free] for end in (low, high)]
-    errors = problem.errors([Servos.of(each) for each in np.vstack(moved)])
-    low_errors, high_errors = np.split(errors, 2)
-    return np.moveaxis(high_errors - low_errors, 0, -1) / (high - low)[scale.free]
+    errors = problem.errors([Servos.of(each) for each in np.concatenate(moved)])
+    return np.moveaxis(np.diff(np.split(errors, 2), axis=0)[0], 0, -1) / (high - low)[scale.free]
 
 
 def _unit(scale: Scale, servos: Servos) -> Array:
@@ -352,10 +356,11 @@ def judged(problem: Problem, scale: Scale, servos: Servos) -> ServoFit:
     sigma = _sigma(residuals)
     normal, bias = np.eye(len(free)) / PULL**2, np.zeros(len(free))
     score = normal.copy()
-    slopes = _slopes(problem, scale, servos) * unit
+    slopes, moves = _slopes(problem, scale, servos) * unit, problem.moves()
     for joint in range(joints):
         rows = slopes[:, joint] / sigma[joint]
-        weight = usual_share(rows[:, (free % joints == joint) & (free < 4 * joints)])
+        own = (free % joints == joint) & (free < 4 * joints)
+        weight = usual_share(rows[:, own], moves[:, joint])
         rows *= weight[:, None]
         normal += rows.T @ rows
         score += correlation_stretch(weight * residuals[:, joint]) * rows.T @ rows
@@ -369,19 +374,17 @@ def judged(problem: Problem, scale: Scale, servos: Servos) -> ServoFit:
     return ServoFit(servos, Servos.of(errors), seen, sigma)
 
 
-def usual_share(rows: Array) -> Array:
-    """Return (M,) what part of each row (M, k) counts: no more than its columns usually have.
+def usual_share(rows: Array, moves: NDArray[np.bool_]) -> Array:
+    """Return (M,) what part of each row (M, k) counts: no more than its columns have in motion.
 
     Where a servo comes off its limit, or a joint begins to slip, rollouts part by luck, and tiny
-    changes of a number look like large ones. Rows without slope, of rest, are not usual.
-    (Bounded influence: Hampel, Ronchetti, Rousseeuw, Stahel, "Robust Statistics", 1986, ch. 6.)
+    changes of a number look like large ones. (Bounded influence: Hampel, Ronchetti, Rousseeuw,
+    Stahel, "Robust Statistics", 1986, ch. 6; 1.48 medians are a standard deviation.)
     """
-    share = np.ones(len(rows))
-    for column in np.abs(rows.T):
-        large = column[column > 1e-3 * np.max(column)]
-        if len(large):
-            share = np.minimum(share, 1.48 * np.median(large) / np.maximum(column, 1e-300))
-    return share
+    if not np.any(moves):
+        return np.ones(len(rows))
+    usual = np.maximum(1.48 * np.median(np.abs(rows[moves]), axis=0), 1e-300)
+    return np.asarray(1.0 / np.max(np.abs(rows) / usual, axis=1, initial=1.0))
 
 
 def correlation_stretch(residual: Array) -> float:
@@ -418,8 +421,8 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
     Args:
         share: (n,) root mean square torque of the links over that of all.
     """
-    size = np.hypot(LINKS_WRONG, UNEXPLAINED / np.maximum(share, LEAST_SHARE))
-    size = np.where(share > LEAST_SHARE, size, 1.0)
+    known = np.hypot(LINKS_WRONG, UNEXPLAINED / np.maximum(share, LEAST_SHARE))
+    size = np.where(share > LEAST_SHARE, known, 1.0)
     own, added = fit.errors.vector(), np.append(np.tile(size, 4), 0.0) * fit.servos.vector()
     return replace(fit, errors=Servos.of(np.where(own > 0.0, np.hypot(own, added), 0.0)))
 

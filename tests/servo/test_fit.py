@@ -120,14 +120,15 @@ def test_friction_behind_a_stiff_servo_is_not_seen_and_its_error_holds_what_coul
 def test_a_row_counts_no_more_than_usual_and_rest_is_not_usual():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(1000, 2)) * [1.0, 1e-3]
-    usual = usual_share(rows)
+    moves = np.ones(1000, dtype=bool)
+    usual = usual_share(rows, moves)
     assert np.mean(usual) > 0.8
-    rows[:9] *= 30.0
-    share = usual_share(rows)
+    rows[:9] *= 1e3
+    share = usual_share(rows, moves)
     np.testing.assert_allclose(share[9:], usual[9:], rtol=0.05)
     assert np.max(np.abs(rows * share[:, None]) / [1.0, 1e-3]) < 2.0
-    rested = usual_share(np.concatenate((rows, 0.0 * rows, 1e-5 * rows)))
-    np.testing.assert_allclose(rested[: len(rows)], share, rtol=0.05)
+    rested = usual_share(np.concatenate((rows, 0.0 * rows)), np.append(moves, ~moves))
+    np.testing.assert_array_equal(rested, np.append(share, np.ones(1000)))
 
 
 def test_what_is_not_seen_is_as_in_the_model_where_it_has_any():
