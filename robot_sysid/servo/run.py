@@ -71,10 +71,11 @@ class ServoIdentification:
     @property
     def numbers(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Joint to name, as in ``UNITS``, to what was found; before is NaN where there is none."""
-        names, before = self.robot.joint_names, model_servos(self.robot)
-        vectors = [s.vector() for s in (before, self.fit.servos, self.fit.errors)]
-        sources = ["identified" if seen else "from_model" for seen in self.fit.seen]
-        rows = [dict(zip(_KEYS, row)) for row in zip(*(v.tolist() for v in vectors), sources)]
+        names, servos = self.robot.joint_names, (self.fit.servos, self.fit.errors)
+        before, value, error = (s.vector() for s in (model_servos(self.robot), *servos))
+        source = np.where(self.fit.seen | (value != before), "identified", "from_model")
+        columns = (column.tolist() for column in (before, value, error, source))
+        rows = [dict(zip(_KEYS, row)) for row in zip(*columns)]
         return {joint: dict(zip(UNITS, rows[k : -1 : len(names)])) for k, joint in enumerate(names)}
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:

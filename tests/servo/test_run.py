@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ from robot_sysid.records import Motion
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import DataOrigin, RolloutError, RolloutTest, Source
 from robot_sysid.servo import run as module
-from robot_sysid.servo.run import ServoIdentification, servo_lines
+from robot_sysid.servo.run import ServoIdentification, servo_lines, servo_notes
 from robot_sysid.servo.search import ServoFit
-from robot_sysid.simulation.servos import Servos
+from robot_sysid.simulation.servos import Servos, model_servos
 from tests.support import schemas
 from tests.support.model_files import urdf_inertial, urdf_joint, urdf_link, urdf_robot, write_files
 from tests.support.servo_logs import XML
@@ -85,6 +86,22 @@ def test_what_the_model_does_not_have_has_no_before(robots):
     lines = [line for line in servo_lines(identified(robots["urdf"])) if "gain" in line]
     assert all("gain 50" in line and "damping 0 -> 3" in line for line in lines) and lines
     assert "gain 100 -> 50" in "".join(servo_lines(identified(robots["xml"])))
+
+
+def test_what_is_not_seen_is_said_to_be_the_models_and_its_error_is_stated(robots):
+    found = identified(robots["xml"])
+    servos = replace(found.fit.servos, frictionloss=model_servos(robots["xml"]).frictionloss)
+    assert not any("hides" in note for note in servo_notes(found, 0.02))
+    seen = np.arange(9) // 2 != 2
+    found = replace(found, fit=replace(found.fit, servos=servos, seen=seen))
+    assert all("frictionloss 0.3 ± 0.01 N·m (not seen" in line for line in servo_lines(found)[3:5])
+    assert sum("hides its frictionloss:" in note for note in servo_notes(found, 0.02)) == 2
+    sources = {name: own["source"] for name, own in found.numbers["joint1"].items()}
+    assert {name for name, source in sources.items() if source == "from_model"} == {"frictionloss"}
+    bare = identified(robots["urdf"])
+    nothing = replace(bare, fit=replace(bare.fit, seen=~bare.fit.seen))
+    gains = [own["gain"]["source"] for own in nothing.numbers.values()]
+    assert gains == ["identified", "identified"]  # The model has none to keep.
 
 
 def test_what_an_earlier_run_left_does_not_stay_beside_the_result(robots, tmp_path, monkeypatch):
