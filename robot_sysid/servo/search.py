@@ -312,9 +312,9 @@ def as_in_model(robot: RobotModel, found: Servos, which: Any = True) -> Servos:
     The delay stays as found, and so do gain and damping of a joint without servo in the model.
     """
     own = model_servos(robot)
-    has_servo = np.isfinite(own.stiffness)
-    known = np.concatenate((has_servo, has_servo, has_servo | True, has_servo | True, [False]))
-    return Servos.of(np.where(known & which, own.vector(), found.vector()))
+    known = replace(own, damping=own.damping + 0.0 * own.stiffness, delay=np.nan).vector()
+    takes = np.isfinite(known) & which
+    return Servos.of(np.where(takes, known, found.vector()))
 
 
 def _sigma(errors: Array) -> Array:
@@ -389,13 +389,10 @@ def usual_share(rows: Array, moves: NDArray[np.bool_]) -> Array:
 
 def correlation_stretch(residual: Array) -> float:
     """Return 1 + 2 sum of the autocorrelation of (K,) up to where it first falls below zero."""
-    energy, total = float(np.mean(residual**2)), 1.0
-    for lag in range(1, len(residual) // 4):
-        alike = float(np.mean(residual[lag:] * residual[:-lag]))
-        if alike <= 0.0 or energy == 0.0:
-            break
-        total += 2.0 * alike / energy
-    return total
+    count = len(residual)
+    sums = np.correlate(residual, residual, "full")[count - 1 :][: max(count // 4, 1)]
+    alike = sums * count / (max(sums[0], 1e-300) * (count - np.arange(len(sums))))
+    return 1.0 + 2.0 * float(np.sum(alike[1:] * np.cumprod(alike[1:] > 0.0)))
 
 
 def links_share(robot: RobotModel, pieces: Sequence[Measurement], servos: Servos) -> Array:
