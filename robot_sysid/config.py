@@ -347,6 +347,11 @@ class PayloadConfig(Config):
 
     payload: PayloadOptions = field(default_factory=PayloadOptions)
 
+    def _pairs(self) -> Iterator[tuple[bool, str, str]]:
+        exact = self.estimation.scale_uncertainty in (0.0, (0.0,))
+        yield self.payload.known_mass is not None and exact, "--known-mass", "--scale-uncertainty 0"
+        yield from super()._pairs()
+
     def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
         logs, asked = bool(self.payload.empty), self.payload
         motion = (self.trajectory, self.excitation, self.limits, self.arm)

@@ -15,7 +15,7 @@ from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import Piece, answer_payload, filtered, shared_notes
 from robot_sysid.estimation.result import payload_of
-from robot_sysid.estimation.unknowns import Question
+from robot_sysid.estimation.unknowns import SCALES, Question, Unknowns
 from robot_sysid.logs.reader import join_measurements, open_log
 from robot_sysid.model.flange import find_flange
 from robot_sysid.motion.plan import MotionRequest, make_plan
@@ -88,17 +88,22 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
     result = payload_of(answer, free, flange, origin)
     if config.log.torque_scale is not None and result.payload is not None:
         divided = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
-        payload = _of_raw_torque(result.payload, dict(zip(robot.joint_names, divided.tolist())))
-        result = replace(result, payload=payload)
+        factors = dict(zip(robot.joint_names, divided.tolist()))
+        result = replace(result, payload=_combined(result.payload, factors, answer.fit.unknowns))
     for note in result.notes[len(robot.notes) :]:
         progress.note(note)
     return answer, result
 
 
-def _of_raw_torque(payload: Payload, divided: Mapping[str, float]) -> Payload:
-    """Return a payload with the scales of the log's own torques, which were divided before."""
+def _combined(payload: Payload, divided: Mapping[str, float], sought: Unknowns) -> Payload:
+    """Return a payload with the scales of the log's own torques, which were divided before.
+
+    Where what is found contradicts what they were divided by, errors are as many times as large as
+    the prior had to be widened (the Birge ratio of means that do not agree).
+    """
+    apart = max([1.0, *(group.widened for group in sought.groups if group.cause == SCALES)])
     scales = {
-        joint: Figure(divided[joint] * each.value, divided[joint] * each.error)
+        joint: Figure(divided[joint] * each.value, divided[joint] * apart * each.error)
         for joint, each in payload.torque_scale.items()
     }
     return replace(payload, torque_scale=scales)

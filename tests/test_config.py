@@ -106,6 +106,10 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
         ({**EMPTY_AND_LOADED, "order": "AAB"}, "--order AAB"),
         ({**EMPTY_AND_LOADED, "known_mass": 1.0, "keep": "links"}, "--keep is about a written"),
         ({**EMPTY_AND_LOADED, "known_mass": 1.0, "as_body": "load"}, "--known-mass writes no"),
+        (
+            {**EMPTY_AND_LOADED, "known_mass": 1.0, "scale_uncertainty": 0.0},
+            "--known-mass and --scale-uncertainty 0 exclude",
+        ),
         ({**EMPTY_AND_LOADED, "save_torque_scale": Path("s")}, "--save-torque-scale is about"),
         ({**EMPTY_AND_LOADED, "duration": 3.0}, "--duration is about a simulation"),
         ({**EMPTY_AND_LOADED, "static": True, "cutoff": 3.0}, "--cutoff is about motion; --static"),
