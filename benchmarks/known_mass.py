@@ -20,7 +20,6 @@ from benchmarks.payload_by_difference import MODELS, recordings, rms, weighed
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.parser import load_robot_model
-from robot_sysid.payload_pipeline import UNWEIGHED
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 
 WEIGHT = 2.0
@@ -42,7 +41,7 @@ def calibrated(recording, scale):
 
 def calibration(robot, arm, rng, sets):
     """(scales (n,), how far they may be off (n,) [%]) after sets of recordings with a weight."""
-    scale, sure = np.ones(robot.n_joints), UNWEIGHED
+    scale, sure = np.ones(robot.n_joints), None
     for _ in range(sets):
         logs = [
             calibrated(each, scale) for each in recordings(robot, arm, rng, payload=body(WEIGHT))

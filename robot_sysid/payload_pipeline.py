@@ -32,8 +32,6 @@ _NOISE_STREAM = 1
 LEAST_WITHIN = 0.15
 """Share of the spread of places within one kind of recording below which a drift and the payload
 cannot be told apart: 0 for A B, 0.2 for A A B B at equal distances, 1 for A B B A."""
-UNWEIGHED = 3.0
-"""How far torque scales may be off where a known mass is to tell them, unless somebody says [%]."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +69,8 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
         notes = (*notes, _no_drift(raw, at is not None))
     for note in notes:
         progress.note(note)
-    estimation = config.estimation
-    if options.known_mass is not None and estimation.scale_uncertainty is None:
-        estimation = replace(estimation, scale_uncertainty=UNWEIGHED)
     question = Question(
-        estimation,
+        config.estimation,
         loaded=True,
         drifts=drifts,
         known_mass=options.known_mass,
@@ -90,9 +85,25 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
         divided = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
         factors = dict(zip(robot.joint_names, divided.tolist()))
         result = replace(result, payload=_combined(result.payload, factors, answer.fit.unknowns))
+    if options.known_mass is None and config.estimation.scale_uncertainty is None:
+        advice = hangs_on_scales(result)
+        result = replace(result, notes=(*result.notes, *advice))
     for note in result.notes[len(robot.notes) :]:
         progress.note(note)
     return answer, result
+
+
+def hangs_on_scales(result: Result) -> tuple[str, ...]:
+    """Return what to do where torque scales are the largest cause of the mass's error."""
+    if result.payload is None or not result.verdict.is_trustworthy:
+        return ()
+    causes = {name: part[0] for name, part in result.payload.body.budget.items()}
+    if causes.get(SCALES, 0.0) < max([result.payload.body.noise_errors[0], *causes.values()]):
+        return ()
+    return (
+        "most of the error of the mass is how far torque scales may be off: weigh one known mass "
+        "(--known-mass KG --save-torque-scale FILE) and give --torque-scale FILE from then on",
+    )
 
 
 def _combined(payload: Payload, divided: Mapping[str, float], sought: Unknowns) -> Payload:

@@ -27,7 +27,7 @@ from robot_sysid.estimation.answer import (
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.recordings import contradiction, disagreeing, each_recording
-from robot_sysid.estimation.unknowns import PLACEHOLDER, SCALES, usual_bodies
+from robot_sysid.estimation.unknowns import PLACEHOLDER, usual_bodies
 from robot_sysid.model.inertia import link_reach, subtree_bodies
 from robot_sysid.records import (
     DELAY_NAME,
@@ -93,10 +93,6 @@ _SURE, _CLEAR = 2.0, 3.0
 # that is not worth telling [rad].
 _KNOWN_MASS, _LEAST_SIZE, _SMALL_ZERO = 1e-6, 0.02, 1e-3
 
-WEIGH = (
-    "most of the error of the mass is how far torque scales may be off: weigh one known mass "
-    "(--known-mass KG --save-torque-scale FILE) and give --torque-scale FILE from then on"
-)
 Judged = tuple[Verdict, str]
 """A verdict and its reason in words."""
 
@@ -448,8 +444,6 @@ def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin
     file, said = _arm_file(answer)
     notes = (*robot.notes, *answer.notes, *([unknown] if unknown else []), *said)
     notes += (*_said(answer, file), *disagreeing(scatter, free.inertial.mass))
-    if known is None and status.is_trustworthy and _scales_are_all(answer, payload.body):
-        notes += (WEIGH,)
     return replace(
         _common(answer, data),
         verdict=status,
@@ -460,13 +454,6 @@ def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin
         validation=(answer.validation, *answer.tests),
         notes=tuple(dict.fromkeys(notes)),
     )
-
-
-def _scales_are_all(answer: Answer, body: BodyEstimate) -> bool:
-    """Tell whether torque scales, of which nobody said anything, are what the mass hangs on."""
-    largest = max([body.noise_errors[0], *(part[0] for part in body.budget.values())])
-    said = answer.fit.question.options.scale_uncertainty is not None
-    return not said and SCALES in body.budget and bool(body.budget[SCALES][0] >= largest)
 
 
 def _came_on(

@@ -11,8 +11,9 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import answer_link, answer_payload
-from robot_sysid.estimation.result import WEIGH, payload_of, result_of
+from robot_sysid.estimation.result import payload_of, result_of
 from robot_sysid.estimation.unknowns import Question
+from robot_sysid.payload_pipeline import hangs_on_scales
 from robot_sysid.records import Flange, Measurement
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import LINK, Figure, Verdict
@@ -104,10 +105,10 @@ def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
 
 
 def test_a_known_mass_is_advised_where_scales_are_all_that_the_mass_hangs_on(recordings):
-    assert WEIGH in of_payload(recordings).notes
-    sure = EstimationOptions(friction_model=BASIC, scale_uncertainty=2.0)
-    assert WEIGH not in of_payload(recordings, options=sure).notes
-    assert WEIGH not in of_payload(recordings, known_mass=1.2).notes
+    (said,) = hangs_on_scales(of_payload(recordings))
+    assert "--known-mass KG" in said
+    sure = EstimationOptions(friction_model=BASIC, scale_uncertainty=0.1)
+    assert not hangs_on_scales(of_payload(recordings, options=sure))
 
 
 def test_an_inertia_that_is_not_told_from_zero_is_a_balls():

@@ -81,7 +81,7 @@ def test_sizes_are_those_that_were_said():
     # Each link on its own, and all in common.
     assert mass[0, 0] == pytest.approx(2.0 * (0.05 * ROBOT.links[0].theta[0]) ** 2, rel=1e-6)
     held = {g.cause: g for g in asked(loaded=True, known_mass=2.0).groups}
-    np.testing.assert_allclose(held[SCALES].factor, 0.02 * np.eye(4))
+    np.testing.assert_allclose(held[SCALES].factor, 0.03 * np.eye(4))
     assert held[WEIGHT].mean[0] == 2.0 and held[WEIGHT].factor[0, 0] < 1e-5
 
 
