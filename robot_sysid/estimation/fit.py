@@ -284,15 +284,16 @@ def solved(
     inside: Unknowns | None = sought
     for _ in range(_MOST_BOUNDS):
         sought = inside or sought
-        for left in (1, 0) if visits is not None and inflation is None else (0,):
-            given = data, (counted, memory), noise
-            sought, known, free, counts = _bounded(columns, sought, *given)
-            noise = counts / np.sqrt(counted)
-            if left and visits is not None:
-                rows, found = ChosenRows(samples, sought), free[sought.kept]
-                before, (counted, memory) = counted, visits.inflation(known, rows, found)
-                if np.array_equal(before, counted) and not any(g.may_widen for g in sought.groups):
-                    break
+        sought, known, free, counts = _bounded(columns, sought, data, counted, memory, noise)
+        noise = counts / np.sqrt(counted)
+        if visits is not None and inflation is None:
+            rows, found, before = ChosenRows(samples, sought), free[sought.kept], counted
+            counted, memory = visits.inflation(known, rows, found)
+            widens = any(group.may_widen for group in sought.groups)
+            if widens or not np.array_equal(before, counted):
+                again = columns, sought, data, counted, memory, noise
+                sought, known, free, counts = _bounded(*again)
+                noise = counts / np.sqrt(counted)
         values = possible(sought, known, 1.0 / counts, free)
         # Bodies that have to be possible push others across their bounds.
         inside = sought.bounded(values)
@@ -307,7 +308,8 @@ def _bounded(
     columns: Columns,
     sought: Unknowns,
     data: Evidence,
-    inflation: tuple[Array, Array],
+    inflation: Array,
+    memory: Array,
     noise: Array | None,
 ) -> tuple[Unknowns, SquareRootInformation, Array, Array]:
     """Return (what is sought in the end, what is known of it, values (p,) within bounds, what
@@ -317,9 +319,9 @@ def _bounded(
         prior = columns.prior[sought.kept]
         plain = restricted(data.whole, sought.kept_names, sought.held)
         noise = weighted(with_prior(plain, sought.groups), prior, start=noise)
-        counts = noise * np.sqrt(inflation[0])
-        slow = counts * np.sqrt(inflation[1])
-        sought = replace(sought, groups=widened_groups(plain, slow, sought.groups))
+        counts = noise * np.sqrt(inflation)
+        wide = widened_groups(plain, counts * np.sqrt(memory), sought.groups)
+        sought = replace(sought, groups=wide)
         known = with_prior(plain, sought.groups)
         counts = _sharpened(known, counts, prior)
         values = sought.full(least_squares(known, prior, 1.0 / counts))

@@ -29,8 +29,9 @@ from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import logs_compared
-from robot_sysid.estimation.result import about, of_own_simulation
+from robot_sysid.estimation.result import about
 from robot_sysid.estimation.unknowns import Question
+from robot_sysid.estimation.verdict import of_own_simulation
 from robot_sysid.records import DataOrigin, Measurement, MotionPlan, RobotModel, Source, Validation
 from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress

@@ -11,7 +11,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation import result as verdict
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.result import first
+from robot_sysid.estimation.verdict import first
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import InertialParameters, Validation
 from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Verdict
