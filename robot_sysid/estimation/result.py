@@ -142,6 +142,14 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
     if scale > 1.0:
         allowed = f"the other links are allowed to be off by {scale:g} times --link-uncertainty"
         yield f"{allowed}: {asked}"
+    if answer.fit.choice.common_scale:
+        scales = [f.value for n, f in answer.sensors().items() if n.startswith("scale[")]
+        size = 1.0 + float(np.mean(scales))
+        yield (
+            f"all torques read about {size:.3g} times what the model takes: either the torque "
+            "scale is off (--torque-scale), or all of the model's links are off alike; the log "
+            "does not tell which, and the errors allow for both"
+        )
     given = answer.fit.question.options.coupling is not None
     for motor in answer.fit.choice.couplings:
         yield f"a motor turns with {motor.name}: {'as given' if given else asked}"

@@ -49,6 +49,9 @@ PLACEHOLDER = 1e-3
 USUAL_SCALE, LOADED_SCALE = 2.0, 3.0
 """How far a joint's torque scale may be off where nobody says [%], and where a payload is weighed,
 whose mass hangs on it alone: motor currents of a UR10e read 3 % low to 5 % high."""
+COMMON_SCALE = 0.15
+"""Standard deviation of what all torque scales are off by together, where the logs ask for it and
+nobody says: constants of a motor's data sheet and losses of its gear are off by as much."""
 # Standard deviations of what is known exactly: of coefficients, and of a mass as a share.
 _EXACT, _EXACT_MASS = 1e-9, 1e-6
 _FREE_SIGN = ("offset", "sqrt")
@@ -88,11 +91,13 @@ class Choice:
         friction: per chain joint, its friction terms.
         couplings: motors that turn with several joints.
         prior_scale: by how much more than was said the other links may be off.
+        common_scale: how far all torque scales may be off together, which only links tell.
     """
 
     friction: tuple[FrictionModel, ...]
     couplings: tuple[Coupling, ...] = ()
     prior_scale: float = 1.0
+    common_scale: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -297,6 +302,15 @@ def independent(
     return NuisanceGroup(cause, tuple(names), np.zeros(count), factor, tuple(members), may_widen)
 
 
+def with_common(group: NuisanceGroup, size: float) -> NuisanceGroup:
+    """Return the prior of nuisances that are also all off together, by one size."""
+    if not size:
+        return group
+    both = group.factor @ group.factor.T + size**2
+    values, vectors = np.linalg.eigh(both)
+    return replace(group, factor=vectors @ (np.sqrt(values)[:, None] * vectors.T))
+
+
 def _groups(
     columns: Columns, question: Question, choice: Choice, torque: Array
 ) -> Iterator[NuisanceGroup]:
@@ -321,7 +335,8 @@ def _groups(
     for cause, kind, members, size in sized:
         names = tuple(f"{kind}[{joint}]" for joint in members)
         if np.any(np.greater(size, 0.0)):
-            yield independent(cause, names, members, np.maximum(size, _EXACT), wide)
+            each = independent(cause, names, members, np.maximum(size, _EXACT), wide)
+            yield with_common(each, choice.common_scale) if cause == SCALES else each
     late = 0.0 if question.resting else MILLI * options.delay_uncertainty
     if options.delay == "off" and late > 0.0:
         yield independent(DELAY, (DELAY_NAME,), ("the torque",), late, wide)

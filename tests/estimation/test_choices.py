@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.choices import (
     CANDIDATES,
@@ -23,6 +24,7 @@ from robot_sysid.estimation.choices import (
 )
 from robot_sysid.estimation.couplings import neighbours
 from robot_sysid.estimation.dataset import block_masks
+from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.unknowns import Question
 from tests.support import arms
 from tests.support.core_fits import BASIC, KNOWN, datasets_of, fitted, fitter_of
@@ -64,12 +66,12 @@ def test_a_stretch_that_shows_friction_far_more_than_others_does_not_hide_it():
     assert is_clearly_lower(before / 5.0, before)
 
 
-def chosen(plant, robot, more, offered=False, given=None, seed=1, duration=10.0):
+def chosen(plant, robot, more, offered=False, given=None, seed=1, duration=10.0, **uncertain):
     """(choice, its fit) of a log with more torque, of the exact motion, than the plant has."""
     plan = plan_of(plant, seed, duration)
     log = log_of(plant, plan, seed, noise_torque=0.02, encoder_resolution=1e-5)
     log = replace(log, tau=log.tau + more(plan.evaluate(log.time)))
-    datasets, options = datasets_of(robot, log)
+    datasets, options = datasets_of(robot, log, **uncertain)
     motors = tuple(neighbours(robot)) if offered else ()
     fitter = fitter_of(robot, datasets, couplings=motors)
     model = given and friction_model(given)
@@ -141,9 +143,25 @@ def with_links(robot, share, seed):
 
 
 def test_links_that_are_further_off_are_given_more_room(plant):
-    model = with_links(plant, 0.5, 7)
-    found, _ = chosen(plant, model, lambda motion: 0.0 * motion.q, given=BASIC, duration=30.0)
-    assert found.choice.prior_scale > 1.0
+    """That all are, and not the torques, is known where scales are said."""
+    model, told = with_links(plant, 0.5, 7), {"given": BASIC, "duration": 30.0}
+    found, _ = chosen(plant, model, lambda motion: 0.0 * motion.q, scale_uncertainty=2.0, **told)
+    assert found.choice.prior_scale > 1.0 and not found.choice.common_scale
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.25, True), (0.8, True)])
+def test_a_scale_of_all_torques_is_told_from_none(plant, factor, told):
+    """The model is the plant, and what all torques read too much looks like links off alike."""
+
+    def more(motion):
+        return (factor - 1.0) * ArmDynamics(plant).torque(motion.q, motion.qd, motion.qdd)
+
+    known = {"link_uncertainty": 0.2, "zero_uncertainty": 0.5, "gravity_uncertainty": 0.02}
+    known["delay_uncertainty"] = 0.0
+    found, fit = chosen(plant, plant, more, given=BASIC, seed=3, duration=30.0, **known)
+    assert bool(found.choice.common_scale) == told
+    off = abs(fit.values[0] - plant.prior.mass)
+    assert off < 0.1 * plant.prior.mass and off < 2.0 * fit_errors(fit).whole.standard_errors[0]
 
 
 def test_noise_with_a_memory_alone_gives_them_none(plant, robot):

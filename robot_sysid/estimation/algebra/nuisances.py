@@ -153,7 +153,7 @@ def widened_groups(
     found = tuple(groups)
     if least >= 1.0 and not any(group.may_widen for group in found):
         return found
-    problem = _Problem(information, noise)
+    problem = WithPriors(information, noise)
     for _ in range(_ROUNDS if found else 0):
         values, covariance, _ = problem.solve(found)
         before = found
@@ -161,7 +161,7 @@ def widened_groups(
             replace(
                 group,
                 widened=max(
-                    _asked(group, np.eye(len(group.names)), problem.names, values, covariance),
+                    _asked(group, np.eye(len(group.names)), problem.names, values, covariance)[0],
                     least,
                 ),
             )
@@ -174,7 +174,7 @@ def widened_groups(
     return found
 
 
-class _Problem:
+class WithPriors:
     """Whitened data, to be solved under different priors."""
 
     def __init__(self, information: SquareRootInformation, noise: Array) -> None:
@@ -193,12 +193,15 @@ class _Problem:
 
 def _asked(
     group: NuisanceGroup, some: Array, names: Sequence[str], values: Array, covariance: Array
-) -> float:
-    """Return the factor by which the data asks to widen a prior, of combinations (m, k) of it."""
+) -> tuple[float, float]:
+    """Return the factor by which the data asks to widen a prior, of combinations (m, k) of it.
+
+    The second number is how many of them the data determines, at least one.
+    """
     root = np.linalg.cholesky(some @ group.factor @ group.factor.T @ some.T)
     off = np.linalg.solve(root, some @ (values[group.places(names)] - group.mean))
-    determined = float(np.sum(_determined(group, some, names, covariance)))
-    return float(min(np.sqrt(np.sum(off**2) / max(determined, 1.0)), WIDEST))
+    determined = max(float(np.sum(_determined(group, some, names, covariance))), 1.0)
+    return float(min(np.sqrt(np.sum(off**2) / determined), WIDEST)), determined
 
 
 def _determined(
@@ -223,7 +226,7 @@ def misfits(
     """
     from scipy.stats import chi2
 
-    problem = _Problem(information, noise)
+    problem = WithPriors(information, noise)
     values, covariance, with_all = problem.solve(groups)
     wanted = widened_groups(information, noise, groups, _NARROWEST)
     wider = problem.solve(wanted)[:2]
@@ -236,8 +239,11 @@ def misfits(
         if gained > chi2.ppf(SURE ** (1.0 / len(groups)), freedom):
             off = group.deviations(problem.names, values)
             worst, wide = _worst_members(group, off), wanted[index]
-            alone = [_asked(wide, some, problem.names, *wider) for some in group.aspects()]
-            asked = max((wide.widened, *alone))
+            some = (every, *group.aspects())
+            pairs = [_asked(wide, each, problem.names, *wider) for each in some]
+            # Beyond what chance makes of a group that is as far off as it was thought to be.
+            clear = [asked for asked, free in pairs if asked**2 * free > chi2.ppf(SURE, free)]
+            asked = max(clear, default=min(pairs[0][0], 1.0))
             found.append(PriorConflict(group.cause, worst, asked, group.widened))
     return tuple(found)
 
