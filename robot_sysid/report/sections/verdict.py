@@ -69,13 +69,12 @@ def _masses(run: Run) -> Iterator[str]:
 
 def _origin(run: Run) -> Iterator[str]:
     content, payload = run.content, run.content["payload"]
-    kind, given = "the terminal link, with the other links around it", ""
+    kind = "the terminal link, with the other links around it"
     if payload is not None:
         kind = "a payload, from recordings without and with it"
-        given = " " + ", ".join(name for names in payload["recordings"].values() for name in names)
     yield (
         f"Identified: {kind}, joint {content['joint_name']}. Model: {content['model']['path']}. "
-        f"Data: {content['source']}{given}, {content['duration']:.3g} s."
+        f"Data: {content['source']}, {content['duration']:.3g} s."
     )
     if content["rmse"] is not None:
         yield f"Root mean square of the torque that is left over: {content['rmse']:.3g} N·m."
