@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.diagnosis.finding import Finding, Level, require_acceptable
-from robot_sysid.diagnosis.run import check_against_model
+from robot_sysid.diagnosis.run import check_against_model, look_at
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.logs.options import CHECKS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
+from robot_sysid.records.progress import Progress
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 from tests.support import arms
@@ -89,6 +91,16 @@ def test_a_log_that_is_too_short_for_anything_is_called_that(four):
     first = check_against_model(ROBOT, [part])[0]
     assert first.level is Level.REFUSE
     assert re.match(r"the log is 0\.(59|6)\d* s long, too short; record", first.text)
+
+
+def test_what_is_only_noted_is_no_note_of_a_note(four, monkeypatch):
+    """A console puts "note: " before what it is told."""
+    notes, told, found = [], Progress(), Finding("delay", Level.NOTE, "it lags")
+    monkeypatch.setattr(told, "note", notes.append)
+    log = SimpleNamespace(path="log.csv", pieces=(four.log,), notes=())
+    monkeypatch.setattr("robot_sysid.diagnosis.run.check_against_model", lambda *_: (found,))
+    look_at(ROBOT, log, (), told)
+    assert notes == ["it lags [delay]"] and found.line() == "note: it lags [delay]"
 
 
 # ---- right logs

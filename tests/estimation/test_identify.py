@@ -12,7 +12,14 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import base_parameters, structural_base, traces_of
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.identify import ITSELF, answer_link, identify_itself, refit
+from robot_sysid.estimation.identify import (
+    ITSELF,
+    Piece,
+    answer_link,
+    filtered,
+    identify_itself,
+    refit,
+)
 from robot_sysid.estimation.identify import tested as validated
 from robot_sysid.estimation.result import result_of
 from robot_sysid.records import Source
@@ -38,6 +45,9 @@ def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, noisy)
         for logs in ([noisy], [coarse], [noisy, coarse])
     ]
     assert cutoffs[1] == cutoffs[2] and len(cutoffs[2]) == 1 and max(cutoffs[1]) < max(cutoffs[0])
+    pieces = [Piece("fine", noisy), Piece("coarse", coarse)]
+    notes = [note for note in filtered(robot, pieces, EstimationOptions())[1] if "cut-off" in note]
+    assert [note.split(" Hz ")[1][:8] for note in notes] == ["as anoth", "chosen f"], notes
 
 
 @pytest.mark.parametrize(
