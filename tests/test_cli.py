@@ -80,6 +80,11 @@ def test_a_word_that_is_neither_model_nor_command_is_told_what_is_expected(comma
         assert ("Expected an XML model file" in message) == expected
 
 
+def test_of_a_long_name_beginning_and_end_are_shown(command):
+    said = command.refused(f"begin{'n' * 100_000}end.xml")
+    assert "begin" in said and "[...]" in said and "end.xml" in said and len(said) < 2000
+
+
 def test_names_cannot_steer_the_terminal(tmp_path, command, arm_file):
     assert "\x1b" not in command.refused("a\x1b[31m.xml")
     path = arm_file(ARM.replace("joint1", "joi\u202ent1"), "a\u202e.xml")

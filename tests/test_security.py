@@ -1,6 +1,5 @@
-"""What a whole run does to the machine: files where it was told to, no network, no code of others.
-
-Each kind of hostile file that docs/security.md lists is tested where it is read.
+"""What a whole run does to the machine: files where it was told to, no network, no code of others;
+and which test holds each line of docs/security.md: a hostile file is tested where it is read.
 """
 
 from __future__ import annotations
@@ -15,6 +14,70 @@ import pytest
 
 from tests.support.arms import X, Y, Z, serial_arm
 from tests.support.places import ROOT
+
+DOCUMENTS, HAZARDS = "mjcf/test_documents.py::", "mjcf/test_hazards.py::"
+ARRAYS = "logs/formats/test_arrays.py::"
+STOPS = f"{HAZARDS}test_what_would_end_or_stop_the_process_is_refused"
+HELD = {
+    "XML entities": f"{DOCUMENTS}test_what_is_no_model_is_refused_in_one_line",
+    "a `<!DOCTYPE>`": f"{DOCUMENTS}test_a_doctype_in_another_file_is_not_opened",
+    "an `<include>`": f"{DOCUMENTS}test_nothing_of_a_file_that_is_no_model_is_shown",
+    "a model that includes itself": f"{DOCUMENTS}test_includes_that_fail_are_one_line",
+    "or attaches itself": f"{HAZARDS}test_a_model_that_attaches_itself_is_refused",
+    "includes nested": f"{DOCUMENTS}test_includes_are_not_followed_without_end",
+    "comments that": f"{DOCUMENTS}test_marks_that_never_end_take_no_longer_than_their_length",
+    "a model file of": f"{DOCUMENTS}test_a_file_that_is_too_large_is_not_read",
+    "20 000 elements": f"{DOCUMENTS}test_elements_are_counted_with_those_of_includes",
+    "a default class": STOPS,
+    "a pipe or a device in place of a model": f"{DOCUMENTS}test_a_pipe_is_not_waited_for",
+    "or a mesh": STOPS,
+    "textures, height fields": f"{HAZARDS}"
+    "test_what_unpacks_to_too_much_together_is_refused_by_its_head",
+    "what it attaches that": f"{HAZARDS}test_what_is_attached_counts_each_time",
+    "an image": f"{HAZARDS}test_an_image_that_unpacks_to_more_than_it_says_is_refused",
+    "parts that": STOPS,
+    "a pickled": f"{ARRAYS}test_a_pickled_object_is_never_loaded",
+    "a recording of arrays": f"{ARRAYS}"
+    "test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused",
+    "such a recording": f"{ARRAYS}test_hdf5_whose_arrays_are_too_much_together_is_refused",
+    "a recording of more": f"{ARRAYS}test_no_more_arrays_are_read_than_a_log_has",
+    "an HDF5 link": f"{ARRAYS}test_hdf5_does_not_follow_what_leads_to_another_file",
+    "a MATLAB file": f"{ARRAYS}test_a_matlab_file_may_end_its_process_and_takes_bounded_time",
+    "bounded memory": f"{ARRAYS}test_a_matlab_files_empty_cells_are_not_unpacked",
+    "a compressed": "logs/formats/test_unpacking.py::"
+    "test_a_bag_that_unpacks_to_too_much_is_refused",
+    "JSON nested": "test_json_files.py::test_what_is_no_json_is_refused_in_one_line",
+    "an integer": "test_json_files.py::test_an_integer_beyond_all_floats_is_infinite",
+    "names and titles": "test_cli.py::test_of_a_long_name_beginning_and_end_are_shown",
+    "control characters": "test_cli.py::test_names_cannot_steer_the_terminal",
+    "column titles": "commands/test_log.py::test_titles_cannot_steer_the_terminal",
+    "ends of lines": "test_cli.py::test_names_do_not_break_the_lines_of_what_is_written",
+    "names with HTML": "report/test_page.py::"
+    "test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere",
+    "numbers such as": STOPS,
+    "counted in a log": "logs/test_checks.py::"
+    "test_rows_with_holes_or_rubbish_are_left_out_and_counted",
+    "Nothing is written": "test_security.py::"
+    "test_files_are_written_where_a_command_says_and_no_network_is_opened",
+    "A run that would": "test_config.py::test_no_file_is_written_over_another_one",
+    "Files appear whole": "records/test_atomic_files.py::"
+    "test_an_error_at_any_instant_leaves_whole_files_and_nothing_else",
+    "No network": "test_security.py::"
+    "test_files_are_written_where_a_command_says_and_no_network_is_opened",
+}
+"""Words of the page to the test that holds them."""
+
+
+def test_each_line_of_the_page_has_its_test():
+    page = " ".join((ROOT / "docs" / "security.md").read_text(encoding="utf-8").split())
+    rows = page.partition("| --- | --- |")[2].partition("Nothing is written")[0].split(" | | ")
+    for row in rows:
+        assert any(words in row for words in HELD), row
+    for words, test in HELD.items():
+        path, _, name = test.partition("::")
+        assert words in page, words
+        assert f"def {name}(" in (ROOT / "tests" / path).read_text(encoding="utf-8"), test
+
 
 WATCHED = """
 import json, os, sys

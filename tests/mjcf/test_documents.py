@@ -125,6 +125,23 @@ def test_a_pipe_is_not_waited_for(tmp_path):
         read_document(path)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+def test_a_doctype_in_another_file_is_not_opened(tmp_path):
+    os.mkfifo(tmp_path / "other.dtd")  # it would be waited for without end
+    text = '<!DOCTYPE mujoco SYSTEM "other.dtd"><mujoco><worldbody/></mujoco>'
+    assert read_document(write_files(tmp_path, {"m.xml": text})).kind == "mjcf"
+
+
+def test_nothing_of_a_file_that_is_no_model_is_shown(tmp_path):
+    (tmp_path / "secret").write_text("hunter2:x:0:0")
+    path = write_files(
+        tmp_path / "model", {"m.xml": '<mujoco><include file="../secret"/></mujoco>'}
+    )
+    with pytest.raises(ModelError, match="secret is not XML") as caught:
+        read_document(path)
+    assert "hunter2" not in str(caught.value)
+
+
 def test_includes_are_not_followed_without_end(tmp_path):
     for k in range(400):
         text = f'<mujoco><include file="{k + 1}.xml"/></mujoco>'

@@ -66,8 +66,8 @@ except Exception as error:
     sys.exit(" ".join(str(error).split()) or type(error).__name__)
 """
 """Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones."""
-_SLOWEST = 2e7
-"""Bytes of a .mat file that are read in a second of processor time at least."""
+_LEAST_TIME, _SLOWEST = 3.0, 2e7
+"""Processor time that reading a .mat file may take [s], and so many bytes more each second."""
 
 
 def npz_table(asked: table.Asked) -> table.LogTable:
@@ -111,7 +111,7 @@ def matlab_table(asked: table.Asked) -> table.LogTable:
     with complaints, tempfile.TemporaryDirectory() as folder:
         unpacked = Path(folder, "log.npz")
         size = asked.path.stat().st_size
-        most, seconds = table.most_bytes(size), math.ceil(3.0 + size / _SLOWEST)
+        most, seconds = table.most_bytes(size), math.ceil(_LEAST_TIME + size / _SLOWEST)
         files, bounds = [str(asked.path), str(unpacked)], [str(most), str(seconds)]
         call = [sys.executable, "-Wignore", "-c", _UNPACK, *files, *bounds]
         one_thread = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}

@@ -15,7 +15,7 @@ import pytest
 from scipy.io import savemat
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.formats import table
+from robot_sysid.logs.formats import arrays, table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import content_lines
 from robot_sysid.records.progress import Progress
@@ -215,6 +215,18 @@ def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch
     assert (tmp_path / "log.mat").stat().st_size < 10_000
     monkeypatch.setattr(table, "LARGEST", 1e6)
     with pytest.raises(InputError, match="unpacks to 0.0024 GB, more than"):
+        read_measurements(tmp_path / "log.mat", JOINTS)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a bound on time")
+@pytest.mark.parametrize(
+    "fault", ["__import__('os').abort()", pytest.param("while 1: pass", marks=pytest.mark.slow)]
+)
+def test_a_matlab_file_may_end_its_process_and_takes_bounded_time(tmp_path, monkeypatch, fault):
+    monkeypatch.setattr(arrays, "_UNPACK", arrays._UNPACK.replace("found = [", f"{fault}\n    ["))
+    monkeypatch.setattr(arrays, "_LEAST_TIME", 0.0)
+    savemat(tmp_path / "log.mat", {"time": DATA.time})
+    with pytest.raises(InputError, match="takes longer than a recording does, or is damaged"):
         read_measurements(tmp_path / "log.mat", JOINTS)
 
 
