@@ -9,6 +9,8 @@ from typing import Any
 from robot_sysid.errors import InputError
 
 _DIGITS = 300
+_LARGEST = 30_000_000
+"""Bytes of a file: of nothing but empty lists these take 0.7 GB."""
 
 
 def read_json(path: Path, remedy: str) -> Any:
@@ -22,6 +24,8 @@ def read_json(path: Path, remedy: str) -> Any:
         InputError: it cannot be read, is not JSON or is nested without end.
     """
     try:
+        if path.stat().st_size > _LARGEST:
+            raise ValueError(f"it is larger than {_LARGEST / 1e6:g} MB")
         return json.loads(
             path.read_text(encoding="utf-8-sig"),
             parse_int=lambda digits: int(digits) if len(digits) < _DIGITS else float(digits),

@@ -30,7 +30,8 @@ HELD = {
     "20 000 elements": f"{DOCUMENTS}test_elements_are_counted_with_those_of_includes",
     "a default class": STOPS,
     "a pipe or a device in place of a model": f"{DOCUMENTS}test_a_pipe_is_not_waited_for",
-    "or a mesh": STOPS,
+    "a mesh": STOPS,
+    "or a log": "logs/test_reader.py::test_a_pipe_is_not_waited_for",
     "textures, height fields": f"{HAZARDS}"
     "test_what_unpacks_to_too_much_together_is_refused_by_its_head",
     "what it attaches that": f"{HAZARDS}test_what_is_attached_counts_each_time",
@@ -47,6 +48,7 @@ HELD = {
     "a compressed": "logs/formats/test_unpacking.py::"
     "test_a_bag_that_unpacks_to_too_much_is_refused",
     "JSON nested": "test_json_files.py::test_what_is_no_json_is_refused_in_one_line",
+    "or of more than 30 MB": "test_json_files.py::test_what_is_too_large_is_not_read",
     "an integer": "test_json_files.py::test_an_integer_beyond_all_floats_is_infinite",
     "names and titles": "test_cli.py::test_of_a_long_name_beginning_and_end_are_shown",
     "control characters": "test_cli.py::test_names_cannot_steer_the_terminal",

@@ -137,7 +137,7 @@ def _refuse_empty_columns(rows: LogRows) -> None:
     if rows.odd[MISSING].count == rows.n_read:
         raise InputError(
             f"no {rows.word} holds numbers in all columns (empty: {_emptiest(rows)}): joints, or "
-            f"position and torque, come in {rows.word}s of their own; write one row per sample"
+            f"position and torque, come in {rows.word}s of their own; record all in one {rows.word}"
         )
 
 

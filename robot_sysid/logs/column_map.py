@@ -37,6 +37,8 @@ from robot_sysid.records import Array
 _KEYS = ("time", *naming.QUANTITIES, "units", "rate")
 _SCALED = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII)
 _ANGLES = ("rad", "deg")
+_LONGEST = 1_000_000
+"""Characters of a columns file that are read: 10 000 long lines."""
 _TIMES = ("s", "ms", "us", "ns")
 
 
@@ -78,7 +80,8 @@ def parse_units(text: str) -> ColumnChoices:
 def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
     """Read a columns file; InputError where a key, joint, unit or number in it is unknown."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as stream:
+            text = stream.read(_LONGEST)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
     entries: dict[str, str] = {}

@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import os
 import re
+import stat
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -169,6 +170,9 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     is_folder, start = os.path.isdir(path), b""  # Path.is_dir raises where a name is too long
     try:
         if not is_folder:
+            if not stat.S_ISREG(path.stat().st_mode):
+                fault = "is a pipe or a device, and a log is read twice; write it to a file first"
+                raise InputError(f"{path} {fault}")
             with path.open("rb") as stream:
                 start = stream.read(4096)
     except OSError as error:

@@ -111,7 +111,10 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     ),
     "joints apart": (
         apart,
-        ["no line holds numbers in all columns (empty: column 'q1', in 200 of 400)", "one row per"],
+        [
+            "no line holds numbers in all columns (empty: column 'q1', in 200 of 400)",
+            "record all in",
+        ],
     ),
     "all at once": (
         all_at_once,

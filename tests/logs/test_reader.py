@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -166,6 +168,13 @@ def test_files_without_a_table_are_refused(tmp_path, content, words):
         path.write_bytes(content)
     with pytest.raises(InputError, match=words):
         read_measurements(path, JOINTS)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "log.csv")
+    with pytest.raises(InputError, match="log.csv is a pipe or a device"):
+        read_measurements(tmp_path / "log.csv", JOINTS)
 
 
 def test_a_failed_write_leaves_nothing_behind(tmp_path):
