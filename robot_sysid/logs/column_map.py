@@ -225,9 +225,7 @@ def recognise_columns(
     with naming.collected(faults):
         time = columns.time(found)
     if faults:
-        ending = columns.listed()
-        said = [fault[: -len(ending)] if fault.endswith(ending) else fault for fault in faults]
-        raise InputError("; ".join(said) + (ending if said != faults else ""))
+        raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(titles)}")
     used = {s.index for group in (*sources.values(), [time]) for s in group or () if s}
     unused = tuple(title for index, title in enumerate(titles) if index not in used)
     position, torque = sources["position"], sources[asked]
@@ -286,13 +284,9 @@ class _Columns:
         if not found:
             raise InputError(
                 f"the log has no time column; {naming.REMEDY} ('time = TITLE', or 'rate = HZ' for "
-                f"evenly spaced rows){self.listed()}"
+                "evenly spaced rows)"
             )
         return self._source("time", 0, found[0], 1.0)
-
-    def listed(self) -> str:
-        """Return how an error ends that lists the columns."""
-        return f". Columns: {', '.join(self._texts)}"
 
     def _incomplete(self, kind: str) -> InputError:
         candidates = [title.text for title in self._titles if naming.joint_kind(title) == kind]
@@ -308,7 +302,7 @@ class _Columns:
             hint += "; with commanded positions, identify --torque-from position-error needs none"
         return InputError(
             f"the log needs one {kind} column for each of the {len(self._joints)} chain joints "
-            f"({', '.join(self._joints)}), found {found}{hint}; {naming.REMEDY}{self.listed()}"
+            f"({', '.join(self._joints)}), found {found}{hint}; {naming.REMEDY}"
         )
 
     def _lookup(self, text: str) -> tuple[int, float]:
@@ -323,9 +317,7 @@ class _Columns:
             texts = [f"#{k + 1}" for k in range(len(texts))]
         if texts.count(title) == 1:
             return texts.index(title), factor
-        raise InputError(
-            f"the log has no single column {title!r}; its columns are: {', '.join(self._texts)}"
-        )
+        raise InputError(f"the log has no single column {title!r}; name one that there is once")
 
     def _source(self, kind: str, joint: int, index: int, factor: float) -> Source:
         """Return a column with its factor to SI, by its title or else the declared units."""
