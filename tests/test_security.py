@@ -42,6 +42,7 @@ HELD = {
     "test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused",
     "such a recording": f"{ARRAYS}test_hdf5_whose_arrays_are_too_much_together_is_refused",
     "a recording of more": f"{ARRAYS}test_no_more_arrays_are_read_than_a_log_has",
+    "an HDF5 chunk": f"{ARRAYS}test_an_hdf5_chunk_that_unpacks_to_more_than_its_length_is_refused",
     "an HDF5 link": f"{ARRAYS}test_hdf5_does_not_follow_what_leads_to_another_file",
     "a MATLAB file": f"{ARRAYS}test_a_matlab_file_may_end_its_process_and_takes_bounded_time",
     "bounded memory": f"{ARRAYS}test_a_matlab_files_empty_cells_are_not_unpacked",

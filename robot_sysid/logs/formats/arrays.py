@@ -154,8 +154,9 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
         # A chunk is unpacked whole, however little of it belongs to the array.
         chunks = (math.prod(d.chunks or ()) * d.dtype.itemsize for d in columns.values())
         sizes = (max(d.nbytes, chunk) for d, chunk in zip(columns.values(), chunks))
-        table.refuse_bomb(path, sum(sizes), path.stat().st_size)
-        arrays = {name: data[()] for name, data in columns.items()}
+        table.refuse_bomb(path, size := float(sum(sizes)), path.stat().st_size)
+        with table.bounded_memory(size):
+            arrays = {name: data[()] for name, data in columns.items()}
         if is_aloha and "qpos" in arrays:
             return _aloha(path, arrays)
         return table.arrays_table(path, "HDF5", {**found, **arrays})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import re
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -89,6 +90,8 @@ MOST_RATIO, ALWAYS = 100, 10**8
 """Recordings shrink to a tenth; one may unpack to 100 times its size, or to 100 MB."""
 MOST_ARRAYS = 10_000
 """Arrays in a recording, and columns of them; with ten times as many, names take a minute."""
+_BESIDE = 2e8
+"""Memory that reading takes beside what is read: caches, a chunk packed and unpacked [bytes]."""
 
 
 def most_bytes(packed: float) -> float:
@@ -110,6 +113,26 @@ def refuse_bomb(path: Path, unpacked: float, packed: float, arrays: int = 0) -> 
     if arrays > MOST_ARRAYS:
         fault = f"{path} holds {arrays} arrays or columns, more than the {MOST_ARRAYS} of a log"
         raise InputError(f"{fault}; save those of the arm alone")
+
+
+@contextlib.contextmanager
+def bounded_memory(most: float) -> Iterator[None]:
+    """Let this process take so many bytes more within a block, and a little, on Linux: a library
+    may unpack all that is in a file, whatever its head says. Beyond that it meets a MemoryError.
+    """
+    if not sys.platform.startswith("linux"):
+        yield
+        return
+    import resource
+
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    bound = taken + int(most + _BESIDE)
+    resource.setrlimit(resource.RLIMIT_AS, (bound if soft < 0 else min(bound, soft), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def pieces_table(

@@ -120,6 +120,22 @@ def test_an_archive_of_something_else_says_what_it_holds(tmp_path):
         assert f"no recording but an archive of {name}; {remedy}" in str(caught.value)
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a bound on memory")
+def test_an_hdf5_chunk_that_unpacks_to_more_than_its_length_is_refused(tmp_path, monkeypatch):
+    """HDF5 unpacks it to its end: 3 GB of 3 MB."""
+    import resource
+
+    h5py = pytest.importorskip("h5py")
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    monkeypatch.setattr(table, "_BESIDE", 2e7)
+    with h5py.File(tmp_path / "log.hdf5", "w") as file:
+        data = file.create_dataset("q", (100,), "f8", chunks=(100,), compression="gzip")
+        data.id.write_direct_chunk((0,), zlib.compress(bytes(10**8), 1))
+    with pytest.raises(InputError, match="cannot read .*log.hdf5 as an HDF5 file"):
+        read_measurements(tmp_path / "log.hdf5", JOINTS)
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
+
+
 @pytest.mark.parametrize("names", [("a/q", "a/tau"), ("observations/qpos", "observations/effort")])
 def test_hdf5_whose_arrays_are_too_much_together_is_refused(tmp_path, names):
     h5py = pytest.importorskip("h5py")
