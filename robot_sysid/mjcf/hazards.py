@@ -23,7 +23,7 @@ MOST_MEMORY = 4e8
 66 million pixels; a plan, which copies the model, takes up to four times as much."""
 MOST_COPIES = 3000
 """Copies of a part; MuJoCo takes the square of their number, a minute for 20 000."""
-# Bytes per cell, and per byte of a file, as measured with MuJoCo 3.16: three colours in the
+# Bytes per cell, and per byte of a file, as measured with MuJoCo 4.0: three colours in the
 # compiler and in the model, a height field's floats four times.
 _NUMBER, _TEXEL, _HEIGHT, _FILE = 16.0, 6.0, 16.0, 2.0
 _CELLS: Mapping[str, tuple[str, ...]] = {
