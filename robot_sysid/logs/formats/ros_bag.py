@@ -29,16 +29,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.table import (
-    ALWAYS,
-    MOST_RATIO,
-    Asked,
-    Block,
-    LogTable,
-    as_input_errors,
-    library,
-    renamed,
-)
+from robot_sysid.logs.formats.table import Asked, Block, LogTable, as_input_errors, library, renamed
 
 WHAT = "a ROS bag"
 POSITION, TORQUE = ("position",), ("effort", "current")
@@ -236,7 +227,7 @@ class Bounded:
     @contextlib.contextmanager
     def open(self, file: Any, mode: str = "rb") -> Iterator[Any]:
         """Yield a packed file's content; reading on beyond the bound raises ValueError."""
-        most = max(ALWAYS, MOST_RATIO * file.seek(0, 2))
+        most = max(table.ALWAYS, table.MOST_RATIO * file.seek(0, 2))
         file.seek(0)
         seen = 0
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.formats import ros_bag
+from robot_sysid.logs.formats import ros_bag, table
 from tests.support import recorded
 from tests.support.log_files import JOINTS, motion, read_measurements
 
@@ -42,8 +42,8 @@ def bomb(folder, form):
 def test_a_bag_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, form):
     path = bomb(tmp_path, form)
     np.testing.assert_array_equal(read_measurements(path, JOINTS).samples.q, motion(40).q)
-    monkeypatch.setattr(ros_bag, "ALWAYS", 10**5)
-    monkeypatch.setattr(ros_bag, "MOST_RATIO", 2)
+    monkeypatch.setattr(table, "ALWAYS", 10**5)
+    monkeypatch.setattr(table, "MOST_RATIO", 2)
     with pytest.raises(InputError, match="log.bag|bag as a ROS bag: a piece of it unpacks"):
         read_measurements(path, JOINTS)
 
