@@ -413,7 +413,8 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
     All numbers of a joint grow together with the links' torque, so links that are off by
     ``LINKS_WRONG`` move them by as much; and where that torque is a small share of the whole, what
     no model explains passes for a part of it; below ``LEAST_SHARE`` it may be anything, and the
-    errors are as large as the numbers. Rollouts, and so delays, are known to half a step in time.
+    errors are as large as the numbers. A step h of the implicit integrator adds an apparent rotor
+    inertia of h times the damping, which no arm has, and in time leaves half a step open.
 
     Args:
         share: (n,) root mean square torque of the links over that of all.
@@ -422,6 +423,7 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
     size = np.where(share > LEAST_SHARE, known, 1.0)
     own = fit.errors.vector()
     added = np.append(np.tile(size, 4) * fit.servos.vector()[:-1], 0.5 * STEP)
+    added[3 * len(share) : -1] += STEP * fit.servos.damping
     return replace(fit, errors=Servos.of(np.where(own > 0.0, np.hypot(own, added), 0.0)))
 
 

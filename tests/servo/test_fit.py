@@ -66,6 +66,7 @@ def test_errors_hold_what_the_links_masses_and_the_time_step_add():
     errors = with_links_error(exact, np.array([0.5 * LEAST_SHARE, 1.0])).errors
     assert errors.stiffness[0] == pytest.approx(TRUTH.stiffness[0])
     assert errors.stiffness[1] == pytest.approx(LINKS_WRONG * TRUTH.stiffness[1], rel=0.1)
+    assert errors.armature[1] >= STEP * TRUTH.damping[1]
     assert errors.delay == pytest.approx(0.5 * STEP)
     still = replace(exact, errors=Servos.of(np.zeros(9)))
     assert not np.any(with_links_error(still, np.ones(2)).errors.vector())
