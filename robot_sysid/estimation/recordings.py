@@ -24,9 +24,8 @@ from robot_sysid.records.results import validation_of
 from robot_sysid.results.record import OneRecording
 from robot_sysid.signals.repetition import memory
 
-DISAGREE, SURE = 2.0, 3.0
-"""Scatter over stated errors beyond which logs do not agree; standard errors between a recording
-and all others above which it is said to disagree (one in 370 by chance)."""
+DISAGREE = 2.0
+"""Scatter over stated errors beyond which logs do not agree."""
 SURE_MISFIT = 4.0
 LEAST_MASS, LEAST_PLACE, LEAST_GYRATION = 0.03, 0.01, 0.05
 """By how much recordings of one kind differ at least where that is refused: root mean square in
@@ -144,16 +143,6 @@ def each_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
             com = theta[1:4] / mass if mass else np.full(3, np.nan)
             found.append(OneRecording(recordings[k].name, kind, mass, com, noise, error))
     return tuple(found)
-
-
-def disagreeing(scatter: Sequence[OneRecording], mass: float) -> Iterator[str]:
-    """Yield a sentence per recording that is further from the mass [kg] than noise explains."""
-    for one in scatter:
-        if abs(one.mass - mass) > SURE * one.noise_error:
-            yield (
-                f"{one.name} alone says {one.mass:.4g} \u00b1 {one.noise_error:.2g} kg (noise "
-                f"alone), all recordings together say {mass:.4g} kg: more apart than noise explains"
-            )
 
 
 def contradiction(fit: Fit, flange: Flange) -> str:

@@ -18,7 +18,7 @@ from robot_sysid.estimation.answer import (
     written_payload,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
-from robot_sysid.estimation.recordings import contradiction, disagreeing, each_recording
+from robot_sysid.estimation.recordings import contradiction, each_recording
 from robot_sysid.estimation.verdict import (
     Judged,
     first,
@@ -200,7 +200,7 @@ def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin
         status = Verdict.INERTIA_NOT_KNOWN if known is None else status
     file, said = _arm_file(answer)
     notes = (*robot.notes, *answer.notes, *([unknown] if unknown else []), *said)
-    notes += (*_said(answer, file), *disagreeing(scatter, free.inertial.mass))
+    notes += tuple(_said(answer, file))
     return replace(
         _common(answer, data),
         verdict=status,
