@@ -164,10 +164,12 @@ def contradiction(fit: Fit, flange: Flange) -> str:
     _, number, what = found[-1]
     same = [k for k in np.flatnonzero(kinds == kinds[number]) if k != number]
     lightest = int(np.argmin(bodies[:, 0]))
+    carried = bodies - bodies[lightest]
+    least = LEAST_MASS * float(np.max(carried[:, 0]))
     listed = [
-        f"{recordings[k].name} {_carried(flange.to_flange(bodies[k] - bodies[lightest]))}"
-        for k in range(len(kinds))
-        if k != lightest
+        f"{each.name} {_carried(flange.to_flange(theta), least)}"
+        for each, theta in zip(recordings, carried)
+        if each is not recordings[lightest]
     ]
     return (
         f"{recordings[number].name} differs from {', '.join(recordings[k].name for k in same)} in "
@@ -175,9 +177,11 @@ def contradiction(fit: Fit, flange: Flange) -> str:
     )
 
 
-def _carried(theta: Array) -> str:
-    """Return mass and centre of mass of a body (10,) in words, the latter where there is one."""
-    place = ", ".join(f"{1e3 * x:.0f}" for x in theta[1:4] / (theta[0] or np.nan))
+def _carried(theta: Array, least: float) -> str:
+    """Return mass and centre of mass of a body (10,) in words; it is nothing below a mass [kg]."""
+    if theta[0] <= least:
+        return "nothing"
+    place = ", ".join(f"{1e3 * x:.0f}" for x in theta[1:4] / theta[0])
     return f"{theta[0]:.3g} kg at ({place}) mm"
 
 
