@@ -30,7 +30,7 @@ SURE_MISFIT = 4.0
 LEAST_MASS, LEAST_PLACE, LEAST_GYRATION = 0.03, 0.01, 0.05
 """By how much recordings of one kind differ at least where that is refused: root mean square in
 standard errors; a share of the payload's mass; of that mass, its place and its radius of gyration
-[m]. Of 90 simulated right sets none exceeds 1.8 errors, of a real arm with elastic joints 3.2."""
+[m]. Of 60 simulated right sets none exceeds 1.9 errors, of a real arm with elastic joints 3.3."""
 UNSEEN = 100.0
 """Standard deviation of a body's parameters that keeps those in bounds that nothing shows [SI]."""
 
