@@ -23,6 +23,8 @@ from robot_sysid.diagnosis.model_fit import Fit, ModelFit, Sample, explains, rms
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import percent
 
+DOUBTFUL = 0.9
+"""Cost without a mistake from which a model is rather that of another arm; right logs: 0.87."""
 # One fit per mistake: fewer instants than elsewhere do.
 _EVERY = 2
 REFUSED, WARNED = 1.6, 1.3
@@ -77,6 +79,8 @@ def explanations(log: ModelFit) -> list[tuple[Fit, Finding]]:
     for name, text, undone in hypotheses(sample, log.robot):
         after = log.fit(undone)
         if log.plausible(after) and explains(base, after, certain=possible):
+            if after.cost > DOUBTFUL:
+                text = f"this looks like the model of another arm; if it is not, {text}"
             convincing.append((after, Finding(name, Level.REFUSE, text)))
     return sorted(convincing, key=lambda each: each[0].cost)
 
