@@ -300,6 +300,11 @@ def rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
+def fall(base: Fit, after: Fit) -> float:
+    """Return by how much chi-squared is less in another fit."""
+    return (base.cost - after.cost) * len(base.per_joint) * INDEPENDENT
+
+
 def explains(base: Fit, after: Fit, certain: bool = True) -> bool:
     """Return whether a log fits so much better without a mistake that it was made.
 
@@ -307,6 +312,5 @@ def explains(base: Fit, after: Fit, certain: bool = True) -> bool:
         certain: whether the log as it is has a possible terminal link; one that has none takes less
             to be called mistaken.
     """
-    fall = (base.cost - after.cost) * len(base.per_joint) * INDEPENDENT
-    enough = fall > (CLEARLY if certain else LIKELY)
+    enough = fall(base, after) > (CLEARLY if certain else LIKELY)
     return enough and (after.cost < WELL or after.cost < BETTER * base.cost)

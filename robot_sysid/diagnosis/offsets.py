@@ -20,7 +20,6 @@ import numpy as np
 
 from robot_sysid.diagnosis.finding import Finding, Level
 from robot_sysid.diagnosis.model_fit import (
-    INDEPENDENT,
     LATEST,
     TOLERANCE,
     WELL,
@@ -28,6 +27,7 @@ from robot_sysid.diagnosis.model_fit import (
     ModelFit,
     Sample,
     explains,
+    fall,
     friction_sign,
 )
 from robot_sysid.dynamics.nuisances import zero_columns
@@ -59,13 +59,9 @@ class Offsets:
     error: Array
     after: Fit
 
-    def fall(self, base: Fit) -> float:
-        """Return by how much chi-squared falls without them."""
-        return (base.cost - self.after.cost) * len(base.per_joint) * INDEPENDENT
-
     def gain(self, base: Fit) -> float:
-        """Return by how much more chi-squared falls than by chance."""
-        return self.fall(base) - len(self.value)
+        """Return by how much more chi-squared falls without them than by chance."""
+        return fall(base, self.after) - len(self.value)
 
 
 def _found(
@@ -198,14 +194,12 @@ def delay_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding
     clear = explains(base, fits[best])
     if not (clear or long and explains(base, fits[best], certain=False)):
         return
-    level = Level.WARN if long and clear else Level.NOTE
-    if best > 0:
-        text = f"torque of joint {log.robot.joint_names[best - 1]} alone lags position by about "
-        yield Finding("delay", level, f"{text}{1e3 * delay:.0f} ms; record all joints at once")
-        return
-    text = f"torque lags position by about {1e3 * delay:.0f} ms; record both at the same instant, "
-    text += "or have it found (identify --delay auto; payload does so by itself)"
-    yield Finding("delay", level, text)
+    one = "" if best == 0 else f" of joint {log.robot.joint_names[best - 1]} alone"
+    text = f"torque{one} lags position by about {1e3 * delay:.0f} ms; "
+    remedy = "record both at the same instant, or have it found (identify --delay auto; payload "
+    remedy += "does so by itself)"
+    text += "record all joints at once" if one else remedy
+    yield Finding("delay", Level.WARN if long and clear else Level.NOTE, text)
 
 
 def zero_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
@@ -230,8 +224,8 @@ def zero_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]
 
 def clock_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
     """Yield a finding where inertia and gravity disagree about the time base."""
-    fall = found.fall(base)
-    if found.after.cost > WELL or fall < LIKELY_CLOCK:
+    gained = fall(base, found.after)
+    if found.after.cost > WELL or gained < LIKELY_CLOCK:
         return
     share, drift = found.value
     remedy = "record the controller's own time stamps"
@@ -242,7 +236,7 @@ def clock_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding
         text = f"time in the log is {_too_long(share)}"
         remedy += f", or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
     text = f"by inertia beside gravity, {text} (\u00b1 {percent(float(found.error[0]))}); {remedy}"
-    yield Finding("clock", Level.REFUSE if fall > SURE_CLOCK else Level.NOTE, text)
+    yield Finding("clock", Level.REFUSE if gained > SURE_CLOCK else Level.NOTE, text)
 
 
 def hum_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:

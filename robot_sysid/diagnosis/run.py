@@ -30,14 +30,22 @@ from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.records.progress import Progress
 
-OF_LINKS = ("torque-scale", "zero", "model", "contact")
+OF_LINKS = ("torque-scale", "zero", "model", "contact", "clock")
 """Findings that other links than the model's would bring as well."""
 
 
 def check_against_model(
-    robot: RobotModel, pieces: Sequence[Measurement], cutoff: float | None = None
+    robot: RobotModel,
+    pieces: Sequence[Measurement],
+    cutoff: float | None = None,
+    links_known: bool = True,
 ) -> tuple[Finding, ...]:
-    """Return what looks wrong with a log; a ``cutoff`` [Hz] of None is chosen from the data.
+    """Return what looks wrong with a log.
+
+    Args:
+        cutoff: of the low-pass [Hz]; None chooses it from the data.
+        links_known: whether the model's links are right; where they are to be found, what wrong
+            ones would bring as well is only told.
 
     Raises:
         InputError: the log is too short to be looked at.
@@ -47,7 +55,10 @@ def check_against_model(
     if any(each.level is Level.REFUSE for each in raw):
         return tuple(raw)
     log = ModelFit(robot, pieces, cutoff)
-    return (*raw, *([*enough_findings(log)] or _of_torque(log)))
+    found = [*enough_findings(log)] or _of_torque(log)
+    if not links_known:
+        found = [replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found]
+    return (*raw, *found)
 
 
 def look_at(
@@ -61,16 +72,13 @@ def look_at(
     """Tell what looks wrong with a log, and stop at what must not become a number.
 
     Args:
-        accepted, cutoff: see ``require_acceptable`` and ``check_against_model``.
-        links_known: whether the model's links are right; where they are to be found, what wrong
-            ones would bring as well is only told.
+        accepted: see ``require_acceptable``.
+        cutoff, links_known: see ``check_against_model``.
 
     Raises:
         InputError, SysidError: see ``require_acceptable``.
     """
-    found = check_against_model(robot, log.pieces, cutoff)
-    if not links_known:
-        found = tuple(replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found)
+    found = check_against_model(robot, log.pieces, cutoff, links_known)
     for each in found:
         progress.note(each.line().removeprefix("note: "))
     try:
