@@ -40,8 +40,8 @@ SURE_ZERO = 3.5
 """Standard errors that a zero has to be away from nothing."""
 SURE_DELAY, SHORT_DELAY, LONG_DELAY = 4.0, 0.005, 0.015
 """Standard errors that a delay has to be away from none; delay that is told, and that stops [s]."""
-SURE_CLOCK, LIKELY_CLOCK = 9.0, 4.0
-"""Fall of chi-squared by a time base that is refused, and told of; right logs have 2.2 at most."""
+SURE_CLOCK, LIKELY_CLOCK, SEEN_CLOCK = 9.0, 4.0, 3.0
+"""Fall of chi-squared by a time base that is refused, warned and told of; right logs: 2.3."""
 LAGS, LOSS = (0.04, 0.12), 0.1
 """By how much dry friction may be late [s]; standard deviation of a gear's loss, a share."""
 HUM, CLEAR_HUM = 0.7, 0.4
@@ -225,7 +225,7 @@ def zero_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]
 def clock_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
     """Yield a finding where inertia and gravity disagree about the time base."""
     gained = fall(base, found.after)
-    if found.after.cost > WELL or gained < LIKELY_CLOCK:
+    if found.after.cost > WELL or gained < SEEN_CLOCK:
         return
     share, drift = found.value
     remedy = "record the controller's own time stamps"
@@ -236,7 +236,8 @@ def clock_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding
         text = f"time in the log is {_too_long(share)}"
         remedy += f", or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
     text = f"by inertia beside gravity, {text} (\u00b1 {percent(float(found.error[0]))}); {remedy}"
-    yield Finding("clock", Level.REFUSE if gained > SURE_CLOCK else Level.NOTE, text)
+    level = Level.WARN if gained > LIKELY_CLOCK else Level.NOTE
+    yield Finding("clock", Level.REFUSE if gained > SURE_CLOCK else level, text)
 
 
 def hum_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:

@@ -93,6 +93,39 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
         yield Finding("clock", Level.WARN, f"{text}the controller's own clock")
 
 
+WINDOW = 1.0
+"""Time over which recorded velocities are summed [s]: a drive's filter does little to such sums."""
+WRONG_TIME, OTHER_UNIT, ALIKE = 0.03, 0.5, 0.02
+"""Share by which time is off that is refused; from which velocities are in another unit; by how
+much joints may differ in it. A right log has 0.001, one whose velocities pass 3 Hz 0.028."""
+
+
+def velocity_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
+    """Yield a finding where positions and recorded velocities disagree about the time."""
+    found = [_ways(piece) for piece in pieces if piece.qd is not None]
+    if not found:
+        return
+    way, summed = (np.concatenate(same) for same in zip(*found))
+    size = np.sum(way**2, axis=0)
+    clear = size > 0.01 * np.max(size, initial=0.0)
+    each = np.sum(way * summed, axis=0)[clear] / size[clear] - 1.0
+    share = float(np.median(each)) if len(each) else 0.0
+    if WRONG_TIME < abs(share) < OTHER_UNIT and np.ptp(each) < ALIKE:
+        text = f"by the recorded velocities, time in the log is {100.0 * abs(share):.2g} % too "
+        text += f"{'long' if share > 0.0 else 'short'}; record the controller's own time stamps, "
+        text += f"or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
+        yield Finding("clock", Level.REFUSE, text)
+
+
+def _ways(piece: Measurement) -> tuple[Array, Array]:
+    """Return the ways (M, n) of all windows, by positions and by velocities."""
+    assert piece.qd is not None
+    length = max(1, round(WINDOW / usual_period(piece.time)))
+    parts = 0.5 * (piece.qd[1:] + piece.qd[:-1]) * np.diff(piece.time)[:, None]
+    summed = np.concatenate((np.zeros((1, parts.shape[1])), np.cumsum(parts, axis=0)))
+    return piece.q[length:] - piece.q[:-length], summed[length:] - summed[:-length]
+
+
 def _finding(share: float, what: str) -> Finding:
     level = Level.REFUSE if share > MANY else Level.WARN
     return Finding(

@@ -14,6 +14,7 @@ from robot_sysid.diagnosis.recording import (
     length_findings,
     sensor_findings,
     slow_findings,
+    velocity_findings,
 )
 from robot_sysid.diagnosis.torque import (
     computed_findings,
@@ -51,7 +52,7 @@ def check_against_model(
         InputError: the log is too short to be looked at.
     """
     raw = [*length_findings(pieces), *clock_findings(pieces)]
-    raw += sensor_findings(pieces, robot.joint_names)
+    raw += [*velocity_findings(pieces), *sensor_findings(pieces, robot.joint_names)]
     if any(each.level is Level.REFUSE for each in raw):
         return tuple(raw)
     log = ModelFit(robot, pieces, cutoff)

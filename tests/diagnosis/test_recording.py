@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.diagnosis.finding import Level
-from robot_sysid.diagnosis.recording import clock_findings, sensor_findings
+from robot_sysid.diagnosis.recording import clock_findings, sensor_findings, velocity_findings
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS, motion
 
@@ -39,6 +40,18 @@ def test_a_jump_of_the_clock_is_told_from_a_hole(at, jump):
     time[at:] += jump
     (found,) = clock_findings([replace(DATA, time=time)])
     assert "jumps ahead 1 times" in found.text
+
+
+@given(st.floats(0.8, 1.3))
+def test_a_stretched_time_contradicts_recorded_velocities(factor):
+    qd = np.gradient(DATA.q, DATA.time, axis=0)
+    found = list(velocity_findings([replace(DATA, time=factor * DATA.time, qd=qd)]))
+    if abs(factor - 1.0) > 0.035:
+        said = re.search(r"time = ([0-9.]+) \* TITLE", found[0].text)
+        assert float(said[1]) == pytest.approx(1.0 / factor, rel=0.01)
+    elif abs(factor - 1.0) < 0.025:
+        assert found == []
+    assert list(velocity_findings([replace(DATA, time=factor * DATA.time, qd=None)])) == []
 
 
 def test_repeated_samples_are_found():
