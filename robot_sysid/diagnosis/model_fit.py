@@ -28,8 +28,8 @@ from robot_sysid.signals.process import process
 
 INSTANTS, FEWEST = 400, 50
 """So many instants stand for a log, and for each of its pieces at least."""
-LATEST = 0.1
-"""Delay of torque up to which it is looked for [s]."""
+EARLIEST, LATEST = -0.04, 0.1
+"""Delays of torque between which it is looked for [s]."""
 TOLERANCE = 0.04
 """Part of a joint's usual torque that a right model may miss."""
 LINK_ERROR = 0.05
@@ -244,7 +244,7 @@ class ModelFit:
 
 def _instants(time: Array, bridged: NDArray[np.bool_], count: int) -> NDArray[np.int64]:
     """Return about so many instants of a piece, as (K,) indices, apart from its ends."""
-    reach = (time - LATEST >= time[0]) & (time + LATEST <= time[-1])
+    reach = (time + EARLIEST >= time[0]) & (time + LATEST <= time[-1])
     there = np.flatnonzero(reach & ~bridged)
     return there[np.unique(np.linspace(0, len(there) - 1, count).astype(int))]
 

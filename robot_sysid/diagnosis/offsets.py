@@ -20,6 +20,7 @@ import numpy as np
 
 from robot_sysid.diagnosis.finding import Finding, Level
 from robot_sysid.diagnosis.model_fit import (
+    EARLIEST,
     LATEST,
     TOLERANCE,
     WELL,
@@ -111,7 +112,7 @@ def joint_delays(log: ModelFit) -> Offsets:
         return ((before - after) / (2.0 * _STEP))[:, :, None] * own
 
     def undone(delays: Array) -> Sample:
-        return replace(log.sample, tau=log.later(np.clip(delays, -LATEST, LATEST)))
+        return replace(log.sample, tau=log.later(np.clip(delays, EARLIEST, LATEST)))
 
     return _found(log, columns, undone, np.full(len(own), _DELAYS))
 
