@@ -148,9 +148,11 @@ def torque_scales(log: ModelFit) -> tuple[Array, Array]:
     return scale, error
 
 
-def _without(sample: Sample, joints: NDArray[np.bool_]) -> Sample:
-    """Return a sample in which some joints (n,) hardly count."""
-    return replace(sample, sigma=np.where(joints, _IGNORED, 1.0) * sample.sigma)
+def _without(sample: Sample, joints: NDArray[np.bool_] | int) -> Sample:
+    """Return a sample in which one joint, or some (n,), hardly count."""
+    sigma = sample.sigma.copy()
+    sigma[joints] *= _IGNORED
+    return replace(sample, sigma=sigma)
 
 
 def unit_findings(log: ModelFit) -> Iterator[Finding]:
@@ -159,7 +161,7 @@ def unit_findings(log: ModelFit) -> Iterator[Finding]:
     ratio = rms(log.sample.tau) / np.maximum(rms(log.model_torque), floor)
     joint = int(np.argmax(ratio))
     factor = float(ratio[joint] / np.median(np.delete(ratio, joint))) if len(ratio) > 2 else 1.0
-    if factor > ODD_UNIT:
+    if factor > ODD_UNIT and log.plausible(log.fit(_without(log.sample, joint))):
         name = log.robot.joint_names[joint]
         yield Finding(
             "torque-scale",
