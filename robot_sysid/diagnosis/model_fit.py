@@ -41,7 +41,7 @@ LIGHTEST, HEAVIEST = -0.03, 0.6
 INDEPENDENT = 100
 """Independent samples that a log is taken to have per joint."""
 # Numbers that say nothing else are judged by the table of benchmarks/wrong_log_table.py: with them
-# all of 138 wrong logs of 23 older kinds are named, and 50 of 50 right ones draw no alarm.
+# all of 138 wrong logs of 23 kinds are named, and 50 of 50 right ones draw no alarm.
 CLEARLY = 60.0
 """Fall of chi-squared by undoing a mistake that chance and small errors of a model do not bring."""
 LIKELY = 15.0
