@@ -27,7 +27,7 @@ from robot_sysid.estimation.fit import ChosenRows, Fit
 from robot_sysid.estimation.unknowns import COMMON, SCALES
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
-FILTERING, HELD = "filtering", "friction at its bound"
+FILTERING, HELD, BODIES = "filtering", "friction at its bound", "possible bodies"
 """What these causes of error are called in results."""
 # Weight of a hidden parameter in a combination that is rounding alone.
 _ROUNDING = 1e-9
@@ -145,8 +145,12 @@ def _more(
     """Yield (cause, (k, k) covariance) of what stands in no prior.
 
     A prior that the data contradicts counts as wide as the data asks for. What is held at a bound
-    counts as if it were free: the bound may be where noise has pushed it.
+    counts as if it were free: the bound may be where noise has pushed it. The best possible body is
+    the edge of what is possible, and the truth is inside: it may be as far off as it was moved.
     """
+    moved = (fit.values - fit.free)[fit.unknowns.kept]
+    if np.any(moved):
+        yield BODIES, np.outer(moved, moved)
     for conflict in found:
         asked = (conflict.asked / conflict.scale) ** 2 - 1.0
         if asked > 0.0:

@@ -124,6 +124,15 @@ def test_squares_of_the_causes_and_of_noise_add_up(payload_fit, errors, change):
     np.testing.assert_allclose(np.diag(covariance), total, rtol=1e-6)
 
 
+def test_what_a_possible_body_was_moved_by_is_an_error(payload_fit, errors):
+    free = payload_fit.free.copy()
+    place = payload_fit.columns.at(PAYLOAD_NAMES[:1])[0]
+    free[place] = payload_fit.values[place] - 0.3
+    kept = int(np.searchsorted(payload_fit.unknowns.kept, place))
+    moved = fit_errors(replace(payload_fit, free=free)).whole.standard_errors[kept]
+    assert moved == pytest.approx(np.hypot(0.3, errors.whole.standard_errors[kept]), rel=0.05)
+
+
 def test_a_scale_of_all_joints_is_an_error_in_proportion(errors, change):
     """Nothing tells it: 3 % of each of four joints is 1.5 % of all."""
     without, with_it = (errors.of(change, theta) for theta in (None, PAYLOAD))
