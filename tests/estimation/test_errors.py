@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.algebra.nuisances import misfits
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import FILTERING, filtering_bias, fit_errors
@@ -101,6 +102,35 @@ def test_where_a_joint_turns_round_between_two_passes_its_friction_says_nothing(
     monkeypatch.setattr(ProcessedSignals, "refiltered", reversed_motion)
     point = replace(fit.point, values=fit.values)
     assert not np.any(filtering_bias(fit.columns, point, recording, fit.samples[0]))
+
+
+@pytest.mark.parametrize(("seed", "seconds"), [(2, 0.1), (0, 0.3)])
+def test_noise_with_a_memory_is_no_cause(plant, seed, seconds):
+    """The model is the plant; noise without a memory would not do what this noise does."""
+    log = log_of(plant, plan_of(plant, seed), seed, noise_torque=0.1, encoder_resolution=1e-4)
+    keep = np.exp(-1.0 / (200.0 * seconds))
+    drawn = np.random.default_rng(seed).standard_normal(log.tau.shape)
+    slow = 0.1 * lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], drawn, axis=0)
+    datasets, options = datasets_of(plant, replace(log, tau=log.tau + slow))
+    fit = fitted(plant, datasets, options)
+    assert fit_errors(fit).conflicts == ()
+    assert misfits(fit.information, 1.0 / fit.weights, fit.unknowns.groups)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("repeated", [True, False])
+def test_more_logs_make_nothing_worse(plant, robot, repeated):
+    """One, ten and a hundred logs, of the same motion or of others."""
+    errors = []
+    for count in (1, 10, 100):
+        plans = [plan_of(plant, 1 if repeated else 1 + k) for k in range(count)]
+        noise = {"noise_torque": 0.1, "encoder_resolution": 1e-4}
+        logs = [log_of(plant, plan, k, **noise) for k, plan in enumerate(plans)]
+        datasets, options = datasets_of(robot, *logs)
+        fit = fitted(robot, datasets, options)
+        errors.append(fit_errors(fit).whole.standard_errors[0])
+        assert abs(fit.values[0] - plant.prior.mass) < 2.0 * errors[-1]
+    assert errors[0] > errors[1] > 0.98 * errors[2]
 
 
 # ---- of a payload

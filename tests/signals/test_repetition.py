@@ -7,12 +7,13 @@ from operator import add
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.records import Motion
 from robot_sysid.signals import repetition
-from robot_sysid.signals.repetition import sampled, visits
+from robot_sysid.signals.repetition import memory, sampled, visits
 
 COUNT = 150
 
@@ -84,6 +85,16 @@ def parts_of(motions, samples):
     """A sample of each motion; the numbers of logs are any different ones."""
     left = np.split(samples.tau - samples.rows @ TRUTH, len(motions))
     return [sampled(m, e[:, None], 7 + k) for k, (m, e) in enumerate(zip(motions, left))]
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])
+def test_the_memory_of_a_residual_is_what_its_sums_show(keep):
+    """Of first-order noise it is (1 + a) / (1 - a); left-out values change nothing."""
+    drawn = np.random.default_rng(3).normal(size=20000)
+    residual = lfilter([1.0], [1.0, -keep], drawn)
+    residual[5000:6000] = np.nan
+    assert memory(residual) == pytest.approx((1.0 + keep) / (1.0 - keep), rel=0.15)
+    assert memory(np.zeros(50)) == 1.0
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 3), (1, 12)])
