@@ -73,7 +73,7 @@ def _checked(
     console.lines(log.notes)
     rate = (len(log.samples) - 1) / log.duration
     console.stage(f"{len(log.samples)} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
-    found = check_against_model(robot, log.pieces)
+    found = check_against_model(robot, log.pieces, divided=log.torque_scale)
     console.lines(each.line() for each in found)
     if preview.view or preview.video:
         show_preview(robot, _shown(robot, log.samples, values.get("trajectory")), preview, console)

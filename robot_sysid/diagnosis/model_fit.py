@@ -122,6 +122,7 @@ class ModelFit:
     Args:
         pieces: of one log.
         cutoff: of the low-pass [Hz]; None chooses it from the data.
+        divided: (n,) scale that torques were divided by already; None for one.
 
     Attributes:
         sample: what is measured.
@@ -134,9 +135,14 @@ class ModelFit:
     """
 
     def __init__(
-        self, robot: RobotModel, pieces: Sequence[Measurement], cutoff: float | None = None
+        self,
+        robot: RobotModel,
+        pieces: Sequence[Measurement],
+        cutoff: float | None = None,
+        divided: Sequence[float] | Array | None = None,
     ) -> None:
         self.robot, self.pieces = robot, tuple(pieces)
+        self.divided = np.ones(robot.n_joints) if divided is None else np.array(divided)
         parts, noises, count = [], [], max(FEWEST, INSTANTS // len(pieces))
         self._torques: list[tuple[Array, Array, Array]] = []
         for piece in pieces:

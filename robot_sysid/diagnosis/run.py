@@ -28,7 +28,7 @@ from robot_sysid.diagnosis.torque import (
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.reader import MeasurementLog
-from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
 
 OF_LINKS = ("torque-scale", "zero", "model", "contact", "clock")
@@ -40,6 +40,7 @@ def check_against_model(
     pieces: Sequence[Measurement],
     cutoff: float | None = None,
     links_known: bool = True,
+    divided: Sequence[float] | Array | None = None,
 ) -> tuple[Finding, ...]:
     """Return what looks wrong with a log.
 
@@ -47,6 +48,7 @@ def check_against_model(
         cutoff: of the low-pass [Hz]; None chooses it from the data.
         links_known: whether the model's links are right; where they are to be found, what wrong
             ones would bring as well is only told.
+        divided: (n,) scale that torques were divided by already.
 
     Raises:
         InputError: the log is too short to be looked at.
@@ -55,7 +57,7 @@ def check_against_model(
     raw += [*velocity_findings(pieces), *sensor_findings(pieces, robot.joint_names)]
     if any(each.level is Level.REFUSE for each in raw):
         return tuple(raw)
-    log = ModelFit(robot, pieces, cutoff)
+    log = ModelFit(robot, pieces, cutoff, divided)
     found = [*enough_findings(log)] or _of_torque(log)
     if not links_known:
         found = [replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found]
@@ -79,7 +81,7 @@ def look_at(
     Raises:
         InputError, SysidError: see ``require_acceptable``.
     """
-    found = check_against_model(robot, log.pieces, cutoff, links_known)
+    found = check_against_model(robot, log.pieces, cutoff, links_known, log.torque_scale)
     for each in found:
         progress.note(each.line().removeprefix("note: "))
     try:

@@ -189,7 +189,7 @@ def scale_findings(log: ModelFit) -> Iterator[Finding]:
         "torque-scale",
         Level.REFUSE if np.any(sure & (off > np.log(REFUSED))) else Level.WARN,
         f"torque reads {typical:.3g} times what the model takes ({listed}): "
-        f"{_meaning(typical, spread, float(np.sum(weight) ** -0.5))}",
+        f"{_meaning(typical, spread, float(np.sum(weight) ** -0.5), log.divided)}",
     )
 
 
@@ -208,9 +208,16 @@ def _better(log: ModelFit, scale: Array, known: NDArray[np.int64]) -> bool:
     return explains(log.fit(asked, known_links=True), after)
 
 
-def _meaning(typical: float, spread: float, error: float) -> str:
-    """Return what a scale with this relative standard error probably is, and what to do."""
+def _meaning(typical: float, spread: float, error: float, divided: Array) -> str:
+    """Return what a scale with this relative standard error probably is, and what to do; torques
+    were divided (n,) already.
+    """
     remedy = "if the model is this arm's, pass --torque-scale"
+    scales = divided[:1] if np.ptp(divided) == 0.0 else divided
+
+    def in_all(scale: float, digits: str = ".4g") -> str:
+        return ",".join(format(each, digits) for each in (scale * scales).tolist())
+
     if spread > _SAME:
         own = "a factor of its own for every joint, as "
         if typical < 0.5:
@@ -218,18 +225,19 @@ def _meaning(typical: float, spread: float, error: float) -> str:
                 f"{own}motor currents in amperes have (give the torque per ampere with "
                 "--torque-constants), or the model of another arm"
             )
-        return f"{own}per cent of rated torque has, or the model of another arm; {remedy} per joint"
+        each = "per joint" if np.all(divided == 1.0) else "per joint, times the one given"
+        return f"{own}per cent of rated torque has, or the model of another arm; {remedy} {each}"
     nearest = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
     if abs(np.log(typical / nearest)) < max(np.log(_CLOSE), SURE * error):
-        return f"as in {UNITS[nearest]}; {remedy} {nearest:.4g}"
+        return f"as in {UNITS[nearest]}; {remedy} {in_all(nearest)}"
     if _PER_AMPERE[0] < 1.0 / typical < _PER_AMPERE[1]:
         return "as motor currents in amperes have; give N·m per ampere with --torque-constants"
     if 1.0 / 200.0 < typical < 1.0 / _PER_AMPERE[1]:
         return (
             f"as on the motor's side of a gear of 1:{1.0 / typical:.0f}, or in amperes; give the "
-            f"ratio as --torque-scale {typical:.4g}, or --torque-constants"
+            f"ratio as --torque-scale {in_all(typical)}, or --torque-constants"
         )
-    return f"another scale, or the model of another arm; {remedy} {typical:.3g}"
+    return f"another scale, or the model of another arm; {remedy} {in_all(typical, '.3g')}"
 
 
 SMALL = 0.6

@@ -17,7 +17,7 @@ CHECKS = {
     "angle-unit": "degrees for radians or the other way round",
     "zero": "zero of a joint's position",
     "model": "model of another arm, or with another tool",
-    "clock": "clock that jumps, or samples that are lost or repeated",
+    "clock": "clock that jumps or drifts, a wrong time base, or samples lost or repeated",
     "delay": "torque delayed against position",
     "saturated": "torque sensor at its end",
     "held": "torque that stands still while the arm moves",

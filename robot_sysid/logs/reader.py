@@ -40,13 +40,16 @@ from robot_sysid.signals.resampling import piece_note, pieces_of
 
 @dataclass(frozen=True)
 class MeasurementLog:
-    """A checked log, the pieces between its gaps that are long enough, and what there is to say."""
+    """A checked log, the pieces between its gaps that are long enough, what there is to say, and
+    what its torques were divided by (n,), as the user gave it.
+    """
 
     path: Path
     columns: column_map.ColumnMap
     samples: Measurement
     pieces: tuple[LogPiece, ...]
     notes: tuple[str, ...]
+    torque_scale: Array
 
     def __fspath__(self) -> str:
         """The path, so that a log that was read may stand where its file is expected."""
@@ -93,13 +96,18 @@ def open_log(
     found = column_map.recognise_columns(
         table.titles, names, choices, table.first_row, slides, *wanted
     )
-    found = found.with_torque_factor(torque_factor(options, names))
+    tables = (CONSTANTS, options.torque_constants), (SCALE, options.torque_scale)
+    constants, scale = (
+        np.ones(len(names)) if given is None else joint_factors(given, names, name)
+        for name, given in tables
+    )
+    found = found.with_torque_factor(constants / scale)
     rows = read_rows(table, found, slides, progress)
     checked = check_log(str(path), rows, robot, found.angle_declared)
     pieces = tuple(LogPiece(**vars(piece)) for piece in pieces_of(rows.samples))
     notes = (*found.describe(), *checked, *piece_note(rows.samples, pieces))
     notes = (f"log layout: {table.layout}", *notes)
-    return MeasurementLog(path, found, rows.samples, pieces, notes)
+    return MeasurementLog(path, found, rows.samples, pieces, notes, scale)
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
@@ -109,16 +117,6 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     words = ", ".join(str(log.path) for log in logs)
     files = tuple(str(log.path.absolute()) for log in logs)
     return DataOrigin(Source.LOG, words, duration, rate, files=files)
-
-
-def torque_factor(options: LogOptions, joint_names: Sequence[str]) -> Array:
-    """Return (n,) what the options multiply torque columns with."""
-    factor = np.ones(len(joint_names))
-    if options.torque_constants is not None:
-        factor *= joint_factors(options.torque_constants, joint_names, CONSTANTS)
-    if options.torque_scale is not None:
-        factor /= joint_factors(options.torque_scale, joint_names, SCALE)
-    return factor
 
 
 _WRITTEN = {"position": "q", "velocity": "qd", "torque": "tau", "acceleration": "qdd"}

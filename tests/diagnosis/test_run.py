@@ -89,6 +89,15 @@ def test_a_wrong_log_is_called_by_its_name(four, name, way):
     assert any(each.name == kind and said in each.text for each in found), found
 
 
+@pytest.mark.parametrize("given", [[2.0] * 5, [2.0, 3.0, 4.0, 5.0, 6.0]])
+def test_the_scale_to_pass_is_multiplied_with_the_one_that_was_given(truth, given):
+    wrong = [replace(truth.log, tau=1e3 * truth.log.tau)]
+    texts = (check_against_model(truth.robot, wrong, divided=d)[0].text for d in (None, given))
+    plain, scales = (re.search(r"--torque-scale ([0-9.e+,]+)", text)[1] for text in texts)
+    expected = float(plain) * np.unique(given)
+    np.testing.assert_allclose([*map(float, scales.split(","))], expected, rtol=0.01)
+
+
 def test_a_log_that_is_too_short_for_anything_is_called_that(four):
     log = four.log
     brief = log.time - log.time[0] < 0.6
@@ -102,7 +111,7 @@ def test_what_is_only_noted_is_no_note_of_a_note(four, monkeypatch):
     """A console puts "note: " before what it is told."""
     notes, told, found = [], Progress(), Finding("delay", Level.NOTE, "it lags")
     monkeypatch.setattr(told, "note", notes.append)
-    log = SimpleNamespace(path="log.csv", pieces=(four.log,), notes=())
+    log = SimpleNamespace(path="log.csv", pieces=(four.log,), notes=(), torque_scale=None)
     monkeypatch.setattr("robot_sysid.diagnosis.run.check_against_model", lambda *_: (found,))
     look_at(ROBOT, log, (), told)
     assert notes == ["it lags [delay]"] and found.line() == "note: it lags [delay]"
