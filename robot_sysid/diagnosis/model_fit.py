@@ -100,7 +100,6 @@ class Fit:
 
     Attributes:
         cost: what was minimised, over the number of joints and independent samples.
-        per_joint: (n,) each joint's residuals in it.
         residual: (K, n) torque that is not explained [N m].
         friction: (n, 4) Coulomb, viscous, offset and armature of each joint.
         thetas: (n, 10) the links.
@@ -108,7 +107,6 @@ class Fit:
     """
 
     cost: float
-    per_joint: Array
     residual: Array
     friction: Array
     thetas: Array
@@ -223,12 +221,12 @@ class ModelFit:
         inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(spread)))
         off = inverse @ (scaled.T @ (right * weight).ravel())
         residual = right - rows @ (spread * off)
-        per_joint = np.sum((residual * weight) ** 2, axis=0) / INDEPENDENT
-        cost = float(np.sum(per_joint)) + float(np.sum(off[spread > 0.0] ** 2)) / INDEPENDENT
+        squares = np.sum(np.sum((residual * weight) ** 2, axis=0) / INDEPENDENT)
+        cost = float(squares) + float(np.sum(off[spread > 0.0] ** 2)) / INDEPENDENT
         thetas, terms, extras = np.split(start + spread * off, (10 * n, (10 + N_FRICTION) * n))
         error = (spread * np.sqrt(np.diag(inverse)))[(10 + N_FRICTION) * n :]
         found = terms.reshape(n, N_FRICTION), thetas.reshape(n, 10), extras, error
-        return Fit(cost / n, per_joint, residual, *found)
+        return Fit(cost / n, residual, *found)
 
     def explained(self, sample: Sample, found: Fit) -> Array:
         """Return (K, n) the torque of a fit, springs left out, along a motion."""
@@ -308,7 +306,7 @@ def rms(values: Array) -> Array:
 
 def fall(base: Fit, after: Fit) -> float:
     """Return by how much chi-squared is less in another fit."""
-    return (base.cost - after.cost) * len(base.per_joint) * INDEPENDENT
+    return (base.cost - after.cost) * len(base.friction) * INDEPENDENT
 
 
 def explains(base: Fit, after: Fit, certain: bool = True) -> bool:

@@ -174,8 +174,8 @@ def offset_findings(log: ModelFit, base: Fit) -> list[Finding]:
     )
     best, found = other_friction(log).gain(base), list[Finding]()
     for each, tell in kinds:
-        told = [*tell(log, base, each)] if each.gain(base) > best else []
-        best, found = (each.gain(base), told) if told else (best, found)
+        if each.gain(base) > best and (told := [*tell(log, base, each)]):
+            best, found = each.gain(base), told
     return found
 
 
@@ -185,7 +185,7 @@ def delay_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding
     common = float(np.sum(weight * found.value) / np.sum(weight))
     cases = [np.full(count, common), *np.diag(found.value)]
     fits = [log.fit(replace(log.sample, tau=log.later(each))) for each in cases]
-    best = min(range(len(cases)), key=lambda each: fits[each].cost)
+    best = int(np.argmin([fit.cost for fit in fits]))
     delay = common if best == 0 else float(found.value[best - 1])
     error = float(np.sum(weight) ** -0.5 if best == 0 else found.error[best - 1])
     # Friction that builds up over some speed looks like a short delay, or a negative one.

@@ -100,9 +100,7 @@ def _of_torque(log: ModelFit) -> list[Finding]:
     if found or explained:
         return found or _likelier(log, base, *explained[0])
     found = [*unit_findings(log)] or [*scale_findings(log)]
-    if found:
-        return found
-    found = [*contact_findings(log, base), *computed_findings(log, base)]
+    found = found or [*contact_findings(log, base), *computed_findings(log, base)]
     if found:
         return found
     found = offset_findings(log, base)

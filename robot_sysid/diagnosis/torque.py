@@ -1,4 +1,4 @@
-"""What torques say of a log: mistakes that can be undone, their scale, gravity, delays, zeros.
+"""What torques say of a log: mistakes that can be undone, their scale, gravity, contact, the model.
 
 Signs, exchanged joints, a reversed order and degrees are finite in number: each is undone on the
 low-passed samples and the fit repeated. A mistake is named where undoing it makes its joints fit.
@@ -263,13 +263,13 @@ def gravity_findings(log: ModelFit, best: float) -> Iterator[Finding]:
     least = min(alone.cost, weightless.cost)
     if least > best or (scaled.cost < least and log.plausible(scaled)):
         return
-    if alone.cost >= _NO_MORE * weightless.cost and not log.plausible(weightless):
-        return
     if alone.cost < _NO_MORE * weightless.cost:
         text = (
             "has nothing of its motion but friction: this is an external torque, what is left "
             "after the controller's model; record the measured joint torque"
         )
+    elif not log.plausible(weightless):
+        return
     else:
         text = (
             "fits it without gravity: gravity is compensated in it already; record the measured "

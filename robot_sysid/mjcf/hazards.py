@@ -10,7 +10,7 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -26,9 +26,7 @@ MOST_COPIES = 3000
 # Bytes per cell, and per byte of a file, as measured with MuJoCo 4.0: three colours in the
 # compiler and in the model, a height field's floats four times.
 _NUMBER, _TEXEL, _HEIGHT, _FILE = 16.0, 6.0, 16.0, 2.0
-_CELLS: Mapping[str, tuple[str, ...]] = {
-    "hfield": ("nrow", "ncol"), "numeric": ("size",), "user": ("dim",),
-}  # fmt: skip
+_CELLS = {"hfield": ("nrow", "ncol"), "numeric": ("size",), "user": ("dim",)}
 _COPIED = ("replicate", "composite", "flexcomp")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}

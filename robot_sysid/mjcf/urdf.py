@@ -64,7 +64,8 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     shapes = [(link, node) for link in document.tagged("link") for node in link.children()]
     for link, shape in shapes:
         meshes = [uses[node] for node in shape.walk() if shape.tag in SHAPES and node in uses]
-        unusable = [use for use in meshes if not _is_readable(use.path)]
+        # No suffix where there is no file.
+        unusable = [u for u in meshes if (u.path or Path()).suffix.lower() not in _READABLE_MESHES]
         for use in meshes if not unusable else ():
             edits.set(use.node, "filename", str(use.path))
         if not unusable:
@@ -86,10 +87,6 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
             f"({', '.join(sorted(collisions))}), which changes no dynamics; a written model still "
             "names them, so MuJoCo by itself loads it only once they are there"
         )
-
-
-def _is_readable(mesh: Path | None) -> bool:
-    return mesh is not None and mesh.suffix.lower() in _READABLE_MESHES
 
 
 def give_minimum(edits: Edits, but: Collection[Node] = ()) -> list[str]:

@@ -198,6 +198,7 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scal
     expected = motion(20).tau * constants / np.array(scale)
     np.testing.assert_allclose(log.samples.tau, expected, rtol=1e-14)
     np.testing.assert_array_equal(log.samples.q, motion(20).q)
+    np.testing.assert_array_equal(log.torque_scale, scale)
     notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
     assert "'tau1', 'tau2', 'tau3' (each x 0.5)" in notes
 
