@@ -89,7 +89,9 @@ def check_settings(
     if setting_number(document, "settotalmass") > 0.0:
         _refuse(document, "settotalmass", "rescales the mass of every body; remove it")
     is_fused = setting(document, "fusestatic") == "true" and document.kind == "mjcf"
-    if is_fused and (gets_child or _has_welded(body)):
+    below = (node for node in body.walk() if node.tag == "body" and node is not body)
+    welded = (not (node.child("joint") or node.child("freejoint")) for node in below)
+    if is_fused and (gets_child or any(welded)):
         _refuse(document, "fusestatic", "merges bodies with the identified one; set it to false")
     mass, _, inertia = spatial.com_from_theta(theta)
     smallest = float(np.linalg.eigvalsh(inertia)[0])
@@ -121,11 +123,6 @@ def let_inertials_count(edits: Edits, written: Collection[Node]) -> None:
 
 def _is_geom(node: Node) -> bool:
     return node.tag == "geom" or (node.tag == "frame" and any(map(_is_geom, node.children())))
-
-
-def _has_welded(body: Node) -> bool:
-    below = (node for node in body.walk() if node.tag == "body" and node is not body)
-    return any(not (node.child("joint") or node.child("freejoint")) for node in below)
 
 
 def _refuse(document: ModelDocument, name: str, reason: str) -> NoReturn:

@@ -8,7 +8,7 @@ where bodies on joints of their own leave too little even for that, those are ma
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,9 +78,8 @@ def plan_write_back(
     if own is None or scale < NOTHING:
         fault = f"the identified parameters of body '{top.name}' are not a possible rigid body"
         raise ExportError(f"{fault}, so no model was written; use a longer motion")
-    inflated = float(own[4] - rest[4])
-    notes = (*_shared_notes(top, lumped, scaled, scale), *_inflated_note(own, inflated))
-    return WriteBack(own, lumped, "; ".join(notes) or None, inflated, scaled, scale)
+    plan = WriteBack(own, lumped, None, float(own[4] - rest[4]), scaled, scale)
+    return replace(plan, note="; ".join(_notes(top, plan)) or None)
 
 
 def _sum(bodies: Sequence[SubtreeBody]) -> Array:
@@ -98,20 +97,26 @@ def _largest_scale(composite: Array, hanging: Array) -> float:
     return low
 
 
-def _shared_notes(
-    above: SubtreeBody, lumped: Sequence[SubtreeBody], scaled: Sequence[SubtreeBody], scale: float
-) -> Iterator[str]:
-    emptied, lighter = (", ".join(f"'{b.name}'" for b in bodies) for bodies in (lumped, scaled))
-    if lumped:
+def _notes(above: SubtreeBody, plan: WriteBack) -> Iterator[str]:
+    both = plan.lumped, plan.scaled
+    emptied, lighter = (", ".join(f"'{b.name}'" for b in bodies) for bodies in both)
+    if plan.lumped:
         yield (
             f"body '{above.name}' now holds the inertia of all that is rigidly attached to it; "
             f"{emptied} weigh nothing in the written model"
         )
-    if scaled:
+    if plan.scaled:
         yield (
             f"{lighter} on joints of their own below body '{above.name}' left no possible body "
-            f"of what was identified of all of them, so their mass and inertia are {scale:.4g} of "
-            "the model's in the written model"
+            "of what was identified of all of them, so their mass and inertia are "
+            f"{plan.scale:.4g} of the model's in the written model"
+        )
+    moments = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])
+    if plan.inflated > SLACK * float(np.sum(moments)):  # by more than rounding
+        yield (
+            "the model file cannot hold moments of inertia as small as identified (its compiler "
+            "settings, or what other bodies hold already), so all three are written "
+            f"{plan.inflated:.2g} kg m^2 larger; that is less than their standard errors"
         )
 
 
@@ -136,17 +141,6 @@ def possible_body(
     if inflated > max(2.0 * (SLACK + MARGIN) * size, most_inflated):
         return None
     return spatial.theta_from_com(mass, com, inertia + inflated * np.eye(3))
-
-
-def _inflated_note(theta: Array, inflated: float) -> Iterator[str]:
-    """Yield a sentence where moments of inertia were inflated by more than rounding."""
-    moments = np.linalg.eigvalsh(spatial.com_from_theta(theta)[2])
-    if inflated > SLACK * float(np.sum(moments)):
-        yield (
-            "the model file cannot hold moments of inertia as small as identified (its compiler "
-            "settings, or what other bodies hold already), so all three are written "
-            f"{inflated:.2g} kg m^2 larger; that is less than their standard errors"
-        )
 
 
 JOINT_NUMBERS = ("armature", "damping", "frictionloss")
