@@ -84,10 +84,13 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     lost = float(np.mean(plain & (speed > LOST[0]) & (speed < LOST[1])))
     between = float(np.mean(plain & (speed > 1.25) & (speed < 1.5)))
     still = float(np.mean(plain & (np.abs(speed) < REPEATED)))
-    if lost > FEW and lost > 3.0 * between:
-        yield _finding(lost, "have lost samples that the time stamps do not show")
-    if still > FEW:
-        yield _finding(still, "repeat the position of the sample before while the arm moves")
+    odd = {"repeat the position of the sample before while the arm moves": still}
+    if lost > 3.0 * between:
+        odd = {"have lost samples that the time stamps do not show": lost, **odd}
+    for what, share in odd.items():
+        if share > FEW:
+            text = f"{100.0 * share:.2g} % of the steps {what}; record the time of each sample"
+            yield Finding("clock", Level.REFUSE if share > MANY else Level.WARN, text)
     if jumps:
         text = f"the clock jumps ahead {jumps} times without a sample missing; use the stamps of "
         yield Finding("clock", Level.WARN, f"{text}the controller's own clock")
@@ -124,13 +127,6 @@ def _ways(piece: Measurement) -> tuple[Array, Array]:
     parts = 0.5 * (piece.qd[1:] + piece.qd[:-1]) * np.diff(piece.time)[:, None]
     summed = np.concatenate((np.zeros((1, parts.shape[1])), np.cumsum(parts, axis=0)))
     return piece.q[length:] - piece.q[:-length], summed[length:] - summed[:-length]
-
-
-def _finding(share: float, what: str) -> Finding:
-    level = Level.REFUSE if share > MANY else Level.WARN
-    return Finding(
-        "clock", level, f"{100.0 * share:.2g} % of the steps {what}; record the time of each sample"
-    )
 
 
 def _steps(piece: Measurement) -> tuple[Array, Array]:
