@@ -33,31 +33,27 @@ def places(module: str, *names: str) -> tuple[Place, ...]:
     return tuple((f"robot_sysid.{module}", name) for name in names)
 
 
-OF_LOGS = places("pipeline", "_of_logs") + places("servo.run", "run_servo")
-OF_MOTIONS = places("pipeline", "analysed", "designed", "_of_itself", "_of_plant", "_motor_file")
-OF_PLANS = places("pipeline", "_plan_outcome") + places("motion.static", "design_poses")
-OF_PAYLOADS = places("payload_pipeline", "weighed") + places("config", "PayloadConfig")
-CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
-USUAL = places("trajectory", "require_countable")  # the motion that nobody asked for is short
-EXPORT = places("damiao.protocol.joints", "damiao_joints")
-ONLY = {"identify": OF_LOGS}
+ONLY = {"identify": places("pipeline", "_of_logs") + places("servo.run", "run_servo")}
 """Command to the stage that it takes of those that all questions share."""
 UNSAID = {"motors simulate": "; give --yes"}
 """Command to what it does not say of what it shares: a simulated arm is not asked for."""
 RUNS = ("run", "identify", "payload")
 """Commands whose options a page speaks of."""
+OF_PLANS = places("pipeline", "_plan_outcome")
+CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
+USUAL = places("trajectory", "require_countable")  # the motion that nobody asked for is short
+EXPORT = places("damiao.protocol.joints", "damiao_joints")
 NEVER = {
-    "run": (*OF_PAYLOADS, *OF_PLANS),
-    "plan": (*OF_PAYLOADS, *OF_LOGS, *CHOSEN, *places("pipeline", "analysed", "written", "Outcome"))
-    + places("commands.report", "report_of"),
-    "identify": (*OF_PAYLOADS, *OF_MOTIONS, *OF_PLANS, *USUAL, *EXPORT),
-    "payload": (*OF_LOGS, *OF_MOTIONS[1:], *OF_PLANS, *EXPORT, *places("config", "SysidConfig"))
-    + places("results.record", "Verdict.PARTLY_FROM_MODEL"),
-    "log": (*CHOSEN, *USUAL),
+    "run": places("payload_pipeline", "weighed") + places("motion.static", "design_poses"),
+    "plan": (*ONLY["identify"], *CHOSEN, *places("pipeline", "analysed", "written", "Outcome")),
+    "identify": places("pipeline", "analysed", "designed", "_motor_file")
+    + (*OF_PLANS, *USUAL, *EXPORT),
+    "payload": places("pipeline", "_of_itself")
+    + (*OF_PLANS, *EXPORT, *places("results.record", "Verdict.PARTLY_FROM_MODEL")),
+    "log": CHOSEN + USUAL,
     # A page names the joint that the run found.
-    "report": places("model.chain", "resolve_joint", "_require_end")
-    + places("errors", "AmbiguousJointError")
-    + places("parser", "_notes"),
+    "report": places("model.chain", "_require_end")
+    + (*places("errors", "AmbiguousJointError"), *places("parser", "_notes")),
     "example": places("commands.example", "_record"),  # with files of its own
     "motors map": places("damiao.preflight", "plan_checks")  # nothing is played
     + places("damiao.model_check", "model_checks"),
