@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import isfinite
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -26,7 +27,7 @@ from robot_sysid.records.options import (
     whole_number,
 )
 from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME, PLAN_NAME
-from robot_sysid.records.torque_scale import scale_uncertainty
+from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -155,8 +156,12 @@ class Config:
 
         What the user says of them counts before that.
         """
-        own = scale_uncertainty(self.log.torque_scale, joint_names)
-        if not own or self.estimation.scale_uncertainty is not None:
+        given = self.log.torque_scale
+        if not isinstance(given, Path):
+            return self
+        scale, error = joint_factors(given, joint_names, SCALE)
+        own = tuple((100.0 * error / scale).tolist())
+        if self.estimation.scale_uncertainty is not None or not all(map(isfinite, own)):
             return self
         return replace(self, estimation=replace(self.estimation, scale_uncertainty=own))
 

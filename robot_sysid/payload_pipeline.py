@@ -82,7 +82,7 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
     origin = DataOrigin(Source.LOG, ", ".join(each.name for each in raw), duration, rate)
     result = payload_of(answer, free, flange, origin)
     if config.log.torque_scale is not None and result.payload is not None:
-        divided = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
+        divided = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)[0]
         factors = dict(zip(robot.joint_names, divided.tolist()))
         result = replace(result, payload=_combined(result.payload, factors, answer.fit.unknowns))
     if options.known_mass is None and config.estimation.scale_uncertainty is None:

@@ -87,7 +87,7 @@ def test_an_option_that_does_not_count_is_refused(values, message):
 
 def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
     path = tmp_path / "scale.json"
-    write_torque_scale(path, {"one": (1.1, 0.0055), "two": (2.0, 0.02)})
+    write_torque_scale(path, {"two": (2.0, 0.02), "other": (3.0, 1.0), "one": (1.1, 0.0055)})
 
     def sure(**values):
         made = payload_config_from(MODEL, **EMPTY_AND_LOADED, **values)
@@ -95,7 +95,8 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
 
     assert sure(torque_scale=path) == pytest.approx((0.5, 1.0))
     assert sure(torque_scale=path, scale_uncertainty=2.0) == 2.0
-    assert sure(torque_scale=1.1) is sure() is None
+    path.write_text('{"version": 1, "torque_scale": {"one": 1.1, "two": 2}}')
+    assert sure(torque_scale=path) is sure(torque_scale=1.1) is sure() is None
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def open_log(
     )
     tables = (CONSTANTS, options.torque_constants), (SCALE, options.torque_scale)
     constants, scale = (
-        np.ones(len(names)) if given is None else joint_factors(given, names, name)
+        np.ones(len(names)) if given is None else joint_factors(given, names, name)[0]
         for name, given in tables
     )
     found = found.with_torque_factor(constants / scale)

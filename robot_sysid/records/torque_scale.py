@@ -51,32 +51,20 @@ def usable_factor(value: float | Path) -> str | None:
 
 
 def joint_factors(given: Factors, joint_names: Sequence[str], table: str) -> Array:
-    """Return one factor per joint (n,), or raise InputError; ``SCALE`` or ``CONSTANTS`` is the
-    table of a file and the name of the option.
+    """Return each joint's factor and its standard error, NaN where no file tells it: (2, n).
+
+    ``SCALE`` or ``CONSTANTS`` is the table of a file and the name of the option. Raises InputError.
     """
     if not isinstance(given, Path):
-        return per_joint(given, len(joint_names), "--" + table.replace("_", "-"))
-    return _of_joints(given, joint_names, table)[:, 0]
-
-
-def scale_uncertainty(given: Factors | None, joint_names: Sequence[str]) -> tuple[float, ...]:
-    """Return how far each joint's scale may be off (n,) [%]; () where no file tells it."""
-    if not isinstance(given, Path):
-        return ()
-    found = _of_joints(given, joint_names, SCALE)
-    share = 100.0 * found[:, 1] / found[:, 0]
-    return tuple(share.tolist()) if np.all(np.isfinite(share)) else ()
-
-
-def _of_joints(path: Path, joint_names: Sequence[str], table: str) -> Array:
-    """Return factors and their errors (n, 2) of a file, or raise InputError."""
-    values = read_factors(path, table)
+        typed = per_joint(given, len(joint_names), "--" + table.replace("_", "-"))
+        return np.array([typed, np.full(len(typed), np.nan)])
+    values = read_factors(given, table)
     missing = [name for name in joint_names if name not in values]
     if missing:
         raise InputError(
-            f"{path} has no {table} of joint {missing[0]}; it lists {', '.join(values) or 'none'}"
+            f"{given} has no {table} of joint {missing[0]}; it lists {', '.join(values) or 'none'}"
         )
-    return np.array([values[name] for name in joint_names])
+    return np.array([values[name] for name in joint_names]).T
 
 
 def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, float]]:

@@ -331,7 +331,7 @@ def _sentences(result: Result) -> Iterator[str]:
     if estimate.constrained:
         yield (
             "the plain estimate was no possible rigid body, so the best possible one was taken; "
-            "its standard errors are those of the plain estimate"
+            "the errors above allow for how far it was moved"
         )
 
 
