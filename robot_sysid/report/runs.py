@@ -385,16 +385,12 @@ def _body(entries: Mapping[str, Any]) -> Body:
         thetas={what: theta for what, theta in thetas.items() if theta is not None},
         errors=_ten(entries["standard_errors"]),
         budget={cause: _ten(part) for cause, part in entries["error_budget"].items()},
-        central=_named(entries["standard_errors"], ERROR_NAMES[:4]),
+        central=_ten(entries["standard_errors"], ERROR_NAMES[:4]),
         share=_ten(entries.get("data_share")),
         kept=[kept.get(name) == "from_model" for name in PARAMETER_NAMES],
     )
 
 
-def _ten(named: Mapping[str, Any] | None) -> Array:
-    """Return the values of the ten parameters (10,); NaN for null."""
-    return _named(named, PARAMETER_NAMES)
-
-
-def _named(named: Mapping[str, Any] | None, names: Sequence[str]) -> Array:
+def _ten(named: Mapping[str, Any] | None, names: Sequence[str] = PARAMETER_NAMES) -> Array:
+    """Return the values of the ten parameters (10,), or of other names; NaN for null."""
     return np.array([(named or {}).get(name) for name in names], dtype=float)

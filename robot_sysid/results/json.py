@@ -28,7 +28,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import InertialParameters
 from robot_sysid.records.atomic_files import write_whole
-from robot_sysid.results.cards import Card, card_entries, load_errors
+from robot_sysid.results.cards import INERTIA, Card, card_entries, load_errors
 from robot_sysid.results.console import PRIOR_SHARE, limitations
 from robot_sysid.results.record import (
     BodyEstimate,
@@ -57,7 +57,6 @@ _SURE = 1.96
 _WHEN = ("before", "after")
 _OF_PAYLOAD = ("recordings", "scatter", "known_mass", "torque_scale")
 _OF_RUN = ("delay", "tilt", "cutoff", "friction_model")
-_SIX = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _IN_BAM = {
     "viscous": ("friction_viscous", 1.0),
     "stribeck": ("friction_stribeck", 1.0),
@@ -105,9 +104,9 @@ def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
     return {
         "mass": inertial.mass,
         "center_of_mass_moment": inertial.first_moment,
-        "inertia_tensor": dict(zip(_SIX, inertial.theta[4:])),
+        "inertia_tensor": dict(zip(INERTIA, inertial.theta[4:])),
         "center_of_mass": inertial.com,
-        "inertia_about_com": dict(zip(_SIX, spatial.six_from_symmetric(inertial.inertia_com))),
+        "inertia_about_com": dict(zip(INERTIA, spatial.six_from_symmetric(inertial.inertia_com))),
         "principal_moments": inertial.principal_moments,
     }
 

@@ -67,10 +67,6 @@ class Problem:
         keep = np.linspace(0, len(self.windows) - 1, min(len(self.windows), most))
         return replace(self, windows=tuple(self.windows[k] for k in keep.round().astype(int)))
 
-    def halved(self) -> Problem:
-        """Return the problem with time steps of half the length."""
-        return replace(self, edges=np.linspace(0.0, self.edges[-1], 2 * len(self.edges) - 1))
-
     def moves(self) -> NDArray[np.bool_]:
         """Return (M, n) when each joint is not at rest: a tenth of its usual speed or faster."""
         speed = np.concatenate([np.gradient(q, time, axis=0) for _, time, q in self.windows])
@@ -352,7 +348,8 @@ def judged(problem: Problem, scale: Scale, servos: Servos) -> ServoFit:
     free, joints = np.flatnonzero(scale.free), len(servos.stiffness)
     unit = _unit(scale, servos)[free]
     residuals = problem.errors([servos])[0]
-    drift = 2.0 * (residuals - problem.halved().errors([servos])[0])
+    halves = np.linspace(0.0, problem.edges[-1], 2 * len(problem.edges) - 1)
+    drift = 2.0 * (residuals - replace(problem, edges=halves).errors([servos])[0])
     sigma = _sigma(residuals)
     normal, bias = np.eye(len(free)) / PULL**2, np.zeros(len(free))
     score = normal.copy()

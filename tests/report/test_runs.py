@@ -247,7 +247,6 @@ def test_an_odd_entry_is_one_line(folder, odd):
         *(("{", "cannot read"), ("[]", "no result of this program"), ("{}", "schema_version None")),
         ('{"schema_version": 4}', "damaged"),
         ('{"schema_version": 4, "mass": 1, "center_of_mass_moment": [1]}', "damaged"),
-        ("[" * 100_000, "cannot read"),
     ],
 )
 def test_a_damaged_file_is_one_line(tmp_path, text, words):
