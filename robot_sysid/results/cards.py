@@ -67,10 +67,6 @@ class Form:
     most: float = np.inf
 
 
-def _urdf(body: InertialParameters, inertia: Array) -> str:
-    return urdf_inertial_about_com(body.mass, body.com, inertia)
-
-
 def _mjcf(body: InertialParameters, inertia: Array) -> str:
     if np.any(inertia):
         return mjcf_inertial(body.theta)
@@ -167,7 +163,7 @@ FORMS = (
         "urdf_inertial",
         "URDF: <inertial> of a link whose frame is the flange",
         {"mass": "mass", "origin": "com", "ixx ixy ixz iyy iyz izz": "upper"},
-        _urdf,
+        lambda body, inertia: urdf_inertial_about_com(body.mass, body.com, inertia),
         "mass kg; origin xyz centre of mass, m; ixx ixy ixz iyy iyz izz about the centre of mass, "
         "axes of the link (rpy 0), kg m^2.",
     ),

@@ -95,8 +95,3 @@ def test_a_page_its_figures_and_a_comparison(command, arm):
     assert "comparison.html" in printed.out
     text = (arm.parent / "both" / "comparison.html").read_text()
     assert "sysid_output" in text and "second" in text
-
-
-def test_a_folder_that_holds_nothing_is_one_line(command, tmp_path):
-    printed = command.run("report", tmp_path, code=2)
-    assert "holds no result" in printed.err and printed.err.count("\n") == 1

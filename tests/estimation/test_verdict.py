@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation import result as verdict
+from robot_sysid.estimation import verdict
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.verdict import first

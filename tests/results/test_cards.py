@@ -190,7 +190,6 @@ def test_a_whole_card_says_what_it_has_to():
     for said in (
         *("site 'tool': origin at 0.0, 0.0, 0.107 m", "of body 'link7'", "# found by name"),
         "mass            1.517 kg",
-        "Standard errors: mass 0.015 kg; centre of mass 0.00013, 0.00024, 0.00048 m; inertia xx",
         "Standard errors: mass 0.015 kg; centre of mass 0.13, 0.24, 0.48 mm.",
         "set_target_payload(1.517, [0.001, -0.02, 0.0453], [0.002, 0.0025, 0.001, 0.0, 0.0, 0.0])",
         *("SetPayload(1.517, 1.0, -20.0, 45.3)", "arm.set_tcp_load(1.517, [1.0, -20.0, 45.3])"),
@@ -223,13 +222,12 @@ def test_every_card_states_how_far_each_of_its_numbers_may_be_off():
 
 
 @pytest.mark.parametrize(("largest", "is_refused"), [(133.0, False), (133.001, True)])
-def test_what_a_ur_controller_refuses_is_said_beside_the_errors(largest, is_refused):
+def test_what_a_ur_controller_refuses_is_said(largest, is_refused):
     inertia = np.diag([100.0, 120.0, largest])
     cards = cards_of(50.0, np.zeros(3), inertia)
     for name, card in cards.items():
         refused = [note for note in card.notes if "may exceed 133." in note]
         assert bool(refused) == (is_refused and name.startswith("ur_")), name
-        assert name == "payload" or card.notes[0].startswith("Standard errors: mass 0.015 kg")
 
 
 @pytest.mark.parametrize(

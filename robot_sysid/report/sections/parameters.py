@@ -15,6 +15,7 @@ from robot_sysid.report import drawing
 from robot_sysid.report.drawing import AFTER, Figure, Section, Table, drawn, table
 from robot_sysid.report.runs import Body, Run, number
 from robot_sysid.results.cards import NOT_KNOWN
+from robot_sysid.results.console import PRIOR_SHARE
 
 _GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
 _MARKS: dict[str, tuple[float, dict[str, Any]]] = {
@@ -25,8 +26,6 @@ _MARKS: dict[str, tuple[float, dict[str, Any]]] = {
 """What stands beside the identified value: by how much of a row above it, and its marker."""
 _LEAST_SPAN = 0.02
 """Width of an axis, relative to its values, below which what is drawn would be rounding."""
-_MOSTLY = 0.5
-"""Share of the data in a value below which the model has more say."""
 
 
 def parameters(run: Run) -> Section:
@@ -169,7 +168,7 @@ def visibility(run: Run) -> Section:
 def _source(body: Body, k: int, is_payload: bool) -> str:
     if body.kept[k]:
         return "not known" if is_payload else "the model (not visible)"
-    if np.isfinite(body.share[k]) and body.share[k] < _MOSTLY:
+    if np.isfinite(body.share[k]) and body.share[k] < PRIOR_SHARE:
         return "more model than data"
     return "the data" if np.isfinite(body.errors[k]) or not body.budget else "partly the model"
 
