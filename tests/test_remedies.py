@@ -28,7 +28,6 @@ MODULES = {
 COMMANDS = (*MODULES, *(f"motors {name}" for name in motors.COMMANDS))
 WHOSE = re.compile(rf"({'|'.join(COMMANDS)})( [^\s;:,()]*[^\s;:,().])*? $")
 """A command's name before an option, within a sentence."""
-NAMES = (ast.Name, ast.Attribute, ast.arg)
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 
 
@@ -137,9 +136,8 @@ def parts(node: ast.AST) -> Iterator[ast.AST]:
 
 @cache
 def parts_of(place: Place) -> tuple[ast.AST, ...]:
-    """Return all of a definition that has a name or a text."""
-    found = parts(definitions(place[0])[place[1]])
-    return tuple(n for n in found if isinstance(n, (*NAMES, ast.Constant, ast.JoinedStr)))
+    """Return the parts of a definition."""
+    return tuple(parts(definitions(place[0])[place[1]]))
 
 
 @cache

@@ -245,10 +245,9 @@ def load_covariance(body: BodyEstimate) -> Array:
     return covariance
 
 
-def load_errors(body: BodyEstimate) -> dict[str, float]:
-    """Return the standard errors by ``ERROR_NAMES``; infinite where a number is not known."""
-    spread = np.diag(load_covariance(body))
-    return dict(zip(ERROR_NAMES, np.sqrt(np.maximum(spread, 0.0)).tolist()))
+def load_errors(body: BodyEstimate) -> Array:
+    """Return the standard errors (10,) of ``ERROR_NAMES``; infinite where one is not known."""
+    return np.sqrt(np.maximum(np.diag(load_covariance(body)), 0.0))
 
 
 def principal_moments(body: BodyEstimate) -> tuple[Array, Array, Array]:
@@ -285,11 +284,6 @@ def card_text(cards: Sequence[Card], heading: str) -> str:
         about = [f"# {line}" for part in said for line in wrap(part, _WIDTH - 2)]
         blocks.append("\n".join([f"== {card.title} ==", *about, card.text]))
     return "\n\n".join(blocks) + "\n"
-
-
-def card_entries(cards: Sequence[Card]) -> dict[str, Any]:
-    """Return the cards as JSON entries by name."""
-    return {card.name: {k: v for k, v in vars(card).items() if k != "name"} for card in cards}
 
 
 def _groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
@@ -362,10 +356,10 @@ def _texts(value: Any) -> list[str]:
 
 
 def _plain_card(
-    groups: Mapping[str, Any], flange: Flange, errors: Mapping[str, float], said: Mapping[str, str]
+    groups: Mapping[str, Any], flange: Flange, errors: Array, said: Mapping[str, str]
 ) -> Card:
     place, turn = flange.translation, spatial.quaternion(flange.rotation)
-    known = {name: each if np.isfinite(each) else None for name, each in errors.items()}
+    known = [each if np.isfinite(each) else None for each in errors.tolist()]
     values = {
         "flange": flange.name,
         "terminal_body": flange.terminal,
@@ -374,7 +368,7 @@ def _plain_card(
         "mass": groups["mass"],
         "center_of_mass": groups["com"],
         "inertia_about_com": groups["upper"],
-        "standard_errors": known,
+        "standard_errors": dict(zip(ERROR_NAMES, known)),
     }
     text = [
         f"frame           {flange.name}: origin at {listed(rounded(place))} m, turned by the "
@@ -399,8 +393,8 @@ def _plain_card(
 
 def _error_texts(body: BodyEstimate) -> dict[str, str]:
     """Return what is said of the errors of each group of numbers in ``_groups``."""
-    errors, (_, moments, turns) = [*load_errors(body).values()], principal_moments(body)
-    com, inertia = np.array(errors[1:4]), errors[4:]
+    errors, (_, moments, turns) = load_errors(body), principal_moments(body)
+    com, inertia = errors[1:4], errors[4:]
     mass, place = f"mass {_listed(errors[:1], 'kg')}", f"centre of mass {_listed(com, 'm')}"
     elements, principal, axes = NOT_KNOWN, NOT_KNOWN, NOT_KNOWN
     if np.all(np.isfinite(inertia)):

@@ -157,7 +157,7 @@ def _causes(body: BodyEstimate) -> Iterator[str]:
 
 def _payload_lines(payload: Payload) -> Iterator[str]:
     for words, body in (("without", payload.link), ("with", payload.total)):
-        mass, *errors = list(load_errors(body).values())[:4]
+        mass, *errors = load_errors(body)[:4].tolist()
         com = ", ".join(map(with_error, body.inertial.com.tolist(), errors))
         total = with_error(body.inertial.mass, mass, "kg")
         yield f"Terminal link {words} it: {total}, centre of mass [{com}] m"

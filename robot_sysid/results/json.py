@@ -28,7 +28,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import InertialParameters
 from robot_sysid.records.atomic_files import write_whole
-from robot_sysid.results.cards import INERTIA, Card, card_entries, load_errors
+from robot_sysid.results.cards import ERROR_NAMES, INERTIA, Card, load_errors
 from robot_sysid.results.console import PRIOR_SHARE, limitations
 from robot_sysid.results.record import (
     BodyEstimate,
@@ -162,7 +162,9 @@ def _payload(found: Payload | None, cards: Sequence[Card]) -> dict[str, Any] | N
         },
         **{name: _body(getattr(found, name)) for name in ("body", "link", "total")},
         **{name: getattr(found, name) for name in _OF_PAYLOAD},
-        "cards": card_entries(cards),
+        "cards": {
+            card.name: {k: v for k, v in vars(card).items() if k != "name"} for card in cards
+        },
     }
 
 
@@ -175,7 +177,7 @@ def _body(body: BodyEstimate) -> dict[str, Any]:
         "name": body.name,
         **inertial_entries(body.inertial),
         "model": None if body.before is None else inertial_entries(body.before),
-        "standard_errors": {**named(body.errors), **load_errors(body)},
+        "standard_errors": {**named(body.errors), **dict(zip(ERROR_NAMES, load_errors(body)))},
         "standard_errors_noise": named(body.noise_errors),
         "error_budget": {
             "noise": named(body.noise_errors),

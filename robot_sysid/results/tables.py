@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.records import Array
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
-from robot_sysid.results.cards import ERROR_NAMES, INERTIA, load_errors
+from robot_sysid.results.cards import INERTIA, load_errors
 from robot_sysid.results.record import BodyEstimate, Result
 
 LABELS: Mapping[str, str] = {
@@ -146,19 +146,19 @@ def link_rows(result: Result) -> list[BeforeAfter]:
 
 def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
     """Yield the centre of mass where its error is known, or none is stated."""
-    errors = [load_errors(body)[name] for name in ERROR_NAMES[1:4]]
+    errors = load_errors(body)[1:4]
     if not np.all(np.isfinite(errors)):
         return
     length = max(spatial.characteristic_length(body.inertial.theta), _LEAST)
     pairs = _from_to(None if body.before is None else body.before.com, body.inertial.com, length)
-    for axis, pair, error in zip("xyz", pairs, errors):
+    for axis, pair, error in zip("xyz", pairs, errors.tolist()):
         yield BeforeAfter(f"centre of mass {axis}", *pair, error or None, "m")
 
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
     """Yield the inertia about the centre of mass; none where it is not known."""
-    errors, about = load_errors(body), spatial.six_from_symmetric(body.inertial.inertia_com)
-    for name, error, value in zip(INERTIA, list(errors.values())[4:], about.tolist()):
+    errors, about = load_errors(body)[4:], spatial.six_from_symmetric(body.inertial.inertia_com)
+    for name, error, value in zip(INERTIA, errors.tolist(), about.tolist()):
         if np.isfinite(error):
             yield BeforeAfter(f"inertia {name[1:]} about it", None, value, error, "kg·m²")
 
