@@ -25,7 +25,6 @@ from robot_sysid.estimation.result import payload_of
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.model.flange import find_flange
 from robot_sysid.parser import load_robot_model
-from robot_sysid.payload_pipeline import RawRecording
 from robot_sysid.records.progress import Progress
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
@@ -74,7 +73,7 @@ def recordings(robot, arm, rng, different=False, payload=PAYLOAD, wide=True, sec
     for k, loaded in enumerate(ORDER):
         carried = payload if second is None or k != 2 else second
         samples = arm.log(plans[k % len(plans)], loaded * carried, rng)
-        found.append(RawRecording(f"log{k}", loaded, samples, (samples,)))
+        found.append(Piece(f"log{k}", samples, loaded))
     return found
 
 

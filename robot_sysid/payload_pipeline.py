@@ -35,23 +35,15 @@ cannot be told apart: 0 for A B, 0.2 for A A B B at equal distances, 1 for A B B
 
 
 @dataclass(frozen=True)
-class RawRecording:
-    """A log as it was read or simulated.
+class RawRecording(Piece):
+    """A whole log as it was read or simulated, its place not looked for yet.
 
     Attributes:
-        name: what it is called in messages.
-        is_loaded: whether the payload was on the arm.
-        samples: the log.
         pieces: it, cut at long holes.
-        least_deadband: (n,) see ``signals.process.process``.
         notes: what reading it had to say, one sentence each.
     """
 
-    name: str
-    is_loaded: bool
-    samples: Measurement
-    pieces: tuple[Measurement, ...]
-    least_deadband: tuple[float, ...] = ()
+    pieces: tuple[Measurement, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -166,7 +158,8 @@ def _recordings(config: PayloadConfig, robot: RobotModel, progress: Progress) ->
         log = open_log(robot, path, config.log, progress)
         if not options.static:  # an arm at rest shows none of what is looked for
             look_at(robot, log, config.log.accept, progress, links_known=False)
-        found.append(RawRecording(str(path), is_loaded, log.samples, log.pieces, notes=log.notes))
+        whole = str(path), log.samples, is_loaded
+        found.append(RawRecording(*whole, pieces=log.pieces, notes=log.notes))
     return found
 
 
@@ -189,7 +182,8 @@ def _simulated(config: PayloadConfig, robot: RobotModel, progress: Progress) -> 
         simulation = PlantSimulation(load_plant(robot, path), made.plan, *sensors)
         samples = join_measurements(simulation)
         least = tuple(1.005 * speed for speed in simulation.least_deadband())
-        found.append(RawRecording(f"{path} ({number + 1})", is_loaded, samples, (samples,), least))
+        whole = f"{path} ({number + 1})", samples, is_loaded
+        found.append(RawRecording(*whole, least_deadband=least, pieces=(samples,)))
     return sorted(found, key=lambda each: each.is_loaded)
 
 
