@@ -21,9 +21,9 @@ from robot_sysid.servo.search import (
     usual_share,
     with_links_error,
 )
-from robot_sysid.simulation.servos import Servos, Window, model_servos, played_servos
+from robot_sysid.simulation.servos import Servos, model_servos
 from tests.support.arms import robot_of
-from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
+from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded, positions
 
 NUMBERS = st.lists(st.floats(0.0, 30.0), min_size=9, max_size=9)
 
@@ -97,14 +97,11 @@ SMALL = """<mujoco><worldbody><body>
 """Two joints like those of a small hobby arm, without friction."""
 
 
-def of_small(kp, friction, stated, steps=20):
+def of_small(kp, friction, stated):
     """Judge some friction of what an encoder reads of an arm with other friction."""
     robot, (time, command) = robot_of(SMALL.replace("KP", kp)), commanded(8.0)
     own = replace(model_servos(robot), delay=0.02)
-    start = Window(0.0, command[0], 0.0 * command[0], time, command)
-    edges = np.linspace(0.0, time[-1], steps * (len(time) - 1) + 1)
-    arm = replace(own, frictionloss=friction)
-    q = np.round(played_servos(robot, [arm], [start], edges)[0, 0, ::steps] / 1.5e-3) * 1.5e-3
+    q = positions(robot, time, command, replace(own, frictionloss=friction), steps=20)
     log = Measurement(time, q, None, command - q, command=command)
     sought = first_servos(robot, q[::10], 0.02, np.array([True, True]))
     return judged(problem_of(robot, [log]), sought, replace(own, frictionloss=stated))

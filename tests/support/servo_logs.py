@@ -33,12 +33,12 @@ def commanded(seconds=14.0, seed=0):
     return time, np.round(slow + steps, 3)
 
 
-def positions(robot, time, command):
-    """What an encoder of 1 mrad reads of the true arm."""
+def positions(robot, time, command, servos=TRUTH, steps=10):
+    """What an encoder of 1 mrad reads of an arm played in so many time steps a sample."""
     start = Window(float(time[0]), command[0], 0.0 * command[0], time, command)
-    edges = np.linspace(0.0, time[-1] - time[0], 10 * (len(time) - 1) + 1)
-    q = played_servos(robot, [TRUTH], [start], edges)[0, 0]
-    return np.round(q[::10], 3)
+    edges = np.linspace(0.0, time[-1] - time[0], steps * (len(time) - 1) + 1)
+    q = played_servos(robot, [servos], [start], edges)[0, 0]
+    return np.round(q[::steps], 3)
 
 
 def write(path, time, q, command, title="action {}.pos"):
