@@ -127,12 +127,13 @@ def test_an_hdf5_chunk_that_unpacks_to_more_than_its_length_is_refused(tmp_path,
     assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
-def test_alohas_arrays_that_are_too_much_together_are_refused(tmp_path):
+@pytest.mark.parametrize("names", [("a/q", "a/tau"), ("observations/qpos", "observations/effort")])
+def test_hdf5_whose_arrays_are_too_much_together_is_refused(tmp_path, names):
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "log.hdf5"
     with h5py.File(path, "w") as file:
-        for name in ("qpos", "effort"):
-            file.create_dataset(f"observations/{name}", (10**7, 7), "f8", chunks=(1024, 7))
+        for name in names:
+            file.create_dataset(name, (10**7, 7), "f8", chunks=(1024, 7))
     with pytest.raises(InputError, match="unpacks to 1.12 GB"):
         read_measurements(path, JOINTS)
 
