@@ -22,7 +22,14 @@ from robot_sysid.estimation.algebra.nuisances import WithPriors
 from robot_sysid.estimation.columns import Point
 from robot_sysid.estimation.couplings import Coupling
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
-from robot_sysid.estimation.unknowns import COMMON_SCALE, Choice, Question, Unknowns, unknowns
+from robot_sysid.estimation.unknowns import (
+    COMMON_SCALE,
+    LINKS,
+    Choice,
+    Question,
+    Unknowns,
+    unknowns,
+)
 from robot_sysid.records import Array, Validation
 from robot_sysid.records.results import validation_of
 
@@ -288,10 +295,10 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
 
     Where the links are the only witness neither is more likely than the other.
     """
-    options = question.options
-    if question.loaded or options.scale_uncertainty is not None or not options.link_uncertainty:
-        return False
     sought = _sought(fit, question, replace(choice, common_scale=COMMON_SCALE))
+    witness = any(group.cause == LINKS for group in sought.groups)
+    if question.loaded or question.options.scale_uncertainty is not None or not witness:
+        return False
     plain = restricted(fit.evidence.whole, sought.kept_names, sought.held)
     values, spread, _ = WithPriors(plain, 1.0 / fit.weights).solve(sought.groups)
     places = [k for k, name in enumerate(sought.kept_names) if name.startswith("scale[")]

@@ -142,7 +142,8 @@ def implausible_joints(
         dry, rotor = terms.get("coulomb", terms.get("sigmoid", 0.0)), terms.get("armature", 0.0)
         others = np.delete(torque, index)[np.delete(robot.is_slide, index) == slide]
         strongest = DRY_FRICTION * float(np.max(others, initial=0.0)) or np.inf
-        if dry > min(robot.limits.torque[index], strongest):
+        # A limit of zero is one that nobody filled in.
+        if dry > min(robot.limits.torque[index] or np.inf, strongest):
             yield Verdict.IMPLAUSIBLE, f"{name} would have {dry:.3g} N m of dry friction or more"
         if not slide and rotor > inertia > 0.0:
             yield Verdict.IMPLAUSIBLE, f"{name} would have a rotor of {rotor:.3g} kg m^2 or more"
