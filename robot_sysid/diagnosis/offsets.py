@@ -225,8 +225,8 @@ def zero_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]
 
 def clock_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
     """Yield a finding where inertia and gravity disagree about the time base."""
-    gained = fall(base, found.after)
-    if found.after.cost > WELL or gained < SEEN_CLOCK:
+    gained, sure = fall(base, found.after), np.any(np.abs(found.value) > 2.0 * found.error)
+    if found.after.cost > WELL or gained < SEEN_CLOCK or not sure:
         return
     share, drift = found.value
     remedy = "record the controller's own time stamps"

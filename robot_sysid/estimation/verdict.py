@@ -13,6 +13,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.unknowns import PLACEHOLDER, usual_bodies
 from robot_sysid.model.inertia import link_reach
@@ -210,7 +211,9 @@ def of_payload(
         payload: in the flange frame, before it was made a possible body.
         contradicting: how recordings of one kind are not alike; "" where they are.
     """
-    mass, error = payload.inertial.mass, float(payload.errors[0])
+    # It was not moved yet by what makes bodies possible.
+    moved = payload.budget.get(BODIES, np.zeros(10))[0]
+    mass, error = payload.inertial.mass, float(np.sqrt(payload.errors[0] ** 2 - moved**2))
     said = f"the payload comes out as {mass:.4g} \u00b1 {error:.2g} kg"
     if contradicting:
         yield Verdict.DISAGREE, contradicting

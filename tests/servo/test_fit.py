@@ -92,8 +92,10 @@ SMALL = """<mujoco><worldbody><body>
 <inertial pos="0 0 .05" mass=".2" diaginertia="2e-4 2e-4 2e-4"/><body pos="0 0 .1">
 <joint name="lift" axis="0 1 0" range="-2 2" damping=".6" armature=".028"/>
 <inertial pos=".12 0 .02" mass=".3" diaginertia="2e-4 5e-4 5e-4"/></body></body></worldbody>
-<actuator><position joint="pan" kp="KP" kv="2.7" forcerange="-3.35 3.35"/>
-<position joint="lift" kp="KP" kv="2.7" forcerange="-3.35 3.35"/></actuator></mujoco>"""
+<actuator><general joint="pan" biastype="affine" gainprm="KP" biasprm="0 -KP -2.7"
+  forcerange="-3.35 3.35"/>
+<general joint="lift" biastype="affine" gainprm="KP" biasprm="0 -KP -2.7"
+  forcerange="-3.35 3.35"/></actuator></mujoco>"""
 """Two joints like those of a small hobby arm, without friction."""
 
 

@@ -68,9 +68,9 @@ def make_workshop(folder: Path) -> None:
     """Write the models and logs that the pages speak of."""
     (folder / "examples").symlink_to(ROOT / "examples")
     make_models(folder)
-    for number, log in enumerate(("a", "d", "log1", "log2", "log3", "log")):
+    for number, log in enumerate(("a", "d", "log1", "log2", "log3", "log", "e")):
         record(folder, "truth.xml", f"{log}.csv", number)
-    for number, log in enumerate(("b", "c")):
+    for number, log in enumerate(("b", "c", "f")):
         record(folder, "loaded.xml", f"{log}.csv", 10 + number)
     _recorded_poses(folder)
     _run(folder, *_basic(folder), "--export-damiao", *["--motor-type", "DM8009"] * 4)
