@@ -43,6 +43,9 @@ SURE_DELAY, SHORT_DELAY, LONG_DELAY = 4.0, 0.005, 0.015
 """Standard errors that a delay has to be away from none; delay that is told, and that stops [s]."""
 SURE_CLOCK, LIKELY_CLOCK, SEEN_CLOCK = 9.0, 4.0, 3.0
 """Fall of chi-squared by a time base that is refused, warned and told of; right logs: 2.3."""
+CLEAR_CLOCK = 1.5
+"""Standard errors that it has to be away from right: right logs have up to 1.2, and a fall of 6.6
+where the model does not fit well."""
 LAGS, LOSS = (0.04, 0.12), 0.1
 """By how much dry friction may be late [s]; standard deviation of a gear's loss, a share."""
 HUM, CLEAR_HUM = 0.7, 0.4
@@ -225,7 +228,7 @@ def zero_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]
 
 def clock_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
     """Yield a finding where inertia and gravity disagree about the time base."""
-    gained, sure = fall(base, found.after), np.any(np.abs(found.value) > 2.0 * found.error)
+    gained, sure = fall(base, found.after), np.any(np.abs(found.value) > CLEAR_CLOCK * found.error)
     if found.after.cost > WELL or gained < SEEN_CLOCK or not sure:
         return
     share, drift = found.value
