@@ -44,6 +44,7 @@ from robot_sysid.model.flange import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
+from robot_sysid.results.cards import load_errors
 from robot_sysid.results.record import BodyEstimate
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory
@@ -147,10 +148,7 @@ def body_off(found: BodyEstimate, true: Array) -> Iterator[Off]:
     """Yield how far a body's numbers are off."""
     mass, com, inertia = spatial.com_from_theta(true)
     size = float(np.sqrt(np.trace(inertia) / mass))
-    jacobian = np.zeros((3, 10))
-    jacobian[:, 0] = -found.inertial.com / found.inertial.mass
-    jacobian[:, 1:4] = np.eye(3) / found.inertial.mass
-    spread = np.sqrt(np.diag(jacobian @ found.covariance @ jacobian.T))
+    spread = load_errors(found)[1:4]
     yield "mass", found.inertial.mass - true[0], float(found.errors[0]), float(true[0])
     for k in range(3):
         yield "centre of mass", float(found.inertial.com[k] - com[k]), float(spread[k]), size

@@ -295,9 +295,10 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
 
     Where the links are the only witness neither is more likely than the other.
     """
+    if question.loaded or question.options.scale_uncertainty is not None:
+        return False
     sought = _sought(fit, question, replace(choice, common_scale=COMMON_SCALE))
-    witness = any(group.cause == LINKS for group in sought.groups)
-    if question.loaded or question.options.scale_uncertainty is not None or not witness:
+    if not any(group.cause == LINKS for group in sought.groups):
         return False
     plain = restricted(fit.evidence.whole, sought.kept_names, sought.held)
     values, spread, _ = WithPriors(plain, 1.0 / fit.weights).solve(sought.groups)

@@ -13,6 +13,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.algebra.information import combined, sample_counts
 from robot_sysid.estimation.algebra.least_squares import least_squares, weighted
+from robot_sysid.estimation.algebra.memory import memory
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.choices import HeldOut
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
@@ -22,7 +23,6 @@ from robot_sysid.estimation.unknowns import WEIGHT, Unknowns, independent
 from robot_sysid.records import Array, Flange, Validation
 from robot_sysid.records.results import validation_of
 from robot_sysid.results.record import OneRecording
-from robot_sysid.signals.repetition import memory
 
 DISAGREE = 2.0
 """Scatter over stated errors beyond which logs do not agree."""

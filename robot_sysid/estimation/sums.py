@@ -19,6 +19,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals
 from robot_sysid.estimation.algebra.information import combined
+from robot_sysid.estimation.algebra.memory import memory_of
 from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import CANDIDATES, choose, coupled
@@ -45,7 +46,7 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.results.model import CHECKPOINTS
-from robot_sysid.signals.repetition import RowSample, memory_of, sampled
+from robot_sysid.signals.repetition import RowSample, sampled
 
 MOST_NOTES = 20
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.memory import autocovariance, memory_of
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CLOSED, RolloutError, RolloutTest
@@ -360,7 +361,8 @@ def judged(problem: Problem, scale: Scale, servos: Servos) -> ServoFit:
         weight = usual_share(rows[:, own], moves[:, joint])
         rows *= weight[:, None]
         normal += rows.T @ rows
-        score += correlation_stretch(weight * residuals[:, joint]) * rows.T @ rows
+        alike, _ = autocovariance(weight * residuals[:, joint], max(len(rows) // 4, 1) - 1)
+        score += memory_of(alike, np.inf) * rows.T @ rows
         bias += rows.T @ (weight * drift[:, joint]) / sigma[joint]
     inverse = np.linalg.inv(normal)
     variance = np.diag(inverse @ score @ inverse) + (inverse @ bias) ** 2
@@ -382,14 +384,6 @@ def usual_share(rows: Array, moves: NDArray[np.bool_]) -> Array:
         return np.ones(len(rows))
     usual = np.maximum(1.48 * np.median(np.abs(rows[moves]), axis=0), 1e-300)
     return np.asarray(1.0 / np.max(np.abs(rows) / usual, axis=1, initial=1.0))
-
-
-def correlation_stretch(residual: Array) -> float:
-    """Return 1 + 2 sum of the autocorrelation of (K,) up to where it first falls below zero."""
-    count = len(residual)
-    sums = np.correlate(residual, residual, "full")[count - 1 :][: max(count // 4, 1)]
-    alike = sums * count / (max(sums[0], 1e-300) * (count - np.arange(len(sums))))
-    return 1.0 + 2.0 * float(np.sum(alike[1:] * np.cumprod(alike[1:] > 0.0)))
 
 
 def links_share(robot: RobotModel, pieces: Sequence[Measurement], servos: Servos) -> Array:

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.memory import memory
 from robot_sysid.records import Array, Motion, SampleSource, SquareRootInformation
 
 PROBES = 2000
@@ -32,8 +33,6 @@ NEAR = 0.7
 """Of a row's step: of another passage, with a row each step, about one is found."""
 APART = 20
 """Rows that are nearer in time belong to the same passage: ten periods of the cut-off."""
-CHANCE = 2.0
-"""Standard errors of an autocorrelation of independent values that are taken for none."""
 # A joint that hardly moves beside the others counts as if it moved by this part of them.
 _LEAST_SCALE = 0.01
 # Probes whose distances from all rows are in memory at a time.
@@ -69,29 +68,6 @@ class Visits:
                 again[index] = max(1.0 + twice / squared, 1.0)
             own[index] = memory(left, again[index])
         return again, own
-
-
-def memory(residual: Array, repeats: float = 1.0) -> float:
-    """Return M of a residual (K,) that repeats; NaN stands for what is left out."""
-    seen, size = np.isfinite(residual), 2 * len(residual)
-    signals = np.column_stack((np.where(seen, residual, 0.0), seen))
-    powers = np.abs(np.fft.rfft(signals, size, axis=0)) ** 2
-    products, pairs = np.fft.irfft(powers, size, axis=0)[: max(len(residual) // 10, 1)].T
-    return memory_of(products / np.maximum(pairs, 1.0), np.count_nonzero(seen) / repeats)
-
-
-def memory_of(covariance: Array, count: float) -> float:
-    """Return 1 + 2 sum of an autocorrelation, up to where it first falls to what chance brings.
-
-    By so much is the variance of a slow sum larger than that of independent values (Bartlett,
-    "On the theoretical specification ... of autocorrelated time-series", 1946). The covariance
-    (v,) is that of values 0, 1, 2, ... apart, ``count`` of them.
-    """
-    if not covariance[0] > 0.0:
-        return 1.0
-    alike = np.append(covariance, 0.0) / covariance[0]
-    last = int(np.argmax(alike <= CHANCE / np.sqrt(count)))
-    return float(1.0 + 2.0 * np.sum(alike[1:last]))
 
 
 def visits(motions: Sequence[Motion]) -> Visits:

@@ -11,9 +11,10 @@ from scipy.signal import lfilter
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.information import InformationAccumulator
+from robot_sysid.estimation.algebra.memory import memory
 from robot_sysid.records import Motion
 from robot_sysid.signals import repetition
-from robot_sysid.signals.repetition import memory, sampled, visits
+from robot_sysid.signals.repetition import sampled, visits
 
 COUNT = 150
 

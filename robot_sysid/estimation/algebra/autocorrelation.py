@@ -19,14 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.estimation.algebra.memory import autocovariance, lagged
 from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
 # Largest lag that is looked at [samples], and bins over the lags: chosen for cost.
 _MAX_LAG, _LAG_BINS = 2000, 60
 # Largest share of a kernel's noise that a fit is said to take out: noise is divided by the rest.
 _MOST_ABSORBED = 0.8
-# How many channels are transformed at a time: memory against calls.
-_CHANNELS = 8
 
 
 @dataclass(frozen=True)
@@ -166,22 +165,21 @@ def joint_residuals(
 
     kept = np.isfinite(residual)
     count = int(np.count_nonzero(kept))
-    rows, residual = np.where(kept[:, None], rows, 0.0), np.where(kept, residual, 0.0)
     lags, kernels = _reach(10 * _MAX_LAG if to_add else count)
+    products, pairs = autocovariance(residual, lags)
+    rows = np.where(kept[:, None], rows, 0.0)
     decay = np.exp(-1.0 / 2.0 ** np.arange(kernels))
     normal = rows.T @ rows
     # rows^T u with the filter u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i): half of Q_i - Q_0.
     cross = [rows.T @ lfilter([0.0, a], [1.0, -a], rows, axis=0) for a in decay]
-    pairs = np.rint(_lagged(kept.astype(float)[:, None], lags))
-    least_one = np.maximum(pairs, 1.0)
     return JointResiduals(
         columns=columns,
         count=count,
         decay=decay,
         sums=np.array([normal, *(normal + half + half.T for half in cross)]),
         lags=np.arange(lags + 1),
-        products=_lagged(residual[:, None], lags) / least_one,
-        hats=_lagged(rows @ root, lags) / least_one,
+        products=products,
+        hats=lagged(rows @ root, lags) / np.maximum(pairs, 1.0),
         pairs=pairs,
     )
 
@@ -215,14 +213,3 @@ def _pooled(values: Array, bins: NDArray[np.int64]) -> Array:
     width = np.diff(np.append(bins, len(values)))
     sums = np.add.reduceat(values, bins, axis=0)
     return sums / np.sqrt(width).reshape((-1,) + (1,) * (values.ndim - 1))
-
-
-def _lagged(signal: Array, lags: int) -> Array:
-    """Return sum_t s_t . s_(t+l) for l = 0 .. lags of a signal (N, r), by FFT."""
-    size = 1 << int(np.ceil(np.log2(max(len(signal) + lags + 1, 2))))
-    power = np.zeros(size // 2 + 1)
-    # A few channels at a time: all of a long log's are as large as the log.
-    for start in range(0, signal.shape[1], _CHANNELS):
-        some = np.fft.rfft(signal[:, start : start + _CHANNELS], size, axis=0)
-        power += np.sum(np.abs(some) ** 2, axis=1)
-    return np.fft.irfft(power, size)[: lags + 1]
