@@ -232,6 +232,7 @@ def information(
     robot, logs = _robot(model, values), record_from(LogOptions, values)
     chosen = settled_options(record_from(EstimationOptions, values))
     config = SysidConfig(ModelOptions(Path(model)), log=logs, estimation=chosen)
+    config = config.calibrated(robot.joint_names)
     found = []
     with _quietly() as notes:
         for path in logs.measurements:

@@ -54,10 +54,10 @@ OWN_SOURCE = "the logs, each fifth predicted from the others"
 CLEAR_SHARE, CLEARLY = 0.1, 2.0
 """A term (or a coupling) has to lower the held-out squared error by this share, and by this many
 standard errors of the mean over the blocks."""
-LEAST_SCALE, RATHER = 0.08, 1.25
+LEAST_SCALE, RATHER = 0.08, 1.0
 """Common torque scale that is worth a word, half as much again as links are off by default, and
 standard errors that it has to be away from none: torques that read 15 % too much or too little are
-told in every run of four arms, links that are 2 % off in none (benchmarks/honest_intervals)."""
+1.15 and more away, links that are 2 % off at most 0.4 (benchmarks/wrong_log_table)."""
 # Below every squared error [N^2 m^2]; lifts normal equations of what nothing shows off zero.
 _TINY, _RIDGE = 1e-30, 1e-12
 

@@ -9,6 +9,7 @@ import pytest
 
 import robot_sysid as rs
 from robot_sysid.errors import InputError
+from robot_sysid.records.torque_scale import write_torque_scale
 from tests.support import pages
 from tests.support.places import ROOT
 
@@ -95,3 +96,10 @@ def test_a_first_round_is_no_result(model, logs):
         rs.identify_from(model, first)
     with pytest.raises(InputError, match="unknown option 'cutoff'"):
         rs.identify_from(model, first, cutoff=CUTOFF)
+
+
+def test_scales_that_are_known_are_as_sure_as_their_file_says(model, logs, tmp_path):
+    joints = [f"joint{k}" for k in range(len(pages.AXES))]
+    write_torque_scale(tmp_path / "scale.json", dict.fromkeys(joints, (1.0, 0.004)))
+    first = rs.information(model, logs[0], cutoff=CUTOFF, torque_scale=tmp_path / "scale.json")
+    assert first.settled.estimation.scale_uncertainty == pytest.approx((0.4,) * len(joints))
