@@ -8,8 +8,9 @@ import threading
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-STOPPING = tuple(getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n))
-"""Signals by which a user or the system asks a program to end."""
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2")
+STOPPING = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
+"""Signals by which a user or the system asks a program to end, and which end it unless heard."""
 
 
 @contextlib.contextmanager

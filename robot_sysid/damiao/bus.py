@@ -160,6 +160,10 @@ def import_can() -> Any:
     return can
 
 
+def _said_by(error: BaseException) -> str:
+    return repr(error) if isinstance(error, SystemExit) else words_of(error)
+
+
 def _message(can: Any, frame: Frame, **rest: Any) -> Any:
     fd = {"is_fd": frame.fd, "bitrate_switch": frame.fd}
     flags = {"is_extended_id": False, "is_error_frame": frame.error, **fd}
@@ -183,11 +187,11 @@ class BusLink:
         while True:
             try:
                 return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
                 codes = getattr(error, "error_code", None), getattr(error, "errno", None)
                 if errno.ENOBUFS not in codes:
-                    said = f"the CAN bus does not take frames: {words_of(error)}"
+                    said = f"the CAN bus does not take frames: {_said_by(error)}"
                     raise LinkError(said) from error
                 if self._clock.now() >= patience:
                     raise LinkError(_FULL) from error
@@ -212,8 +216,8 @@ class BusLink:
                 message = bus.recv(max(until - self._clock.now(), 0.0))
             except (ValueError, IndexError) as error:
                 raise LinkError(f"{_GARBLED} ({words_of(error)})") from error
-            except Exception as error:
-                raise LinkError(f"the CAN bus cannot be read: {words_of(error)}") from error
+            except (Exception, SystemExit) as error:
+                raise LinkError(f"the CAN bus cannot be read: {_said_by(error)}") from error
             if message is None and self._clock.now() >= until:
                 return None
             if message is not None and not message.is_extended_id:
@@ -222,7 +226,7 @@ class BusLink:
     def close(self) -> None:
         """Release the adapters; one that has been unplugged is gone anyway."""
         for bus in self._buses:
-            with contextlib.suppress(Exception):
+            with contextlib.suppress(Exception, SystemExit):
                 bus.shutdown()
 
     def _frame(self, message: Any, bus: int) -> Frame:
@@ -261,10 +265,10 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
 
             return DamiaoSerialBus(channel, **options)
         return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.
         what = f"{interface} channel {channel}"
-        raise InputError(f"cannot open {what}: {words_of(error)}") from error
+        raise InputError(f"cannot open {what}: {_said_by(error)}") from error
 
 
 def _value(text: str) -> Any:

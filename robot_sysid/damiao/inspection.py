@@ -130,7 +130,7 @@ def watchdogs_set_to(
     finally:
         for address in filter(is_off, before):
             # A motor that does not answer any more keeps the safer value until power-off.
-            with contextlib.suppress(HardwareAbort):
+            with contextlib.suppress(BaseException):
                 client.write(address, frames.TIMEOUT, before[address])
 
 

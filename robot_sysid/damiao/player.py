@@ -316,7 +316,8 @@ class Player:
             return
         self._announce("stopping")
         self._heard_at = self._clock.now()
-        with contextlib.suppress(Exception):
+        # Drivers raise SystemExit and KeyboardInterrupt too; people's wishes come by ``stop``.
+        with contextlib.suppress(BaseException):
             start = self._stop_start(self._reference)
             braking, duration = paths.come_to_rest(start, self._settings.deceleration)
             rest = hold(braking(duration))
@@ -350,7 +351,7 @@ class Player:
             if hopeless or self._stop.insisted or self._lowering_is_done:
                 return
             # A bus that fails now may work again in the next cycle.
-            with contextlib.suppress(Exception):
+            with contextlib.suppress(BaseException):
                 self._stop_cycle(reference(deadline - origin), deadline)
 
     def _stop_cycle(self, wanted: Reference, deadline: float) -> None:

@@ -192,7 +192,7 @@ class MotorSession:
 
     def _tell_off(self, joint: DamiaoJoint) -> None:
         # The next of the five attempts, and the confirmation, tell whether it worked.
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(BaseException):
             self._link.send(frames.disable_frame(joint.address))
 
     def _confirm(self) -> None:
@@ -205,8 +205,9 @@ class MotorSession:
                     self._tell_off(self.joints[j])
                 replies = self._collect(running, self.clock.now() + _CONFIRM_TIMEOUT)
                 running &= ~replies.answered | (replies.feedback.status == ENABLED)
-            except Exception:
-                # Whatever a driver raises: it may recover, and the other motors still listen.
+            except BaseException:
+                # Whatever a driver raises, SystemExit and KeyboardInterrupt included: it may
+                # recover, and the other motors still listen.
                 self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
             self.unconfirmed = tuple(self.joints[j] for j in np.flatnonzero(running))
 

@@ -51,7 +51,7 @@ class StopRequest:
 
     @contextlib.contextmanager
     def on_signals(self) -> Iterator[None]:
-        """Turn interrupt, terminate and hang-up signals into wishes inside the block.
+        """Turn signals that ask a program to end into wishes inside the block.
 
         One that this process was started to ignore (by nohup, or Ctrl-C by a shell's ``&``) stays
         ignored: it is meant for others. Terminating stops the arm all the same.

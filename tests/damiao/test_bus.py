@@ -118,6 +118,27 @@ def test_a_bus_that_breaks_raises_our_error():
         link.receive(clock.now())
 
 
+class Broken:
+    """A driver that raises something, whatever it is asked."""
+
+    def __init__(self, kind):
+        self._kind = kind
+
+    def send(self, *_, timeout=None):
+        raise self._kind(7)
+
+    recv = shutdown = send
+
+
+@pytest.mark.parametrize("kind", [can.CanError, ValueError, SystemExit])
+def test_whatever_a_driver_raises_is_our_error(clock, kind):
+    link = BusLink([Broken(kind)], clock)
+    for call in (lambda: link.send(Frame(1, b"")), lambda: link.receive(0.1)):
+        with pytest.raises(LinkError, match="7"):
+            call()
+    link.close()
+
+
 # Older releases of python-can trip over a bus they have only half built.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(

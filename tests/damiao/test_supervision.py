@@ -22,10 +22,11 @@ from robot_sysid.damiao.supervision import (
     VelocityScalingCheck,
 )
 from robot_sysid.errors import HardwareAbort
-from tests.support.clocks import SIGNALS, ScriptedClock
+from robot_sysid.interrupts import STOPPING
+from tests.support.clocks import ScriptedClock
 
 
-@pytest.mark.parametrize("name", SIGNALS)
+@pytest.mark.parametrize("name", [number.name for number in STOPPING])
 def test_signals_are_wishes_inside_the_block_only(name, heard):
     number, stop = getattr(signal, name), StopRequest()
     with stop.on_signals():
@@ -35,7 +36,7 @@ def test_signals_are_wishes_inside_the_block_only(name, heard):
     assert (stop.count, stop.reason, stop.insisted) == (2, f"stopped by {name}", False)
 
 
-@pytest.mark.parametrize("name", SIGNALS)
+@pytest.mark.parametrize("name", [number.name for number in STOPPING])
 def test_what_nohup_or_a_shell_makes_a_process_ignore_stays_ignored(name, heard):
     number, stop = getattr(signal, name), StopRequest()
     signal.signal(number, signal.SIG_IGN)

@@ -8,6 +8,7 @@ import itertools
 import signal
 
 from robot_sysid.damiao.bus import SimulatedClock
+from robot_sysid.interrupts import STOPPING
 
 
 class ScriptedClock(SimulatedClock):
@@ -35,14 +36,10 @@ class ScriptedClock(SimulatedClock):
         super().sleep_until(self.now() + duration)
 
 
-SIGNALS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
-
 @contextlib.contextmanager
 def heard_signals():
     """Signals that are not ignored, also where nohup or a shell's ``&`` started the tests."""
-    numbers = [getattr(signal, name) for name in SIGNALS]
-    before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
+    before = {number: signal.signal(number, signal.default_int_handler) for number in STOPPING}
     try:
         yield
     finally:
