@@ -7,11 +7,13 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from robot_sysid.commands.streams import print_line
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.progress import Detail, Progress
 
 
 class Console(Progress):
     """Progress and results on standard output, notes on standard error.
+
+    A ``Detail`` among them only shows where it is verbose.
 
     Args:
         verbose, quiet, debug: as ``arguments.ConsoleOptions``.
@@ -24,7 +26,7 @@ class Console(Progress):
     def stage(self, message: str) -> None:
         """Print a progress line."""
         self.close()
-        if not self.quiet:
+        if self._is_wanted(message):
             print_line(message, sys.stdout)
 
     def lines(self, messages: Iterable[str]) -> None:
@@ -71,10 +73,12 @@ class Console(Progress):
 
     def note(self, message: str) -> None:
         """Print a sentence the user should know."""
-        if not self.quiet:
+        if self._is_wanted(message):
             print_line(f"note: {message}", sys.stderr)
 
     def detail(self, message: str) -> None:
         """Print a sentence that only --verbose shows."""
-        if self.verbose and not self.quiet:
-            print_line(message, sys.stdout)
+        self.stage(Detail(message))
+
+    def _is_wanted(self, message: str) -> bool:
+        return not self.quiet and (self.verbose or not isinstance(message, Detail))

@@ -6,6 +6,13 @@ from collections.abc import Iterator
 from typing import Any
 
 
+class Detail(str):
+    """A line, or a note, on how something was done: the console prints it with --verbose only.
+
+    Files and Python programs have it in any case.
+    """
+
+
 class Progress:
     """How a long stage tells how far it is: here to nobody, the command line's console shows it."""
 
