@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
+from robot_sysid.damiao.serial_adapter import read_in_pieces
 from robot_sysid.errors import HardwareAbort, InputError, words_of
 from robot_sysid.records.options import OptionRecord, option
 
@@ -261,10 +262,13 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         options[name] = _value(value)
     try:
         if interface == SERIAL_ADAPTER:
-            from robot_sysid.damiao.serial_adapter import DamiaoSerialBus
+            from robot_sysid.damiao.serial_adapter import DamiaoSerialBus  # Made on first use.
 
             return DamiaoSerialBus(channel, **options)
-        return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+        bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+        if interface == "slcan":
+            read_in_pieces(bus, len(address.channel) == 1, _SEND_TIMEOUT)
+        return bus
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.
         what = f"{interface} channel {channel}"

@@ -7,6 +7,7 @@ import pytest
 from robot_sysid import pipeline
 from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.damiao.simulated import SimulatedLink
+from robot_sysid.errors import InputError
 from robot_sysid.motion.prediction import motion_lines
 from tests.support.clocks import ScriptedClock, heard_signals
 from tests.support.damiao_rig import two_motor_arm
@@ -31,14 +32,17 @@ class SimulatedBus:
         clock: simulated time, also that of the command.
         wire: the frames of the last link that was opened, or None.
         rates: nominal bit rates that it was opened with.
+        impossible: nominal bit rates that the adapter cannot be set to.
     """
 
     def __init__(self):
         self.arm, self.clock, self.wire = two_motor_arm(), ScriptedClock(), None
-        self.rates = []
+        self.rates, self.impossible = [], []
 
     def open(self, address, timing, clock):
         self.rates.append(timing.bitrate)
+        if timing.bitrate in self.impossible:
+            raise InputError("cannot open slcan channel can0: Invalid bitrate")
         link = SimulatedLink(self.clock, self.arm, timing, echo=True)
         self.wire = RememberingLink(link, self.clock)
         return self.wire

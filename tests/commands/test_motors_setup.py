@@ -192,7 +192,13 @@ def test_the_model_says_which_way_is_positive(arm_file):
     assert all("counter-clockwise" in way for way in ways)
 
 
-def test_motors_are_looked_for_at_every_bit_rate(capsys, bus):
-    code, out, _ = run(capsys, "setup", *CAN0, "--interface", "slcan", "--scan")
-    assert code == 0 and "1000000 bit/s: 2 motors" in out
+def test_motors_are_looked_for_at_every_bit_rate_that_the_adapter_has(capsys, bus):
+    bus.impossible = [1e6, 2e5]
+    scan = ("setup", *CAN0, "--interface", "slcan", "--scan")
+    code, out, _ = run(capsys, *scan)
+    assert code == 0 and "500000 bit/s: 2 motors" in out
+    assert "200000 bit/s: not tried, cannot open" in out and "125000 bit/s: 2 motors" in out
     assert bus.rates == [1e6, 5e5, 2.5e5, 2e5, 1.25e5]
+    bus.impossible = bus.rates
+    code, _, err = run(capsys, *scan)
+    assert code == 2 and "cannot open slcan" in err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.damiao.bus import BusAddress, LinkError, SystemClock, open_bus
 from robot_sysid.damiao.protocol.frames import Address, BusTiming, Frame, disable_frame
-from robot_sysid.damiao.serial_adapter import PacketReader
+from robot_sysid.damiao.serial_adapter import PacketReader, slcan_terminal
 from robot_sysid.errors import InputError
 
 FRAMES = st.lists(
@@ -80,6 +81,25 @@ def test_sixteen_bytes_come_in_per_frame(line):
     assert link.receive(clock.now() + 0.01) is None
     os.write(near, sent[7:])
     assert link.receive(clock.now() + 1.0).data == frame.data
+
+
+@NEEDS_TERMINALS
+def test_a_silent_slcan_bus_keeps_no_other_one_waiting():
+    """python-can waits a millisecond for the first byte: 100 frames would take 100 ms."""
+    clock, ends = SystemClock(), [slcan_terminal() for _ in range(2)]
+    devices = tuple(device for _, device in ends)
+    address = BusAddress("slcan", devices, ("sleep_after_open=0",))
+    with contextlib.closing(open_bus(address, BusTiming(), clock)) as link:
+        took = []
+        for _ in range(3):
+            ends[1][0].serialPortOrig.write((b"t0118" + b"AB" * 8 + b"\r") * 100)
+            start = clock.now()
+            frames = [link.receive(start + 1.0) for _ in range(100)]
+            took.append(clock.now() - start)
+            assert {(f.bus, f.id, f.data) for f in frames} == {(1, 0x11, b"\xab" * 8)}
+    for bus, _ in ends:
+        bus.shutdown()
+    assert min(took) < 0.05
 
 
 @NEEDS_TERMINALS

@@ -304,14 +304,21 @@ def _scan(asked: Asked) -> int:
             f"the bit rate of {asked.address.interface} is set outside of this program (ip link, "
             "or the adapter's own tool); set one after the other there and run setup without --scan"
         )
-    heard = 0
-    for rate in sorted((rate for rate in frames.BIT_RATES if rate <= 1_000_000), reverse=True):
-        with asked.bus(refuse_motion, replace(asked.timing, bitrate=float(rate))) as link:
-            inspection = inspect_bus(link)
+    heard, refused, rates = 0, [], [rate for rate in frames.BIT_RATES if rate <= 1_000_000]
+    for rate in sorted(rates, reverse=True):
+        try:
+            with asked.bus(refuse_motion, replace(asked.timing, bitrate=float(rate))) as link:
+                inspection = inspect_bus(link)
+        except InputError as error:
+            refused.append(error)
+            asked.console.stage(f"{rate} bit/s: not tried, {error}")
+            continue
         found = len(inspection.motors)
         heard += found
         asked.console.stage(f"{rate} bit/s: {found} motors")
         asked.console.lines(motor_table(inspection) if found else [])
+    if len(refused) == len(rates):
+        raise refused[0]
     return 0 if heard else 1
 
 
