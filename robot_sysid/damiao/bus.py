@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -171,6 +172,56 @@ def _message(can: Any, frame: Frame, **rest: Any) -> Any:
     return can.Message(arbitration_id=frame.id, data=frame.data, **flags, **rest)
 
 
+# How often the watch looks [s], and after how many looks at the same call it says so, and ends.
+# The longest watchdog that a run allows is 5 s: by then no motor drives any more.
+_LOOK, _LOOKS_TO_SAY, _LOOKS_TO_END = 0.1, 10, 50
+# What opening an adapter may take in addition: python-can's slcan sleeps for 2 s [looks].
+_OPENING = 50
+Told = Callable[[str, bool], None]
+
+
+class DriverWatch:
+    """Watches the calls of adapters' drivers, because one that does not return stops everything.
+
+    ``tell`` is called from a thread of its own with what is happening, and whether it is the end:
+    no more can be said or sent then, and whoever is told should end the program. Looks are counted
+    and not seconds, so that a computer that was asleep accuses nobody.
+    """
+
+    def __init__(self, tell: Told | None = None) -> None:
+        self._tell, self._call, self._looks = tell, object(), 0
+        self._idle, self._closed = self._call, threading.Event()
+        if tell is not None:
+            threading.Thread(target=self._look, daemon=True).start()
+
+    @contextlib.contextmanager
+    def during(self, allowed: int = 0) -> Iterator[None]:
+        """Watch the call in the block, which may take so many looks more than a usual one."""
+        self._call, self._looks = object(), -allowed
+        try:
+            yield
+        finally:
+            self._call = self._idle
+
+    def close(self) -> None:
+        """Watch no more."""
+        self._closed.set()
+
+    def _look(self) -> None:
+        assert self._tell is not None
+        before = self._idle
+        while self._looks < _LOOKS_TO_END and not self._closed.wait(_LOOK):
+            self._looks += self._call is before is not self._idle
+            before = self._call
+            if before is not self._idle and self._looks in (_LOOKS_TO_SAY, _LOOKS_TO_END):
+                self._tell(
+                    f"the adapter's driver has not returned for {_LOOK * self._looks:.0f} s, and "
+                    "nothing can be sent meanwhile: motors that were enabled are stopped by their "
+                    "watchdogs; cut their power, and unplug the adapter and plug it in again",
+                    self._looks == _LOOKS_TO_END,
+                )
+
+
 # How long to leave several buses alone between two looks at them [s].
 _PAUSE = 1e-4
 
@@ -178,16 +229,19 @@ _PAUSE = 1e-4
 class BusLink:
     """Open python-can buses in the order of ``Frame.bus``, as one link in ``clock``'s time."""
 
-    def __init__(self, buses: Sequence[Any], clock: SystemClock) -> None:
+    def __init__(
+        self, buses: Sequence[Any], clock: SystemClock, watch: DriverWatch | None = None
+    ) -> None:
         self._can = import_can()
-        self._buses, self._clock = buses, clock
+        self._buses, self._clock, self._watch = buses, clock, watch or DriverWatch()
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise LinkError."""
         message, patience = _message(self._can, frame), self._clock.now() + _FULL_PATIENCE
         while True:
             try:
-                return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
+                with self._watch.during():
+                    return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
             except (Exception, SystemExit) as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
                 codes = getattr(error, "error_code", None), getattr(error, "errno", None)
@@ -214,7 +268,8 @@ class BusLink:
     def _next(self, bus: Any, until: float) -> Any:
         while True:
             try:
-                message = bus.recv(max(until - self._clock.now(), 0.0))
+                with self._watch.during():
+                    message = bus.recv(max(until - self._clock.now(), 0.0))
             except (ValueError, IndexError) as error:
                 raise LinkError(f"{_GARBLED} ({words_of(error)})") from error
             except (Exception, SystemExit) as error:
@@ -227,8 +282,9 @@ class BusLink:
     def close(self) -> None:
         """Release the adapters; one that has been unplugged is gone anyway."""
         for bus in self._buses:
-            with contextlib.suppress(Exception, SystemExit):
+            with contextlib.suppress(Exception, SystemExit), self._watch.during():
                 bus.shutdown()
+        self._watch.close()
 
     def _frame(self, message: Any, bus: int) -> Frame:
         age = time.time() - message.timestamp
@@ -238,16 +294,23 @@ class BusLink:
         return Frame(message.arbitration_id, content, then, *flags, not message.is_rx, bus)
 
 
-def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> Link:
-    """Open one CAN bus or several, or raise InputError; ``ip link`` sets the rates of socketcan."""
+def open_bus(
+    address: BusAddress, timing: BusTiming, clock: SystemClock, tell: Told | None = None
+) -> Link:
+    """Open one CAN bus or several, or raise InputError; ``ip link`` sets the rates of socketcan.
+
+    ``tell`` is told of a driver that does not return, see ``DriverWatch``.
+    """
     if timing.fd and address.interface == SERIAL_ADAPTER:
         raise InputError("the maker's serial adapter sends classic CAN frames only; leave --fd off")
     buses: list[Any] = []
-    link = BusLink(buses, clock)
+    watch = DriverWatch(tell)
+    link = BusLink(buses, clock, watch)
     with contextlib.ExitStack() as opened:
         opened.callback(link.close)
         for channel in address.channel:
-            buses.append(_open_one(address, channel, timing))
+            with watch.during(_OPENING):
+                buses.append(_open_one(address, channel, timing))
         opened.pop_all()
     return link
 

@@ -39,7 +39,7 @@ class SimulatedBus:
         self.arm, self.clock, self.wire = two_motor_arm(), ScriptedClock(), None
         self.rates, self.impossible = [], []
 
-    def open(self, address, timing, clock):
+    def open(self, address, timing, clock, tell):
         self.rates.append(timing.bitrate)
         if timing.bitrate in self.impossible:
             raise InputError("cannot open slcan channel can0: Invalid bitrate")

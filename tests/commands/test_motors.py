@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from robot_sysid import parser
+from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.protocol.frames import DISABLED, TIMEOUT, Address, enable_frame
 from tests.support import arms
@@ -164,6 +165,16 @@ def test_interrupting_while_it_moves_comes_to_rest_and_disables(capsys, bus, tra
     code, out, err = run(capsys, "play", trajectory, *CAN0, *AT_100, "--yes", "--record", record)
     assert code == 3 and "stopped by SIGINT" in err and "stopping" in out
     assert [m.status for m in bus.motors] == [DISABLED] * 2
+
+
+def test_a_driver_that_does_not_return_ends_the_program(capsys, monkeypatch):
+    ended = []
+    monkeypatch.setattr(motors_asked.os, "_exit", ended.append)
+    motors_asked._hanging("it hangs", False)
+    assert ended == []
+    motors_asked._hanging("it hangs", True)
+    assert ended == [3]
+    assert capsys.readouterr().err == "robot-sysid: note: it hangs\nrobot-sysid: error: it hangs\n"
 
 
 # --- usage --------------------------------------------------------------------------------------

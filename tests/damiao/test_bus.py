@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import subprocess
 import sys
+import threading
 import time
 
 import can
@@ -18,6 +19,7 @@ from robot_sysid.damiao.bus import (
     SERIAL_ADAPTER,
     BusAddress,
     BusLink,
+    DriverWatch,
     GuardedLink,
     LinkError,
     RawFrameLog,
@@ -137,6 +139,30 @@ def test_whatever_a_driver_raises_is_our_error(clock, kind):
         with pytest.raises(LinkError, match="7"):
             call()
     link.close()
+
+
+def test_a_driver_that_does_not_return_is_told_and_a_busy_one_is_not(monkeypatch):
+    monkeypatch.setattr("robot_sysid.damiao.bus._LOOK", 1e-3)
+    told, ended = [], threading.Event()
+
+    def tell(words, last):
+        told.append((words, last))
+        if last:
+            ended.set()
+
+    class Hanging(Broken):
+        def send(self, *_, timeout=None):
+            assert ended.wait(20.0)
+
+    watch, clock = DriverWatch(tell), SystemClock()
+    busy = BusLink([ArmBus(clock, two_motor_arm())], clock, watch)
+    until = clock.now() + 0.2
+    while clock.now() < until:
+        busy.receive(clock.now() + 2e-3)
+    assert told == []
+    BusLink([Hanging(None)], clock, watch).send(Frame(1, b""))
+    assert [last for _, last in told] == [False, True]
+    assert "nothing can be sent meanwhile" in told[0][0]
 
 
 # Older releases of python-can trip over a bus they have only half built.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -10,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 from robot_sysid.commands.console import Console
+from robot_sysid.commands.streams import print_line
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao.bus import BusAddress, GuardedLink, Link, SystemClock, open_bus
 from robot_sysid.damiao.execution import PoseCheck
@@ -19,7 +21,7 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint, mapped, read_joint_m
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
-from robot_sysid.errors import InputError
+from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import given_options, record_from
 
@@ -36,6 +38,14 @@ def said_yes(question: str, hint: str = "") -> bool:
     if not sys.stdin.isatty():
         raise InputError(f"nobody can confirm: standard input is no terminal{hint}")
     return answer(f"{question} Type yes: ").strip().lower() == "yes"
+
+
+def _hanging(words: str, last: bool) -> None:
+    """Say what hangs, and end the program: its main thread cannot any more."""
+    with contextlib.suppress(InputError):
+        print_line(f"robot-sysid: {'error' if last else 'note'}: {words}", sys.stderr)
+    if last:
+        os._exit(HardwareAbort.exit_code)
 
 
 class Asked:
@@ -109,7 +119,7 @@ class Asked:
 
     def open(self, timing: BusTiming | None = None) -> Link:
         """Open the bus, with other bit rates than those asked for if given."""
-        return open_bus(self.address, timing or self.timing, self.clock)
+        return open_bus(self.address, timing or self.timing, self.clock, _hanging)
 
     @contextlib.contextmanager
     def bus(
