@@ -7,7 +7,6 @@ functions are loaded when they are first used, so that the import itself takes n
 from __future__ import annotations
 
 import importlib
-from typing import Any
 
 __version__ = "0.1.0"
 FACE = (
@@ -15,13 +14,20 @@ FACE = (
     *("payload", "plan", "read_log"),
 )
 """The functions for Python programs, in ``robot_sysid.api``; typed in ``__init__.pyi``."""
+ERRORS = (
+    *("SysidError", "InputError", "ModelError", "AmbiguousJointError", "SimulationError"),
+    *("ExportError", "HardwareAbort"),
+)
+"""What they raise, in ``robot_sysid.errors``."""
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in FACE:
         return getattr(importlib.import_module("robot_sysid.api"), name)
+    if name in ERRORS:
+        return getattr(importlib.import_module("robot_sysid.errors"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *FACE})
+    return sorted({*globals(), *FACE, *ERRORS})

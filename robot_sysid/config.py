@@ -21,6 +21,7 @@ from robot_sysid.records.options import (
     OptionRecord,
     folder,
     given_options,
+    keys_of,
     option,
     record_from,
     refuse_unknown,
@@ -253,7 +254,7 @@ class SysidConfig(Config):
         yield plan, "says what a plan is for; use robot-sysid plan", _given(self.poses)
         resting = self.poses.static and self.poses.purpose == "payload"
         rests = "is about resting poses; add --for payload and --static"
-        yield resting, rests, _given(self.poses, but=("for",))
+        yield resting, rests, _given(self.poses, but=("for_",))
         motors = "is only used together with --export-damiao; add it"
         yield self.motors.export_damiao, motors, _given(self.motors)
         yield from super()._groups()
@@ -402,6 +403,6 @@ def payload_config_from(path: Path, **values: Any) -> PayloadConfig:
 
 def _configured(kind: type[AnyConfig], path: Path, values: Mapping[str, Any]) -> AnyConfig:
     records = get_type_hints(kind)
-    refuse_unknown(values, *records.values())
+    refuse_unknown(values, keys_of(*records.values()))
     made = {name: record_from(record, values) for name, record in records.items()}
     return kind(**{**made, "model": replace(made["model"], path=Path(path))})

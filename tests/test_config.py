@@ -22,7 +22,7 @@ PLANT = {"plant_model": Path("truth.xml")}
 PLAN = {"plan_only": True}
 OPTIMAL = {"excitation": "optimal"}
 FILE = {"trajectory": Path("saved.json")}
-STATIC = {**PLAN, "for": "payload", "static": True}
+STATIC = {**PLAN, "for_": "payload", "static": True}
 SERVOS = {**LOG, "torque_from": "position-error"}
 MOTORS = {"export_damiao": True, "motor_type": ("DM4340",)}
 EMPTY_AND_LOADED = {"empty": (Path("a.csv"),), "loaded": (Path("b.csv"),)}
@@ -65,13 +65,13 @@ def test_every_option_is_accepted_in_some_run_and_kept():
         ({"noise_torque": 0.1}, "--noise-torque belongs to a simulated plant; add --plant-model"),
         ({"cutoff": 3.0}, "--cutoff is about measured torques; add --measurements or --plant"),
         ({**SERVOS, "torque_scale": 2.0}, "--torque-scale is about measured torques; leave it off"),
-        ({"for": "friction"}, "--for says what a plan is for; use robot-sysid plan"),
+        ({"for_": "friction"}, "--for says what a plan is for; use robot-sysid plan"),
         ({**PLAN, "static": True}, "--static is about resting poses; add --for payload"),
         ({"excitation_time_budget": 3.0}, "--excitation-time-budget is about a design; add"),
         ({**FILE, "seed": 7}, "--seed has nothing to draw"),
         ({**FILE, **PLANT, "seed": 7}, "--seed has nothing to draw"),
         ({**FILE, **PLAN, "noise_torque": 0.1, "seed": 7}, "--seed has nothing to draw"),
-        ({**PLAN, "for": "friction", "seed": 7}, "--seed has nothing to draw"),
+        ({**PLAN, "for_": "friction", "seed": 7}, "--seed has nothing to draw"),
         ({**OPTIMAL, "simulation": "forward"}, "--simulation belongs to a simulated plant"),
         ({**PLAN, "encoder_resolution": 0.1}, "--encoder-resolution belongs to a simulated plant"),
         ({**PLAN, **PLANT}, "--plant-model is about an estimate; a plan stops before it"),
@@ -165,9 +165,9 @@ def test_no_file_is_written_over_another_one(values):
     assert "would overwrite" in refused(**values)
 
 
-def test_an_unknown_key_lists_the_known_ones():
-    message = refused(sped=0.5)
-    assert message.startswith("unknown option 'sped'; valid: accept, append, bundle, ")
+def test_an_unknown_key_names_the_nearest_or_lists_the_known_ones():
+    assert refused(cutof=0.5) == "unknown option 'cutof'; did you mean 'cutoff'?"
+    assert refused(zzz=0.5).startswith("unknown option 'zzz'; valid: accept, append, bundle, ")
 
 
 @given(st.floats(0.01, 1e5), st.floats(0.01, 1e5))

@@ -12,10 +12,11 @@ from contextlib import contextmanager
 from functools import reduce
 from operator import add
 from pathlib import Path
-from typing import Any, Union
+from typing import TYPE_CHECKING, Any, Protocol, Union
 
 import numpy as np
 
+from robot_sysid.api.keywords import with_keywords
 from robot_sysid.api.results import Identified, PlanResult, one_thread
 from robot_sysid.config import Config, ModelOptions, SysidConfig, config_from, payload_config_from
 from robot_sysid.errors import InputError
@@ -35,10 +36,26 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import Analysis, analysed, checked, designed, load, promise
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.records.data import Traces
-from robot_sysid.records.options import record_from, refuse_unknown
+from robot_sysid.records.options import record_from
 from robot_sysid.records.progress import Progress
 
-Log = Union[str, "os.PathLike[str]", Mapping[str, Any], Measurement, MeasurementLog, Any]
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from robot_sysid.api import keyword_types as types
+
+
+class Frame(Protocol):
+    """What a data frame of pandas, polars or anything else is asked for."""
+
+    @property
+    def columns(self) -> Any:
+        """Names of its columns."""
+
+    def __getitem__(self, name: Any, /) -> Any: ...
+
+
+Log = Union[str, "os.PathLike[str]", Mapping[str, Any], Frame, Measurement, MeasurementLog]
 """A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
 rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
 Model = Union[str, "os.PathLike[str]"]
@@ -62,6 +79,12 @@ def _log(log: Log) -> Any:
         raise InputError(f"a log is {known}, not {type(log).__name__}")
     arrays = {str(name): np.asarray(v) for name, v in log.items() if v is not None}
     return arrays_table(Path("arrays"), "arrays in memory", arrays)
+
+
+def _path(model: Model) -> Path:
+    if not isinstance(model, (str, os.PathLike)):
+        raise InputError(f"a model is the path of an MJCF or URDF file, not {type(model).__name__}")
+    return Path(model)
 
 
 def _logs(**given: Any) -> dict[str, tuple[Any, ...]]:
@@ -95,7 +118,10 @@ def _answered(config: Config) -> Identified:
     return Identified(robot, analysis, config, tuple(notes.notes))
 
 
-def read_log(log: Log, model: Model | RobotModel, **options: Any) -> MeasurementLog:
+@with_keywords()
+def read_log(
+    log: Log, model: Model | RobotModel, **options: Unpack[types.ReadLogKeywords]
+) -> MeasurementLog:
     """Recognise, check and read a log of an arm.
 
     Args:
@@ -110,17 +136,17 @@ def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Measurement
     Raises:
         InputError: it cannot be read, is ambiguous or cannot be what it seems to be.
     """
-    robot = model if isinstance(model, RobotModel) else load_robot_model(model)
-    refuse_unknown(options, LogOptions)
+    robot = model if isinstance(model, RobotModel) else load_robot_model(_path(model))
     return open_log(robot, _log(log), record_from(LogOptions, options))
 
 
+@with_keywords()
 def identify(
     model: Model,
     log: Log | Sequence[Log] | None = None,
     *,
     validation: Log | None = None,
-    **options: Any,
+    **options: Unpack[types.IdentifyKeywords],
 ) -> Identified:
     """Identify an arm: its terminal link, every other link, and its joints' friction.
 
@@ -142,26 +168,27 @@ def identify(
     values = {**options, **_logs(measurements=log)}
     if validation is not None:
         values["validation_measurements"] = _log(validation)
-    for name in ("torque_from", "verify_rollout"):
-        if values.get(name):
-            raise InputError(f"{name} plays models; it needs the command robot-sysid identify")
-    config = config_from(Path(model), **values)
-    if config.trajectory.plan_only:
-        raise InputError("plan_only designs a motion; call plan instead")
-    return _answered(config)
+    return _answered(config_from(_path(model), **values))
 
 
+@with_keywords()
 def identify_arm(
-    model: Model, logs: Log | Sequence[Log], *, validation: Log | None = None, **options: Any
+    model: Model,
+    logs: Log | Sequence[Log],
+    *,
+    validation: Log | None = None,
+    **options: Unpack[types.IdentifyKeywords],
 ) -> Identified:
     """Identify an arm, and print every link of it: ``identify(..., links=True)``.
 
     Arguments and errors are those of ``identify``.
     """
-    return identify(model, logs, validation=validation, **{**options, "links": True})
+    options["links"] = True
+    return identify(model, logs, validation=validation, **options)
 
 
-def plan(model: Model, **options: Any) -> PlanResult:
+@with_keywords(excitation="optimal")
+def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     """Design a trajectory, or check one that was saved, and say what it promises.
 
     Args:
@@ -173,9 +200,9 @@ def plan(model: Model, **options: Any) -> PlanResult:
     Raises:
         InputError: an option or the model cannot be used.
     """
-    rests = "static" in options or options.get("for") == "friction"
+    rests = "static" in options or options.get("for_") == "friction"
     usual = {} if "trajectory" in options or rests else {"excitation": "optimal"}
-    config = config_from(Path(model), **{**usual, **options, "plan_only": True})
+    config = config_from(_path(model), **{**usual, **options, "plan_only": True})
     with _quietly() as notes:
         robot = load(config, notes)
         made, _ = designed(config, robot, notes)
@@ -183,11 +210,12 @@ def plan(model: Model, **options: Any) -> PlanResult:
     return PlanResult(config, robot, made, lines, tuple(notes.notes))
 
 
+@with_keywords()
 def payload(
     model: Model,
     empty: Log | Sequence[Log] | None = None,
     loaded: Log | Sequence[Log] | None = None,
-    **options: Any,
+    **options: Unpack[types.PayloadKeywords],
 ) -> Identified:
     """Identify a payload from the difference between recordings without and with it.
 
@@ -202,11 +230,16 @@ def payload(
         InputError: an option, the model or a recording cannot be used.
     """
     logs = _logs(empty=empty, loaded=loaded)
-    return _answered(payload_config_from(Path(model), **{**options, **logs}))
+    return _answered(payload_config_from(_path(model), **{**options, **logs}))
 
 
+@with_keywords()
 def information(
-    model: Model, log: Log | Sequence[Log], *, around: LogInformation | None = None, **options: Any
+    model: Model,
+    log: Log | Sequence[Log],
+    *,
+    around: LogInformation | None = None,
+    **options: Unpack[types.InformationKeywords],
 ) -> LogInformation:
     """Return what one log or several say of the terminal link, as a record that adds (``+``).
 
@@ -228,10 +261,9 @@ def information(
         if name in options:
             raise InputError(f"{name} is not for information, which holds one log or several alike")
     values = {**options, **_logs(measurements=log)}
-    refuse_unknown(values, ModelOptions, LogOptions, EstimationOptions)
     robot, logs = _robot(model, values), record_from(LogOptions, values)
     chosen = settled_options(record_from(EstimationOptions, values))
-    config = SysidConfig(ModelOptions(Path(model)), log=logs, estimation=chosen)
+    config = SysidConfig(ModelOptions(_path(model)), log=logs, estimation=chosen)
     config = config.calibrated(robot.joint_names)
     found = []
     with _quietly() as notes:
@@ -242,8 +274,13 @@ def information(
     return reduce(add, found)
 
 
+@with_keywords()
 def identify_from(
-    model: Model, found: LogInformation, *, validation: LogInformation | None = None, **options: Any
+    model: Model,
+    found: LogInformation,
+    *,
+    validation: LogInformation | None = None,
+    **options: Unpack[types.IdentifyFromKeywords],
 ) -> Identified:
     """Identify the terminal link from the sum of what logs say.
 
@@ -256,7 +293,9 @@ def identify_from(
     Raises:
         InputError: it is the sum of a first round, or was made with another model.
     """
-    refuse_unknown(options, ModelOptions)
+    for each in (found, validation):
+        if not isinstance(each, (LogInformation, type(None))) or found is None:
+            raise InputError(f"a sum of rs.information is needed, not {type(each).__name__}")
     robot = _robot(model, options)
     arm, logs = record_from(ModelOptions, options), LogOptions(measurements=(_ADDED,))
     config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
@@ -275,4 +314,4 @@ def _no_traces() -> Traces:
 
 def _robot(model: Model, values: Mapping[str, Any]) -> RobotModel:
     chosen = record_from(ModelOptions, values)
-    return load_robot_model(model, chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)
+    return load_robot_model(_path(model), chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)

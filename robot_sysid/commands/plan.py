@@ -58,7 +58,7 @@ def build_parser(full: bool = True) -> Parser:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parsed(build_parser, arguments)
-    rests = "static" in values or values.get("for") == "friction"
+    rests = "static" in values or values.get("for_") == "friction"
     usual = {} if "trajectory" in values or rests else USUAL
     wanted = record_from(PreviewOptions, values)
     for key in ("view", "video"):

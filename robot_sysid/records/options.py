@@ -9,8 +9,11 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
+from difflib import get_close_matches
+from keyword import iskeyword
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Optional, TypeVar, Union
 
@@ -51,8 +54,9 @@ class Option:
 
     @property
     def key(self) -> str:
-        """The option's name as a keyword: no_friction for --no-friction."""
-        return self.flag.lstrip("-").replace("-", "_")
+        """The option's name as a keyword: no_friction for --no-friction, for_ for --for."""
+        name = self.flag.lstrip("-").replace("-", "_")
+        return f"{name}_" if iskeyword(name) else name
 
 
 @dataclass(frozen=True)
@@ -119,27 +123,69 @@ def given_options(record: Any) -> Iterator[Option]:
 def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:
     """Return a record whose options have the values of their keys, where there are any.
 
-    A text counts as what it is on the command line, a list as a tuple.
+    A text counts as what it is on the command line, a list or array as a tuple. Raises InputError
+    where a value is of another kind than its option's.
     """
     stated = {name: each for name, each in options_of(record).items() if each.key in values}
-    return record(**{name: _value(each, values[each.key]) for name, each in stated.items()})
+    made = {}
+    for name, each in stated.items():
+        given = values[each.key]
+        is_default = given is None and default_of(record, name) is None
+        made[name] = None if is_default else _value(each, given)
+    return record(**made)
 
 
 def _value(stated: Option, given: Any) -> Any:
-    if isinstance(given, str) and stated.parse is not None:
-        given = stated.parse(given)
-    if isinstance(given, list):
-        return tuple(given)
-    alone = (stated.repeats or stated.several) and not isinstance(given, tuple)
-    return (given,) if alone else given
+    """Return what was given as the record holds it, or raise InputError."""
+    try:
+        value = _frozen(given, stated.parse)
+    except ValueError:
+        value = given
+    except InputError as error:
+        raise InputError(f"{stated.flag}: {error}") from None
+    rows = isinstance(stated.metavar, tuple)
+    alone = not isinstance(value, tuple) or (rows and not any(isinstance(e, tuple) for e in value))
+    if (stated.repeats or stated.several) and alone:
+        value = (value,)
+    name = getattr(stated.parse, "__name__", "bool")
+    kinds, said = _KINDS.get(name, ((object,), ""))
+    many = stated.repeats or stated.several or rows or said.endswith(_PER_JOINT)
+    if not (many or alone) or not all(_is_one_of(kinds, each) for each in _leaves(value)):
+        raise InputError(f"{stated.flag} must be {said} (got {given!r:.60})")
+    return value
 
 
-def refuse_unknown(values: Mapping[str, Any], *records: Any) -> None:
-    """Raise InputError naming an option that none of the records has."""
-    known = {each.key for record in records for each in options_of(record).values()}
-    unknown = sorted(set(values) - known)
-    if unknown:
-        raise InputError(f"unknown option {unknown[0]!r}; valid: {', '.join(sorted(known))}")
+def _frozen(given: Any, parse: Callable[[str], Any] | None) -> Any:
+    """Return lists and arrays as tuples, and texts as what they are on the command line."""
+    if isinstance(given, (np.ndarray, np.generic)):
+        given = given.tolist()
+    if isinstance(given, (list, tuple)):
+        return tuple(_frozen(each, parse) for each in given)
+    return parse(given) if isinstance(given, str) and parse is not None else given
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    for each in value if isinstance(value, tuple) else ():
+        yield from _leaves(each)
+    if not isinstance(value, tuple):
+        yield value
+
+
+def _is_one_of(kinds: tuple[type, ...], value: Any) -> bool:
+    return isinstance(value, kinds) and (isinstance(value, bool) <= (bool in kinds))
+
+
+def keys_of(*records: Any) -> set[str]:
+    """Return the keys of the options of some records."""
+    return {each.key for record in records for each in options_of(record).values()}
+
+
+def refuse_unknown(values: Collection[str], known: Collection[str]) -> None:
+    """Raise InputError naming a key that is none of the known ones, and the one that is nearest."""
+    for key in sorted({*values} - {*known}):
+        near = get_close_matches(key, known, 1, 0.7)
+        said = f"did you mean {near[0]!r}?" if near else f"valid: {', '.join(sorted(known))}"
+        raise InputError(f"unknown option {key!r}; {said}")
 
 
 def positive(value: float) -> str | None:
@@ -183,6 +229,22 @@ def levels(text: str) -> PerJoint:
 _TYPES: Mapping[str, Callable[[str], Any]] = {
     "PerJoint": levels, "float": float, "int": int, "str": str, "Path": Path
 }  # fmt: skip
+
+
+_PER_JOINT = "one per joint"
+_WHOLE, _FILE = ((Integral,), "a whole number"), ((os.PathLike,), "a path")
+_KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
+    "float": ((Real,), "a number"),
+    "int": _WHOLE,
+    "whole_number": _WHOLE,
+    "str": ((str,), "a text"),
+    "Path": _FILE,
+    "folder": _FILE,
+    "levels": ((Real,), f"a number, or {_PER_JOINT}"),
+    "factors_in": ((Real, os.PathLike), f"a number, a file, or {_PER_JOINT}"),
+    "bool": ((bool,), "True or False"),
+}
+"""Name of what parses an option's text to the types of its values, and what they are in words."""
 
 
 def folder(text: str) -> Path:

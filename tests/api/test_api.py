@@ -184,7 +184,6 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda m: rs.identify(m, sped=3), "unknown option 'sped'; valid: "),
         (lambda m: rs.identify(m, 5), "a log is a path, arrays by name"),
         (lambda m: rs.identify(m, {"time": [1.0, 2.0]}), "tau|torque|position"),
         (
@@ -205,8 +204,8 @@ def test_the_package_is_light_and_its_functions_survive_imports_of_their_folders
     code = (
         "import sys, robot_sysid as rs; light = 'numpy' not in sys.modules; "
         "import robot_sysid.estimation.identify, robot_sysid.payload_pipeline; "
-        "named = [callable(getattr(rs, name)) for name in rs.FACE]; "
-        "sys.exit(0 if light and all(named) and set(rs.FACE) <= set(dir(rs)) else 1)"
+        "named = [callable(getattr(rs, name)) for name in (*rs.FACE, *rs.ERRORS) * 2]; "
+        "sys.exit(0 if light and all(named) and {*rs.FACE, *rs.ERRORS} <= set(dir(rs)) else 1)"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 

@@ -37,6 +37,9 @@ class Oven(OptionRecord):
     trays: tuple[float, ...] = option((), "heights", check=positive, repeats=True)
     recipe: Path | None = option(None, "file")
     mode: str = option("top", "where from", choices=("top", "bottom"))
+    gas: bool = option(False, "burn gas")
+    levels: PerJoint = option(1.0, "of each joint")
+    walls: tuple[tuple[float, ...], ...] = option((), "planes", metavar=("X", "Y"), repeats=True)
 
 
 def test_a_record_is_made_from_keys_and_text_becomes_what_the_annotation_names():
@@ -62,6 +65,35 @@ def test_a_value_that_cannot_be_used_is_refused_in_the_name_of_its_option(values
     with pytest.raises(InputError) as caught:
         Oven(**values)
     assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"heat": "hot"}, "--heat must be a number (got 'hot')"),
+        ({"heat": [1.0]}, "--heat must be a number (got [1.0])"),
+        ({"heat": True}, "--heat must be a number (got True)"),
+        ({"heat": None}, "--heat must be a number (got None)"),
+        ({"fan": 2.5}, "--fan must be a whole number (got 2.5)"),
+        ({"trays": [0.1, "x"]}, "--trays must be a number (got [0.1, 'x'])"),
+        ({"recipe": 3}, "--recipe must be a path (got 3)"),
+        ({"gas": "no"}, "--gas must be True or False (got 'no')"),
+        ({"levels": "a,b"}, "--levels: 'a,b' is neither a number nor a list like 0.1,0.1,0.05"),
+        ({"levels": {1: 2}}, "--levels must be a number, or one per joint (got {1: 2})"),
+    ],
+)
+def test_a_value_of_another_kind_is_refused(values, message):
+    with pytest.raises(InputError) as caught:
+        record_from(Oven, values)
+    assert str(caught.value) == message
+
+
+def test_numbers_of_numpy_lists_and_text_are_what_they_say():
+    values = {"heat": np.float32(2.0), "fan": None, "trays": np.array([1.0, 2.0]), "gas": np.True_}
+    values |= {"levels": [1, 2.5], "recipe": "a.txt", "walls": [0.0, 1.0]}
+    made = record_from(Oven, values)
+    assert made.trays == (1.0, 2.0) and made.gas is True and made.fan_speed is None
+    assert (made.levels, made.recipe, made.walls) == ((1, 2.5), Path("a.txt"), ((0.0, 1.0),))
 
 
 NUMBERS = st.one_of(st.floats(), st.sampled_from([0.0, 1.0, -1.0, np.inf, np.nan]))

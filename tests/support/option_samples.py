@@ -21,7 +21,7 @@ _CHOSEN = {
     "keep_out": ((0.0, 0.0, 1.0, -0.5),),
     "motor_type": ("DM4340", "DM4310"),
     "friction_model": "coulomb-viscous",
-    "for": "payload",
+    "for_": "payload",
 }
 
 

@@ -1,0 +1,180 @@
+"""Types of the keywords, for type checkers and editors; no run imports this.
+
+Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, Literal, TypedDict, Union
+
+from numpy.typing import NDArray
+
+File = Union[str, "os.PathLike[str]"]
+Numbers = Union[Sequence[float], NDArray[Any]]
+Accept = Literal[
+    "torque-scale", "gravity", "computed", "sign", "order", "angle-unit", "zero", "model",
+    "clock", "delay", "saturated", "held", "contact", "too-little", "rollout"
+]  # fmt: skip
+Keep = Literal[
+    "friction", "rotors", "gravity", "links"
+]  # fmt: skip
+
+
+class ModelOptions(TypedDict, total=False):
+    """Of a record."""
+
+    mesh_dir: File | None
+    joint: str | None
+    keyframe: str | None
+
+
+class LogOptions(TypedDict, total=False):
+    """Of a record."""
+
+    append: File | None
+    columns: File | None
+    units: str | None
+    torque_scale: float | Numbers | File | None
+    torque_constants: float | Numbers | File | None
+    topic: str | None
+    episode: int | Sequence[int]
+    accept: Accept | Sequence[Accept]
+
+
+class EstimationOptions(TypedDict, total=False):
+    """Of a record."""
+
+    torques: Literal["chain", "terminal"]
+    no_friction: bool
+    friction_model: str | None
+    cutoff: float | None
+    velocity_deadband: float | Numbers | None
+    delay: Literal["off", "auto"]
+    tilt: Literal["off", "auto"]
+    link_uncertainty: float
+    scale_uncertainty: float | Numbers | None
+    zero_uncertainty: float
+    gravity_uncertainty: float
+    delay_uncertainty: float
+    friction_uncertainty: float
+    coupling: File | None
+
+
+class OutputOptions(TypedDict, total=False):
+    """Of a record."""
+
+    keep: Keep | Sequence[Keep]
+    links: bool
+
+
+class TrajectoryOptions(TypedDict, total=False):
+    """Of a record."""
+
+    duration: float
+    sample_rate: float
+    seed: int | None
+    speed: float
+    trajectory: File | None
+    save_trajectory: File | None
+
+
+class ExcitationOptions(TypedDict, total=False):
+    """Of a record."""
+
+    excitation: Literal["sines", "optimal"]
+    excitation_time_budget: float
+
+
+class LimitOptions(TypedDict, total=False):
+    """Of a record."""
+
+    max_velocity: float | Numbers
+    max_acceleration: float | None
+    max_torque: float | Numbers | None
+    payload_reserve: float
+    max_tool_speed: float | None
+    workspace: Numbers | None
+    keep_out: Numbers | Sequence[Numbers]
+    clearance: float
+
+
+class SimulatedArmOptions(TypedDict, total=False):
+    """Of a record."""
+
+    plant_model: File | None
+    simulation: Literal["inverse", "forward"]
+    noise_torque: float | Numbers
+    noise_position: float | Numbers
+    encoder_resolution: float
+    torque_delay: float
+    save_measurements: File | None
+
+
+class MotorOptions(TypedDict, total=False):
+    """Of a record."""
+
+    export_damiao: bool
+    motor_type: str | Sequence[str]
+    can_id: int | Sequence[int]
+    master_id: int | Sequence[int]
+
+
+class PoseOptions(TypedDict, total=False):
+    """Of a record."""
+
+    for_: Literal["link", "payload", "friction", "arm"]
+    static: bool
+
+
+class PayloadOptions(TypedDict, total=False):
+    """Of a record."""
+
+    empty_model: File | None
+    loaded_model: File | None
+    order: str | None
+    flange: str | None
+    as_body: str | None
+    known_mass: float | None
+    save_torque_scale: File | None
+    static: bool
+
+
+class IdentifyKeywords(
+    ModelOptions, LogOptions, EstimationOptions, OutputOptions, TrajectoryOptions,
+    ExcitationOptions, LimitOptions, SimulatedArmOptions, MotorOptions
+):  # fmt: skip
+    """Of ``identify``."""
+
+
+class PlanKeywords(
+    ModelOptions, EstimationOptions, TrajectoryOptions, ExcitationOptions, LimitOptions,
+    SimulatedArmOptions, MotorOptions, PoseOptions
+):  # fmt: skip
+    """Of ``plan``."""
+
+
+class PayloadKeywords(
+    ModelOptions, LogOptions, EstimationOptions, OutputOptions, TrajectoryOptions,
+    ExcitationOptions, LimitOptions, SimulatedArmOptions, PayloadOptions
+):  # fmt: skip
+    """Of ``payload``."""
+
+
+class ReadLogKeywords(
+    LogOptions
+):  # fmt: skip
+    """Of ``read_log``."""
+
+
+class InformationKeywords(
+    ModelOptions, LogOptions, EstimationOptions
+):  # fmt: skip
+    """Of ``information``."""
+
+
+class IdentifyFromKeywords(
+    ModelOptions
+):  # fmt: skip
+    """Of ``identify_from``."""

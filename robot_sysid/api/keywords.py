@@ -1,0 +1,137 @@
+"""Keywords of the functions of the face: the options of the commands, said in Python's words.
+
+Which function takes which records of options stands here once: the signature that ``help`` and a
+notebook show, what is refused, and the types for checkers (``keyword_types``) come from it.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar, get_type_hints
+
+from robot_sysid.config import ModelOptions, PayloadConfig, SysidConfig
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.records.options import Option, default_of, options_of, refuse_unknown
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+_ARM, _PAYLOAD = (tuple(get_type_hints(kind).values()) for kind in (SysidConfig, PayloadConfig))
+RECORDS: Mapping[str, Sequence[Any]] = {
+    "identify": tuple(each for each in _ARM if each.__name__ != "PoseOptions"),
+    "plan": tuple(each for each in _ARM if each.__name__ not in ("LogOptions", "OutputOptions")),
+    "payload": _PAYLOAD,
+    "read_log": (LogOptions,),
+    "information": (ModelOptions, LogOptions, EstimationOptions),
+    "identify_from": (ModelOptions,),
+}
+RECORDS = {**RECORDS, "identify_arm": RECORDS["identify"]}
+"""Function to the records whose options are its keywords."""
+_COMMAND = "plays models; it needs the command robot-sysid identify"
+_SAVE = "is for the command; the result's save(folder) writes files"
+ELSEWHERE = {
+    "measurements": "is the argument log",
+    "validation_measurements": "is the argument validation",
+    **dict.fromkeys(("verify_rollout", "torque_from"), _COMMAND),
+    **dict.fromkeys(("output_dir", "bundle", "report", "plots"), _SAVE),
+    "plan_only": "designs a motion; call plan instead",
+    **dict.fromkeys(("empty", "loaded"), "is an argument of its own"),
+}
+"""Options of the commands that are no keywords, and what there is instead."""
+_NAMED = {"measurements": "log", "validation_measurements": "validation"}
+
+
+def keywords_of(function: str) -> dict[str, tuple[Option, Any]]:
+    """Return keyword to its option and default, of a function of the face."""
+    return {
+        each.key: (each, default_of(record, name))
+        for record in RECORDS[function]
+        for name, each in options_of(record).items()
+        if each.key not in ELSEWHERE
+    }
+
+
+def with_keywords(**usual: Any) -> Callable[[Function], Function]:
+    """Return what gives a function the signature, the check and the words of its keywords.
+
+    Args:
+        usual: keyword to the default that this function has in place of the record's.
+    """
+
+    def decorated(function: Function) -> Function:
+        own = inspect.signature(function)
+        known = keywords_of(function.__name__)
+
+        @functools.wraps(function)
+        def call(*given: Any, **options: Any) -> Any:
+            with in_python():
+                asked = [key for key in options if key not in own.parameters]
+                for key in asked:
+                    if key in ELSEWHERE:
+                        raise InputError(f"{key} {ELSEWHERE[key]}")
+                refuse_unknown(asked, {*known, *own.parameters} - {"options"})
+                return function(*given, **options)
+
+        kind = inspect.Parameter.KEYWORD_ONLY
+        shown = [each for each in own.parameters.values() if each.name != "options"]
+        names = {each.name for each in shown}
+        shown += [
+            inspect.Parameter(key, kind, default=usual.get(key, default))
+            for key, (_, default) in known.items()
+            if key not in names
+        ]
+        call.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
+        return call  # type: ignore[return-value]
+
+    return decorated
+
+
+@contextmanager
+def in_python() -> Iterator[None]:
+    """Say in Python's words what is wrong in a block."""
+    try:
+        yield
+    except SysidError as error:
+        error.args = (python_words(str(error)),)
+        raise
+
+
+@functools.cache
+def _options() -> Mapping[str, Option]:
+    records = {*_ARM, *_PAYLOAD}
+    return {each.flag: each for record in records for each in options_of(record).values()}
+
+
+_FLAG = re.compile(r"(--[a-z][a-z-]*[a-z])(?: ([\w.,·/#\"'-]*\w))?")
+_UNITS = re.compile(r"(deg|rad|s|ms|us|ns)(,(deg|rad|s|ms|us|ns))?")
+
+
+def python_words(text: str) -> str:
+    """Return a sentence with keywords in place of options: ``units="deg"`` for --units deg."""
+    return _FLAG.sub(_keyword, text).replace("robot-sysid plan", "robot_sysid.plan")
+
+
+def _keyword(found: re.Match[str]) -> str:
+    flag, word = found[1], found[2]
+    stated = _options().get(flag)
+    if stated is None or stated.key in ("verify_rollout", "torque_from", "output_dir"):
+        return found[0]
+    rest = f" {word}" if word else ""
+    key = _NAMED.get(stated.key, stated.key)
+    if stated.parse is None:
+        return f"{key}=True{rest}"
+    if word is None or not _is_value(stated, word):
+        return f"{key}{rest}"
+    is_text = word in stated.choices or _UNITS.fullmatch(word)
+    return f'{key}="{word}"' if is_text else f"{key}={word}"
+
+
+def _is_value(stated: Option, word: str) -> bool:
+    """Tell whether the word behind an option is its value, and not how the sentence goes on."""
+    is_number = bool(re.fullmatch(r"-?\d[\d.,e-]*", word))
+    is_unit = stated.key == "units" and _UNITS.fullmatch(word) is not None
+    return word in stated.choices or word[0].isupper() or is_number or is_unit

@@ -1,0 +1,102 @@
+"""Keywords are those of the option records, for readers, checkers and programs alike."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+import robot_sysid as rs
+from robot_sysid.api.keywords import ELSEWHERE, RECORDS, python_words
+from robot_sysid.records.options import keys_of
+from tests.support import keyword_types
+from tests.support.places import ROOT
+
+
+def test_the_types_are_what_the_generator_writes():
+    """``python -m tests.support.keyword_types`` brings them up to date."""
+    assert keyword_types.PATH.read_text(encoding="utf-8") == keyword_types.text()
+
+
+@pytest.mark.parametrize("function", RECORDS)
+def test_a_signature_shows_every_keyword_with_its_default(function):
+    shown = inspect.signature(getattr(rs, function)).parameters
+    assert keys_of(*RECORDS[function]) - set(ELSEWHERE) <= set(shown) and "options" not in shown
+    if "cutoff" in shown:
+        assert shown["cutoff"].default is None and shown["delay"].default == "off"
+    if function == "plan":
+        assert shown["excitation"].default == "optimal"
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: rs.identify("m", cutof=8.0), "unknown option 'cutof'; did you mean 'cutoff'?"),
+        (lambda: rs.identify("m", "l", cutoff="abc"), "cutoff must be a number (got 'abc')"),
+        (lambda: rs.identify(5, "l"), "a model is the path of an MJCF or URDF file, not int"),
+        (lambda: rs.identify("m", measurements="l"), "measurements is the argument log"),
+        (lambda: rs.identify("m", "l", output_dir="x"), "output_dir is for the command; the res"),
+        (lambda: rs.identify("m", units="deg"), "units describes a log; add log=LOG.csv"),
+        (lambda: rs.payload("m"), "give empty=LOG... and loaded=LOG..., or empty_model and"),
+        (lambda: rs.plan("m", for_="friction", seed=7), "seed has nothing to draw"),
+        (lambda: rs.plan("m", static=True), 'static=True is about resting poses; add for_="pay'),
+        (lambda: rs.read_log("l", 5), "a model is the path of an MJCF or URDF file, not int"),
+        (lambda: rs.identify_from("m", None), "a sum of rs.information is needed, not NoneType"),
+    ],
+)
+def test_what_cannot_be_used_is_said_in_the_words_of_python(call, words):
+    with pytest.raises(rs.InputError) as caught:
+        call()
+    assert str(caught.value).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("command", "python"),
+    [
+        ("name them with --columns FILE", "name them with columns=FILE"),
+        ("pass --units deg, or --units rad if", 'pass units="deg", or units="rad" if'),
+        ("give --torque-constants to use them", "give torque_constants to use them"),
+        ("--known-mass and --scale-uncertainty 0", "known_mass and scale_uncertainty=0"),
+        ("identify --torque-from position-error", "identify --torque-from position-error"),
+        ("leave it off with --no-friction", "leave it off with no_friction=True"),
+        ("weigh (--known-mass KG --save-torque-scale FILE)",
+         "weigh (known_mass=KG save_torque_scale=FILE)"),
+        ("an --option of another tool", "an --option of another tool"),
+    ],
+)  # fmt: skip
+def test_options_are_said_as_keywords(command, python):
+    assert python_words(command) == python
+
+
+USER = """
+import robot_sysid as rs
+
+try:
+    result = rs.identify("arm.xml", ["log.csv"], cutoff=8.0, keep="gravity", max_velocity=[1.0])
+except rs.InputError as error:
+    print(error)
+else:
+    print(result.mass, result.center_of_mass[0])
+motion = rs.plan("arm.xml", for_="friction")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (("", ""), ""),
+        (("cutoff", "cutof"), 'Unexpected keyword argument "cutof" for "identify"'),
+        (("8.0", '"8"'), 'Argument "cutoff" to "identify" has incompatible type "str"'),
+        (('"friction"', '"speed"'), 'Argument "for_" to "plan" has incompatible type'),
+    ],
+)
+def test_a_checker_knows_the_keywords_of_a_users_script(tmp_path, monkeypatch, wrong, said):
+    pytest.importorskip("mypy")
+    monkeypatch.setenv("MYPYPATH", str(ROOT))
+    (tmp_path / "mine.py").write_text(USER.replace(*wrong) if said else USER)
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "mine.py"]
+    checked = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert checked.returncode == bool(said) and said in checked.stdout, checked.stdout

@@ -1,0 +1,92 @@
+"""The types of the keywords of ``robot_sysid``'s functions, made from the option records.
+
+    python -m tests.support.keyword_types
+
+writes ``robot_sysid/api/keyword_types.py`` anew.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+from robot_sysid.api.keywords import ELSEWHERE, RECORDS
+from robot_sysid.records.options import Option, default_of, options_of
+from tests.support.places import ROOT
+
+PATH = ROOT / "robot_sysid" / "api" / "keyword_types.py"
+HEAD = '''"""Types of the keywords, for type checkers and editors; no run imports this.
+
+Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, Literal, TypedDict, Union
+
+from numpy.typing import NDArray
+
+File = Union[str, "os.PathLike[str]"]
+Numbers = Union[Sequence[float], NDArray[Any]]
+'''
+_TYPES = {
+    "float": "float", "int": "int", "whole_number": "int", "str": "str", "Path": "File",
+    "folder": "File", "levels": "float | Numbers", "factors_in": "float | Numbers | File",
+}  # fmt: skip
+
+
+def type_of(option: Option, default: Any) -> str:
+    """Return the type of what an option may be given in Python."""
+    if option.parse is None:
+        return "bool"
+    one = _TYPES[option.parse.__name__]
+    if option.choices:
+        one = f"Literal[{', '.join(map(_quoted, option.choices))}]"
+    if isinstance(option.metavar, tuple):
+        one = "Numbers"
+    if option.choices and option.repeats:
+        one = option.key.capitalize()
+    if option.repeats or option.several:
+        one = f"{one} | Sequence[{one}]"
+    return f"{one} | None" if default is None else one
+
+
+def _alias(option: Option) -> str:
+    """Return a name for the choices of an option that repeats, which its type says twice."""
+    words = textwrap.fill(", ".join(map(_quoted, option.choices)), 90)
+    listed = textwrap.indent(words, "    ")
+    return f"{option.key.capitalize()} = Literal[\n{listed}\n]  # fmt: skip\n"
+
+
+def _quoted(word: str) -> str:
+    return f'"{word}"'
+
+
+def text() -> str:
+    """Return the module: a class per record, and one per function that puts them together."""
+    records = list(dict.fromkeys(each for records in RECORDS.values() for each in records))
+    options = (each for record in records for each in options_of(record).values())
+    aliases = (_alias(each) for each in options if each.choices and each.repeats)
+    parts = [HEAD + "".join(aliases)]
+    for record in records:
+        lines = [
+            f"    {each.key}: {type_of(each, default_of(record, name))}"
+            for name, each in options_of(record).items()
+            if each.key not in ELSEWHERE
+        ]
+        head = f'class {record.__name__}(TypedDict, total=False):\n    """Of a record."""\n\n'
+        parts.append(head + "\n".join(lines) + "\n")
+    for function, taken in RECORDS.items():
+        if function != "identify_arm":  # the same as of identify
+            name = f"{function.title().replace('_', '')}Keywords"
+            bases = textwrap.fill(", ".join(each.__name__ for each in taken), 90)
+            bases = textwrap.indent(bases, "    ")
+            head = f"class {name}(\n{bases}\n):  # fmt: skip\n"
+            parts.append(f'{head}    """Of ``{function}``."""\n')
+    return "\n\n".join(parts)
+
+
+if __name__ == "__main__":
+    PATH.write_text(text(), encoding="utf-8")
