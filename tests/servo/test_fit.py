@@ -1,6 +1,6 @@
 """What the errors of servos hold, and what a search leaves alone."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -131,6 +131,51 @@ def test_a_row_counts_no_more_than_usual_and_rest_is_not_usual():
     assert np.max(np.abs(rows * share[:, None]) / [1.0, 1e-3]) < 2.0
     rested = usual_share(np.concatenate((rows, 0.0 * rows)), np.append(moves, ~moves))
     np.testing.assert_array_equal(rested, np.append(share, np.ones(1000)))
+
+
+ROWS, STEPS = 400, 10
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Errors of two joints that go with every number, and with how long a step is."""
+
+    edges: np.ndarray
+    slopes: np.ndarray
+    noise: np.ndarray
+    drift: float = 0.0
+
+    def moves(self):
+        return np.ones((ROWS, 2), dtype=bool)
+
+    def errors(self, choices):
+        step = self.drift * (STEPS / (len(self.edges) - 1) - 1.0) * self.slopes[:, :, 0]
+        off = [choice.vector() - SCALE.size.vector() for choice in choices]
+        return np.array([self.noise + step + self.slopes @ each for each in off])
+
+
+def linear(drift=0.0, wild=0.0):
+    """A problem in which each number shows in its own joint alone, the delay in both."""
+    rng = np.random.default_rng(0)
+    own = np.append(np.tile(np.eye(2), 4), np.ones((2, 1)), axis=1)
+    slopes = 1e-3 * rng.normal(size=(ROWS, 2, 9)) * own / SCALE.size.vector()
+    slopes[ROWS // 2] *= 1.0 + wild
+    zero = replace(SCALE, start=SCALE.size)
+    noise = 1e-4 * rng.normal(size=(ROWS, 2))
+    problem = Linear(np.linspace(0.0, 1.0, STEPS + 1), slopes, noise, drift)
+    return judged(problem, zero, Servos.of(SCALE.size.vector()))
+
+
+def test_errors_hold_what_shorter_steps_would_change():
+    """Half as long they move joint 0 like a stiffness of 20, so without length like 40."""
+    still, moved = (linear(drift).errors.stiffness for drift in (0.0, 40.0))
+    assert np.hypot(still[0], 40.0) == pytest.approx(moved[0], rel=0.05)
+    assert moved[1] == pytest.approx(still[1], rel=0.05)
+
+
+def test_a_row_that_runs_off_by_luck_does_not_make_numbers_surer():
+    plain, lucky = (linear(wild=wild).errors.vector() for wild in (0.0, 1e3))
+    np.testing.assert_allclose(lucky, plain, rtol=0.1)
 
 
 def test_what_is_not_seen_is_as_in_the_model_where_it_has_any():
