@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from robot_sysid.damiao.protocol import frames
@@ -115,7 +117,11 @@ def test_an_error_is_cleared_by_name(capsys, bus):
         (("--mit",), "--motor says which motor", 2),
         (("--scan",), "the bit rate of socketcan is set outside", 2),
         (("--motor", 9, "--mit"), "0 motors answer to CAN id 9", 3),
-        (("--motor", 1, "--new-id", 2), "CAN id 2 is taken", 2),
+        (("--motor", 1, "--new-id", 2), "CAN id 0x02 is used by more than one motor", 2),
+        (("--motor", 1, "--new-master-id", "0x02"), "taken as commands by the motor with CAN", 2),
+        (("--motor", 1, "--new-master-id", "0x102"), "taken as commands by the motor with CAN", 2),
+        (("--motor", 1, "--new-master-id", "0x12"), "master id 0x12 is used by more than one", 2),
+        (("--motor", 1, "--new-id", 3, "--new-master-id", 2), "commands by the motor with", 2),
         (("--motor", 1, "--new-id", 16), "--new-id must be from 1 to 15", 2),
         (("--motor", 1, "--motor-bitrate", 500000), "with one motor on the bus", 2),
         (("--motor", 1, "--motor-bitrate", 300000), "--motor-bitrate must be one of 125000", 2),
@@ -125,6 +131,26 @@ def test_what_cannot_be_meant_is_refused(capsys, bus, words, said, code):
     got, _, err = run(capsys, "setup", *CAN0, *words)
     assert got == code and said in err
     assert bus.wire is None or only_asks(bus.wire.sent)
+
+
+@pytest.mark.parametrize("words", [("--new-master-id", "0x13"), ("--new-id", 3)])
+def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(capsys, bus, words):
+    """As they come from the factory: all answer on 0, and one's answers are another's commands."""
+    for each in bus.motors:
+        each.registers[frames.MST_ID] = 0.0
+    bus.motors[1].registers[frames.MST_ID] = 0x101
+    assert run(capsys, "setup", *CAN0, "--motor", 1, *words)[0] == 0
+
+
+def test_an_id_is_free_where_only_another_bus_has_it(capsys, bus):
+    """Motor 2 on can1 becomes motor 1, and answers on what motor 1 on can0 answers on."""
+    bus.arm.motors[1].joint = replace(bus.arm.motors[1].joint, bus=1)
+    both = ("setup", *CAN0, "--channel", "can1")
+    words = ("--motor", 2, "--new-id", 1, "--new-master-id", "0x11")
+    assert run(capsys, *both, *words)[0] == 0
+    assert bus.motors[1].registers[frames.ESC_ID] == 1.0
+    code, _, err = run(capsys, *both, "--motor", 1, "--mit")
+    assert code == 3 and "can0 and can1 each have a motor 1; give only the --channel" in err
 
 
 def test_a_bit_rate_is_changed_with_one_motor_on_the_bus(capsys, bus):

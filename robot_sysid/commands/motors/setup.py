@@ -31,7 +31,7 @@ from robot_sysid.damiao.inspection import (
 )
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import refuse_motion
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, write_joint_map
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, id_problems, write_joint_map
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import RobotModel
 from robot_sysid.records.options import (
@@ -323,18 +323,31 @@ def _scan(asked: Asked) -> int:
 
 
 def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
+    """Return the motor to change, or raise where it is not one, or would clash with others."""
     meant = [m for m in inspection.motors.values() if m.can_id == options.motor]
+    if len(meant) > 1:
+        raise HardwareAbort(
+            f"{' and '.join(m.channel for m in meant)} each have a motor {options.motor}; give "
+            "only the --channel of the one that you mean"
+        )
     if len(meant) != 1 or len(meant[0].reply_ids) != 1:
         raise HardwareAbort(
             f"{len(meant)} motors answer to CAN id {options.motor}, or several share it: leave one "
             "motor on the bus"
         )
-    others = [m.can_id for m in inspection.motors.values() if m is not meant[0]]
-    if options.new_id in others:
-        raise InputError(f"CAN id {options.new_id} is taken by another motor on the bus")
+    (motor,), bus = meant, meant[0].address.bus
+    others = [m for m in inspection.motors.values() if m is not motor and m.address.bus == bus]
     if options.motor_bitrate is not None and others:
         raise InputError("a bit rate can only be changed with one motor on the bus")
-    return meant[0]
+    now = bus, motor.can_id, motor.master_id
+    new_master = now[2] if options.new_master_id is None else options.new_master_id
+    new = bus, options.new_id or now[1], new_master
+    for there in ((bus, other.can_id, other.master_id) for other in others):
+        # What clashes already may be put right one motor after the other.
+        before = set(id_problems([now, there]))
+        for problem in (each for each in id_problems([new, there]) if each not in before):
+            raise InputError(f"nothing was changed: {problem}")
+    return motor
 
 
 def monitor(asked: Asked) -> int:
