@@ -307,7 +307,7 @@ def _other_motors(plan: Plan, others: Sequence[InspectedMotor]) -> Iterator[Chec
 def _condition(
     motor: InspectedMotor, play: PlaySettings, allow: Permissions, joint: DamiaoJoint | None = None
 ) -> Iterator[Check]:
-    name, held = motor.name, motor.registers
+    name, held = joint.label if joint else motor.name, motor.registers
     if len(motor.reply_ids) > 1:
         yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
     lacking = [frames.NAMES[number] for number in frames.REQUIRED if number not in held]
@@ -315,7 +315,7 @@ def _condition(
         yield _stop(f"{name} does not answer for {', '.join(lacking)}; try again")
         return
     if joint:
-        yield from _identity(motor, joint)
+        yield from _identity(motor, joint, name)
         yield _scaling(motor, joint, allow)
     mode = int(held[frames.CTRL_MODE])
     if mode != frames.MIT_MODE:
@@ -323,17 +323,17 @@ def _condition(
         yield _stop(f"{name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
     stored = held[frames.TIMEOUT] * frames.TIMEOUT_UNIT
     yield _watchdog(name, stored if allow.watchdog is None else allow.watchdog, play)
-    yield from _state(motor, play)
+    yield from _state(motor, play, name)
 
 
-def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
+def _identity(motor: InspectedMotor, joint: DamiaoJoint, name: str) -> Iterator[Check]:
     found, stored = (int(motor.registers[n]) for n in (frames.ESC_ID, frames.MST_ID))
     if found != joint.can_id:
-        yield _stop(f"{motor.name} says that its CAN id is {found}; power-cycle it")
+        yield _stop(f"{name} says that its CAN id is {found}; power-cycle it")
     if stored != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
         answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
         yield _stop(
-            f"{motor.name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
+            f"{name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set it (robot-sysid motors setup --new-master-id), or export "
             "again (robot-sysid plan --export-damiao --master-id)"
         )
@@ -342,8 +342,8 @@ def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
 def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) -> Check:
     found, wanted = motor.limits, joint.spec.limits
     held, usual = (", ".join(f"{value:g}" for value in values) for values in (found, wanted))
-    text = f"{motor.name} has PMAX, VMAX, TMAX {held}"
-    same = f"{motor.name} is scaled as a {joint.motor_type}: {held}"
+    text = f"{joint.label} has PMAX, VMAX, TMAX {held}"
+    same = f"{joint.label} is scaled as a {joint.motor_type}: {held}"
     other = f"{text} but a {joint.motor_type} has {usual}"
     return _first(
         (STOP, min(found) <= 0.0, f"{text}: not usable"),
@@ -368,8 +368,8 @@ def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
     )
 
 
-def _state(motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
-    name, told = motor.name, motor.feedback
+def _state(motor: InspectedMotor, settings: PlaySettings, name: str) -> Iterator[Check]:
+    told = motor.feedback
     if told is None:
         yield _stop(f"{name} does not tell its state; its firmware may be too old")
         return
