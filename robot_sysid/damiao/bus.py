@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import re
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -122,7 +123,11 @@ class BusAddress(OptionRecord):
         "socketcan", "kind of adapter: " + ", ".join(INTERFACES), "NAME", choices=INTERFACES
     )
     channel: tuple[str, ...] = option(
-        (), "the bus, for instance can0 or /dev/ttyACM0; once per bus", "CHANNEL", repeats=True
+        (),
+        "the bus, for instance can0 or /dev/ttyACM0; once per bus; left=/dev/ttyACM0 where the "
+        "joint map calls it left",
+        "CHANNEL",
+        repeats=True,
     )
     bus_option: tuple[str, ...] = option(
         (),
@@ -131,7 +136,16 @@ class BusAddress(OptionRecord):
         repeats=True,
     )
 
+    @property
+    def buses(self) -> Mapping[str, str]:
+        """What messages and joint maps call each bus, and where it is."""
+        named = [_NAMED.fullmatch(channel) for channel in self.channel]
+        pairs = ((found[1] or found[2], found[2]) for found in named if found)
+        return dict(pairs)
 
+
+# A name before the place: not the "=" that ends an address such as spy://COM3?file=log.
+_NAMED = re.compile(r"(?:([\w.-]+)=)?(.*)")
 SERIAL_ADAPTER = "damiao"
 # Two and a half cycles at 250 Hz: later is no use [s].
 _SEND_TIMEOUT = 0.01
@@ -308,7 +322,7 @@ def open_bus(
     link = BusLink(buses, clock, watch)
     with contextlib.ExitStack() as opened:
         opened.callback(link.close)
-        for channel in address.channel:
+        for channel in address.buses.values():
             with watch.during(_OPENING):
                 buses.append(_open_one(address, channel, timing))
         opened.pop_all()
@@ -330,7 +344,7 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
             return DamiaoSerialBus(channel, **options)
         bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
         if interface == "slcan":
-            read_in_pieces(bus, len(address.channel) == 1, _SEND_TIMEOUT)
+            read_in_pieces(bus, len(address.buses) == 1, _SEND_TIMEOUT)
         return bus
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.

@@ -163,18 +163,18 @@ class _NearEnd(_Line):
 
     write_timeout: float | None = None
 
-    def __init__(self) -> None:
+    def __init__(self, patience: float) -> None:
         import tty
 
         # The far end stays open here too, so that a client may come and go.
         self._near, self._far = os.openpty()
         tty.setraw(self._far)
         os.set_blocking(self._near, False)
-        self.device = os.ttyname(self._far)
+        self.device, self._patience = os.ttyname(self._far), patience
         super().__init__(self._piece)
 
     def _piece(self) -> bytes:
-        ready = select.select([self._near], [], [], _PATIENCE)[0]
+        ready = select.select([self._near], [], [], self._patience)[0]
         return os.read(self._near, 4096) if ready else b""
 
     def write(self, data: bytes) -> None:
@@ -191,11 +191,12 @@ class _NearEnd(_Line):
         os.close(self._far)
 
 
-def slcan_terminal() -> tuple[Any, str]:
+def slcan_terminal(alone: bool = True) -> tuple[Any, str]:
     """Return a python-can bus behind a pseudo-terminal, and the device at which to open it.
 
     Whoever opens the device with python-can's slcan interface talks to this process; nothing leaves
-    the computer. InputError where there are no pseudo-terminals.
+    the computer. Where there are several it waits for none, see ``read_in_pieces``. InputError
+    where there are no pseudo-terminals.
     """
     if not hasattr(os, "openpty"):
         raise InputError("pseudo-terminals need a Unix system")
@@ -210,6 +211,6 @@ def slcan_terminal() -> tuple[Any, str]:
                 return super()._recv_internal(timeout)
             return None, False
 
-    bus, line = Terminal("loop://", sleep_after_open=0), _NearEnd()
+    bus, line = Terminal("loop://", sleep_after_open=0), _NearEnd(_PATIENCE if alone else 0.0)
     bus.serialPortOrig = line
     return bus, line.device

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -18,9 +19,10 @@ from robot_sysid import parser
 from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.protocol.frames import DISABLED, TIMEOUT, Address, enable_frame
+from robot_sysid.damiao.protocol.joints import write_joint_map
 from tests.support import arms
 from tests.support.command_line import run_motors as run
-from tests.support.damiao_rig import fault, only_asks, swing, trajectory_file
+from tests.support.damiao_rig import fault, map_line, only_asks, swing, trajectory_file
 from tests.support.recordings import read_recording
 
 COMMANDS = ("check", "play", "simulate")
@@ -267,13 +269,50 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
 
 def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, model):
     address, fd = ("--interface", "virtual", "--channel", "c"), ("--fd",)
-    code, out, err = run(
-        capsys, "simulate", trajectory, "--model", model, *address, *fd, "--for", "2"
-    )
+    spaced = model.rename(model.with_name("an arm.xml"))
+    arm = ("--model", str(spaced), "--joint", "joint1")
+    code, out, err = run(capsys, "simulate", trajectory, *arm, *address, *fd, "--for", "2")
     assert (code, err) == (0, "")
-    words = ["play", str(trajectory), *address, *fd, "--record", "measured.csv"]
-    assert out.splitlines()[-1] == f"robot-sysid motors {' '.join(words)}"
+    words = ["play", str(trajectory), *address, *fd, *arm, "--record", "measured.csv"]
+    assert shlex.split(out.splitlines()[-1]) == ["robot-sysid", "motors", *words]
     assert bus.clock.now() == pytest.approx(2.0, abs=2e-3)
+
+
+@pytest.fixture
+def two_buses(tmp_path):
+    """A map of the two joints on a bus each."""
+    path = tmp_path / "map.csv"
+    rows = [map_line(f"joint{k}", f"can{k}", 1, 0x11) for k in range(2)]
+    write_joint_map(path, rows)
+    return path
+
+
+def test_a_map_of_two_buses_needs_none_to_be_rehearsed(capsys, trajectory, model, two_buses):
+    arm = ("--model", model, "--joint-map", two_buses)
+    code, _, err = run(capsys, "simulate", trajectory, *arm, "--play", "--rate", "250")
+    assert (code, err) == (0, "")
+    code, out, _ = run(capsys, "play", trajectory, "--joint-map", two_buses, "--dry-run")
+    assert code == 0 and "ids are unique: 1, 1" in out
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+def test_terminals_of_a_map_of_two_buses_have_its_names(capsys, trajectory, model, two_buses):
+    arm = ("--model", model, "--joint-map", two_buses)
+    code, out, err = run(capsys, "simulate", trajectory, *arm, "--for", "0.01")
+    assert (code, err) == (0, "")
+    words = shlex.split(out.splitlines()[-1])
+    channels = [word for before, word in zip(words, words[1:]) if before == "--channel"]
+    assert [name for name, _, _ in (c.partition("=/dev/") for c in channels)] == ["can0", "can1"]
+
+
+def test_a_map_names_the_joints_in_what_is_said_about_motors(capsys, bus, trajectory, tmp_path):
+    table = tmp_path / "map.csv"
+    write_joint_map(table, [map_line("hip", "", 1, 0x11), map_line("knee", "", 2, 0x12)])
+    fault("watchdog", 1, 0.0)(bus)
+    code, out, _ = run(capsys, "check", trajectory, *CAN0, "--joint-map", table)
+    assert code == 1 and "[STOP] motor 2 (joint knee) has no watchdog" in out
+    said = [line for line in out.splitlines() if line.startswith("[") and "motor 1" in line]
+    assert said and all("motor 1 (joint hip)" in line for line in said)
 
 
 def test_a_simulated_arm_goes_on_until_it_is_interrupted(capsys, bus, trajectory, model):

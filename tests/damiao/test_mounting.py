@@ -208,8 +208,7 @@ def test_the_loop_of_a_bimanual_arm_with_mirrored_joints(bimanual, tmp_path, cap
     guess, truth, trajectory, table = bimanual
     record, chosen = tmp_path / "measured.csv", ("--joint", "left_d")
     play = ("simulate", trajectory, "--model", truth, "--play", "--joint-map", table, *chosen)
-    buses = ("--channel", "can0", "--channel", "can1")
-    code = main(["motors", *map(str, play), *buses, "--record", str(record)])
+    code = main(["motors", *map(str, play), "--record", str(record)])
     assert code == 0, capsys.readouterr().err
     assert read_recording(record).ending == "completed"
     found = tmp_path / "found"

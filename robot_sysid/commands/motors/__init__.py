@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -100,7 +101,7 @@ def simulate(asked: Asked) -> int:
     if options.play:
         arm, clock = _simulated_arm(asked, plan), SimulatedClock()
         wire = SimulatedLink(clock, arm, asked.timing, echo=True)
-        link = GuardedLink(wire, clock, asked.timing.fd, asked.address.channel or ("simulated",))
+        link = GuardedLink(wire, clock, asked.timing.fd, asked.channels or ("simulated",))
         return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
     preflight.require_no_stop(checks, "not rehearsed")
     arm = _simulated_arm(asked, plan, _REAL_TIME_STEP)
@@ -275,15 +276,17 @@ def _simulated_end(asked: Asked) -> bus.Link:
         raise InputError("--interface needs --channel")
     else:
         bus.import_can()
-        terminal, device = slcan_terminal()
-        link, interface, channels = BusLink([terminal], asked.clock), "slcan", (device,)
-    reach = " --channel ".join([f"--interface {interface}", *channels])
-    reach += " --fd" if asked.timing.fd else ""
-    mounted = asked.values.get("joint_map")
-    reach += f" --joint-map {mounted}" if mounted else ""
+        names = asked.channels
+        ends = [slcan_terminal(alone=len(names) < 2) for _ in names or ("",)]
+        devices = [device for _, device in ends]
+        channels = tuple(map("=".join, zip(names, devices))) if len(names) > 1 else tuple(devices)
+        link, interface = BusLink([terminal for terminal, _ in ends], asked.clock), "slcan"
+    buses = [word for channel in channels for word in ("--channel", channel)]
+    words = ["play", str(asked.values["trajectory"]), "--interface", interface, *buses]
+    words += [*(["--fd"] if asked.timing.fd else []), *asked.arm_words()]
     told = "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
     told += "ends it. To play on it, in another terminal:"
-    line = f"{PROGRAM} motors play {asked.values['trajectory']} {reach} --record measured.csv"
+    line = f"{PROGRAM} motors {shlex.join(words)} --record measured.csv"
     asked.console.lines([told, line])
     return link
 

@@ -79,12 +79,22 @@ class Asked:
 
     def _mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         names = self.robot.joint_names if self.robot else ()
-        path = self.values.get("joint_map")
-        if path is not None:
-            return mapped(joints, read_joint_map(path), self.address.channel, names)
+        if self._rows:
+            return mapped(joints, self._rows, self.channels, names)
         if len(names) != len(joints):
             return tuple(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
+
+    @cached_property
+    def _rows(self) -> tuple[DamiaoJoint, ...]:
+        path = self.values.get("joint_map")
+        return () if path is None else read_joint_map(path)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the buses: those that were given, or else those of the joint map."""
+        mapped_to = dict.fromkeys(row.channel for row in self._rows if row.channel)
+        return tuple(self.address.buses or mapped_to)
 
     def checks(self, plan: Plan) -> list[Check]:
         """Return the checks that need no bus, those of a model of the arm included."""
@@ -117,6 +127,13 @@ class Asked:
         choice = chosen.mesh_dir, chosen.joint, float("inf"), chosen.keyframe
         return load_robot_model(self.values["model"], *choice)
 
+    def arm_words(self) -> list[str]:
+        """Return the words of the command line that say which arm it is."""
+        chosen = [each.key for each in given_options(record_from(ModelOptions, self.values))]
+        keys = [key for key in ("model", "joint_map") if self.values.get(key)] + chosen
+        flags = [f"--{key.replace('_', '-')}" for key in keys]
+        return [str(w) for flag, key in zip(flags, keys) for w in (flag, self.values[key])]
+
     def open(self, timing: BusTiming | None = None) -> Link:
         """Open the bus, with other bit rates than those asked for if given."""
         return open_bus(self.address, timing or self.timing, self.clock, _hanging)
@@ -129,4 +146,4 @@ class Asked:
         if not self.address.channel:
             raise InputError("this command needs --channel, for instance --channel can0")
         with contextlib.closing(self.open(timing)) as link:
-            yield GuardedLink(link, self.clock, self.timing.fd, self.address.channel, refuse)
+            yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
