@@ -27,6 +27,7 @@ from robot_sysid.results.json import export_params_json as export_params_json
 from robot_sysid.results.json import params_json_text
 from robot_sysid.results.model import ModelTarget, write_model
 from robot_sysid.results.record import Payload, Result
+from robot_sysid.results.verdict import refusal
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
@@ -124,7 +125,7 @@ def save(
     """
     # A known mass weighed the torques: there is nothing to write of such a payload.
     calibrates = result.payload is not None and result.payload.known_mass is not None
-    failure, report = _refusal(result, calibrates) or refused, None
+    failure, report = refusal(result) or refused, None
     cards: tuple[Card, ...] = ()
     written: list[Path] = []
     notes: tuple[str, ...] = ()
@@ -146,7 +147,7 @@ def save(
             written.append(folder / DAMIAO_NAME)
             with files.open(written[-1]) as file:
                 report = motor_file(file)
-        text = params_json_text(result, cards, notes)
+        text = params_json_text(result, cards, notes, failure)
         written.append(folder / PARAMS_NAME)
         files.write(written[-1], text)
         read = (*inputs, *(file.path for file in read_document(robot.path).files))
@@ -172,12 +173,6 @@ def remove_earlier(
     # Data for a report are written anew once this run's files are in place.
     told = [path for path in stale if path.name != _REPORT_DATA]
     return tuple(f"{path} of an earlier run was removed" for path in told)
-
-
-def _refusal(result: Result, calibrates: bool) -> str | None:
-    what = "no model was" if result.payload is None else "no model and no card were"
-    what = "no torque scales were" if calibrates else what
-    return None if result.failure is None else f"{what} written: {result.failure}"
 
 
 def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]:

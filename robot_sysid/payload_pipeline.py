@@ -77,25 +77,9 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
         divided = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)[0]
         factors = dict(zip(robot.joint_names, divided.tolist()))
         result = replace(result, payload=_combined(result.payload, factors, answer.fit.unknowns))
-    if options.known_mass is None and config.estimation.scale_uncertainty is None:
-        advice = hangs_on_scales(result)
-        result = replace(result, notes=(*result.notes, *advice))
     for note in result.notes[len(robot.notes) :]:
         progress.note(note)
     return answer, result
-
-
-def hangs_on_scales(result: Result) -> tuple[str, ...]:
-    """Return what to do where torque scales are the largest cause of the mass's error."""
-    if result.payload is None or not result.verdict.is_trustworthy:
-        return ()
-    causes = {name: part[0] for name, part in result.payload.body.budget.items()}
-    if causes.get(SCALES, 0.0) < max([result.payload.body.noise_errors[0], *causes.values()]):
-        return ()
-    return (
-        "most of the error of the mass is how far torque scales may be off: weigh one known mass "
-        "(--known-mass KG --save-torque-scale FILE) and give --torque-scale FILE from then on",
-    )
 
 
 def _combined(payload: Payload, divided: Mapping[str, float], sought: Unknowns) -> Payload:

@@ -18,7 +18,14 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer, traces_of
 from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.estimation.identify import Piece, answer_link, filtered, identify_itself, refit
+from robot_sysid.estimation.identify import (
+    Piece,
+    answer_link,
+    filtered,
+    identify_itself,
+    refit,
+    shared_notes,
+)
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
 from robot_sysid.export import MotorFile, Saved, locked_folder, save
@@ -52,6 +59,7 @@ from robot_sysid.results.rollout import (
     split_time,
     torque_error,
 )
+from robot_sysid.results.verdict import verdict_lines
 from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.loading import load_plant
 from robot_sysid.simulator import ArmTorque
@@ -75,14 +83,16 @@ class PlanOutcome:
         failure: why it must not be run, or None; nothing is written then.
         files: what was written.
         checked: the motion itself.
+        verdict: whether to use it and what to do next, in at most two lines, which come last.
     """
 
     lines: tuple[str, ...]
     failure: str | None
     files: tuple[Path, ...] = ()
     checked: CheckedPlan | None = None
+    verdict: tuple[str, ...] = ()
 
-    def report_lines(self, verbose: bool) -> list[str]:
+    def report_lines(self) -> list[str]:
         """Return what the command line prints at the end."""
         return [*self.lines, *(f"Trajectory saved to {path}" for path in self.files)]
 
@@ -127,10 +137,15 @@ class Outcome:
         """Why there is nothing to use, or None."""
         return self.saved.failure
 
-    def report_lines(self, verbose: bool) -> list[str]:
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Whether to use it and what to do next, in at most two lines, which come last."""
+        return verdict_lines(self.result, self.saved.failure)
+
+    def report_lines(self) -> list[str]:
         """Return what the command line prints at the end."""
         saved = f"Results saved to {folder_text(self.output.output_dir)}"
-        more = more_lines(self.result, self.output.links, verbose)
+        more = more_lines(self.result, self.output.links)
         clamping = clamping_lines(self.saved.damiao, self.result.joint_names)
         return [*block_lines(self.result), saved, *more, *clamping]
 
@@ -323,10 +338,10 @@ def _of_logs(config: SysidConfig, robot: RobotModel, progress: Progress) -> Anal
     if options.validation_measurements is not None:
         tests.append(open_log(robot, options.validation_measurements, options, progress))
         for note in tests[0].notes:
-            progress.note(f"validation log: {note}")
+            progress.note(type(note)(f"validation log: {note}"))
     checked(config, robot, [*logs, *tests], progress)
     pieces = [Piece(str(log.path), part) for log in logs for part in log.pieces]
-    notes = [f"{log.path.name}: {n}" if len(logs) > 1 else n for log in logs for n in log.notes]
+    notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
     return _identified(config, robot, pieces, origin_of(logs), notes, tests, progress)
 
 

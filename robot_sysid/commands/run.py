@@ -91,15 +91,16 @@ def carry_out(
         outcome = _outcome(config, console)
     if then is not None:
         then(outcome, console)
-    console.lines(outcome.report_lines(console.verbose))
+    console.lines(outcome.report_lines())
     failure = report_of(outcome, config.output, config.model.mesh_dir, console)
     if outcome.failure:
-        raise SysidError(outcome.failure)
+        raise SysidError(" ".join(outcome.verdict) or outcome.failure)
     if config.output.bundle:
         from robot_sysid.results.bundle import write_bundle
 
         for model in [path for path in outcome.files if path.name in MODEL_NAMES.values()]:
             console.stage(f"Bundle saved to {write_bundle(model, config.output.output_dir)}")
+    console.lines(outcome.verdict)
     if failure:
         raise SysidError(failure)
     return 0

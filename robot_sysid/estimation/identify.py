@@ -34,7 +34,7 @@ from robot_sysid.estimation.unknowns import Question
 from robot_sysid.estimation.verdict import of_own_simulation
 from robot_sysid.records import DataOrigin, Measurement, MotionPlan, RobotModel, Source, Validation
 from robot_sysid.records.data import Traces
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.results import validation_of
 from robot_sysid.results.record import LINK, JointEstimate, Result
 from robot_sysid.signals.process import ProcessedSignals, process
@@ -101,7 +101,7 @@ def shared_notes(told: Mapping[str, Sequence[str]]) -> Iterator[str]:
     for note in dict.fromkeys(note for notes in told.values() for note in notes):
         about = [name for name, notes in told.items() if note in notes]
         where = "all recordings" if len(about) == len(told) else ", ".join(about)
-        yield note if len(told) == 1 else f"{where}: {note}"
+        yield note if len(told) == 1 else type(note)(f"{where}: {note}")
 
 
 def answer_link(
@@ -123,14 +123,14 @@ def answer_link(
         SysidError: a delay or a tilt that is sought keeps moving.
     """
     question = Question(options)
-    progress.stage("Choosing friction, couplings and how far links may be off...")
+    progress.stage(Detail("Choosing friction, couplings and how far links may be off..."))
     fitter = _fitter(robot, datasets, question, options.friction)
     choice, tried, start = choose(fitter, question, options.friction)
     progress.stage("Solving for parameters...")
     fit = fitter.fit(question, choice, start)
     file = None
     if kept is not None:
-        progress.stage("Fitting the model file...")
+        progress.stage(Detail("Fitting the model file..."))
         file = fit_file(fitter, options, kept, fit.values)
     errors = fit_errors(fit)
     signals = [each.signals for each in datasets if each.signals is not None]
@@ -160,17 +160,17 @@ def answer_payload(
         (the answer, with the known mass where there is one; the one as if it were not known).
     """
     options = question.options
-    progress.stage("Estimating arm, friction and payload together...")
+    progress.stage(Detail("Estimating arm, friction and payload together..."))
     given = AT_REST if question.resting else options.friction
     weighing = replace(question, known_mass=None)
     fitter = _fitter(robot, datasets, weighing, given)
     choice, tried, start = choose(fitter, weighing, given)
     free = fitter.fit(weighing, choice, start)
-    progress.stage("Finding out how far off it may be...")
+    progress.stage(Detail("Finding out how far off it may be..."))
     weighed = Answer(free, None, fit_errors(free), (), tried)
     if question.known_mass is None:
         if kept is not None and options.torques == "chain" and not question.resting:
-            progress.stage("Fitting the model file...")
+            progress.stage(Detail("Fitting the model file..."))
             carried, _ = written_payload(weighed)
             file = fit_file(fitter, options, kept, free.values, carried=carried)
             weighed = replace(weighed, file=file)
@@ -228,10 +228,6 @@ def predicted(fit: Fit, data: Evidence, source: str) -> Validation:
 
 # Samples that a report draws of a simulation.
 _DRAWN = 2000
-ITSELF = (
-    "this run simulates the model itself, so it can only return the model's own values; give "
-    "--measurements LOG.csv for a log of the real arm, or --plant-model for another model of it"
-)
 
 
 def identify_itself(
@@ -256,7 +252,6 @@ def identify_itself(
     information = collect_sysid_data(equations, tracked)
     progress.stage("Solving for parameters...")
     estimate = identify_parameters(information, equations.prior, possible=True)
-    progress.note(ITSELF)
     own = zip(equations.names[N_INERTIAL:], equations.prior[N_INERTIAL:].tolist())
     before = {name.partition("[")[0]: value for name, value in own}
     result = Result(

@@ -33,6 +33,7 @@ from robot_sysid.estimation.verdict import (
 )
 from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, RobotModel
+from robot_sysid.records.progress import Detail
 from robot_sysid.results.model import versions
 from robot_sysid.results.record import (
     LINK,
@@ -193,6 +194,7 @@ def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin
     unknown = ""
     if status.is_trustworthy:
         values[fit.columns.at(PAYLOAD_NAMES)], unknown = written_payload(answer)
+        unknown = Detail(unknown)
     scatter = each_recording(weighed.fit, flange) if known is None else ()
     payload = _came_on(answer, flange, values, scatter)
     if unknown:

@@ -18,6 +18,7 @@ from robot_sysid.logs.columns import collected
 from robot_sysid.logs.rows import BACKWARDS, MISSING, REPEATED, UNREADABLE, WRAPPED, LogRows
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import position
+from robot_sysid.records.progress import Detail
 from robot_sysid.signals.resampling import GAP_STEPS, usual_period
 
 Mask = NDArray[np.bool_]
@@ -293,7 +294,7 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
         (time[-1] - time[last], f"from {rows.word} {rows.lines[last]} on"),
     ):
         if rest > long:
-            yield f"the arm stands still {where} ({rest:.2f} s)"
+            yield Detail(f"the arm stands still {where} ({rest:.2f} s)")
 
 
 def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:

@@ -32,7 +32,7 @@ from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.rows import followed, read_rows
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.atomic_files import whole_file
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import piece_note, pieces_of
@@ -105,8 +105,8 @@ def open_log(
     rows = read_rows(table, found, slides, progress)
     checked = check_log(str(path), rows, robot, found.angle_declared)
     pieces = tuple(LogPiece(**vars(piece)) for piece in pieces_of(rows.samples))
-    notes = (*found.describe(), *checked, *piece_note(rows.samples, pieces))
-    notes = (f"log layout: {table.layout}", *notes)
+    taken = map(Detail, (f"log layout: {table.layout}", *found.describe()))
+    notes = (*taken, *checked, *piece_note(rows.samples, pieces))
     return MeasurementLog(path, found, rows.samples, pieces, notes, scale)
 
 

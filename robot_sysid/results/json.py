@@ -29,7 +29,6 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import InertialParameters
 from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.results.cards import ERROR_NAMES, INERTIA, Card, load_errors
-from robot_sysid.results.console import PRIOR_SHARE, limitations
 from robot_sysid.results.record import (
     BodyEstimate,
     Figure,
@@ -39,6 +38,7 @@ from robot_sysid.results.record import (
     Result,
 )
 from robot_sysid.results.rollout import rollout_entry
+from robot_sysid.results.verdict import PRIOR_SHARE, limitations, verdict_lines
 
 SCHEMA_VERSION = 4
 FORMULAS = {
@@ -75,12 +75,22 @@ def export_params_json(result: Result, path: Path, notes: Sequence[str] = ()) ->
     write_whole(path, params_json_text(result, notes=notes))
 
 
-def params_json_text(result: Result, cards: Sequence[Card] = (), notes: Sequence[str] = ()) -> str:
-    """Return the text of params.json, with the payload's cards; notes are one sentence each."""
+def params_json_text(
+    result: Result,
+    cards: Sequence[Card] = (),
+    notes: Sequence[str] = (),
+    failure: str | None = None,
+) -> str:
+    """Return the text of params.json, with the payload's cards; notes are one sentence each.
+
+    Args:
+        failure: why nothing may be used of a result that may be used for itself, or None.
+    """
     found = replace(result, notes=(*result.notes, *notes))
     content = {
         "schema_version": SCHEMA_VERSION,
         **_asked(found),
+        "verdict": verdict_lines(result, failure),
         "file": _file(found.file),
         "payload": _payload(found.payload, cards),
         "links": [_link(found, body) for body in found.links],

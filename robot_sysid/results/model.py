@@ -34,6 +34,7 @@ from robot_sysid.model.inertia import body_theta, link_bodies
 from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
 from robot_sysid.records.atomic_files import WholeFiles
 from robot_sysid.records.figures import with_error
+from robot_sysid.records.progress import Detail
 from robot_sysid.results.record import Figure, Payload, Result
 from robot_sysid.results.verification import (
     reads_fullinertia_exactly,
@@ -44,7 +45,7 @@ from robot_sysid.results.verification import (
 _MOMENTS = [4, 7, 9]
 _IN_MJCF = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
 _NOT_IN_URDF = {"rotor inertia": "armature", "nonlinear damping": "polynomial"}
-_ONLY_MUJOCO = (
+_ONLY_MUJOCO = Detail(
     "the written URDF states gravity in its <mujoco> part, which MuJoCo reads and other readers "
     "ignore"
 )
@@ -244,7 +245,8 @@ def _write(
     except BaseException:
         target.files.withdraw(target.path)
         raise
-    return tuple(body.plan.note for body in change.bodies if body.plan.note)
+    plans = [body.plan for body in change.bodies]
+    return tuple(p.note if p.lumped or p.scaled else Detail(p.note) for p in plans if p.note)
 
 
 CHECKPOINTS = 400

@@ -19,6 +19,7 @@ from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel, Validation
 from robot_sysid.records.atomic_files import temporary_folder, whole_files
+from robot_sysid.records.progress import Detail
 from robot_sysid.records.results import (
     CLOSED,
     MODEL_NAMES,
@@ -113,8 +114,8 @@ def fitted_rows(signals: ProcessedSignals) -> NDArray[np.bool_]:
     return np.asarray(signals.decimated_time() < split_time(signals) - 2.0 * reach)
 
 
-def rollout_lines(test: RolloutTest, verbose: bool = False) -> Iterator[str]:
-    """Yield the lines of the result block; ``verbose`` adds every joint."""
+def rollout_lines(test: RolloutTest) -> Iterator[str]:
+    """Yield the lines of the result block, those of every joint as details."""
     yield (
         f"Played on {test.held_out}: root mean square position error [rad or m], model before -> "
         "new model"
@@ -126,9 +127,8 @@ def rollout_lines(test: RolloutTest, verbose: bool = False) -> Iterator[str]:
             f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {old:.3g} -> "
             f"{new:.3g}{ratio}"
         )
-        if verbose:
-            for name, one, other in zip(test.joint_names, error.before, error.after):
-                yield f"    {name}: {one:.3g} -> {other:.3g}"
+        for name, one, other in zip(test.joint_names, error.before, error.after):
+            yield Detail(f"    {name}: {one:.3g} -> {other:.3g}")
     yield from (f"  {note}" for note in test.notes)
     worse = []
     for last in test.errors[-1:]:

@@ -115,15 +115,15 @@ class ServoIdentification:
         }
 
 
-def servo_lines(found: ServoIdentification, verbose: bool = False) -> list[str]:
-    """Return the block line by line; ``verbose`` adds the rollouts of every joint."""
+def servo_lines(found: ServoIdentification) -> list[str]:
+    """Return the block line by line."""
     delay, error = found.fit.servos.delay, found.fit.errors.delay
     return [
         "Servos, friction and rotor inertia, before -> after, ± one standard error:",
         f"  {WITHOUT_TORQUE}.",
         f"  delay of the commands: {1e3 * delay:.1f} ± {1e3 * error:.1g} ms",
         *(f"  {joint}: {'; '.join(_figures(found, joint))}" for joint in found.robot.joint_names),
-        *rollout_lines(found.rollout, verbose),
+        *rollout_lines(found.rollout),
     ]
 
 
@@ -200,10 +200,22 @@ class ServoOutcome:
     files: tuple[Path, ...]
     failure: str | None
 
-    def report_lines(self, verbose: bool) -> list[str]:
+    def report_lines(self) -> list[str]:
         """Return what the command line prints at the end."""
         saved = f"Results saved to {folder_text(self.output_dir)}"
-        return [*servo_lines(self.identification, verbose), saved]
+        return [*servo_lines(self.identification), saved]
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Whether to use it, and what to do next."""
+        if self.failure is not None:
+            return (f"Not usable: {self.failure}",)
+        score, model = self.identification.rollout.score, self.identification.robot.path
+        times = "not known" if score is None else f"{score:.2g} times those before"
+        return (
+            f"Usable: position errors of the model, played on what was not fitted, are {times}",
+            f"Next: load {self.files[0].name} in place of {model}",
+        )
 
 
 def run_servo(

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
 from robot_sysid.records.options import PerJoint, per_joint
+from robot_sysid.records.progress import Detail
 from robot_sysid.signals.cutoff import (
     Spectra,
     choose_cutoff,
@@ -258,7 +259,8 @@ def process(
     bridged = bridged if corners is None else bridged | corners
     q, tau = q[reach:-reach], uniform.tau[lost:-lost]
     signals = ProcessedSignals(time, q, qd, qdd, tau, bridged, slow, low_pass, flat, (), expected)
-    return replace(signals, notes=(*uniform.notes, reason, *_notes(signals, joint_names)))
+    notes = (*uniform.notes, Detail(reason), *_notes(signals, joint_names))
+    return replace(signals, notes=notes)
 
 
 def with_delay(signals: ProcessedSignals, delay: float) -> ProcessedSignals:
@@ -327,13 +329,13 @@ def _needed(low_pass: LowPass) -> int:
 def _notes(signals: ProcessedSignals, joint_names: Sequence[str]) -> Iterator[str]:
     usable = signals.usable()
     lost = signals.low_pass.half_width + signals.flat.half_width + REACH
-    yield (
+    yield Detail(
         f"signals at {signals.rate:.6g} Hz, decimated to "
         f"{signals.rate / signals.low_pass.step:.4g} Hz: {len(usable)} rows per joint; "
         f"{lost / signals.rate:.2g} s cut off at each end"
     )
     if signals.exact:
-        yield "positions have no noise: they are differentiated without a low-pass"
+        yield Detail("positions have no noise: they are differentiated without a low-pass")
     for joint, share in enumerate(np.mean(usable, axis=0)):
         name = joint_names[joint] if joint < len(joint_names) else str(joint + 1)
         if share < 0.5:

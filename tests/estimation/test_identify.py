@@ -12,14 +12,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import base_parameters, structural_base, traces_of
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.identify import (
-    ITSELF,
-    Piece,
-    answer_link,
-    filtered,
-    identify_itself,
-    refit,
-)
+from robot_sysid.estimation.identify import Piece, answer_link, filtered, identify_itself, refit
 from robot_sysid.estimation.identify import tested as validated
 from robot_sysid.estimation.result import result_of
 from robot_sysid.records import Source
@@ -184,6 +177,6 @@ def test_the_models_own_values_come_back_with_where_they_are_from(plant, torques
     drawn = traces()
     np.testing.assert_allclose(drawn.predicted, drawn.measured, atol=1e-9)
     np.testing.assert_allclose(drawn.before, drawn.measured, atol=1e-9)
-    assert listener.notes == [ITSELF] and listener.steps == int(np.ceil(2001 / CHUNK))
+    assert listener.notes == [] and listener.steps == int(np.ceil(2001 / CHUNK))
     origin = data.source, data.duration, data.sample_rate, data.seed
     assert origin == (Source.ITSELF, plan.duration, 500.0, 7)

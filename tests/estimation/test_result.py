@@ -13,7 +13,6 @@ from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import answer_link, answer_payload
 from robot_sysid.estimation.result import payload_of, result_of
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.payload_pipeline import hangs_on_scales
 from robot_sysid.records import Flange, Measurement
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import LINK, Figure, Verdict
@@ -102,13 +101,6 @@ def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
     kinds = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
     assert result.payload.recordings == kinds and len(result.payload.scatter) == 4
     assert result.payload.torque_scale == {} and "drift[joint0]" not in result.sensors
-
-
-def test_a_known_mass_is_advised_where_scales_are_all_that_the_mass_hangs_on(recordings):
-    (said,) = hangs_on_scales(of_payload(recordings))
-    assert "--known-mass KG" in said
-    sure = EstimationOptions(friction_model=BASIC, scale_uncertainty=0.1)
-    assert not hangs_on_scales(of_payload(recordings, options=sure))
 
 
 def test_an_inertia_that_is_not_told_from_zero_is_a_balls():

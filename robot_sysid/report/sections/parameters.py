@@ -15,7 +15,7 @@ from robot_sysid.report import drawing
 from robot_sysid.report.drawing import AFTER, Figure, Section, Table, drawn, table
 from robot_sysid.report.runs import Body, Run, number
 from robot_sysid.results.cards import NOT_KNOWN
-from robot_sysid.results.console import PRIOR_SHARE
+from robot_sysid.results.verdict import PRIOR_SHARE
 
 _GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
 _MARKS: dict[str, tuple[float, dict[str, Any]]] = {

@@ -1,0 +1,236 @@
+"""The verdict on a result in two lines, which console, report and params.json share; its limits.
+
+The first line says whether to use it, how much better it is than what was there, and what limits
+it; the second what to type next.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+
+import numpy as np
+
+from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
+from robot_sysid.records import DELAY_NAME, Source
+from robot_sysid.records.figures import percent
+from robot_sysid.records.progress import Detail
+from robot_sysid.records.results import CARD_NAME, MODEL_NAMES
+from robot_sysid.results.record import BodyEstimate, Result, Verdict
+
+UNKNOWN = 0.5
+"""Relative error of a mass from which on it is not known: two of them reach zero."""
+LARGE = 0.02
+"""Error of the mass, as a part of it, above which something is to be done about it: what
+friction and sensors leave of it at best."""
+PART = 0.3
+"""Share of the whole error from which a cause is worth a remedy: without it 5 % less is left."""
+WEAK = 0.1
+"""Standard error, relative to a body of this mass and size, above which a parameter is weak: a
+tenth, as docs/measurements.md says."""
+COLOURED = 0.3
+"""Share of independent samples below which residuals are called correlated in time: errors are
+1 / sqrt(0.3) = 1.8 times those of white noise then."""
+WORSE = 1.5
+"""Held-out error over fitted error above which the model, not noise, is the limit: noise alone
+differs by percents between stretches of hundreds of samples."""
+PRIOR_SHARE = 0.5
+"""Share of the data in a value below which the model has more say."""
+SURE = 3.0
+"""Standard errors from zero beyond which a sign is sure: noise passes it once in 700 times."""
+_EARLY = 2.0
+"""Standard errors before zero beyond which a delay is called early: once in 44 times by noise."""
+_REMEDIES = {
+    **dict.fromkeys(
+        ("noise", "links", "delay", "filtering"),
+        "robot-sysid plan {model} (a wider, faster motion of all joints shows more)",
+    ),
+    "other links": "record the empty arm as long and as widely as the loaded one",
+    **dict.fromkeys(
+        ("torque scale", "common torque scale"),
+        "robot-sysid payload {model} --empty LOG --loaded LOG --known-mass KG "
+        "--save-torque-scale scales.csv (then identify with --torque-scale scales.csv)",
+    ),
+    "joint offsets": "calibrate the joints' zero positions",
+    "gravity": "level the base, and say how well with --gravity-uncertainty",
+    "friction model": "warm the arm up before recording",
+}
+"""Cause of error to what makes it smaller."""
+_USES = {
+    Verdict.AS_GOOD: "Usable, but the model was about as good before",
+    Verdict.PARTLY_FROM_MODEL: "Usable (not seen, so kept from the model: {unseen})",
+    Verdict.INERTIA_NOT_KNOWN: "Usable for mass and centre of mass (the inertia is not known)",
+}
+_CONFLICTS = {
+    "links": "the model's numbers of other links do not fit this arm",
+    "torque scale": "the scale of the torques does not fit the model",
+    "joint offsets": "zero positions of joints do not fit the model",
+    "gravity": "the base is not level as in the model",
+    "friction model": "the joints' friction follows another law than the one that was fitted",
+}
+
+
+def verdict_lines(result: Result, failure: str | None = None) -> tuple[str, ...]:
+    """Return one or two lines: whether to use a result, and what to do next.
+
+    Args:
+        failure: why nothing may be used of a result that may be used for itself, or None.
+    """
+    failure = refusal(result) or failure
+    if failure is not None:
+        return (f"Not usable: {failure}",)
+    unseen = ", ".join(result.estimate.identifiability.unidentifiable)
+    use = _USES.get(result.verdict, "Usable").format(unseen=unseen)
+    if result.data.source is Source.ITSELF:
+        came = "the model's own numbers came back from its own simulation"
+        said = f"Self-test passed: {came}, which says nothing of the real arm"
+        said += f" (not seen: {unseen})" if unseen else ""
+        return said, f"Next: {_command(result, 'robot-sysid plan {model}')} (a motion to record)"
+    return f"{use}: {'; '.join(_gains(result))}", f"Next: {_next(result)}"
+
+
+def refusal(result: Result) -> str | None:
+    """Return why nothing but numbers is written, or None where the result may be used."""
+    what = "no model was" if result.payload is None else "no model and no card were"
+    if result.payload is not None and result.payload.known_mass is not None:
+        what = "no torque scales were"
+    return None if result.failure is None else f"{what} written: {result.failure}"
+
+
+def _gains(result: Result) -> Iterator[str]:
+    if result.file is not None:
+        tests = (result.file.before, result.file.after)
+        shares = [None if test is None else test.relative_error for test in tests]
+        known = [percent(share) for share in shares if share is not None]
+        yield f"torque error on held-out data {' -> '.join(known) or 'not known'}"
+    if result.payload is not None and result.payload.known_mass is not None:
+        yield "torque scales follow from the known mass"
+        return
+    share, cause = result.known_to, largest_cause(result.body)
+    known_to = "the mass alone is not known"
+    if share is not None and share < UNKNOWN:
+        known_to = f"the mass is known to {percent(share)}"
+    yield known_to + (f", limited by {cause}" if cause else "")
+
+
+def largest_cause(body: BodyEstimate) -> str:
+    """Return the cause of most of a mass's error, or "" where it is not known."""
+    causes = {"noise": body.noise_errors[0], **{k: part[0] for k, part in body.budget.items()}}
+    known = np.isfinite(body.errors[0]) and np.isfinite(list(causes.values())).all()
+    return max(causes, key=lambda cause: causes[cause]) if known else ""
+
+
+def _next(result: Result) -> str:
+    body, payload, share = result.body, result.payload, result.known_to
+    if payload is not None and payload.known_mass is not None:
+        return "give the saved scales to every later run with --torque-scale FILE"
+    cause = largest_cause(body)
+    if cause in _REMEDIES and (share is None or share > LARGE):
+        return _command(result, _REMEDIES[cause])
+    if payload is not None:
+        return f"copy {CARD_NAME} into the controller; it is in the frame of {payload.flange.name}"
+    written = " or ".join(MODEL_NAMES.values())
+    if result.file is not None and result.file.others:
+        return f"load {written} in place of {result.model_path}"
+    test = "robot-sysid identify {model} {log} --validation-measurements OTHER_LOG"
+    return _command(result, test) + " (another motion tests the written model)"
+
+
+def _command(result: Result, text: str) -> str:
+    log = result.data.detail if len(result.data.files) == 1 else "LOG"
+    return text.format(model=shlex.quote(str(result.model_path)), log=shlex.quote(log))
+
+
+def limitations(result: Result) -> tuple[str, ...]:
+    """Return one sentence per thing that limits the accuracy of a result.
+
+    What a user has to know is a plain one; what the errors allow for already is a ``Detail``.
+    """
+    return tuple(_sentences(result)) if result.is_measured else ()
+
+
+def _sentences(result: Result) -> Iterator[str]:
+    estimate, body = result.estimate, result.body
+    if estimate.identifiability.unidentifiable:
+        listed = "; ".join(estimate.identifiability.unidentifiable)
+        yield Detail(f"not visible in these torques, kept from the model: {listed}")
+    yield from map(Detail, _weak(body))
+    rows = zip(PARAMETER_NAMES, body.data_share, body.shown)
+    names = [name for name, share, seen in rows if seen and share < PRIOR_SHARE]
+    if names:
+        listed = ", ".join(names)
+        yield Detail(f"more model than data in {listed}: the prior outweighs the torques there")
+    yield from _conflicts(result)
+    sought = result.sensors.get(DELAY_NAME)
+    if result.delay is not None and sought is not None and result.delay < -_EARLY * sought.error:
+        # No sensor reads a torque before the motion it belongs to.
+        yield (
+            f"the torque seems to come {-1e3 * result.delay:.2g} ms before the motion: the "
+            "positions are late, or friction turns earlier than the speed does; trust neither"
+        )
+    yield from _negative_friction(result)
+    yield from _beyond_noise(result)
+    if estimate.constrained:
+        yield Detail(
+            "the plain estimate was no possible rigid body, so the best possible one was taken; "
+            "the errors allow for how far it was moved"
+        )
+
+
+def _weak(body: BodyEstimate) -> Iterator[str]:
+    theta = body.inertial.theta
+    scale = parameter_scale(max(float(theta[0]), 1e-9), characteristic_length(theta))
+    relative = body.errors / scale
+    weak = [k for k in np.argsort(-relative) if np.isfinite(relative[k]) and relative[k] > WEAK]
+    if weak:
+        listed = ", ".join(f"{PARAMETER_NAMES[k]} (± {percent(relative[k])})" for k in weak)
+        yield (
+            f"weakly seen, in percent of what a body of this mass and size has: {listed}; move "
+            "faster, wider or longer (robot-sysid plan designs such a motion)"
+        )
+
+
+def _conflicts(result: Result) -> Iterator[str]:
+    for conflict in result.conflicts:
+        cause = _CONFLICTS.get(conflict.cause, f"{conflict.cause}: not as was thought")
+        said = f"{cause} (most: {', '.join(conflict.members[:3])})"
+        off = f"{conflict.asked:.2g} times as far off as was allowed, and the errors were widened"
+        if conflict.scale > 1.0:
+            yield f"{said}: they are {off} for it"
+        else:
+            yield Detail(f"{said}; the errors allow for that")
+
+
+def _negative_friction(result: Result) -> Iterator[str]:
+    clear, given = [], False
+    for name, joint in result.joints.items():
+        model = friction_model(joint.friction_model)
+        bounded = {term for term, bound in zip(model.terms, model.non_negative) if bound}
+        for term, (value, error) in joint.terms.items():
+            if term in bounded and value < -SURE * error:
+                clear.append(f"{term} {value:.2g} of {name}")
+                given = given or not joint.candidates
+    if clear:
+        other = ", or let --friction-model auto choose other terms" if given else ""
+        yield (
+            f"friction that drives instead of brakes ({', '.join(clear)}): check the sign and the "
+            f"scale of these torques{other}"
+        )
+
+
+def _beyond_noise(result: Result) -> Iterator[str]:
+    """Tell where residuals are more than noise: correlated in time, or larger on other data."""
+    estimate = result.estimate
+    slow = [name for name, share in estimate.independent_share.items() if share < COLOURED]
+    if slow:
+        yield Detail(
+            f"residuals of {', '.join(slow)} are correlated in time: slow noise, or something that "
+            "the model lacks; the errors allow for it"
+        )
+    for test in result.validation:
+        if test.rmse > WORSE * estimate.rmse:
+            yield (
+                f"torques of {test.source} are predicted {test.rmse / estimate.rmse:.1f} "
+                "times worse than the fitted ones: the model misses something that motion shows"
+            )
