@@ -41,7 +41,14 @@ from robot_sysid.logs.reader import (
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.parser import load_robot_model
 from robot_sysid.payload_pipeline import weighed
-from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
+from robot_sysid.records import (
+    DataOrigin,
+    InertialParameters,
+    Motion,
+    MotionPlan,
+    RobotModel,
+    Source,
+)
 from robot_sysid.records.atomic_files import WholeFiles, temporary_folder, whole_files
 from robot_sysid.records.data import Traces
 from robot_sysid.records.options import per_joint
@@ -185,7 +192,7 @@ def analysed(config: Config, robot: RobotModel, progress: Progress) -> Analysis:
     if isinstance(config, PayloadConfig):
         answer, result = weighed(config, robot, progress)
         motion = answer.fit.columns.datasets[-1].motion
-        return Analysis(result, motion, lambda: traces_of(answer), answer)
+        return Analysis(result, motion, partial(traces_of, answer), answer)
     assert isinstance(config, SysidConfig)
     band = config.estimation.velocity_deadband
     if band is not None:
@@ -307,7 +314,11 @@ def _of_plant(
     pieces = [Piece(str(arm.plant_model), samples, least_deadband=least)]
     found = _identified(config, robot, pieces, origin, notes, (), progress)
     truth = plant.prior
-    return replace(found, traces=lambda: replace(found.traces(), truth=truth))
+    return replace(found, traces=partial(_with_truth, found.traces, truth))
+
+
+def _with_truth(traces: Callable[[], Traces], truth: InertialParameters) -> Traces:
+    return replace(traces(), truth=truth)
 
 
 def _past_the_ramp(
@@ -382,7 +393,7 @@ def _identified(
     assert (first := datasets[0].signals) is not None
     checkpoints = first.motion(first.spread(CHECKPOINTS))
     held_out = tuple(each for parts in others.values() for each in parts)
-    found = Analysis(result, checkpoints, lambda: traces_of(answer), answer, held_out)
+    found = Analysis(result, checkpoints, partial(traces_of, answer), answer, held_out)
     return replace(found, result=_file_tested(robot, found, config.model.mesh_dir))
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Union
 
 import numpy as np
 
-from robot_sysid.api.keywords import with_keywords
+from robot_sysid.api.keywords import python_words, with_keywords
 from robot_sysid.api.results import Identified, PlanResult, one_thread
 from robot_sysid.config import Config, ModelOptions, SysidConfig, config_from, payload_config_from
 from robot_sysid.errors import InputError
@@ -100,7 +100,7 @@ class _Notes(Progress):
         self.notes: list[str] = []
 
     def note(self, message: str) -> None:
-        self.notes.append(message)
+        self.notes.append(python_words(message))
 
 
 @contextmanager
@@ -206,7 +206,7 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     with _quietly() as notes:
         robot = load(config, notes)
         made, _ = designed(config, robot, notes)
-        lines = tuple(promise(config, robot, made))
+        lines = tuple(map(python_words, promise(config, robot, made)))
     return PlanResult(config, robot, made, lines, tuple(notes.notes))
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from robot_sysid.api.keywords import in_python, python_words
 from robot_sysid.config import Config, SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
@@ -21,6 +22,7 @@ from robot_sysid.motion.plan import CheckedPlan
 from robot_sysid.pipeline import Analysis, save_plan, written
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.atomic_files import temporary_folder, whole_files
+from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.results.bundle import model_in_memory, write_bundle
@@ -118,7 +120,7 @@ class Identified:
     @property
     def failure(self) -> str | None:
         """Why the result must not be used, or None."""
-        return self.result.failure
+        return python_words(self.result.failure or "") or None
 
     @property
     def rows(self) -> Sequence[BeforeAfter]:
@@ -146,7 +148,7 @@ class Identified:
         Raises:
             InputError: the folder cannot be written to.
         """
-        with one_thread(), locked_folder(Path(folder), Progress()):
+        with in_python(), one_thread(), locked_folder(Path(folder), Progress()):
             files = self._write(Path(folder)).files
         models = _models_in(files) if bundle else []
         return (*files, *(write_bundle(model, Path(folder)) for model in models))
@@ -161,7 +163,7 @@ class Identified:
         Raises:
             SysidError: the result must not be used, or the model cannot hold it; says why.
         """
-        with one_thread(), temporary_folder() as folder:
+        with in_python(), one_thread(), temporary_folder() as folder:
             saved = self._write(folder)
             if not _models_in(saved.files):
                 raise SysidError(saved.failure or "this result is written into no model")
@@ -173,14 +175,9 @@ class Identified:
         Raises:
             InputError: matplotlib is not installed.
         """
-        try:
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise InputError("plot() needs matplotlib; pip install matplotlib") from None
         traces = self.analysis.traces()
-        count = len(traces.joints)
-        figure = Figure(figsize=(8.0, 1.6 * count + 0.6), layout="constrained")
-        axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+        figure, grid = _axes(len(traces.joints))
+        axes = grid[:, 0]
         # Blue and orange of Okabe and Ito, safe for colour-blind readers.
         dots: Any = {"ls": "none", "marker": ".", "ms": 2, "color": "#0072B2"}
         for k, (axis, joint) in enumerate(zip(axes, traces.joints)):
@@ -194,6 +191,12 @@ class Identified:
     def __str__(self) -> str:
         return "\n".join(self.lines())
 
+    def __repr__(self) -> str:
+        body = self.result.body_name if self.result.payload is None else "payload"
+        mass = with_error(self.mass, self.standard_errors.get("m"), "kg")
+        usable = f"not to be used: {self.failure}" if self.failure else "usable"
+        return f"<Identified {body} of {self.robot.path.name}: {mass}, {usable}>"
+
     def _repr_html_(self) -> str:
         """Return the table before -> after for a notebook, with the verdict above it."""
         lines = [("th", HEADINGS), *(("td", row.cells) for row in self.rows)]
@@ -204,6 +207,20 @@ class Identified:
 
 def _models_in(files: Sequence[Path]) -> list[Path]:
     return [path for path in files if path.name in MODEL_NAMES.values()]
+
+
+_DRAWN_RATE = 100.0
+"""Samples per second of a drawn motion, whose fastest swing takes a second [Hz]."""
+
+
+def _axes(rows: int, columns: int = 1) -> tuple[Any, Any]:
+    """Return a matplotlib Figure with axes (rows, columns) over one time."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError("plot() needs matplotlib; pip install matplotlib") from None
+    figure = Figure(figsize=(8.0, 1.6 * rows + 0.6), layout="constrained")
+    return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
 
 
 @dataclass(frozen=True, repr=False)
@@ -227,7 +244,7 @@ class PlanResult:
     @property
     def failure(self) -> str | None:
         """Why the motion must not be played, or None."""
-        return self.checked.failure
+        return python_words(self.checked.failure or "") or None
 
     @property
     def duration(self) -> float:
@@ -259,11 +276,41 @@ class PlanResult:
         if self.failure:
             raise SysidError(f"{self.failure}; nothing was written")
         config = replace(self.config, trajectory=replace(self.config.trajectory, save=Path(path)))
-        with one_thread(), whole_files() as files:
+        with in_python(), one_thread(), whole_files() as files:
             return save_plan(files, config, self.robot, self.checked.plan)
+
+    def plot(self) -> Any:
+        """Return a matplotlib Figure: position, speed and acceleration of each joint over time,
+        with the limits of positions and speeds [rad, rad/s, rad/s^2; m of slides].
+
+        Raises:
+            InputError: matplotlib is not installed.
+        """
+        motion, limits = self.sampled(_DRAWN_RATE), self.robot.limits
+        bounds = (limits.lower, limits.upper), (-limits.velocity, limits.velocity)
+        figure, axes = _axes(self.robot.n_joints, 3)
+        for joint, row in enumerate(axes):
+            for axis, values in zip(row, (motion.q, motion.qd, motion.qdd)):
+                axis.plot(motion.time, values[:, joint], lw=1, color="#0072B2")
+            for axis, pair in zip(row, bounds):
+                for bound in (float(each[joint]) for each in pair if np.isfinite(each[joint])):
+                    axis.axhline(bound, lw=1, ls="--", color="#D55E00")
+            row[0].set_ylabel(self.robot.joint_names[joint])
+        for axis, title in zip(
+            axes[0], ("position [rad]", "speed [rad/s]", "acceleration [rad/s²]")
+        ):
+            axis.set_title(title, fontsize="medium")
+        for axis in axes[-1]:
+            axis.set_xlabel("time [s]")
+        return figure
 
     def __str__(self) -> str:
         return "\n".join(self.promised)
+
+    def __repr__(self) -> str:
+        playable = f"not to be played: {self.failure}" if self.failure else "keeps all limits"
+        what = f"{self.duration:g} s for {self.robot.n_joints} joints of {self.robot.path.name}"
+        return f"<PlanResult {what}, {playable}>"
 
     def _repr_html_(self) -> str:
         """Return what is promised, for a notebook."""

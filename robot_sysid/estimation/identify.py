@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from robot_sysid.estimation.verdict import of_own_simulation
 from robot_sysid.records import DataOrigin, Measurement, MotionPlan, RobotModel, Source, Validation
 from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Detail, Progress
-from robot_sysid.records.results import validation_of
+from robot_sysid.records.results import Estimate, validation_of
 from robot_sysid.results.record import LINK, JointEstimate, Result
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.repetition import visits
@@ -265,11 +266,14 @@ def identify_itself(
         notes=robot.notes,
     )
 
-    def traces() -> Traces:
-        motion = spread_motion(plan, _DRAWN)
-        (measurement,) = simulate_inverse(robot, [motion])
-        samples = equations_at(equations, measurement)
-        after, prior = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
-        return traced(robot, [samples], [motion], after, prior)
+    return result, partial(_traces_of_itself, robot, plan, equations, estimate)
 
-    return result, traces
+
+def _traces_of_itself(
+    robot: RobotModel, plan: MotionPlan, equations: Equations, estimate: Estimate
+) -> Traces:
+    motion = spread_motion(plan, _DRAWN)
+    (measurement,) = simulate_inverse(robot, [motion])
+    samples = equations_at(equations, measurement)
+    after, prior = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
+    return traced(robot, [samples], [motion], after, prior)

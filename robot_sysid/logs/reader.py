@@ -14,6 +14,7 @@ import re
 import stat
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import piece_note, pieces_of
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MeasurementLog:
     """A checked log, the pieces between its gaps that are long enough, what there is to say, and
     what its torques were divided by (n,), as the user gave it.
@@ -56,6 +57,15 @@ class MeasurementLog:
         return str(self.path)
 
     __str__ = __fspath__
+
+    def __repr__(self) -> str:
+        what = f"{len(self.samples)} samples of {self.samples.q.shape[1]} joints"
+        return f"<MeasurementLog {self.path}: {what} in {self.duration:.4g} s>"
+
+    def _repr_html_(self) -> str:
+        """Return what was read, and what there is to say of it, for a notebook."""
+        notes = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
+        return f"<p>{escape(repr(self))}</p><ul>{notes}</ul>"
 
     @property
     def duration(self) -> float:

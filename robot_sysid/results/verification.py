@@ -59,6 +59,8 @@ DERIVED = {
 PATHS = {
     *("paths", "npaths", "nbuffer"),
     *("mesh_pathadr", "skin_pathadr", "hfield_pathadr", "tex_pathadr"),
+    # A hash of sizes and kinds, which are compared themselves; MuJoCo loses it when it pickles.
+    "signature",
 }
 _SPRINGDAMPER = (
     "a joint's springdamper computes it from the inertia: give that joint stiffness and damping "
@@ -292,7 +294,7 @@ PLACE = 1e-12
 """Largest deviation of the new body's place [m] and axes: some roundings of a quaternion."""
 # Names and their places, and tables that list each body or number the pairs of them.
 _BOOKKEEPING = {
-    *("nbody", "nB", "nnames", "nnames_map", "names", "names_map", "signature"),
+    *("nbody", "nB", "nnames", "nnames_map", "names", "names_map"),
     *("tree_bodynum", "exclude_signature", "pair_signature"),
 }
 _OF_NAMES = ("name_", "B_")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -94,6 +95,24 @@ def test_named_values_fit_together(result):
     assert str(result).startswith("Identified parameters:\n  Mass: ")
 
 
+def test_a_result_is_the_same_after_pickling(result, tmp_path):
+    again = pickle.loads(pickle.dumps(result))
+    assert again.to_dict() == result.to_dict() and str(again) == str(result)
+    np.testing.assert_array_equal(again.analysis.traces().q, result.analysis.traces().q)
+    assert (tmp_path / "out" / "updated_model.xml") in again.save(tmp_path / "out")
+    itself = rs.identify(result.robot.path, seed=1, duration=2.0)
+    assert pickle.loads(pickle.dumps(itself)).mass == itself.mass
+    assert any("give log=LOG.csv for a log" in note for note in itself.notes)
+
+
+def test_results_plans_and_logs_say_what_they_are(workshop, result, monkeypatch):
+    assert repr(result).startswith("<Identified link3 of arm.xml: 4.0")
+    assert repr(result).endswith("kg, usable>")
+    log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
+    assert repr(log).endswith("log.csv: 1601 samples of 4 joints in 8 s>")
+    assert "position from" in log._repr_html_() and "<Measure" not in log._repr_html_()
+
+
 def test_a_saved_result_is_that_of_the_command(workshop, result, tmp_path):
     files = result.save(tmp_path / "out", bundle=True)
     assert {path.name for path in files} == {"params.json", "updated_model.xml"}
@@ -120,10 +139,14 @@ def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_p
         wrong.spec()
 
 
-def test_a_plot_shows_every_joint(result, monkeypatch):
+def test_a_plot_shows_every_joint(workshop, result, monkeypatch):
     pytest.importorskip("matplotlib")
     axes = result.plot().axes
     assert [axis.get_ylabel() for axis in axes] == [f"joint{k}\n[N m]" for k in range(4)]
+    monkeypatch.setattr(calls, "promise", lambda *_: [])
+    axes = rs.plan(workshop / "arm.xml", excitation="sines", duration=4.0, seed=1).plot().axes
+    assert [axis.get_ylabel() for axis in axes[::3]] == [f"joint{k}" for k in range(4)]
+    assert len(axes) == 12 and [len(axis.lines) for axis in axes[:3]] == [3, 3, 1]
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(InputError, match="pip install matplotlib"):
         result.plot()
@@ -177,6 +200,8 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
     np.testing.assert_allclose(motion.qd[[0, -1]], 0.0, atol=1e-9)
     assert plan.to_dict()["promised"] == [str(plan)] == ["standard deviations"]
     files = plan.save(tmp_path / "plan.json")
+    assert repr(plan) == "<PlanResult 4 s for 4 joints of arm.xml, keeps all limits>"
+    assert pickle.loads(pickle.dumps(plan)).duration == 4.0
     again = rs.plan(workshop / "arm.xml", trajectory=str(files[0]))
     np.testing.assert_allclose(again.motion(motion.time).q, motion.q, atol=1e-9)
 
