@@ -8,9 +8,7 @@ import os
 import signal
 import sys
 import threading
-import traceback
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 from robot_sysid.commands.streams import print_line, tolerant_output
@@ -34,8 +32,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     with _remembered_interrupts(ends=argv is None) as interrupts:
         interrupted = "interrupted"
         try:
-            if name == "run":
-                _refuse_misspelt(arguments)
+            if name == "run" and arguments and not arguments[0].startswith("-"):
+                _refuse_misspelt(arguments[0])
             module = "identify" if name == "arm" else name
             command = importlib.import_module(f"robot_sysid.commands.{module}")
             interrupted = getattr(command, "INTERRUPTED", UNFINISHED)
@@ -56,9 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _report(f"{type(error).__name__}: {error} ({hint})", 1, debug)
 
 
-def _refuse_misspelt(arguments: Sequence[str]) -> None:
-    """Raise InputError where the first word looks like a subcommand and is no file."""
-    word = arguments[0] if arguments else ""
+def _refuse_misspelt(word: str) -> None:
+    """Raise InputError where a word looks like a subcommand and is no file."""
+    from difflib import get_close_matches
+
     near = get_close_matches(word, COMMANDS, 1, 0.75)
     if near and not os.path.exists(word):
         raise InputError(f"there is no file and no command {word}: did you mean {near[0]}?")
@@ -107,6 +106,8 @@ def _one_blas_thread() -> None:
 
 def _report(message: str, code: int, debug: bool) -> int:
     if debug:
+        import traceback
+
         traceback.print_exc()
     one_line, beginning, end = " ".join(message.split()), 1500, 400
     if len(one_line) > beginning + end:  # Nobody would read it all.

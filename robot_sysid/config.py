@@ -15,7 +15,14 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.records.atomic_files import refuse_overwriting
+from robot_sysid.records.atomic_files import (
+    CARD_NAME,
+    DAMIAO_NAME,
+    MODEL_NAMES,
+    PARAMS_NAME,
+    PLAN_NAME,
+    refuse_overwriting,
+)
 from robot_sysid.records.options import (
     Option,
     OptionRecord,
@@ -27,10 +34,9 @@ from robot_sysid.records.options import (
     refuse_unknown,
     whole_number,
 )
-from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME, PLAN_NAME
+from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.records.torque_scale import SCALE, joint_factors
-from robot_sysid.simulation.sensors import SimulatedArmOptions
-from robot_sysid.trajectory import TrajectoryOptions
+from robot_sysid.simulation.options import SimulatedArmOptions
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")
 EMPTY, LOADED = "A", "B"

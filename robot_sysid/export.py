@@ -19,9 +19,9 @@ from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import Motion, RobotModel, atomic_files
+from robot_sysid.records.atomic_files import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
 from robot_sysid.results.cards import Card, card_text, payload_cards
 from robot_sysid.results.json import export_params_json as export_params_json
 from robot_sysid.results.json import params_json_text

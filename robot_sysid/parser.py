@@ -23,8 +23,7 @@ from robot_sysid.model.chain import (
 from robot_sysid.model.compilation import CompiledModel, compile_model
 from robot_sysid.model.inertia import arm_links, composite_theta
 from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
-from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
-from robot_sysid.records.options import PerJoint
+from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint
 
 
 def load_robot_model(

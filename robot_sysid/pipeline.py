@@ -49,11 +49,17 @@ from robot_sysid.records import (
     RobotModel,
     Source,
 )
-from robot_sysid.records.atomic_files import WholeFiles, temporary_folder, whole_files
+from robot_sysid.records.atomic_files import (
+    DAMIAO_NAME,
+    MODEL_NAMES,
+    WholeFiles,
+    temporary_folder,
+    whole_files,
+)
 from robot_sysid.records.data import Traces
 from robot_sysid.records.options import per_joint
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, RolloutTest
+from robot_sysid.records.results import RolloutTest
 from robot_sysid.records.torque_scale import write_torque_scale
 from robot_sysid.results.console import block_lines, clamping_lines, folder_text, more_lines
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model

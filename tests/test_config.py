@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.config import SysidConfig, config_from, payload_config_from
-from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
+from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
+from robot_sysid.estimation.algebra.options import CHOSEN, DEFAULT_TERMINAL, EstimationOptions
+from robot_sysid.records.sampling import MOST_SAMPLES
 from robot_sysid.records.torque_scale import write_torque_scale
-from robot_sysid.trajectory import MOST_SAMPLES
 from tests.support import option_samples
 
 MODEL = Path("arm.xml")

@@ -21,10 +21,9 @@ from robot_sysid.export import Saved, locked_folder
 from robot_sysid.motion.plan import CheckedPlan
 from robot_sysid.pipeline import Analysis, save_plan, written
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
-from robot_sysid.records.atomic_files import temporary_folder, whole_files
+from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.results.bundle import model_in_memory, write_bundle
 from robot_sysid.results.console import result_lines
 from robot_sysid.results.json import params_json_text

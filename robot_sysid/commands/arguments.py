@@ -6,14 +6,13 @@ import argparse
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any, Callable, NoReturn
 
+import robot_sysid.records.options as options
 from robot_sysid import __version__
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
 from robot_sysid.errors import EXIT_CODES, InputError
-from robot_sysid.records import options
 
 PROGRAM = "robot-sysid"
 PYTHON_ONLY = ("plan_only",)
@@ -81,6 +80,8 @@ class Parser(argparse.ArgumentParser):
         return known
 
     def _meant(self, unknown: Sequence[str]) -> str:
+        from difflib import get_close_matches
+
         flags = [flag for action in self._actions for flag in action.option_strings]
         for word in unknown:
             near = get_close_matches(word.split("=")[0], flags, 1) if word[:1] == "-" else []

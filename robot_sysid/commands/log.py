@@ -12,9 +12,9 @@ from robot_sysid.commands.plan import require_preview, show_preview
 from robot_sysid.config import ModelOptions
 from robot_sysid.errors import InputError
 from robot_sysid.logs.options import CHECKS, LogOptions
-from robot_sysid.preview.motion import PreviewOptions
+from robot_sysid.preview.options import PreviewOptions
 from robot_sysid.records.options import record_from
-from robot_sysid.trajectory import TrajectoryOptions
+from robot_sysid.records.sampling import TrajectoryOptions
 
 if TYPE_CHECKING:
     from robot_sysid.preview.motion import Shown

@@ -10,8 +10,8 @@ from robot_sysid.config import ModelOptions, OutputOptions, PayloadOptions, payl
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
-from robot_sysid.simulation.sensors import SimulatedArmOptions
-from robot_sysid.trajectory import TrajectoryOptions
+from robot_sysid.records.sampling import TrajectoryOptions
+from robot_sysid.simulation.options import SimulatedArmOptions
 
 MAIN = (
     *("mesh_dir", "joint", "output_dir", "empty", "loaded", "order", "flange", "as_body"),

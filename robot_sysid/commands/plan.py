@@ -11,10 +11,10 @@ from robot_sysid.commands.run import add_model, carry_out
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, config_from
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.preview.motion import PreviewOptions
+from robot_sysid.preview.options import PreviewOptions
 from robot_sysid.records.options import record_from
-from robot_sysid.simulation.sensors import SimulatedArmOptions
-from robot_sysid.trajectory import TrajectoryOptions
+from robot_sysid.records.sampling import TrajectoryOptions
+from robot_sysid.simulation.options import SimulatedArmOptions
 
 if TYPE_CHECKING:
     from robot_sysid.pipeline import PlanOutcome

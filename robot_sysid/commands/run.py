@@ -23,9 +23,9 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
-from robot_sysid.records.results import MODEL_NAMES
-from robot_sysid.simulation.sensors import SimulatedArmOptions
-from robot_sysid.trajectory import TrajectoryOptions
+from robot_sysid.records.atomic_files import MODEL_NAMES
+from robot_sysid.records.sampling import TrajectoryOptions
+from robot_sysid.simulation.options import SimulatedArmOptions
 
 MAIN = (
     *("mesh_dir", "duration", "sample_rate", "no_friction", "output_dir", "export_damiao"),

@@ -98,9 +98,6 @@ more line here. Those of ``BENT`` take their usual speed."""
 
 DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
 """Friction model for measured data."""
-DEFAULT_TERMINAL = "coulomb-viscous-offset"
-"""The same where only the last joint's torque is used: there a rotor's inertia looks like the
-link's own about the axis."""
 
 
 @dataclass(frozen=True)

@@ -47,10 +47,13 @@ def tilt_axes(vector: Array) -> Array:
 
 
 def turned(vector: Array, angles: Array) -> Array:
-    """Return gravity (3,) turned by two angles (2,) [rad] about ``tilt_axes``."""
-    from scipy.spatial.transform import Rotation
+    """Return gravity (3,) turned by two angles (2,) [rad] about ``tilt_axes``.
 
-    return np.asarray(Rotation.from_rotvec(angles @ tilt_axes(vector)).apply(vector))
+    Rodrigues' formula of a rotation vector that is perpendicular to what it turns.
+    """
+    turn = angles @ tilt_axes(vector)
+    size = np.linalg.norm(turn)
+    return np.asarray(np.cos(size) * vector + np.sinc(size / np.pi) * np.cross(turn, vector))
 
 
 def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:

@@ -5,14 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.trajectories import FourierBasis
-from robot_sysid.records import Array
-from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
-from robot_sysid.records.options import OptionRecord, PerJoint, levels, option, processors
+from robot_sysid.records.options import (
+    DEFAULT_MAX_VELOCITY,
+    OptionRecord,
+    PerJoint,
+    levels,
+    option,
+    processors,
+)
+
+if TYPE_CHECKING:
+    from robot_sysid.motion.trajectories import FourierBasis
+    from robot_sysid.records import Array
 
 EXCITATIONS = ("sines", "optimal")
 LONGEST_FADE = 1.5
@@ -111,6 +118,8 @@ class LimitOptions(OptionRecord):
 
 def _plane(values: Sequence[float], clearance: float, bodies: tuple[int, ...]) -> HalfSpace:
     """Return the allowed side of a keep-out plane; OFFSET is in multiples of its normal."""
+    import numpy as np
+
     length = math.hypot(*values[:3]) if len(values) == 4 else 0.0
     if not (length > 0.0 and math.isfinite(length) and math.isfinite(values[3])):
         raise InputError(
@@ -118,12 +127,14 @@ def _plane(values: Sequence[float], clearance: float, bodies: tuple[int, ...]) -
             "0 0 1 0 keeps the arm above the floor"
         )
     *normal, offset = (float(v) / length for v in values)
-    label = f"the keep-out plane {np.round(normal, 3).tolist()} at {offset:g} m"
+    label = f"the keep-out plane {[round(v, 3) for v in normal]} at {offset:g} m"
     return HalfSpace(np.array(normal), offset, clearance, bodies, label)
 
 
 def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ...]:
     """Return the finite sides of a workspace [m] in the world; its walls may be touched."""
+    import numpy as np
+
     if len(sides) != 6:
         raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
     found = []
@@ -172,8 +183,10 @@ class ExcitationOptions(OptionRecord):
 
     def basis(self, duration: float) -> FourierBasis:
         """Return the Fourier basis of a designed trajectory of this duration [s]."""
-        base = max(1, int(np.ceil(duration / LONGEST_PERIOD))) / duration
-        harmonics = max(FEWEST_HARMONICS, int(np.floor(TOP_FREQUENCY_HZ / base + 1e-9)))
+        from robot_sysid.motion.trajectories import FourierBasis
+
+        base = max(1, math.ceil(duration / LONGEST_PERIOD)) / duration
+        harmonics = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         return FourierBasis(duration, base, harmonics, min(LONGEST_FADE, 0.25 * duration))
 
     @property

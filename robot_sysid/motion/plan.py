@@ -18,6 +18,7 @@ from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import PerJoint, given_options
 from robot_sysid.records.progress import Progress
+from robot_sysid.records.sampling import require_countable
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import (
     CHUNK,
@@ -25,7 +26,6 @@ from robot_sysid.trajectory import (
     TrajectoryOptions,
     generate_excitation_trajectory,
     motion_chunks,
-    require_countable,
     sample_count,
 )
 

@@ -17,8 +17,7 @@ from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.options import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.solids import has_floor, outermost_points
 from robot_sysid.records import Array, Motion, RobotModel
-from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
-from robot_sysid.records.options import PerJoint, per_joint
+from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint, per_joint
 from robot_sysid.regressor import wrench_regressor
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE, TorqueFunction

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
-from robot_sysid.records.options import OptionRecord, option
 
 if TYPE_CHECKING:
     from robot_sysid.motion.problem import ExcitationProblem
@@ -22,28 +19,6 @@ _FARTHEST = 0.3
 """Clearance above which it is all the same [m]: thirty times the least that a plan keeps."""
 _STEP = 0.02
 """By which a log is shifted along its plan to find where it fits [s]: under half a picture."""
-SUFFIXES = (".mp4", ".gif")
-
-
-def film_path(text: str) -> Path:
-    """Return the path of a film."""
-    path = Path(text)
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{text!r} is no film; its name ends in {' or '.join(SUFFIXES)}")
-    return path
-
-
-@dataclass(frozen=True)
-class PreviewOptions(OptionRecord):
-    """Whether a motion is shown."""
-
-    view: bool = option(False, "play the motion in MuJoCo's viewer")
-    video: Path | None = option(
-        None,
-        "render the motion as a film (.mp4 or .gif), with limits, clearance and torque over time",
-        "FILE",
-        parse=film_path,
-    )
 
 
 @dataclass(frozen=True)

@@ -40,10 +40,6 @@ def check_arrays(record: Any, **shapes: tuple[int | None, ...]) -> None:
         object.__setattr__(record, name, checked_array(getattr(record, name), shape, name))
 
 
-DEFAULT_MAX_VELOCITY = 2.0
-"""Speed limit of hinge joints where nobody says one [rad/s]."""
-
-
 @dataclass(frozen=True)
 class InertialParameters:
     """The ten inertial parameters of one rigid body.

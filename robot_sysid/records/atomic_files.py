@@ -10,10 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import secrets
-import shutil
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TextIO
@@ -21,6 +18,10 @@ from typing import TextIO
 from robot_sysid.errors import InputError
 from robot_sysid.interrupts import held_back
 
+MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
+"""Kind of model file to the name of the written model: a URDF stays one."""
+PARAMS_NAME, PLAN_NAME, DAMIAO_NAME = "params.json", "trajectory.json", "damiao_trajectory.csv"
+CARD_NAME = "payload_card.txt"
 LOCK_NAME, PREFIX = ".robot-sysid.lock", ".robot-sysid-"
 
 
@@ -142,6 +143,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
 @contextlib.contextmanager
 def temporary_folder() -> Iterator[Path]:
     """Yield a folder that is gone after the block."""
+    import tempfile
+
     with tempfile.TemporaryDirectory() as name:
         yield Path(name)
 
@@ -149,6 +152,8 @@ def temporary_folder() -> Iterator[Path]:
 @contextlib.contextmanager
 def draft_folder(path: Path) -> Iterator[Path]:
     """Yield a new folder beside a path; unless it is renamed inside the block it is gone after."""
+    import shutil
+
     draft = _hidden(path)
     try:
         draft.mkdir()
@@ -159,7 +164,7 @@ def draft_folder(path: Path) -> Iterator[Path]:
 
 def _hidden(path: Path) -> Path:
     """Return a new name beside a path with its suffix, as much of it as a name can hold."""
-    return path.with_name(f"{PREFIX}{secrets.token_hex(4)}{path.suffix[-25:]}")
+    return path.with_name(f"{PREFIX}{os.urandom(4).hex()}{path.suffix[-25:]}")
 
 
 @contextlib.contextmanager

@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records.arm import Array, InertialParameters, JointLimits, check_arrays
 
-TORQUE_CHOICES = ("chain", "terminal")
-"""Whose torques are used: those of all joints that carry the link, or the last one's."""
-
 
 @dataclass(frozen=True)
 class Motion:

@@ -12,18 +12,21 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from difflib import get_close_matches
+from functools import cache
 from keyword import iskeyword
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, Optional, TypeVar, Union
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
 
 from robot_sysid.errors import InputError
 
+if TYPE_CHECKING:
+    from robot_sysid.records import Array
+
 PerJoint = Union[float, tuple[float, ...]]
 """One number for all joints, or one per joint."""
+DEFAULT_MAX_VELOCITY = 2.0
+"""Speed limit of hinge joints where nobody says one [rad/s]."""
 Check = Callable[[Any], Optional[str]]
 """What is wrong with a value, as the end of a sentence that begins with the option; or None."""
 Record = TypeVar("Record")
@@ -95,6 +98,11 @@ def option(default: Any, help: str, value: str = "", flag: str = "", **rest: Any
 
 def options_of(record: Any) -> Mapping[str, Option]:
     """Return field name to option of a record or a record's class."""
+    return _options_of(record if isinstance(record, type) else type(record))
+
+
+@cache
+def _options_of(record: Any) -> Mapping[str, Option]:
     found = {}
     for each in fields(record):
         if "option" in each.metadata:
@@ -157,7 +165,7 @@ def _value(stated: Option, given: Any) -> Any:
 
 def _frozen(given: Any, parse: Callable[[str], Any] | None) -> Any:
     """Return lists and arrays as tuples, and texts as what they are on the command line."""
-    if isinstance(given, (np.ndarray, np.generic)):
+    if hasattr(given, "tolist"):  # numpy's
         given = given.tolist()
     if isinstance(given, (list, tuple)):
         return tuple(_frozen(each, parse) for each in given)
@@ -207,8 +215,10 @@ def speed_factor(value: float) -> str | None:
     return None if 0.0 < value <= 1.0 else f"must be above 0 and at most 1 (got {value:g})"
 
 
-def per_joint(values: PerJoint, joints: int, option: str) -> NDArray[np.float64]:
+def per_joint(values: PerJoint, joints: int, option: str) -> Array:
     """Return one value per joint (n,) of an option that takes one number or one per joint."""
+    import numpy as np
+
     given = np.atleast_1d(np.asarray(values, dtype=float))
     if len(given) not in (1, joints):
         raise InputError(

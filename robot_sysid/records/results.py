@@ -12,10 +12,6 @@ from robot_sysid.records.arm import Array, InertialParameters, check_arrays
 
 DELAY_NAME = "delay"
 """Name of the parameter by which torque lags position."""
-MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
-"""Kind of model file to the name of the written model: a URDF stays one."""
-PARAMS_NAME, PLAN_NAME, DAMIAO_NAME = "params.json", "trajectory.json", "damiao_trajectory.csv"
-CARD_NAME = "payload_card.txt"
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,15 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Union
-
-import numpy as np
+from typing import TYPE_CHECKING, Union
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.records.arm import Array
 from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.records.options import PerJoint, levels, per_joint
+
+if TYPE_CHECKING:
+    from robot_sysid.records import Array
 
 VERSION = 2
 SCALE, CONSTANTS = "torque_scale", "torque_constants"
@@ -55,6 +55,8 @@ def joint_factors(given: Factors, joint_names: Sequence[str], table: str) -> Arr
 
     ``SCALE`` or ``CONSTANTS`` is the table of a file and the name of the option. Raises InputError.
     """
+    import numpy as np
+
     if not isinstance(given, Path):
         typed = per_joint(given, len(joint_names), "--" + table.replace("_", "-"))
         return np.array([typed, np.full(len(typed), np.nan)])

@@ -18,16 +18,9 @@ from robot_sysid.errors import ExportError, InputError
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel, Validation
-from robot_sysid.records.atomic_files import temporary_folder, whole_files
+from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
 from robot_sysid.records.progress import Detail
-from robot_sysid.records.results import (
-    CLOSED,
-    MODEL_NAMES,
-    OPEN,
-    RolloutError,
-    RolloutTest,
-    validation_of,
-)
+from robot_sysid.records.results import CLOSED, OPEN, RolloutError, RolloutTest, validation_of
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget
 from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.simulation import playback

@@ -17,9 +17,9 @@ from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 from robot_sysid.records import Array, DataOrigin, Motion, RobotModel
-from robot_sysid.records.atomic_files import refuse_overwriting, whole_files
+from robot_sysid.records.atomic_files import MODEL_NAMES, refuse_overwriting, whole_files
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import MODEL_NAMES, RolloutTest
+from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.console import folder_text
 from robot_sysid.results.json import json_text
 from robot_sysid.results.model import ModelTarget, versions, write_joints

@@ -9,67 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.records import Array, Measurement
-from robot_sysid.records.options import OptionRecord, PerJoint, not_negative, option
+from robot_sysid.records.options import PerJoint
+from robot_sysid.simulation.options import SimulatedArmOptions
 
-LONGEST_DELAY = 1.0
-"""Longest torque delay that is accepted [s]; more is surely a slip of the unit."""
-SIMULATIONS = ("inverse", "forward")
 _WHOLE = 1e-9
-
-
-def _plausible_delay(value: float) -> str | None:
-    if value > LONGEST_DELAY:
-        return f"is given in seconds and may be at most {LONGEST_DELAY:g} (got {value:g})"
-    return not_negative(value)
-
-
-@dataclass(frozen=True)
-class SimulatedArmOptions(OptionRecord):
-    """The model that plays the real arm, how it is moved, and how good its sensors are.
-
-    Attributes:
-        simulation: "inverse" computes the torques of the exact trajectory with Coulomb's law;
-            "forward" lets a controller follow it in MuJoCo's forward dynamics with MuJoCo's own
-            dry friction.
-    """
-
-    plant_model: Path | None = option(
-        None, "model that plays the real arm and makes the torques", "TRUTH.xml"
-    )
-    simulation: str = option(
-        "inverse",
-        "torques by inverse dynamics, or a controlled arm stepped forward in time",
-        choices=SIMULATIONS,
-    )
-    noise_torque: PerJoint = option(
-        0.0, "standard deviation of the torque noise, one number or one per joint", "S [N·m] >= 0"
-    )
-    noise_position: PerJoint = option(
-        0.0, "standard deviation of the position noise, one number or one per joint", "S [rad] >= 0"
-    )
-    encoder_resolution: float = option(0.0, "step of the encoders", "R [rad] >= 0")
-    torque_delay: float = option(
-        0.0, "how much the measured torque lags", "S [s]", check=_plausible_delay
-    )
-    save_measurements: Path | None = option(
-        None, "write the measurements in the form that --measurements reads", "FILE"
-    )
-
-    @property
-    def exact_positions(self) -> bool:
-        """Whether positions come through unchanged."""
-        return not np.any(self.noise_position) and self.encoder_resolution == 0.0
-
-    @property
-    def is_noisy(self) -> bool:
-        """Whether anything of what the sensors report is drawn at random."""
-        return bool(np.any(self.noise_torque) or np.any(self.noise_position))
 
 
 class Sensors:

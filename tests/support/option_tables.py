@@ -19,7 +19,7 @@ from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.motion.options import PoseOptions
-from robot_sysid.preview.motion import PreviewOptions
+from robot_sysid.preview.options import PreviewOptions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 

@@ -161,7 +161,7 @@ def joint_residuals(
         residual: (N,) [N m]; NaN where a sample is left out.
         to_add: keep all lags, however few samples there are.
     """
-    from scipy.signal import lfilter
+    from scipy.linalg import solve_banded
 
     kept = np.isfinite(residual)
     count = int(np.count_nonzero(kept))
@@ -171,7 +171,8 @@ def joint_residuals(
     decay = np.exp(-1.0 / 2.0 ** np.arange(kernels))
     normal = rows.T @ rows
     # rows^T u with the filter u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i): half of Q_i - Q_0.
-    cross = [rows.T @ lfilter([0.0, a], [1.0, -a], rows, axis=0) for a in decay]
+    before, own = np.vstack((np.zeros_like(rows[:1]), rows[:-1])), np.ones(len(rows))
+    cross = [rows.T @ solve_banded((1, 0), (own, -a * own), a * before) for a in decay]
     return JointResiduals(
         columns=columns,
         count=count,

@@ -224,7 +224,7 @@ def misfits(
     another density contradict their masses alone, which would be lost among ten numbers of each.
     Noise (joints,) is in N m, groups are as wide as they were used.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     problem = WithPriors(information, noise)
     values, covariance, with_all = problem.solve(groups)
@@ -236,13 +236,13 @@ def misfits(
         gained = problem.solve(fixed)[2] - with_all
         every = np.eye(len(group.names))
         freedom = max(float(np.sum(_determined(group, every, problem.names, covariance))), 1.0)
-        if gained > chi2.ppf(SURE ** (1.0 / len(groups)), freedom):
+        if gained > chdtri(freedom, 1.0 - SURE ** (1.0 / len(groups))):
             off = group.deviations(problem.names, values)
             worst, wide = _worst_members(group, off), wanted[index]
             some = (every, *group.aspects())
             pairs = [_asked(wide, each, problem.names, *wider) for each in some]
             # Beyond what chance makes of a group that is as far off as it was thought to be.
-            clear = [asked for asked, free in pairs if asked**2 * free > chi2.ppf(SURE, free)]
+            clear = [asked for asked, free in pairs if asked**2 * free > chdtri(free, 1.0 - SURE)]
             asked = max(clear, default=min(pairs[0][0], 1.0))
             found.append(PriorConflict(group.cause, worst, asked, group.widened))
     return tuple(found)

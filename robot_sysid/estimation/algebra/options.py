@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.records import TORQUE_CHOICES
 from robot_sysid.records.options import OptionRecord, PerJoint, given_options, option
 
+if TYPE_CHECKING:
+    from robot_sysid.dynamics.friction import FrictionModel
+
+TORQUE_CHOICES = ("chain", "terminal")
+"""Whose torques are used: those of all joints that carry the link, or the last one's."""
+DEFAULT_TERMINAL = "coulomb-viscous-offset"
+"""Friction beside one joint's torque alone, where a rotor looks like the link about the axis."""
 CHOSEN = "auto"
 """Friction model that is chosen from the data."""
 
@@ -101,6 +106,8 @@ class EstimationOptions(OptionRecord):
         if self.no_friction and self.friction_model is not None:
             raise InputError("--friction-model and --no-friction exclude each other")
         if self.friction_model not in (None, CHOSEN):
+            from robot_sysid.dynamics.friction import friction_model
+
             friction_model(str(self.friction_model))
         others = [each for each in given_options(self) if each.key != "torque_from"]
         if self.torque_from is not None and others:
@@ -112,6 +119,8 @@ class EstimationOptions(OptionRecord):
     @property
     def friction(self) -> FrictionModel | None:
         """Friction terms of every joint of measured data; None where the data chooses them."""
+        from robot_sysid.dynamics.friction import FrictionModel, friction_model
+
         if self.no_friction:
             return FrictionModel(())
         if self.friction_model in (None, CHOSEN):

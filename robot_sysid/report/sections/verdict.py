@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from robot_sysid.mjcf.inertial import rmse_words
+from robot_sysid.records.atomic_files import MODEL_NAMES
 from robot_sysid.records.figures import percent, with_error
-from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.report.drawing import Section
 from robot_sysid.report.runs import Run
 
