@@ -14,9 +14,9 @@ import numpy as np
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
 from robot_sysid.records import DELAY_NAME, Source
+from robot_sysid.records.atomic_files import CARD_NAME, MODEL_NAMES
 from robot_sysid.records.figures import percent
 from robot_sysid.records.progress import Detail
-from robot_sysid.records.results import CARD_NAME, MODEL_NAMES
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
 
 UNKNOWN = 0.5
