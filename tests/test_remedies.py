@@ -43,7 +43,7 @@ RUNS = ("run", "identify", "payload")
 """Commands whose options a page speaks of."""
 OF_PLANS = places("pipeline", "_plan_outcome")
 CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
-USUAL = places("trajectory", "require_countable")  # the motion that nobody asked for is short
+USUAL = places("records.sampling", "require_countable")  # the motion that nobody asked for is short
 EXPORT = places("damiao.protocol.joints", "damiao_joints")
 NEVER = {
     "run": places("payload_pipeline", "weighed") + places("motion.static", "design_poses"),
