@@ -35,7 +35,7 @@ LAYERS = (
     ("damiao",),
     ("damiao.player", "damiao.preflight", "damiao.simulated"),
     ("damiao.recorder", "damiao.supervision", "damiao.references"),
-    ("damiao.session", "damiao.inspection", "damiao.settings"),
+    ("damiao.session", "damiao.inspection", "damiao.settings", "damiao.holding"),
     ("damiao.bus",),
     ("damiao.serial_adapter",),
     ("damiao.trajectory",),

@@ -11,6 +11,7 @@ import numpy as np
 
 from robot_sysid.damiao import inspection as asked
 from robot_sysid.damiao.bus import GuardedLink, RawFrameLog
+from robot_sysid.damiao.holding import FileHolding, HoldingCheck
 from robot_sysid.damiao.player import Player, PlayReport
 from robot_sysid.damiao.preflight import Plan, bus_checks, plan_checks, require_no_stop
 from robot_sysid.damiao.protocol.codec import Scaling
@@ -24,8 +25,6 @@ from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.errors import SysidError, words_of
 from robot_sysid.records import Array
 
-PoseCheck = Callable[[Array, Array], None]
-
 
 def run(
     link: GuardedLink,
@@ -34,11 +33,11 @@ def run(
     stop: StopRequest,
     on_phase: Callable[[str], None],
     on_progress: Callable[[float], None],
-    pose_check: PoseCheck | None = None,
+    holding: HoldingCheck | None = None,
 ) -> PlayReport:
     """Play the plan on inspected motors.
 
-    For ``stop``, ``pose_check`` and what is told see ``Player``.
+    For ``stop``, ``holding`` (by default what the trajectory says) and what is told see ``Player``.
 
     Raises:
         HardwareAbort: a check forbids it, or the run was stopped; says why.
@@ -54,7 +53,8 @@ def run(
     session = MotorSession(link, joints, scaling)
     settings = _with_held(plan, held)
     park = settings.park if pose is None else np.concatenate([pose, places])
-    check = pose_check and (lambda q, tau: pose_check(q[:n], tau[:n]))
+    scan, played = plan.scan, plan.trajectory
+    check = holding or FileHolding(played.joints, scan.first, played.tau[0], scan.peak_torque)
     console, written = Aside(link.clock.live), Aside(link.clock.live)
     told = (
         lambda text: console(partial(on_phase, text)),

@@ -4,10 +4,6 @@ Between two rows position, velocity and torque change in a straight line, as the
 so each row is compared with the model's own joint ranges, speeds and torques, and the straight ways
 between the rows with its bodies. How fast a joint moves is also told by its positions, whatever the
 velocity column says.
-
-And an arm that is held still has to carry the torques that gravity asks for: a motor that turns the
-other way than its joint, or that sits at another joint, moves an arm on another path than the one
-that was checked.
 """
 
 from __future__ import annotations
@@ -16,10 +12,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from robot_sysid.damiao.holding import HoldingCheck
 from robot_sysid.damiao.preflight import OK, STOP, Check
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
-from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.errors import InputError
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem
@@ -117,31 +114,13 @@ def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float
         yield touched.label, touched.time
 
 
-# Torque that says nothing about gravity: this share of the motor's peak (a judgement),
-# and the model's own dry friction.
-_SHARE = 0.06
+def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:
+    """Return what compares holding torques with the model's gravity."""
+    arm = ArmTorque(robot)
 
-
-class GravityCheck:
-    """Compares holding torques with the model's, by their signs."""
-
-    def __init__(self, robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> None:
-        self._torque, self._joints, self._path = ArmTorque(robot), joints, robot.path
-        peak = [joint.spec.peak_torque for joint in joints]
-        self._doubt = _SHARE * np.array(peak) + robot.friction.coulomb
-
-    def holding(self, q: Array) -> Array:
-        """Return what the model's gravity asks for at rest at q (n,) [N m]."""
+    def holding(q: Array) -> Array:
         still = np.zeros((1, len(q)))
-        return np.asarray(self._torque(Motion(np.zeros(1), q[None], still, still))[0])
+        return np.asarray(arm(Motion(np.zeros(1), q[None], still, still))[0])
 
-    def __call__(self, q: Array, tau: Array) -> None:
-        """Raise HardwareAbort where a torque (n,) [N m] at rest at q (n,) has the other sign."""
-        model = self.holding(q)
-        clear = (np.abs(model) > self._doubt) & (np.abs(tau) > self._doubt)
-        for j in np.flatnonzero(clear & (np.sign(model) != np.sign(tau))):
-            raise HardwareAbort(
-                f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m but the model "
-                f"{self._path.name} needs {model[j]:.1f} N m in this pose: a motor turns the other "
-                "way than its joint, sits at another one, or has another zero; see 'motors map'"
-            )
+    needs = f"the model {robot.path.name} needs"
+    return HoldingCheck(joints, holding, robot.friction.coulomb, needs)

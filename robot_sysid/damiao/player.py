@@ -18,6 +18,7 @@ import numpy as np
 from robot_sysid.damiao import references as paths
 from robot_sysid.damiao import supervision
 from robot_sysid.damiao.bus import SystemClock
+from robot_sysid.damiao.holding import HoldingCheck
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import Reference, ReferenceFunction, hold
@@ -67,7 +68,8 @@ class CycleTimer:
         return float(np.percentile(self._lateness, percentile)) if self._lateness else 0.0
 
 
-# The torque that carries the arm is there early in the ramp, before the arm has sunk.
+# Stiffness and the torque that carries the arm come in together, in this share of the ramp: before
+# the arm has sunk. For the rest of it the arm is watched while it should stand.
 _LIFT_SHARE = 0.2
 # Of a cycle: how long replies are waited for, and at least, where it began late. The rest is for
 # the checks; seven motors' commands and replies take 1.9 of 4 ms on classic CAN.
@@ -106,8 +108,8 @@ class Player:
         on_phase, on_progress: told of new phases and of the time played so far [s]; neither may
             raise or wait.
         park: where to leave the arm: "rest", "start", or (n,) positions [rad]; None where it ends.
-        pose_check: called with positions and torques (n,) of the arm held still where it stood and
-            at the first point; may raise HardwareAbort.
+        holding: says what holds the arm where it stands, and is called with positions and torques
+            (n,) of the arm held still there and at the first point; may raise HardwareAbort.
     """
 
     def __init__(
@@ -119,7 +121,7 @@ class Player:
         on_phase: Callable[[str], None],
         on_progress: Callable[[float], None],
         park: str | Array | None,
-        pose_check: Callable[[Array, Array], None] | None,
+        holding: HoldingCheck,
     ) -> None:
         self._session, self._clock, self._settings = session, session.clock, settings
         self._stop, self._recorder = stop, recorder
@@ -130,14 +132,14 @@ class Player:
         self._torque_check = supervision.TorqueScalingCheck(torque_step, session.peak_torque)
         self._timer: CycleTimer
         self._kp, self._kd = np.array(settings.kp), np.array(settings.kd)
-        self._gain = 0.0
+        self._gain, self._standing = 0.0, True
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
         self._measured = np.full((2, session.n_joints), np.nan)
         self._heard_at = 0.0
         self._cycles = self._played = 0
         self._told_at = -np.inf
-        self._park, self._pose_check = park, pose_check
+        self._park, self._holding = park, holding
         self._lowering: paths.Lowering | None = None
         self._still: list[Array] = []
 
@@ -165,14 +167,13 @@ class Player:
         self._stop_if_asked()
         self._announce("enabling the motors")
         start = self._session.enable()
-        here = Reference(start, np.zeros_like(start), first.torque)
+        here = Reference(start, np.zeros_like(start), self._holding.torque(start))
         speed, shortest = settings.approach_speed, settings.approach_time
-        way, way_time = paths.approach(start, first, speed, shortest)
+        way, way_time = paths.approach(start, first, speed, shortest, here.torque)
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
-        self._phase(hold(here), settings.ramp_time, ramp=True)
-        if self._pose_check:
-            self._hold_and_compare(here)
+        self._phase(hold(here), settings.ramp_time, standing=True)
+        self._hold_and_compare(here)
         # What held the arm lately, or else what was fed forward.
         still = [torque for _, torque in self._still] or [here.torque]
         held = np.asarray(np.mean(still, axis=0))
@@ -188,9 +189,9 @@ class Player:
 
     def _hold_and_compare(self, reference: Reference) -> None:
         self._still.clear()
-        self._phase(hold(reference), self._settings.rest_time)
-        if self._pose_check and self._still:
-            self._pose_check(*np.mean(self._still[len(self._still) // 2 :], axis=0))
+        self._phase(hold(reference), self._settings.rest_time, standing=True)
+        if self._still:
+            self._holding(*np.mean(self._still[len(self._still) // 2 :], axis=0))
 
     def _leave(self, last: Reference, stood: Reference) -> None:
         if self._park is None:
@@ -218,15 +219,18 @@ class Player:
         return self._lowering is not None and self._lowering.done
 
     def _phase(
-        self, reference: ReferenceFunction, length: float, ramp: bool = False, record: bool = False
+        self,
+        reference: ReferenceFunction,
+        length: float,
+        standing: bool = False,
+        record: bool = False,
     ) -> None:
-        origin = self._timer.next_deadline
+        origin, self._standing = self._timer.next_deadline, standing
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + length + 0.5 * self._settings.period
         while self._timer.next_deadline < end and not self._lowering_is_done:
             deadline = self._timer.wait()
             time = min(deadline - origin, length)
-            self._gain = time / length if ramp else 1.0
             wanted = reference(time)
             self._stop_if_asked()
             try:
@@ -254,6 +258,8 @@ class Player:
         replies = self._session.exchange(command, self._reply_deadline(deadline))
         self._supervisor.update(replies)
         self._reference, self._command = reference, replies.command
+        lift_time = _LIFT_SHARE * self._settings.ramp_time
+        self._gain = min(self._gain + self._settings.period / lift_time, 1.0)
         self._note(replies)
         return replies, before or command
 
@@ -276,7 +282,7 @@ class Player:
             self._on_progress(time)
 
     def _check(self, replies: Replies, acted: MitCommand) -> None:
-        self._supervisor.check(replies, acted)
+        self._supervisor.check(replies, acted, self._standing)
         feedback = replies.feedback
         self._velocity_check.add(replies.time, feedback.position, feedback.velocity)
         told = acted.motor_torque(feedback.position, feedback.velocity)
@@ -302,8 +308,7 @@ class Player:
 
     def _command_for(self, reference: Reference) -> MitCommand:
         position, velocity, torque = reference
-        lift = min(self._gain / _LIFT_SHARE, 1.0)
-        return MitCommand(position, velocity, self._gain * self._kp, self._kd, lift * torque)
+        return MitCommand(position, velocity, self._gain * self._kp, self._kd, self._gain * torque)
 
     def _reply_deadline(self, deadline: float) -> float:
         period = self._settings.period
@@ -315,6 +320,8 @@ class Player:
         if self._reference is None:
             return
         self._announce("stopping")
+        # What holds an arm that was stopped while the gains rose is its full stiffness.
+        self._gain = 1.0
         self._heard_at = self._clock.now()
         # Drivers raise SystemExit and KeyboardInterrupt too; people's wishes come by ``stop``.
         with contextlib.suppress(BaseException):
@@ -330,15 +337,19 @@ class Player:
         """Return where braking begins.
 
         A joint that is far from where it should be, or from how fast it should be, brakes from
-        where it is; the torque that was fed forward to it has just proved wrong.
+        where it is. Where it is on the side to which its feed-forward torque pushes, this torque
+        has just proved wrong; where it sank against it, it would sink farther without.
         """
         settings, (q, qd) = self._settings, self._measured
         away = np.abs(q - reference.position) > settings.max_tracking_error
         fast = np.abs(qd - reference.velocity) > settings.max_speed_error
+        place, watched = (reference.position, reference.torque), self._supervisor
+        left = watched.has_left(q, *place) if self._standing else away
+        wrong = (away | fast | left) & watched.is_pushed(q, *place)
         return Reference(
             np.where(away | fast, q, reference.position),
             np.where(away, 0.0, reference.velocity),
-            np.where(away | fast, 0.0, reference.torque),
+            np.where(wrong, 0.0, reference.torque),
         )
 
     def _stop_phase(self, reference: ReferenceFunction, duration: float) -> None:

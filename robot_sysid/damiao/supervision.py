@@ -15,6 +15,7 @@ from types import FrameType
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.damiao.holding import torque_doubt
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.frames import ENABLED, describe
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
@@ -84,6 +85,20 @@ _STEPS = 2.0
 _SILENT_CYCLES = 2
 
 
+# How far a joint that is to stand still may sag, by what its rated torque does to its stiffness: an
+# arm half a radian from the first point, or with a new load, takes up half of that. Half as far the
+# way that its feed-forward torque pushes: no load makes it go there.
+_SAG, _PUSHED = 2.0, 0.5
+_DRIVEN = (
+    "drives it off; a motor turns the other way than its joint, two ids are swapped, or the file "
+    "is for another pose or arm: see 'motors map'"
+)
+_SINKS = (
+    "does not carry it; the trajectory's torque lacks gravity, two ids are swapped, or the arm is "
+    "far heavier than its model"
+)
+
+
 class Supervisor:
     """Checks every cycle's replies against the settings' limits.
 
@@ -95,6 +110,10 @@ class Supervisor:
     ) -> None:
         self._joints, self._settings = joints, settings
         self._speed_limit = settings.max_speed_error + _STEPS * velocity_step
+        self._doubt = torque_doubt(joints)
+        rated = np.array([j.spec.rated_torque * j.torque_ratio for j in joints])
+        stiffness = np.maximum(settings.kp, np.finfo(float).tiny)
+        self._sag = np.minimum(_SAG * rated / stiffness, settings.max_tracking_error)
         self._torque_limit = np.array(settings.max_torque_error)
         self._last: tuple[Array, ...] | None = None
         # Commands without an answer in time, and cycles without one, in a row.
@@ -111,15 +130,18 @@ class Supervisor:
         status = replies.feedback.status
         self.failed |= (status != ENABLED) & (status != NO_STATUS)
 
-    def check(self, replies: Replies, acted: MitCommand) -> None:
+    def check(self, replies: Replies, acted: MitCommand, standing: bool = False) -> None:
         """Raise HardwareAbort naming the first thing that is out of order; after ``update``.
 
-        ``acted`` is the command in force when the replies were sampled.
+        ``acted`` is the command in force when the replies were sampled; while ``standing`` nothing
+        is to move.
         """
         feedback, answered = replies.feedback, replies.answered
         path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
         self._check_states(replies)
         self._check_jump(replies)
+        if standing:
+            self._check_standing(replies, acted)
         for words, value, wanted, limit in (
             ("rad off its path", feedback.position, acted.position, path_limit),
             ("rad/s off its speed", feedback.velocity, acted.velocity, self._speed_limit),
@@ -131,6 +153,28 @@ class Supervisor:
             for j in np.flatnonzero(error > limit)[:1]:
                 said = f"is {error[j]:.3f} {words}, limit {limit[j]:g}"
                 raise HardwareAbort(f"{self._joints[j].label} {said}")
+
+    def has_left(self, q: Array, place: Array, fed: Array) -> NDArray[np.bool_]:
+        """Tell which joints (n,) have left a place where they are to stand still."""
+        limit = np.where(self.is_pushed(q, place, fed), _PUSHED, 1.0) * self._sag
+        return np.asarray(np.abs(q - place) > limit)
+
+    def is_pushed(self, q: Array, place: Array, fed: Array) -> NDArray[np.bool_]:
+        """Tell which joints (n,) are on the side of their place to which torque fed pushes them."""
+        return np.asarray(((q - place) * fed > 0.0) & (np.abs(fed) > self._doubt))
+
+    def _check_standing(self, replies: Replies, acted: MitCommand) -> None:
+        q, qd = replies.feedback.position, replies.feedback.velocity
+        place, fed = acted.position, acted.torque
+        left, pushed = self.has_left(q, place, fed), self.is_pushed(q, place, fed)
+        self._stop_where(
+            replies.answered & (left | (np.abs(qd) > self._speed_limit)),
+            lambda j: (
+                f"is {q[j] - place[j]:.3f} rad off, at {qd[j]:.2f} rad/s, while it should stand "
+                f"still: its feed-forward torque of {round(fed[j], 1) + 0.0:g} N m "
+                f"{_DRIVEN if pushed[j] else _SINKS}"
+            ),
+        )
 
     def _check_states(self, replies: Replies) -> None:
         feedback, limits = replies.feedback, self._settings

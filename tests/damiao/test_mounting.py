@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.cli import main
-from robot_sysid.damiao.model_check import GravityCheck
+from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.preflight import stops
 from robot_sysid.damiao.protocol.frames import DISABLED
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, mapped, write_joint_map
@@ -248,9 +248,9 @@ def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
 
 def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):
     joints = damiao_joints(["DM4310"] * 3, 3)
-    check = GravityCheck(three_joint_arm, joints)
+    check = gravity_check(three_joint_arm, joints)
     q = three_joint_arm.reference + 0.5
-    holding = check.holding(q)
+    holding = check.torque(q)
     check(q, holding)
     check(q, 0.6 * holding)
     loaded = int(np.argmax(np.abs(holding)))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import signal
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, BusTiming, Fra
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.session import MotorSession
+from robot_sysid.damiao.simulated import SimulatedArm
 from robot_sysid.errors import HardwareAbort, SysidError
 from tests.support.damiao_rig import GRAVITY, Rig, fault, motor, swing
 from tests.support.motor_bench import answering_writes_with
@@ -53,8 +54,8 @@ def test_an_undisturbed_run_plays_everything_and_disables(rig):
     run.assert_harmless()
 
 
-def test_the_gains_rise_in_a_straight_line_and_the_feed_forward_torque_five_times_as_fast(rig):
-    """Otherwise a loaded arm sinks, or is thrown, in the first moment."""
+def test_gains_and_feed_forward_torque_rise_together_in_a_fifth_of_the_ramp(rig):
+    """Otherwise a loaded arm sinks, or a wrong torque throws it before anything holds it."""
     q = np.full((50, 1), 0.5)
     motion = np.arange(50) / 250, q, 0 * q, 0 * q + GRAVITY * np.sin(0.5)
     run = rig(1, motion=motion, start=[0.5], ramp_time=0.3, **USUAL)
@@ -69,9 +70,9 @@ def test_the_gains_rise_in_a_straight_line_and_the_feed_forward_torque_five_time
         run.run()
     assert run.error is None
     kp, torque = np.array(told[:76]).T
-    share = np.arange(76) / 75
+    share = np.minimum(np.arange(76) / 15, 1.0)
     np.testing.assert_allclose(kp, 180.0 * share, atol=1e-9)
-    np.testing.assert_allclose(torque, GRAVITY * np.sin(0.5) * np.minimum(5 * share, 1), atol=1e-3)
+    np.testing.assert_allclose(torque, GRAVITY * np.sin(0.5) * share, atol=1e-3)
 
 
 def test_a_stop_that_was_asked_for_before_enables_nothing(rig):
@@ -298,7 +299,7 @@ def lifted(q, qd, tau):
         (
             lifted,
             {"faults": [fault("torque_factor", 1, 5 / 3)], "start": [0.8, 0.8]},
-            "motor 2 reports 1.67 times",
+            "motor 2 reports 1.6",
         ),
     ],
 )
@@ -307,6 +308,52 @@ def test_what_cannot_be_known_before_is_stopped_before_it_plays(tmp_path, change
     assert words in str(run.error) and run.states() == [DISABLED] * 2
     assert not any(sentence.startswith("playing") for sentence in run.phases)
     assert np.max(np.abs(run.arm.mechanism.qd)) < 1.0
+
+
+def raised(q, qd, tau):
+    """The whole motion where gravity pulls with 6 of 8 N m."""
+    tau += 8.0 * np.sin(q + 0.8) - GRAVITY * np.sin(q)
+    q += 0.8
+
+
+def negated(q, qd, tau):
+    tau[:, 1] *= -1.0
+
+
+def mirrored(run):
+    """The second motor turns the other way, and shows the right position where it stands."""
+    run.motors[1].joint = replace(run.motors[1].joint, direction=-1, offset=1.6)
+    run.bus.arm = run.arm = SimulatedArm(run.arm.mechanism, run.arm.motors)
+
+
+@pytest.mark.parametrize(
+    ("change", "mount", "words"),
+    [
+        (negated, None, "drives it off; a motor turns the other way"),
+        (lambda q, qd, tau: tau.fill(0.0), None, "its torque lacks gravity"),
+        (lambda q, qd, tau: None, mirrored, "drives it off; a motor turns the other way"),
+    ],
+)
+def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
+    rig, change, mount, words, monkeypatch
+):
+    monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
+    motion = changed(lambda *signals: (raised(*signals), change(*signals)))
+    run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, **USUAL)
+    if mount:
+        mount(run)
+    farthest = []
+    step = run.arm.mechanism.step
+
+    def watched(*arguments):
+        step(*arguments)
+        farthest.append(np.max(np.abs(run.arm.mechanism.q - 0.8)))
+
+    run.arm.mechanism.step = watched
+    run.run(settle=0.0)
+    assert words in str(run.error), run.error
+    assert not any(sentence.startswith("moving") for sentence in run.phases)
+    assert max(farthest) < 0.12
 
 
 def test_a_damping_that_would_be_sent_as_zero_is_refused(rig):
@@ -441,7 +488,7 @@ TABLE = (
     Line("blocked joint", fault("jammed", 0), BRAKES, "off its speed, limit 1.0"),
     Line("weak motor", fault("peak_torque", 1, 0.05), BRAKES, "motor 2 is"),
     Line("off its path", fault("jammed", 0), BRAKES, "rad off its path, limit 0.2", PATH),
-    Line("torque turned", fault("torque_factor", 1, -1), BRAKES, "motor 2 reports -0.0", USUAL),
+    Line("torque turned", fault("torque_factor", 1, -1), "11 11 00", "2 reports -0.", USUAL),
     Line("power stage hot", fault("temperature_mos", 1, 81), BRAKES, "motor 2 is at 81 deg C"),
     Line("winding hot", fault("temperature_rotor", 1, 81), BRAKES, "at 81 deg C, limit 80"),
     Line("encoder slips 0.15 rad", fault("shift", 1, 0.15), BRAKES, "motor 2 jumped by 0.15"),

@@ -157,7 +157,7 @@ class Rig:
         name="measured",
         adapter=None,
         console=lambda sentence: None,
-        pose_check=None,
+        holding=None,
         **settings,
     ):
         trajectory = trajectory_file(folder, motion or swing(n_joints, duration=1.0))
@@ -169,7 +169,7 @@ class Rig:
         self.clock = ScriptedClock()
         self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
         self.adapter = SlowAdapter(self.bus, self.clock, adapter)
-        self.console, self.pose_check = console, pose_check
+        self.console, self.holding = console, holding
         self.wire = RememberingLink(self.adapter, self.clock)
         self.link = GuardedLink(self.wire, self.clock, timing.fd)
         self.record_path = folder / f"{name}.csv"
@@ -237,7 +237,7 @@ class Rig:
         told = self._phase, lambda time: None
         try:
             self.plan.recording.require_free()
-            self.report = run(self.link, self.plan, inspection, self.stop, *told, self.pose_check)
+            self.report = run(self.link, self.plan, inspection, self.stop, *told, self.holding)
         except Exception as error:
             self.error = error
         self.arm.advance(self.clock.now() + settle)

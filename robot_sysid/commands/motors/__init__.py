@@ -251,7 +251,7 @@ def _play_on(
 
     stop, tell = StopRequest(), lambda time: console.advance("Playing", time, plan.duration, "")
     with stop.on_signals():
-        report = run(link, plan, inspection, stop, console.stage, tell, asked.pose_check(plan))
+        report = run(link, plan, inspection, stop, console.stage, tell, asked.holding(plan))
     console.lines(run_lines(report))
     if plan.recording.record:
         console.stage(f"recorded to {plan.recording.record}")

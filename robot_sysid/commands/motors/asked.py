@@ -14,7 +14,7 @@ from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao.bus import BusAddress, GuardedLink, Link, SystemClock, open_bus
-from robot_sysid.damiao.execution import PoseCheck
+from robot_sysid.damiao.holding import HoldingCheck
 from robot_sysid.damiao.preflight import Check, Permissions, Plan, plan_checks
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, mapped, read_joint_map
@@ -108,13 +108,13 @@ class Asked:
         played = plan.trajectory, plan.settings.speed
         return [*plan_checks(plan), *model_checks(*played, self.robot, plan.pose)]
 
-    def pose_check(self, plan: Plan) -> PoseCheck | None:
+    def holding(self, plan: Plan) -> HoldingCheck | None:
         """Return what compares the arm, held still, with the model's gravity; None without one."""
         if self.robot is None:
             return None
-        from robot_sysid.damiao.model_check import GravityCheck
+        from robot_sysid.damiao.model_check import gravity_check
 
-        return GravityCheck(self.robot, plan.trajectory.joints)
+        return gravity_check(self.robot, plan.trajectory.joints)
 
     @cached_property
     def robot(self) -> Any:
