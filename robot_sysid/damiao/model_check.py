@@ -3,7 +3,8 @@
 Between two rows position, velocity and torque change in a straight line, as the player sends them;
 so each row is compared with the model's own joint ranges, speeds and torques, and the straight ways
 between the rows with its bodies. How fast a joint moves is also told by its positions, whatever the
-velocity column says.
+velocity column says. The torque that is fed forward is compared with what the motion needs, and
+that with what the motors can do.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from robot_sysid.damiao.holding import HoldingCheck
+from robot_sysid.damiao.holding import HoldingCheck, torque_doubt
 from robot_sysid.damiao.preflight import OK, STOP, Check
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
-from robot_sysid.damiao.trajectory import DamiaoTrajectory
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, DamiaoTrajectory
 from robot_sysid.errors import InputError
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.options import LimitOptions
@@ -112,6 +114,45 @@ def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float
     touched = first_contact(build_problem(robot, LimitOptions(clearance=0.0)), motion)
     if touched is not None:
         yield touched.label, touched.time
+
+
+# How far feed-forward torque is off, of what its motion needs (rms): 1 where there is none, 2 with
+# the other sign; 0.5 where a new load doubles what a joint carries. A judgement between them.
+_OTHER_TORQUE = 0.8
+
+
+def torque_checks(
+    trajectory: DamiaoTrajectory, settings: PlaySettings, robot: RobotModel
+) -> Iterator[Check]:
+    """Yield whether the file's torque is what its motion needs, and what the motors can do."""
+    time, q, qd, fed = trajectory.time, trajectory.q, trajectory.qd, trajectory.tau
+    arm, s, joints = ArmTorque(robot), settings.speed, trajectory.joints
+    qdd = np.gradient(qd, time, axis=0)
+    needed, slower = arm(Motion(time, q, qd, qdd)), arm(Motion(time, q, s * qd, s * s * qdd))
+    doubt = torque_doubt(joints) + robot.friction.coulomb
+    off, due, sent = (np.sqrt(np.mean(x * x, axis=0)) for x in (fed - needed, needed, fed))
+    lacking, most = np.abs(slower - fed).max(axis=0), np.abs(slower).max(axis=0)
+    strongest = np.array([j.spec.peak_torque * j.torque_ratio for j in joints])
+    for j in np.flatnonzero(most > strongest).tolist():
+        said = f"the motion needs {most[j]:.1f} N m and its motor makes {strongest[j]:g} at most"
+        yield Check(STOP, f"{joints[j].label}: {said}; {CANNOT_FOLLOW}, play a smaller motion")
+    for j in np.flatnonzero((off > doubt) & (off > _OTHER_TORQUE * due)).tolist():
+        against = float(fed[:, j] @ needed[:, j]) < 0.0
+        why = "has the other sign" if against else "is another joint's or another arm's"
+        yield Check(
+            STOP,
+            f"{joints[j].label}: the torque that the file feeds forward "
+            f"{'is missing' if sent[j] < doubt[j] else why}: it is off by {off[j]:.1f} N m where "
+            f"{robot.path.name} needs {due[j]:.1f} (rms), and {CANNOT_FOLLOW}; export the file "
+            "again for this arm",
+        )
+    for j in np.flatnonzero(lacking > np.array(settings.max_torque_error)).tolist():
+        yield Check(
+            STOP,
+            f"{joints[j].label}: the motion needs {lacking[j]:.1f} N m more or less than the file "
+            f"feeds forward, limit {settings.max_torque_error[j]:g}; {CANNOT_FOLLOW}, export the "
+            "file again for this arm",
+        )
 
 
 def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:

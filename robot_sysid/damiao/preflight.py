@@ -188,7 +188,7 @@ def _motors(plan: Plan) -> Iterator[Check]:
     for j, (joint, step, moved) in enumerate(zip(joints, steps, moves)):
         torque = scan.peak_torque[j] / joint.torque_ratio
         for text in motion.rating_warnings(joint, scan.peak_velocity[j] * settings.speed, torque):
-            yield Check(STOP if "the peak torque" in text else NOTE, text)
+            yield Check(STOP if motion.CANNOT_FOLLOW in text else NOTE, text)
         if joint.spec.note:
             yield _note(f"{joint.label}, {joint.motor_type}: {joint.spec.note}")
         if step * settings.period / moved > _SHAKEN:

@@ -159,11 +159,15 @@ def _clamped(joint: DamiaoJoint, percent: float) -> Iterator[str]:
         )
 
 
+CANNOT_FOLLOW = "it cannot follow"
+"""How a sentence about a motor ends that cannot do what a motion asks."""
+
+
 def rating_warnings(joint: DamiaoJoint, velocity: float, torque: float) -> Iterator[str]:
     """Yield a sentence for each rating of a motor that a peak velocity or torque exceeds."""
     spec = joint.spec
     for limit, name, remedy in (
-        (spec.peak_torque, "peak", "it cannot follow"),
+        (spec.peak_torque, "peak", CANNOT_FOLLOW),
         (spec.rated_torque, "rated", "fine for a moment, too hot for long"),
     ):
         if torque > limit:
@@ -176,7 +180,7 @@ def rating_warnings(joint: DamiaoJoint, velocity: float, torque: float) -> Itera
         yield (
             f"{joint.label}: {velocity:.2f} rad/s ({velocity / RPM:.0f} rpm) exceeds the no-load "
             f"speed of a {spec.name} at {spec.supply:g} V, {spec.no_load_rpm * RPM:.2f} rad/s; "
-            "it cannot follow"
+            f"{CANNOT_FOLLOW}"
         )
 
 

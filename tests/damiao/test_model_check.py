@@ -9,9 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.model_check import model_checks
+from robot_sysid.damiao.model_check import model_checks, torque_checks
 from robot_sysid.damiao.preflight import OK, STOP
-from robot_sysid.records import JointLimits
+from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.records import JointLimits, Motion
+from robot_sysid.simulator import ArmTorque
 from tests.support import arms
 from tests.support.damiao_rig import swing, trajectory_file
 
@@ -114,6 +117,56 @@ def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
         "joint joint0: position -0.98 rad is beyond the model's limit -0.3, at 1.00 s; export a "
         "smaller trajectory for this arm"
     )
+
+
+# --- torque -------------------------------------------------------------------------------------
+
+
+def with_its_torque(arm, seed, factor=1.0):
+    """A swing about a random place with the torque that the arm needs."""
+    place = np.random.default_rng(seed).uniform(0.5, 1.0, 3)
+    time, q, qd, _ = swing(3, duration=2.0, rate=100.0)
+    motion = Motion(time, q + place, qd, np.gradient(qd, time, axis=0))
+    return time, q + place, qd, factor * ArmTorque(arm)(motion)
+
+
+def refused(folder, arm, motion, **settings):
+    played = trajectory_file(folder, motion)
+    settings = PlaySettings(**settings).for_motors([j.spec for j in played.joints], BusTiming())
+    return [check.text for check in torque_checks(played, settings, arm)]
+
+
+@given(seed=arms.SEEDS, speed=SPEEDS, factor=st.floats(0.5, 1.5))
+def test_the_torque_of_the_motion_is_let_pass_also_where_the_load_is_another(
+    arm, folder, seed, speed, factor
+):
+    assert refused(folder, arm, with_its_torque(arm, seed, factor), speed=speed) == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(-1.0, "forward has the other sign"), (0.0, "is missing"), (3.0, "is another joint's")],
+)
+def test_another_torque_than_the_motion_needs_is_refused_and_named(arm, folder, factor, words):
+    motion = with_its_torque(arm, 0)
+    loaded = int(np.argmax(np.abs(motion[3]).mean(axis=0)))
+    motion[3][:, loaded] *= factor
+    (said,) = refused(folder, arm, motion)
+    assert f"motor {loaded + 1}: " in said and words in said
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "words"),
+    [(0.05, "is missing: it is off by 10.5 N m where"), (0.15, "N m and its motor makes 27 at")],
+)
+def test_a_ripple_that_no_motor_follows_is_refused(arm, folder, amplitude, words):
+    """0.05 rad at 10 Hz: 3 rad/s, below any speed limit, and 197 rad/s^2."""
+    time, q, qd, tau = with_its_torque(arm, 0)
+    wave = 2 * np.pi * 10
+    q[:, 0] += amplitude * (1 - np.cos(wave * time))
+    qd[:, 0] += amplitude * wave * np.sin(wave * time)
+    first = refused(folder, arm, (time, q, qd, tau))[0]
+    assert words in first and "it cannot follow" in first
 
 
 # --- contact ------------------------------------------------------------------------------------

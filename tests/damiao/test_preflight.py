@@ -84,7 +84,7 @@ def test_a_bus_that_is_too_full_is_refused(rate, n, fd):
 
 
 @pytest.mark.parametrize("name", ["DM4340", "DM6248", "DMS3519"])
-def test_a_torque_beyond_the_peak_is_refused_and_what_is_beyond_a_rating_noted(name):
+def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(name):
     spec = MOTORS[name]
     for torque, severity in ((spec.rated_torque, NOTE), (spec.peak_torque, STOP)):
         checks = checks_of(scan_of(1, peak_torque=np.array([1.001 * torque])), [name])
@@ -94,7 +94,7 @@ def test_a_torque_beyond_the_peak_is_refused_and_what_is_beyond_a_rating_noted(n
         top = share * (spec.no_load_rpm or 0.0) * 2 * np.pi / 60
         checks = checks_of(scan_of(1, peak_velocity=np.array([top])), [name])
         noted = [c.severity for c in checks if "exceeds the no-load speed" in c.text]
-        assert noted == [NOTE] * (top > 0.0 and share > 1.0)
+        assert noted == [STOP] * (top > 0.0 and share > 1.0)
     assert any(spec.note in c.text for c in checks)
 
 

@@ -103,10 +103,11 @@ class Asked:
                 raise InputError(f"{given.flag} is about a model; add --model")
             return plan_checks(plan)
         # Imported here so that playing on real motors does not wait for MuJoCo.
-        from robot_sysid.damiao.model_check import model_checks
+        from robot_sysid.damiao.model_check import model_checks, torque_checks
 
-        played = plan.trajectory, plan.settings.speed
-        return [*plan_checks(plan), *model_checks(*played, self.robot, plan.pose)]
+        played, settings, robot = plan.trajectory, plan.settings, self.robot
+        fits = [*model_checks(played, settings.speed, robot, plan.pose)]
+        return [*plan_checks(plan), *fits, *torque_checks(played, settings, robot)]
 
     def holding(self, plan: Plan) -> HoldingCheck | None:
         """Return what compares the arm, held still, with the model's gravity; None without one."""
