@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
+
+import numpy as np
 
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
@@ -17,22 +19,23 @@ from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.tables import check_lines, load_line, motor_table, run_lines
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao import bus, preflight, simulated
-from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink, SimulatedClock
+from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
 from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.serial_adapter import slcan_terminal
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.simulated import SimulatedLink, serve
+from robot_sysid.damiao.simulated import serve
 from robot_sysid.damiao.supervision import StopRequest
-from robot_sysid.errors import InputError
+from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records.options import OptionRecord, option, options_of, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
 # Coarse enough for an ordinary computer to keep up with.
 _REAL_TIME_STEP = 1e-3
+_FOR_EVER = 1e8
 
 
 @dataclass(frozen=True)
@@ -99,12 +102,10 @@ def simulate(asked: Asked) -> int:
     options, plan = record_from(SimulatedMotorOptions, asked.values), asked.plan()
     checks = asked.checks(plan)
     if options.play:
-        arm, clock = _simulated_arm(asked, plan), SimulatedClock()
-        wire = SimulatedLink(clock, arm, asked.timing, echo=True)
-        link = GuardedLink(wire, clock, asked.timing.fd, asked.channels or ("simulated",))
+        link = asked.simulated(asked.simulated_arm(plan, options.watchdog))
         return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
     preflight.require_no_stop(checks, "not rehearsed")
-    arm = _simulated_arm(asked, plan, _REAL_TIME_STEP)
+    arm = asked.simulated_arm(plan, options.watchdog, _REAL_TIME_STEP)
     system, stop = asked.clock, StopRequest()
     with contextlib.closing(_simulated_end(asked)) as end, stop.on_signals():
         ends = system.now() + (options.lifetime or float("inf"))
@@ -112,6 +113,25 @@ def simulate(asked: Asked) -> int:
     if left_out > 0.0:
         asked.console.stage(f"this computer was too slow by {left_out:.1f} s in all")
     return 0
+
+
+@dataclass(frozen=True)
+class HoldOptions(OptionRecord):
+    """For how long ``motors hold`` holds."""
+
+    lifetime: float | None = motors_setup.lifetime_option()
+
+
+def hold(asked: Asked) -> int:
+    """Hold the arm where it stands, its weight carried by torques of its model."""
+    seconds = record_from(HoldOptions, asked.values).lifetime or _FOR_EVER
+    choices = record_from(PlayChoices, asked.values)
+    with asked.bus() as link:
+        plan = asked.hold_plan(inspect_bus(link))
+        checks = asked.checks(plan)
+        lasting = replace(plan.trajectory, time=np.array([0.0, seconds]))
+        plan = replace(plan, trajectory=lasting)
+        return _play_on(link, plan, checks, choices, asked, holds=True)
 
 
 class _Command(NamedTuple):
@@ -124,6 +144,7 @@ class _Command(NamedTuple):
 
 
 _MOTION = {"motion and limits": (PlaySettings,), "what to allow": (preflight.Permissions,)}
+_ASKING = {"asking": (PlayChoices,)}
 _PLAYED = {
     "check": _Command(
         check,
@@ -138,7 +159,7 @@ _PLAYED = {
         "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
         "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
         "it cannot fall.",
-        {**_MOTION, "recording": (RecordingOptions,), "asking": (PlayChoices,)},
+        {**_MOTION, "recording": (RecordingOptions,), **_ASKING},
     ),
     "simulate": _Command(
         simulate,
@@ -151,6 +172,13 @@ _PLAYED = {
 }
 COMMANDS: Mapping[str, _Command] = {
     **_PLAYED,
+    "hold": _Command(
+        hold,
+        "--channel can0 --model arm.xml --park rest",
+        "Hold the arm where it stands, stiff, its weight carried by torques of its model. Ctrl-C "
+        "lowers it with --park rest, and lets go of it without. All checks of play are made.",
+        {"holding": (HoldOptions,), **_MOTION, "recording": (RecordingOptions,), **_ASKING},
+    ),
     "setup": _Command(
         motors_setup.setup,
         "--channel can0 --motor 1 --new-id 2 --new-master-id 0x12 --mit --watchdog 0.1 --store",
@@ -182,7 +210,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
     """Return the parser of a subcommand; without ``full``, its help shows the main options only."""
     _, example, description, groups = COMMANDS[command]
     own = (name for records in groups.values() for each in records for name in options_of(each))
-    main = _MAIN if command in _PLAYED else (*_MAIN[:3], *own)
+    main = _MAIN if command in (*_PLAYED, "hold") else (*_MAIN[:3], *own)
     usage, shown = f"{PROGRAM} motors {command} {example}", None if full else main
     parser = Parser(f"motors {command}", usage, description, shown, codes=_CODES)
     if command in _PLAYED:
@@ -190,13 +218,13 @@ def build_parser(command: str, full: bool = True) -> Parser:
         parser.add_argument(
             "trajectory", metavar="TRAJECTORY", type=Path, help="damiao_trajectory.csv", nargs=nargs
         )
-    if command in (*_PLAYED, "map"):
+    if command in (*_PLAYED, "hold", "map"):
         group, help_model = parser.add("arm", ModelOptions), "of the arm"
-        if command in _PLAYED:
+        if command != "map":
             help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
             help_map = "how each joint's motor is mounted (see: motors map)"
             group.add_argument("--joint-map", metavar="FILE", type=Path, help=help_map)
-        needed = command in ("simulate", "map")
+        needed = command in ("simulate", "hold", "map")
         group.add_argument("--model", metavar="MODEL", type=Path, required=needed, help=help_model)
     parser.add("bus", BusAddress, BusTiming)
     for title, records in groups.items():
@@ -234,7 +262,9 @@ def _play_on(
     checks: Sequence[preflight.Check],
     choices: PlayChoices,
     asked: Asked,
+    holds: bool = False,
 ) -> int:
+    """Play on motors; where it ``holds``, until somebody wants it to end."""
     console = asked.console
     inspection = inspect_bus(link)
     checks = [*checks, *preflight.bus_checks(plan, inspection)]
@@ -249,22 +279,27 @@ def _play_on(
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
 
-    stop, tell = StopRequest(), lambda time: console.advance("Playing", time, plan.duration, "")
-    with stop.on_signals():
-        report = run(link, plan, inspection, stop, console.stage, tell, asked.holding(plan))
-    console.lines(run_lines(report))
+    stop = StopRequest()
+
+    def tell(time: float) -> None:
+        if not holds:
+            console.advance("Playing", time, plan.duration, "")
+
+    def say(phase: str) -> None:
+        console.stage("holding; Ctrl-C ends it" if holds and "playing" in phase else phase)
+
+    try:
+        with stop.on_signals():
+            report = run(link, plan, inspection, stop, say, tell, asked.holding(plan))
+        console.lines(run_lines(report))
+    except HardwareAbort as error:
+        # That it has to end is no fault of holding, if all else went well.
+        if not holds or str(error) != stop.reason:
+            raise
     if plan.recording.record:
         console.stage(f"recorded to {plan.recording.record}")
     console.stage("all motors are disabled")
     return 0
-
-
-def _simulated_arm(asked: Asked, plan: preflight.Plan, *timestep: float) -> simulated.SimulatedArm:
-    from robot_sysid.simulation.forward_dynamics import ArmStepper
-
-    options = record_from(SimulatedMotorOptions, asked.values)
-    motors = [simulated.simulated_motor(each, options.watchdog) for each in plan.trajectory.joints]
-    return simulated.SimulatedArm(ArmStepper(asked.robot, plan.scan.first, *timestep), motors)
 
 
 def _simulated_end(asked: Asked) -> bus.Link:

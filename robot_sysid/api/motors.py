@@ -1,0 +1,183 @@
+"""Damiao motors from Python: ``rs.motors.play``; the commands ask for their runs by its record.
+
+Nothing is printed, and nobody is asked whether the arm may move.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.config import ModelOptions
+from robot_sysid.damiao.bus import (
+    BusAddress,
+    GuardedLink,
+    Link,
+    SimulatedClock,
+    SystemClock,
+    Told,
+    open_bus,
+)
+from robot_sysid.damiao.holding import HoldingCheck
+from robot_sysid.damiao.inspection import Inspection
+from robot_sysid.damiao.preflight import Check, Permissions, Plan, plan_checks
+from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, read_joint_map
+from robot_sysid.damiao.protocol.motors import matching_types
+from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.simulated import (
+    DEFAULT_WATCHDOG,
+    SimulatedArm,
+    SimulatedLink,
+    simulated_motor,
+)
+from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
+from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.records import Array
+from robot_sysid.records.options import given_options, record_from
+
+
+class MotorRun:
+    """What a run on motors was asked for, key of an option to value, as records.
+
+    ``tell`` is told of a driver that does not return, see ``bus.DriverWatch``.
+    """
+
+    def __init__(self, values: Mapping[str, Any], tell: Told) -> None:
+        self.values, self._tell, self.clock = values, tell, SystemClock()
+        self.address = record_from(BusAddress, values)
+        self.timing = record_from(BusTiming, values)
+
+    def plan(self) -> Plan:
+        """Return the trajectory and how to play it."""
+        trajectory = read_damiao_trajectory(self.values["trajectory"])
+        return self._planned(replace(trajectory, joints=self._mounted(trajectory.joints)))
+
+    def hold_plan(self, inspection: Inspection) -> Plan:
+        """Return how the arm is held for a second where it stands, by torques of its model.
+
+        The motors' types are those that their registers agree with. HardwareAbort where a motor
+        does not answer or is of no known type.
+        """
+        from robot_sysid.damiao.model_check import gravity_check
+
+        joints, places = [], []
+        plain = [DamiaoJoint("", k, 0) for k in range(1, self.robot.n_joints + 1)]
+        for joint in self._mounted(plain):
+            motor = inspection.motors.get(joint.address)
+            types = matching_types(motor.limits) if motor else ()
+            if motor is None or not types:
+                said = "does not answer" if motor is None else "is of no known type"
+                raise HardwareAbort(f"{joint.label} {said}; see robot-sysid motors check")
+            master = joint.master_id or motor.master_id
+            joints.append(replace(joint, motor_type=types[0], master_id=master))
+            places.append(motor.position)
+        q = JointSpace.of(joints).joint_position(np.array(places))
+        still, torque = np.zeros((2, len(q))), gravity_check(self.robot, tuple(joints)).torque(q)
+        rows = np.arange(2), np.array([0.0, 1.0]), still + q, still, still + torque
+        return self._planned(DamiaoTrajectory(Path("holding"), tuple(joints), *rows))
+
+    def _planned(self, trajectory: DamiaoTrajectory) -> Plan:
+        return Plan(
+            trajectory,
+            record_from(PlaySettings, self.values),
+            self.timing,
+            record_from(Permissions, self.values),
+            record_from(RecordingOptions, self.values),
+            self._inertia(trajectory),
+        )
+
+    def _inertia(self, trajectory: DamiaoTrajectory) -> Array | None:
+        """Return what each joint moves at the first point, where a model is known [kg m^2]."""
+        if self.robot is None or self.robot.n_joints != trajectory.n_joints:
+            return None
+        from robot_sysid.simulation.forward_dynamics import ArmStepper
+
+        return ArmStepper(self.robot, trajectory.q[0]).moved_inertia()
+
+    def _mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
+        names = self.robot.joint_names if self.robot else ()
+        if self._rows:
+            return mapped(joints, self._rows, self.channels, names)
+        if len(names) != len(joints):
+            return tuple(joints)
+        return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
+
+    @cached_property
+    def _rows(self) -> tuple[DamiaoJoint, ...]:
+        path = self.values.get("joint_map")
+        return () if path is None else read_joint_map(path)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the buses: those that were given, or else those of the joint map."""
+        mapped_to = dict.fromkeys(row.channel for row in self._rows if row.channel)
+        return tuple(self.address.buses or mapped_to)
+
+    def checks(self, plan: Plan) -> list[Check]:
+        """Return the checks that need no bus, those of a model of the arm included."""
+        if self.robot is None:
+            for given in given_options(record_from(ModelOptions, self.values)):
+                raise InputError(f"{given.flag} is about a model; add --model")
+            return plan_checks(plan)
+        # Imported here so that playing on real motors does not wait for MuJoCo.
+        from robot_sysid.damiao.model_check import model_checks, torque_checks
+
+        played, settings, robot = plan.trajectory, plan.settings, self.robot
+        fits = [*model_checks(played, settings.speed, robot, plan.pose)]
+        return [*plan_checks(plan), *fits, *torque_checks(played, settings, robot)]
+
+    def holding(self, plan: Plan) -> HoldingCheck | None:
+        """Return what compares the arm, held still, with the model's gravity; None without one."""
+        if self.robot is None:
+            return None
+        from robot_sysid.damiao.model_check import gravity_check
+
+        return gravity_check(self.robot, plan.trajectory.joints)
+
+    @cached_property
+    def robot(self) -> Any:
+        """The arm of the model file; None without one."""
+        if self.values.get("model") is None:
+            return None
+        from robot_sysid.parser import load_robot_model
+
+        chosen = record_from(ModelOptions, self.values)
+        choice = chosen.mesh_dir, chosen.joint, float("inf"), chosen.keyframe
+        return load_robot_model(self.values["model"], *choice)
+
+    def simulated_arm(
+        self, plan: Plan, watchdog: float = DEFAULT_WATCHDOG, *timestep: float
+    ) -> SimulatedArm:
+        """Return the model's arm at the plan's first point, driven by simulated motors."""
+        from robot_sysid.simulation.forward_dynamics import ArmStepper
+
+        motors = [simulated_motor(each, watchdog) for each in plan.trajectory.joints]
+        return SimulatedArm(ArmStepper(self.robot, plan.scan.first, *timestep), motors)
+
+    def simulated(self, arm: SimulatedArm) -> GuardedLink:
+        """Return a bus with a simulated arm on it, in simulated time."""
+        clock = SimulatedClock()
+        wire = SimulatedLink(clock, arm, self.timing, echo=True)
+        return GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
+
+    def open(self, timing: BusTiming | None = None) -> Link:
+        """Open the bus, with other bit rates than those asked for if given."""
+        return open_bus(self.address, timing or self.timing, self.clock, self._tell)
+
+    @contextlib.contextmanager
+    def bus(
+        self, refuse: Callable[[Frame], None] = refuse_harmful, timing: BusTiming | None = None
+    ) -> Iterator[GuardedLink]:
+        """Open the bus for as long as the block runs; what ``refuse`` raises for is not sent."""
+        if not self.address.channel:
+            raise InputError("this command needs --channel, for instance --channel can0")
+        with contextlib.closing(self.open(timing)) as link:
+            yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
