@@ -19,7 +19,13 @@ from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import Motion, RobotModel, atomic_files
-from robot_sysid.records.atomic_files import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
+from robot_sysid.records.atomic_files import (
+    CARD_NAME,
+    DAMIAO_NAME,
+    MODEL_NAMES,
+    PARAMS_NAME,
+    SERVO_NAME,
+)
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.cards import Card, card_text, payload_cards
@@ -34,7 +40,7 @@ if TYPE_CHECKING:
 
 _REPORT_DATA = "report_data.npz"
 RESULT_NAMES = (
-    *(PARAMS_NAME, "arm.json", "friction.json", "servo.json", *MODEL_NAMES.values()),
+    *(PARAMS_NAME, "arm.json", "friction.json", SERVO_NAME, *MODEL_NAMES.values()),
     *(CARD_NAME, DAMIAO_NAME, "report.html"),
 )
 """What a run leaves, whichever command and release it was; a planned motion is no result."""

@@ -26,6 +26,9 @@ class ConsoleOptions(options.OptionRecord):
     verbose: bool = options.option(False, "say more", short="-v")
     quiet: bool = options.option(False, "print errors only")
     debug: bool = options.option(False, "show the traceback of an error")
+    json: bool = options.option(
+        False, "print the result as JSON on standard output, all else on standard error"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from robot_sysid.commands.streams import print_line
+from robot_sysid.commands.streams import print_line, print_text
 from robot_sysid.records.progress import Detail, Progress
 
 
@@ -16,18 +16,37 @@ class Console(Progress):
     A ``Detail`` among them only shows where it is verbose.
 
     Args:
-        verbose, quiet, debug: as ``arguments.ConsoleOptions``.
+        verbose, quiet, debug, json: as ``arguments.ConsoleOptions``.
+
+    Attributes:
+        said: the lines that went to standard error because the result is JSON.
     """
 
-    def __init__(self, verbose: bool = False, quiet: bool = False, debug: bool = False) -> None:
-        self.verbose, self.quiet, self.debug = verbose, quiet, debug
+    def __init__(
+        self, verbose: bool = False, quiet: bool = False, debug: bool = False, json: bool = False
+    ) -> None:
+        self.verbose, self.quiet, self.debug, self.json = verbose, quiet, debug, json
         self._bar: Any = None
+        self.said: list[str] = []
+
+    @property
+    def _out(self) -> Any:
+        return sys.stderr if self.json else sys.stdout
+
+    def result(self, content: Mapping[str, Any] | str) -> None:
+        """Print what a command found, where it is asked for as JSON; text is JSON already."""
+        if self.json:
+            from robot_sysid.results.json import json_text
+
+            text = content if isinstance(content, str) else json_text(content)
+            print_text(text, sys.stdout)
 
     def stage(self, message: str) -> None:
         """Print a progress line."""
         self.close()
         if self._is_wanted(message):
-            print_line(message, sys.stdout)
+            self.said += [message] if self.json else []
+            print_line(message, self._out)
 
     def lines(self, messages: Iterable[str]) -> None:
         """Print several lines."""
@@ -36,8 +55,8 @@ class Console(Progress):
 
     def back(self, lines: int) -> None:
         """Have what comes next take the place of the last lines, on a terminal."""
-        if sys.stdout.isatty() and not self.quiet:
-            sys.stdout.write(f"\x1b[{lines}A")
+        if self._out.isatty() and not self.quiet:
+            self._out.write(f"\x1b[{lines}A")
 
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
         """Show a bar while items pass, on a terminal; leave one line behind."""

@@ -76,9 +76,11 @@ def main(arguments: Sequence[str]) -> int:
     _copy(_home(values["name"]), place)
     console.stage(f"Example copied to {place}. What to do with it:")
     named = {"model": place / "model", "log": place / LOG}
-    for words, command in NEXT:
-        line = command.format(**named, guess=GUESS, truth=TRUTH, empty=EMPTY)
+    files = {"guess": GUESS, "truth": TRUTH, "empty": EMPTY}
+    commands = {words: command.format(**named, **files) for words, command in NEXT}
+    for words, line in commands.items():
         console.lines(["", f"# {words}", line])
+    console.result({"folder": str(place), "commands": list(commands.values())})
     return 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from robot_sysid.commands.arguments import Parser, parsed
@@ -55,7 +56,9 @@ def main(arguments: Sequence[str]) -> int:
         raise InputError("--view, --video and --trajectory need the MODEL after the log")
     from robot_sysid.logs.reader import content_lines
 
-    console.lines(content_lines(values["log"], log, console))
+    lines = content_lines(values["log"], log, console)
+    console.lines(lines)
+    console.result({"log": str(values["log"]), "content": lines})
     return 0
 
 
@@ -70,15 +73,19 @@ def _checked(
     model, path = record_from(ModelOptions, values), values["path"]
     robot = load_robot_model(path, model.mesh_dir, model.joint, keyframe=model.keyframe)
     log = open_log(robot, values["log"], options, console)
-    console.lines(log.notes)
+    console.lines(map(str, log.notes))  # details are what is asked for here
     rate = (len(log.samples) - 1) / log.duration
     console.stage(f"{len(log.samples)} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
     found = check_against_model(robot, log.pieces, divided=log.torque_scale)
     console.lines(each.line() for each in found)
     if preview.view or preview.video:
         show_preview(robot, _shown(robot, log.samples, values.get("trajectory")), preview, console)
+    named = [{**vars(each), "level": each.level.value} for each in found]
+    about = {"samples": len(log.samples), "duration": log.duration, "sample_rate": rate}
+    console.result({"log": str(log.path), **about, "notes": log.notes, "findings": named})
     require_acceptable(str(log.path), found, options.accept)
-    console.stage("nothing that stops an identification was found")
+    console.stage("Usable: nothing that stops an identification was found")
+    console.stage(f"Next: robot-sysid identify {quote(str(path))} {quote(str(log.path))}")
     return 0
 
 

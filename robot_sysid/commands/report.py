@@ -47,7 +47,7 @@ def main(arguments: Sequence[str]) -> int:
     page = record_from(PageOptions, values)
     require_report(OutputOptions(report=True))
     # Imported here so that --help and usage errors do not wait for MuJoCo.
-    from robot_sysid.report.page import write_report
+    from robot_sysid.report.page import load_run, write_report
 
     folders = tuple(values["folders"])
     destination = page.output_dir or folders[0]
@@ -55,6 +55,9 @@ def main(arguments: Sequence[str]) -> int:
     console.lines(f"Written: {path}" for path in written[:1])
     if len(written) > 1:
         console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")
+    verdicts = [load_run(folder).content["verdict"] for folder in folders]
+    console.result({"written": list(map(str, written)), "verdicts": verdicts})
+    console.lines(verdicts[0] if len(folders) == 1 else ())
     return 0
 
 

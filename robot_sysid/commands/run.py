@@ -23,7 +23,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
-from robot_sysid.records.atomic_files import MODEL_NAMES
+from robot_sysid.records.atomic_files import MODEL_NAMES, PARAMS_NAME, SERVO_NAME
 from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.simulation.options import SimulatedArmOptions
 
@@ -92,6 +92,7 @@ def carry_out(
     if then is not None:
         then(outcome, console)
     console.lines(outcome.report_lines())
+    console.result(_answer(outcome))
     failure = report_of(outcome, config.output, config.model.mesh_dir, console)
     if outcome.failure:
         raise SysidError(" ".join(outcome.verdict) or outcome.failure)
@@ -104,6 +105,19 @@ def carry_out(
     if failure:
         raise SysidError(failure)
     return 0
+
+
+def _answer(outcome: Any) -> Mapping[str, Any] | str:
+    """Return what --json prints: the result's file, or what there is to say of a plan."""
+    for path in outcome.files:
+        if path.name in (PARAMS_NAME, SERVO_NAME):
+            return str(path.read_text(encoding="utf-8"))
+    return {
+        "verdict": outcome.verdict,
+        "failure": outcome.failure,
+        "promised": outcome.lines,
+        "files": [str(path) for path in outcome.files],
+    }
 
 
 def _outcome(config: Config, console: Console) -> Any:

@@ -6,7 +6,9 @@ Imports nothing that takes time: what goes wrong at the very start is told with 
 from __future__ import annotations
 
 import os
+import shutil
 import sys
+import textwrap
 from typing import Any
 
 from robot_sysid.errors import InputError
@@ -15,21 +17,53 @@ from robot_sysid.errors import InputError
 # marks by which text runs from right to left.
 _MARKS = (*range(32), *range(127, 160), *range(0x2028, 0x202F), *range(0x2066, 0x206A))
 _CONTROL = {code: "?" for code in _MARKS if chr(code) != "\t"}
+_GREEN, _YELLOW, _RED, _BOLD = 32, 33, 31, 1
+_COLOURS = {
+    **dict.fromkeys(("Not usable", "robot-sysid: error", "STOP"), _RED),
+    **dict.fromkeys(("Usable, but", "Usable (", "Usable for", "note", "warn"), _YELLOW),
+    **dict.fromkeys(("Usable", "Self-test passed"), _GREEN),
+    "Next": _BOLD,
+}
+"""How a line begins to the colour of its beginning on a terminal."""
 
 
 def print_line(message: str, stream: Any) -> None:
     """Print a line; a reader that has gone away (``| head``) does not stop the run.
 
-    Control characters, and ends of lines within it, are shown as "?".
+    Control characters, and ends of lines within it, are shown as "?". On a terminal a line is made
+    to fit, and its beginning may have a colour.
     """
+    text = message.translate(_CONTROL)
+    print_text(f"{_on_terminal(text) if stream.isatty() else text}\n", stream)
+
+
+def print_text(text: str, stream: Any) -> None:
+    """Print a text as it is; errors as in ``print_line``."""
     try:
-        stream.write(f"{message.translate(_CONTROL)}\n")
+        stream.write(text)
         stream.flush()
     except BrokenPipeError:
         _silence(stream)
     except OSError as error:
         _silence(stream)
         raise InputError(f"cannot print: {error.strerror}; send the output elsewhere") from None
+
+
+def _on_terminal(text: str) -> str:
+    """Return a line wrapped to the terminal's width, but for rows of a table, and in colour unless
+    NO_COLOR (https://no-color.org) or a terminal without any forbids it."""
+    width, indent = shutil.get_terminal_size().columns, len(text) - len(text.lstrip())
+    if len(text) > width > 20 and "  " not in text.strip():
+        rest = " " * (indent + 2)
+        lines = textwrap.wrap(text, width, subsequent_indent=rest, break_on_hyphens=False)
+        text = "\n".join(lines)
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return text
+    start = next((start for start in _COLOURS if text.startswith(start)), None)
+    if start is None:
+        return text
+    end = max(text.find(":"), len(start))
+    return f"\x1b[{_COLOURS[start]}m{text[:end]}\x1b[0m{text[end:]}"
 
 
 def _silence(stream: Any) -> None:

@@ -17,7 +17,12 @@ from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 from robot_sysid.records import Array, DataOrigin, Motion, RobotModel
-from robot_sysid.records.atomic_files import MODEL_NAMES, refuse_overwriting, whole_files
+from robot_sysid.records.atomic_files import (
+    MODEL_NAMES,
+    SERVO_NAME,
+    refuse_overwriting,
+    whole_files,
+)
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.console import folder_text
@@ -30,7 +35,7 @@ from robot_sysid.servo.search import ServoFit
 from robot_sysid.signals.resampling import usual_period
 from robot_sysid.simulation.servos import actuators_of, model_servos
 
-SERVO_NAME, SERVO_SCHEMA = "servo.json", "robot-sysid servo 1"
+SERVO_SCHEMA = "robot-sysid servo 1"
 WITHOUT_TORQUE = (
     "No torque was measured: all of this follows from commanded and measured positions, and from "
     "the masses of the model, which fix its scale"

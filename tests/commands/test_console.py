@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import json
+import re
+from pathlib import Path
+
 import pytest
 
 from robot_sysid.commands.console import Console
+from robot_sysid.commands.streams import print_line
 from robot_sysid.records.progress import Detail
 
 
@@ -16,3 +22,51 @@ def test_details_are_printed_where_they_are_asked_for_alone(capsys, verbose, sho
         tell(Detail("how"))
     printed = capsys.readouterr()
     assert len(printed.out.splitlines()) == len(printed.err.splitlines()) == shown
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self):
+        return True
+
+
+LONG = "Usable: " + " ".join(["torque"] * 30)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb"), ("TERM", "xterm")]
+)
+def test_a_terminal_gets_lines_that_fit_in_colour_unless_it_is_forbidden(monkeypatch, name, value):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv(name, value)
+    printed = Terminal()
+    print_line(LONG, printed)
+    coloured = printed.getvalue().startswith("\x1b[32mUsable\x1b[0m: ")
+    assert coloured is (value == "xterm")
+    plain = re.sub(r"\x1b\[\d+m", "", printed.getvalue())
+    assert max(map(len, plain.splitlines())) <= 60 and plain.split() == LONG.split()
+
+
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+def test_a_pipe_and_the_row_of_a_table_get_what_is_said(monkeypatch, stream):
+    monkeypatch.setenv("COLUMNS", "60")
+    line = LONG if stream is io.StringIO else f"{LONG[8:]}  kg"
+    printed = stream()
+    print_line(line, printed)
+    assert printed.getvalue() == f"{line}\n"
+
+
+def test_a_result_as_json_has_standard_output_for_itself(capsys):
+    for as_json in (True, False):
+        console = Console(json=as_json)
+        console.lines(["a stage"])
+        console.note("a note")
+        console.result({"value": float("nan"), "at": Path("x").name})
+        printed = capsys.readouterr()
+        if as_json:
+            assert json.loads(printed.out) == {"value": None, "at": "x"}
+            assert printed.err == "a stage\nnote: a note\n" and console.said == ["a stage"]
+        else:
+            assert (printed.out, printed.err) == ("a stage\n", "note: a note\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -53,6 +54,8 @@ def test_without_a_model_it_lists_the_columns(command):
 def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command):
     good = "nothing that stops an identification was found"
     assert good in command.run("log", "log.csv", "arm.xml").out
+    told = json.loads(command.run("log", "late.csv", "arm.xml", "--json", code=1).out)
+    assert {each["level"] for each in told["findings"]} == {"warn"} and told["samples"] == 3000
     said = command.refused("log", "wrong.csv", "arm.xml")
     assert "as in mN·m" in said and "--torque-scale 1000" in said
     assert good in command.run("log", "wrong.csv", "arm.xml", "--torque-scale", "1000").out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import shlex
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 from robot_sysid import parser
+from robot_sysid.cli import main
 from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.model_check import gravity_check
@@ -70,6 +72,14 @@ def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
     assert re.search(r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms +40 +31/29 +status 0", out)
     assert only_asks(bus.wire.sent)
     assert [m.status for m in bus.motors] == [DISABLED] * 2
+
+
+def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
+    assert main(["motors", "check", str(trajectory), *CAN0, "--json"]) == 0
+    printed = capsys.readouterr()
+    told = json.loads(printed.out)
+    assert (told["command"], told["exit_code"], told["lines"][-1]) == ("check", 0, "ready to play")
+    assert told["lines"] == printed.err.splitlines()
 
 
 def test_check_says_what_has_to_change(capsys, bus, trajectory):

@@ -239,7 +239,10 @@ def main(arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         _overview().parse_args(arguments or ["--help"])
         raise InputError(f"unknown command {name!r}; valid: {', '.join(COMMANDS)}")
-    return COMMANDS[name].run(Asked(*parsed(partial(build_parser, name), arguments[1:])))
+    asked = Asked(*parsed(partial(build_parser, name), arguments[1:]))
+    code = COMMANDS[name].run(asked)
+    asked.console.result({"command": name, "exit_code": code, "lines": asked.console.said})
+    return code
 
 
 def _overview() -> Parser:
