@@ -7,11 +7,13 @@ functions are loaded when they are first used, so that the import itself takes n
 from __future__ import annotations
 
 import importlib
+import sys
+from types import ModuleType
 
 __version__ = "0.1.0"
 FACE = (
     *("identify", "identify_arm", "identify_from", "information", "load_robot_model"),
-    *("payload", "plan", "read_log"),
+    *("payload", "plan", "read_log", "regressor"),
 )
 """The functions for Python programs, in ``robot_sysid.api``; typed in ``__init__.pyi``."""
 ERRORS = (
@@ -31,3 +33,29 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *FACE, *ERRORS})
+
+
+class _Called(ModuleType):
+    """A module of the name of a function of the face: calling it calls the function."""
+
+    def __call__(self, *given: object, **options: object) -> object:
+        return self._function()(*given, **options)
+
+    @property
+    def __signature__(self) -> object:
+        return self._function().__signature__
+
+    def _function(self):  # type: ignore[no-untyped-def]
+        return __getattr__(self.__name__.rpartition(".")[2])
+
+
+class _Package(ModuleType):
+    """This package, whose functions stay callable when a module of their name is imported."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in FACE and isinstance(value, ModuleType):
+            value.__class__ = _Called
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -6,6 +6,7 @@ from robot_sysid.api import load_robot_model as load_robot_model
 from robot_sysid.api import payload as payload
 from robot_sysid.api import plan as plan
 from robot_sysid.api import read_log as read_log
+from robot_sysid.api import regressor as regressor
 from robot_sysid.errors import AmbiguousJointError as AmbiguousJointError
 from robot_sysid.errors import ExportError as ExportError
 from robot_sysid.errors import HardwareAbort as HardwareAbort

@@ -12,4 +12,5 @@ from robot_sysid.api.calls import information as information
 from robot_sysid.api.calls import payload as payload
 from robot_sysid.api.calls import plan as plan
 from robot_sysid.api.calls import read_log as read_log
+from robot_sysid.api.equations import regressor as regressor
 from robot_sysid.parser import load_robot_model as load_robot_model

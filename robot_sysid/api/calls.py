@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Union
 import numpy as np
 
 from robot_sysid.api.keywords import python_words, with_keywords
+from robot_sysid.api.models import Model, arm_of, path_of
 from robot_sysid.api.results import Identified, PlanResult, one_thread
 from robot_sysid.config import Config, ModelOptions, SysidConfig, config_from, payload_config_from
 from robot_sysid.errors import InputError
@@ -32,7 +33,6 @@ from robot_sysid.logs.formats.table import LogTable, arrays_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import Analysis, analysed, checked, designed, load, promise
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.records.data import Traces
@@ -58,8 +58,6 @@ class Frame(Protocol):
 Log = Union[str, "os.PathLike[str]", Mapping[str, Any], Frame, Measurement, MeasurementLog]
 """A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
 rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
-Model = Union[str, "os.PathLike[str]"]
-"""Path of an MJCF or URDF file."""
 _ADDED = Path("added information")
 _NOT_ADDED = ("measurements", "append", "validation_measurements", "verify_rollout", "torque_from")
 
@@ -79,12 +77,6 @@ def _log(log: Log) -> Any:
         raise InputError(f"a log is {known}, not {type(log).__name__}")
     arrays = {str(name): np.asarray(v) for name, v in log.items() if v is not None}
     return arrays_table(Path("arrays"), "arrays in memory", arrays)
-
-
-def _path(model: Model) -> Path:
-    if not isinstance(model, (str, os.PathLike)):
-        raise InputError(f"a model is the path of an MJCF or URDF file, not {type(model).__name__}")
-    return Path(model)
 
 
 def _logs(**given: Any) -> dict[str, tuple[Any, ...]]:
@@ -136,7 +128,7 @@ def read_log(
     Raises:
         InputError: it cannot be read, is ambiguous or cannot be what it seems to be.
     """
-    robot = model if isinstance(model, RobotModel) else load_robot_model(_path(model))
+    robot = model if isinstance(model, RobotModel) else arm_of(model, {})
     return open_log(robot, _log(log), record_from(LogOptions, options))
 
 
@@ -168,7 +160,7 @@ def identify(
     values = {**options, **_logs(measurements=log)}
     if validation is not None:
         values["validation_measurements"] = _log(validation)
-    return _answered(config_from(_path(model), **values))
+    return _answered(config_from(path_of(model), **values))
 
 
 @with_keywords()
@@ -202,7 +194,7 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     """
     rests = "static" in options or options.get("for_") == "friction"
     usual = {} if "trajectory" in options or rests else {"excitation": "optimal"}
-    config = config_from(_path(model), **{**usual, **options, "plan_only": True})
+    config = config_from(path_of(model), **{**usual, **options, "plan_only": True})
     with _quietly() as notes:
         robot = load(config, notes)
         made, _ = designed(config, robot, notes)
@@ -230,7 +222,7 @@ def payload(
         InputError: an option, the model or a recording cannot be used.
     """
     logs = _logs(empty=empty, loaded=loaded)
-    return _answered(payload_config_from(_path(model), **{**options, **logs}))
+    return _answered(payload_config_from(path_of(model), **{**options, **logs}))
 
 
 @with_keywords()
@@ -261,9 +253,9 @@ def information(
         if name in options:
             raise InputError(f"{name} is not for information, which holds one log or several alike")
     values = {**options, **_logs(measurements=log)}
-    robot, logs = _robot(model, values), record_from(LogOptions, values)
+    robot, logs = arm_of(model, values), record_from(LogOptions, values)
     chosen = settled_options(record_from(EstimationOptions, values))
-    config = SysidConfig(ModelOptions(_path(model)), log=logs, estimation=chosen)
+    config = SysidConfig(ModelOptions(path_of(model)), log=logs, estimation=chosen)
     config = config.calibrated(robot.joint_names)
     found = []
     with _quietly() as notes:
@@ -296,7 +288,7 @@ def identify_from(
     for each in (found, validation):
         if not isinstance(each, (LogInformation, type(None))) or found is None:
             raise InputError(f"a sum of rs.information is needed, not {type(each).__name__}")
-    robot = _robot(model, options)
+    robot = arm_of(model, options)
     arm, logs = record_from(ModelOptions, options), LogOptions(measurements=(_ADDED,))
     config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
     with _quietly() as notes:
@@ -310,8 +302,3 @@ def _no_traces() -> Traces:
         "added information holds no samples, so there are no torques to draw; identify one of the "
         "logs to see them"
     )
-
-
-def _robot(model: Model, values: Mapping[str, Any]) -> RobotModel:
-    chosen = record_from(ModelOptions, values)
-    return load_robot_model(_path(model), chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)

@@ -178,3 +178,9 @@ class IdentifyFromKeywords(
     ModelOptions
 ):  # fmt: skip
     """Of ``identify_from``."""
+
+
+class RegressorKeywords(
+    ModelOptions
+):  # fmt: skip
+    """Of ``regressor``."""

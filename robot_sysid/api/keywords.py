@@ -28,6 +28,7 @@ RECORDS: Mapping[str, Sequence[Any]] = {
     "read_log": (LogOptions,),
     "information": (ModelOptions, LogOptions, EstimationOptions),
     "identify_from": (ModelOptions,),
+    "regressor": (ModelOptions,),
 }
 RECORDS = {**RECORDS, "identify_arm": RECORDS["identify"]}
 """Function to the records whose options are its keywords."""

@@ -30,7 +30,7 @@ from robot_sysid.records import Array
 from robot_sysid.records.progress import Progress
 
 # RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
-_FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
+FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
 _LINE = re.compile(r"line(?: =)? (\d+)")
 _MUST_BE_FINITE = (
@@ -107,7 +107,7 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
             return mujoco.MjModel.from_xml_path(str(document.path))
         text = relocated_text(Edits(document), None, mesh_dir)
         return mujoco.MjModel.from_xml_string(text.decode())
-    except _FAILURES as error:
+    except FAILURES as error:
         # Asked only now, so that MuJoCo's own rules decide what is missing.
         check_assets(document, mesh_dir)
         raise ModelError(_one_line(document, error)) from None
@@ -122,7 +122,7 @@ def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> tuple[Any, 
         try:
             mj_model = mujoco.MjModel.from_xml_string(text.decode())
             break
-        except _FAILURES as error:
+        except FAILURES as error:
             if with_minimum or "mjMINVAL" not in str(error):
                 raise ModelError(_one_line(document, error)) from None
     restore_exact_inertias(mj_model, link_inertias(document))

@@ -35,14 +35,14 @@ def test_a_signature_shows_every_keyword_with_its_default(function):
     [
         (lambda: rs.identify("m", cutof=8.0), "unknown option 'cutof'; did you mean 'cutoff'?"),
         (lambda: rs.identify("m", "l", cutoff="abc"), "cutoff must be a number (got 'abc')"),
-        (lambda: rs.identify(5, "l"), "a model is the path of an MJCF or URDF file, not int"),
+        (lambda: rs.identify(5, "l"), "a model is the path of an MJCF or URDF file, a mujoco"),
         (lambda: rs.identify("m", measurements="l"), "measurements is the argument log"),
         (lambda: rs.identify("m", "l", output_dir="x"), "output_dir is for the command; the res"),
         (lambda: rs.identify("m", units="deg"), "units describes a log; add log=LOG.csv"),
         (lambda: rs.payload("m"), "give empty=LOG... and loaded=LOG..., or empty_model and"),
         (lambda: rs.plan("m", for_="friction", seed=7), "seed has nothing to draw"),
         (lambda: rs.plan("m", static=True), 'static=True is about resting poses; add for_="pay'),
-        (lambda: rs.read_log("l", 5), "a model is the path of an MJCF or URDF file, not int"),
+        (lambda: rs.read_log("l", 5), "a model is the path of an MJCF or URDF file, a mujoco"),
         (lambda: rs.identify_from("m", None), "a sum of rs.information is needed, not NoneType"),
     ],
 )
@@ -80,6 +80,7 @@ except rs.InputError as error:
 else:
     print(result.mass, result.center_of_mass[0])
 motion = rs.plan("arm.xml", for_="friction")
+matrix, torque = rs.regressor("arm.xml", [0.0], [0.0], [0.0], joint="elbow")
 """
 
 

@@ -1,0 +1,94 @@
+"""The equations of an arm's joint torques as arrays, for programs with an estimate of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_sysid.api.keywords import with_keywords
+from robot_sysid.api.models import Model, arm_of
+from robot_sysid.dynamics.equations import link_names
+from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+from robot_sysid.records.arm import checked_array
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+    from typing_extensions import Unpack
+
+    from robot_sysid.api import keyword_types as types
+
+
+@dataclass(frozen=True, repr=False)
+class Regressor:
+    """What ``regressor`` returns; ``Y, tau = regressor(...)`` takes it apart.
+
+    Attributes:
+        Y: (N, n, p) columns of the parameters in each joint's torque; (n, p) of one instant.
+        tau: (N, n) torque of the model itself [N m; N of slides]; (n,) of one instant.
+        theta: (p,) the model's own parameters, in the order of the columns.
+        names: (p,) theirs: "m(link1)" to "Izz(link1)" of each link with mass from base to terminal
+            (inertia about the body's ORIGIN), then "armature[joint1]", "viscous[joint1]" and
+            "coulomb[joint1]" of each joint.
+    """
+
+    Y: Array
+    tau: Array
+    theta: Array
+    names: tuple[str, ...]
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter((self.Y, self.tau))
+
+    def __repr__(self) -> str:
+        return f"<Regressor Y {self.Y.shape}, tau {self.tau.shape}, {len(self.names)} parameters>"
+
+
+@with_keywords()
+def regressor(
+    model: Model,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    **options: Unpack[types.RegressorKeywords],
+) -> Regressor:
+    """Return the regressor Y of all parameters of an arm, and the torque tau of its model.
+
+    Y theta = tau: recursive Newton-Euler (Lynch and Park, "Modern Robotics", 2017, eq. 8.50 to
+    8.53) is linear in each link's ten parameters; a joint adds armature qdd + viscous qd + coulomb
+    sign(qd). tau is MuJoCo's inverse dynamics with that friction; it also holds the model's
+    springs, tendons and actuators, which have no columns: tau - Y theta is their torque.
+
+    Args:
+        model: MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
+        q, qd, qdd: (N, n) motion of the chain joints [rad, rad/s, rad/s^2], or (n,) one instant.
+        options: ``joint``, ``mesh_dir`` and ``keyframe``, as of ``identify``.
+
+    Raises:
+        InputError: the model cannot be used, or the arrays do not fit it.
+    """
+    robot = arm_of(model, options)
+    n, alone = robot.n_joints, np.ndim(q) == 1
+    motion = [
+        checked_array(np.atleast_2d(np.asarray(each, dtype=float)), (None, n), name)
+        for name, each in (("q", q), ("qd", qd), ("qdd", qdd))
+    ]
+    if len({len(each) for each in motion}) > 1:
+        raise InputError("q, qd and qdd need the same number of samples")
+    links = [k for k, link in enumerate(robot.links) if link.has_mass]
+    of_joints = [np.eye(n) * each[:, None] for each in (motion[2], motion[1], np.sign(motion[1]))]
+    columns = LinkDynamics(robot).motion(*motion).columns(links)
+    friction, armature = robot.friction, robot.mj_model.dof_armature[robot.dof_index]
+    theta = [*(robot.links[k].theta for k in links), armature, friction.viscous, friction.coulomb]
+    names = [name for k in links for name in link_names(robot, k)]
+    terms = ("armature", "viscous", "coulomb")
+    names += [f"{term}[{joint}]" for term in terms for joint in robot.joint_names]
+    matrix = np.concatenate((columns, *of_joints), axis=-1)
+    tau = ArmDynamics(robot).torque(*motion) + friction.torque(motion[1])
+    rows = 0 if alone else slice(None)
+    return Regressor(matrix[rows], tau[rows], np.concatenate(theta), tuple(names))

@@ -1,0 +1,109 @@
+"""The regressor that programs get, and models that they hold in memory."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+import robot_sysid as rs
+from robot_sysid.dynamics.kinematics import analysis_copy
+from tests.support import arms
+from tests.support.places import EXAMPLE, MODELS
+
+JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
+TEXT = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
+
+
+def motion(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    q, qd, qdd = np.random.default_rng(0).normal(size=(3, 20, n))
+    return q, qd, qdd
+
+
+def by_mujoco(model, q, qd, qdd):
+    """Inverse dynamics without MuJoCo's own friction, and friction as Coulomb's law has it."""
+    bare = analysis_copy(model)
+    data = mujoco.MjData(bare)
+    tau = []
+    for data.qpos[:], data.qvel[:], data.qacc[:] in zip(q, qd, qdd):
+        mujoco.mj_inverse(bare, data)
+        tau.append(data.qfrc_inverse.copy())
+    return np.array(tau) + model.dof_frictionloss * np.sign(qd) + model.dof_damping * qd
+
+
+def check_law(found, tau):
+    assert found.Y.shape == (*tau.shape, len(found.names)) and len(found.theta) == len(found.names)
+    scale = np.max(np.abs(tau))
+    np.testing.assert_allclose(found.Y @ found.theta, tau, rtol=0, atol=1e-9 * scale)
+    np.testing.assert_allclose(found.tau, tau, rtol=0, atol=1e-9 * scale)
+
+
+@pytest.mark.parametrize("form", ["file", "MjModel", "MjSpec"])
+def test_columns_times_parameters_are_the_inverse_dynamics_of_mujoco(tmp_path, form):
+    model = mujoco.MjModel.from_xml_string(TEXT)
+    given = model
+    if form == "file":
+        given = tmp_path / "arm.xml"
+        given.write_text(TEXT)
+    elif form == "MjSpec":
+        pytest.importorskip("mujoco", minversion="3.2.5")
+        given = mujoco.MjSpec.from_string(TEXT)
+    found = rs.regressor(given, *motion(3))
+    check_law(found, by_mujoco(model, *motion(3)))
+    matrix, tau = rs.regressor(given, *(each[4] for each in motion(3)))
+    np.testing.assert_array_equal((matrix, tau[:, None])[0], found.Y[4])
+    assert found.names[:2] == ("m(link0)", "hx(link0)") and found.names[-1] == "coulomb[joint2]"
+
+
+def test_it_is_so_of_a_public_arm():
+    path = MODELS / "kuka_iiwa_14" / "iiwa14.xml"
+    if not path.exists():
+        pytest.skip("the public models are not here")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    check_law(rs.regressor(path, *motion(7)), by_mujoco(model, *motion(7)))
+
+
+def test_arrays_that_do_not_fit_are_refused():
+    model = mujoco.MjModel.from_xml_string(TEXT)
+    q, qd, qdd = motion(3)
+    with pytest.raises(rs.InputError, match=r"qd has shape \(20, 2\), expected \(None, 3\)"):
+        rs.regressor(model, q, qd[:, :2], qdd)
+    with pytest.raises(rs.InputError, match="the same number of samples"):
+        rs.regressor(model, q, qd, qdd[:5])
+
+
+def test_a_function_and_a_module_of_one_name_are_both_there():
+    from robot_sysid.regressor import derive_regressor
+
+    assert callable(rs.regressor) and rs.regressor.derive_regressor is derive_regressor
+
+
+def test_a_spec_is_identified_like_its_file(tmp_path):
+    """Also where its meshes are beside a file, and where they are in memory."""
+    pytest.importorskip("mujoco", minversion="3.2.5")
+    path = EXAMPLE / "model" / "kinova_fullinertia_guess.xml"
+    spec = mujoco.MjSpec.from_file(str(path))
+    mesh_dir = spec.meshdir
+    quick = {"seed": 1, "duration": 1.0}
+    from_file, from_spec = rs.identify(path, **quick), rs.identify(spec, **quick)
+    np.testing.assert_allclose(from_spec.theta, from_file.theta, rtol=1e-4, atol=1e-6)
+    assert spec.meshdir == mesh_dir
+    assert from_spec.spec().compile().ngeom == spec.compile().ngeom
+    assert (tmp_path / "updated_model.xml") in from_spec.save(tmp_path)
+    assets = {each.name: each.read_bytes() for each in (EXAMPLE / "model/meshes").iterdir()}
+    held = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"), assets=assets)
+    np.testing.assert_allclose(rs.identify(held, **quick).theta, from_spec.theta, rtol=1e-6)
+    assert repr(from_spec).startswith("<Identified link6 of kinova_fullinertia_guess.xml: 0.78")
+
+
+def test_a_compiled_model_is_written_while_mujoco_still_knows_its_xml():
+    quick = {"seed": 1, "duration": 1.0}
+    model = mujoco.MjModel.from_xml_string(TEXT)
+    model.body_mass[3] *= 2.0
+    found = rs.identify(model, **quick)
+    assert found.mass == pytest.approx(model.body_mass[3], rel=1e-5)
+    assert rs.identify(model, **quick).mass == found.mass
+    forgotten = mujoco.MjModel.from_xml_string(arms.serial_arm((arms.Z, arms.Y)))
+    mujoco.MjModel.from_xml_string(TEXT)
+    with pytest.raises(rs.ModelError, match="give its file, or the MjSpec"):
+        rs.identify(forgotten, **quick)
