@@ -2,8 +2,9 @@
 
 Read are sensor_msgs/JointState, control_msgs/DynamicJointState and Franka's FrankaRobotState. A
 joint is found by its name in each message: the order may change from message to message, several
-publishers may share a topic, and a message may hold a gripper only. Time is that of the message's
-header, or where that is empty the time at which the message was recorded.
+publishers may share a topic, and a message may hold a gripper only, or some of the arm's joints.
+Time is that of the message's header, by which messages are put in order, or where that is empty the
+time at which the message was recorded.
 
 ``rosbags`` unpacks each chunk, message or file whole, whatever comes out: a few kilobytes may
 become the computer's whole memory, or disk. So a private copy of its readers, with a bound on what
@@ -17,7 +18,7 @@ import contextlib
 import functools
 import importlib.util
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from io import BytesIO
 from itertools import islice
@@ -29,6 +30,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import table
+from robot_sysid.logs.formats.messages import Arm, Key, Sample, Stamped
 from robot_sysid.logs.formats.table import Asked, Block, LogTable, as_input_errors, library, renamed
 
 WHAT = "a ROS bag"
@@ -46,12 +48,6 @@ _DEFINED = {
     _DYNAMIC: "std_msgs/Header header\nstring[] joint_names\n"
     "control_msgs/InterfaceValue[] interface_values\n",
 }
-
-Key = tuple[str, str]
-"""Joint and quantity."""
-Sample = Mapping[Key, float]
-Stamped = tuple[tuple[int, int], Sample]
-"""When a message was sampled and when it was recorded [ns], and what it says."""
 
 
 def bag_table(asked: Asked) -> LogTable:
@@ -91,30 +87,29 @@ def _topic(path: Path, bag: Any, topic: str, joint_names: Sequence[str]) -> LogT
     seen = dict.fromkeys(key for _, sample in first for key in sample)
     if not seen:
         return None
-    # Where no header has a time stamp, the time of recording stands in.
-    clock = 0 if any(stamps[0] for stamps, _ in first) else 1
     names = list(dict.fromkeys(joint for joint, _ in seen))
     spelling = dict(zip(names, renamed(names, joint_names)))
-    titles = ("time", *(f"{spelling[joint]} {quantity}" for joint, quantity in seen))
-    late = ", headers without time: when it was recorded" if clock else ""
+    arm = Arm.of(first, [name for name in names if spelling[name] in joint_names])
+    keys = (*seen, *arm.time_keys)
+    titles = ("time", *(f"{spelling[joint]} {quantity}" for joint, quantity in keys))
+    late = ", headers without time: when it was recorded" if arm.clock else ""
     kind = next(c.msgtype for c in bag.connections if c.topic == topic)
-    layout = f"ROS bag, topic {topic} ({kind}), joints by name{late}"
-    read = partial(_blocks, path, topic, list(seen), clock, first[0][0][clock])
-    return LogTable(path, layout, titles, read, word="message")
+    layout = f"ROS bag, topic {topic} ({kind}), joints by name{arm.said}{late}"
+    return LogTable(path, layout, titles, partial(_blocks, path, topic, keys, arm), word="message")
 
 
 def _blocks(
-    path: Path, topic: str, keys: Sequence[Key], clock: int, start: int, columns: Sequence[int]
+    path: Path, topic: str, keys: Sequence[Key], arm: Arm, columns: Sequence[int]
 ) -> Iterator[Block]:
-    """Yield the messages of a topic in their order, by one of their clocks from a start [ns]."""
+    """Yield the samples of a topic in their order."""
     place = {key: k + 1 for k, key in enumerate(keys)}
     with _opened(path) as bag:
         total = max(1, sum(c.msgcount for c in bag.connections if c.topic == topic))
-        messages, done = _messages(bag, topic), 0
-        while batch := list(islice(messages, table.BLOCK)):
+        samples, done = arm.samples(_messages(bag, topic)), 0
+        while batch := list(islice(samples, table.BLOCK)):
             cells = np.full((len(batch), 1 + len(keys)), np.nan)
-            for row, (stamps, sample) in zip(cells, batch):
-                row[0] = 1e-9 * (stamps[clock] - start)
+            for row, (time, sample) in zip(cells, batch):
+                row[0] = time
                 known = [key for key in sample if key in place]
                 row[[place[key] for key in known]] = [sample[key] for key in known]
             lines = np.arange(done, done + len(batch)) + 1
