@@ -27,7 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     tolerant_output()
-    _one_blas_thread()
+    _without_what_only_costs_time()
     name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else "run"
     with _remembered_interrupts(ends=argv is None) as interrupts:
         interrupted = "interrupted"
@@ -94,14 +94,16 @@ def _remembered_interrupts(ends: bool = False) -> Iterator[list[int]]:
             signal.signal(number, signal.SIG_IGN if ends else handler)
 
 
-def _one_blas_thread() -> None:
-    """Keep numpy from starting threads: the matrices are small and threads only wait for another.
+def _without_what_only_costs_time() -> None:
+    """Keep numpy from starting threads, and MuJoCo from looking for windows.
 
-    Must come before numpy is imported. What is set for other programs does not count: with four
-    threads an arm of 60 joints takes fifty times as long.
+    Must come before they are imported. The matrices are small, and threads only wait for another:
+    what is set for other programs does not count, as an arm of 60 joints takes fifty times as long
+    with four of them. What draws chooses its renderer itself (``preview.studio``).
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ[name] = "1"
+    os.environ.setdefault("MUJOCO_GL", "disable")
 
 
 def _report(message: str, code: int, debug: bool) -> int:

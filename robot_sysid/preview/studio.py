@@ -38,9 +38,9 @@ _PROBE = (
 def backend() -> str | None:
     """Return what can draw without a screen, or None: tried in a process of its own, which may die.
 
-    MUJOCO_GL, where it is set, is the only one tried.
+    MUJOCO_GL, where it names one, is the only one tried.
     """
-    chosen = os.environ.get("MUJOCO_GL", "").lower()
+    chosen = os.environ.get("MUJOCO_GL", "").lower().replace("disable", "")
     usual = ("egl", "osmesa", "glfw") if sys.platform.startswith("linux") else ("glfw",)
     for name in (chosen,) if chosen else usual:
         call = [sys.executable, "-c", _PROBE, name]
