@@ -55,6 +55,8 @@ N_FRICTION = 4
 # carry. Of a joint's top speed: below it the direction of friction is not sure. Of the reach:
 # size of what may hang on the terminal link.
 _LEAST, _SLOW, _REACH = 0.02, 0.05, 0.15
+# Motions whose rows are kept beside the last one: as recorded, and without a mistake.
+_MOTIONS = 2
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,7 @@ class ModelFit:
         self.divided = np.ones(robot.n_joints) if divided is None else np.array(divided)
         parts, noises, count = [], [], max(FEWEST, INSTANTS // len(pieces))
         self._torques: list[tuple[Array, Array, Array]] = []
+        self._kept: dict[tuple[object, ...], tuple[Array, Array]] = {}
         for piece in pieces:
             signals = process(piece, robot.joint_names, cutoff)
             smooth, lost = signals.low_pass.filtered(signals.tau), signals.low_pass.half_width
@@ -202,10 +205,10 @@ class ModelFit:
         """
         sample = sample or self.sample
         count, n = sample.q.shape
-        dynamics = self._weightless if weightless else self._dynamics
-        links = dynamics.motion(sample.q, sample.qd, sample.qdd).columns(range(n))
-        friction = _friction_columns(sample)
-        rows = np.concatenate([links, friction] + ([] if extra is None else [extra]), axis=2)
+        rows, squares = self._rows(sample, weightless)
+        if extra is not None:
+            rows = np.concatenate((rows, extra), axis=2)
+            squares = _squares(rows)
         bodies = float(not only_friction)
         scales = bodies * self._scales
         scales[:-1] *= not known_links
@@ -215,18 +218,36 @@ class ModelFit:
         start = np.concatenate((known, own * armature, np.zeros(len(prior))))
         spread = np.concatenate((scales.ravel(), own * _friction_spread(sample), prior))
         right = sample.tau - self._springs(sample) - rows @ start
-        weight = np.sqrt(INDEPENDENT / count) / sample.sigma
+        weight = INDEPENDENT / count / sample.sigma**2
         # Least squares in units of the priors, around the model.
-        scaled = (rows * weight[None, :, None]).reshape(-1, len(spread)) * spread
-        inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(spread)))
-        off = inverse @ (scaled.T @ (right * weight).ravel())
+        normal = np.tensordot(weight, squares, 1) * np.outer(spread, spread)
+        inverse = np.linalg.inv(normal + np.eye(len(spread)))
+        off = inverse @ (spread * ((right * weight).ravel() @ rows.reshape(-1, len(spread))))
         residual = right - rows @ (spread * off)
-        squares = np.sum(np.sum((residual * weight) ** 2, axis=0) / INDEPENDENT)
-        cost = float(squares) + float(np.sum(off[spread > 0.0] ** 2)) / INDEPENDENT
+        cost = (
+            float(np.sum(residual**2 @ weight)) / INDEPENDENT
+            + float(np.sum(off[spread > 0.0] ** 2)) / INDEPENDENT
+        )
         thetas, terms, extras = np.split(start + spread * off, (10 * n, (10 + N_FRICTION) * n))
         error = (spread * np.sqrt(np.diag(inverse)))[(10 + N_FRICTION) * n :]
         found = terms.reshape(n, N_FRICTION), thetas.reshape(n, 10), extras, error
         return Fit(cost / n, residual, *found)
+
+    def _rows(self, sample: Sample, weightless: bool) -> tuple[Array, Array]:
+        """Return rows (K, n, 14 n) of links and friction, and ``_squares`` of them.
+
+        Those of the last motions are kept: many mistakes that are tried leave the motion as it is.
+        """
+        motion = sample.q, sample.qd, sample.qdd
+        key = (weightless, *(each.tobytes() for each in motion))
+        if key not in self._kept:
+            dynamics = self._weightless if weightless else self._dynamics
+            links = dynamics.motion(*motion).columns(range(sample.q.shape[1]))
+            rows = np.concatenate((links, _friction_columns(sample)), axis=2)
+            self._kept = dict([*self._kept.items()][-_MOTIONS:])
+            self._kept[key] = rows, _squares(rows)
+        self._kept[key] = self._kept.pop(key)
+        return self._kept[key]
 
     def explained(self, sample: Sample, found: Fit) -> Array:
         """Return (K, n) the torque of a fit, springs left out, along a motion."""
@@ -260,6 +281,11 @@ def _friction_spread(sample: Sample) -> Array:
     viscous = usual / np.where(speed > 0.0, speed, 1.0)
     armature = 0.5 * usual / np.where(turning > 0.0, turning, 1.0)
     return np.column_stack((usual, viscous, 0.5 * usual, armature)).ravel()
+
+
+def _squares(rows: Array) -> Array:
+    """Return (n, p, p) the sum over instants of each joint's rows (K, n, p), squared."""
+    return np.asarray(np.swapaxes(rows, 0, 1).swapaxes(1, 2) @ np.swapaxes(rows, 0, 1))
 
 
 def _friction_columns(sample: Sample) -> Array:

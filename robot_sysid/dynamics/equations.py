@@ -111,19 +111,29 @@ class Equations:
         qd, qdd = measurement.qd, measurement.qdd
         if qd is None or qdd is None:
             raise InputError("a log without velocities or accelerations; differentiate it first")
-        motion = self._kinematics.evaluate(measurement.q, qd, qdd)
+        inertial, others, rest = self._bodies(measurement.q, qd, qdd)
         friction = np.where(self._friction_known, self._robot.friction.torque(qd), 0.0)
-        known = motion.tau_rest + friction
+        known = rest + friction
         known -= np.where(self._armature_sought, self._kinematics.armature * qdd, 0.0)
-        inertial = joint_regressor(motion, self.rows_of)
-        others = np.zeros((*qd.shape, 0))
-        if self._others is not None:
-            others = self._others.motion(measurement.q, qd, qdd).columns(self._links)
-        known -= others @ self._known_links
         for block, j in zip(inertial, self.rows_of):
             # The model's own: the measured torque has friction in it already.
-            carried = motion.tau_rest[:, j] + block @ self._robot.prior.theta
+            carried = rest[:, j] + others[:, j] @ self._known_links
+            carried += block @ self._robot.prior.theta
             own = self._friction[j].columns(qd[:, j], qdd[:, j], carried)
             beyond = others[:, j, N_INERTIAL * sum(link < j for link in self._links) :]
             common = () if shared is None else (shared[:, j],)
             yield np.hstack((block, own, *common, beyond)), measurement.tau[:, j] - known[:, j]
+
+    def _bodies(self, q: Array, qd: Array, qdd: Array) -> tuple[Sequence[Array], Array, Array]:
+        """Return columns of the terminal link per row (N, 10), and of all joints' other links
+        (N, n, 10 links), and the torque of the rest of the arm (N, n).
+        """
+        if self._others is None:
+            motion = self._kinematics.evaluate(q, qd, qdd)
+            inertial = [*joint_regressor(motion, self.rows_of)]
+            return inertial, np.zeros((*qd.shape, 0)), motion.tau_rest
+        links = (*self._links, qd.shape[1] - 1)
+        columns = self._others.motion(q, qd, qdd).columns(links)
+        inertial = [columns[:, j, -N_INERTIAL:] for j in self.rows_of]
+        rest = self._kinematics.beyond_rigid_bodies(q, qd, qdd)
+        return inertial, columns[..., :-N_INERTIAL], rest

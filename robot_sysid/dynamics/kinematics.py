@@ -151,10 +151,14 @@ class ChainKinematics:
         # MuJoCo's linear acceleration is the classical one minus gravity; the spatial one lacks
         # the omega x v of the moving body frame.
         acceleration[:, 3:] -= np.cross(velocity[:, :3], velocity[:, 3:])
-        beyond = self.armature * qdd
-        if self._full is not None:
-            beyond = self._full.beyond_rigid_bodies(q, qd, qdd)
-        return BodyMotion(velocity, acceleration, jacobian, rest[:, chain] + beyond)
+        rest = rest[:, chain] + self.beyond_rigid_bodies(q, qd, qdd)
+        return BodyMotion(velocity, acceleration, jacobian, rest)
+
+    def beyond_rigid_bodies(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torque (N, n) of armature, springs, tendons and actuators alone."""
+        if self._full is None:
+            return np.asarray(self.armature * qdd)
+        return self._full.beyond_rigid_bodies(q, qd, qdd)
 
 
 def _as_slice(index: Any) -> Any:

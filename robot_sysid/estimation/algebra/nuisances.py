@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -105,14 +106,20 @@ def link_factor(thetas: Sequence[Array], share: float, lengths: Sequence[float])
         lengths: per link, from its joint to the next one [m]; its size is that, or the length of
             the uniform rod whose mass is as far from its end, where that is more.
     """
+    return share * _whole_factor(tuple(map(tuple, thetas)), tuple(lengths))
+
+
+@lru_cache(maxsize=8)
+def _whole_factor(thetas: tuple[tuple[float, ...], ...], lengths: tuple[float, ...]) -> Array:
+    """Return what ``link_factor`` is a share of: choosing friction asks for the same many times."""
     own = np.zeros((10 * len(thetas), 10 * len(thetas)))
     common = np.zeros((10 * len(thetas), 2))
-    for place, (theta, length) in enumerate(zip(thetas, lengths)):
+    for place, (theta, length) in enumerate(zip(np.array(thetas), lengths)):
         block = slice(10 * place, 10 * (place + 1))
-        own[block, block], moved = own_errors(theta, share, length)
+        own[block, block], moved = own_errors(theta, 1.0, length)
         com = spatial.com_from_theta(theta)[1]
         distance = float(np.linalg.norm(com))
-        common[block, 0] = share * theta
+        common[block, 0] = theta
         common[block, 1] = moved @ com / distance if distance > 0.0 else 0.0
     return np.linalg.cholesky(own @ own.T + common @ common.T)
 
