@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
@@ -55,9 +56,12 @@ class StopRequest:
         """Turn signals that ask a program to end into wishes inside the block.
 
         One that this process was started to ignore (by nohup, or Ctrl-C by a shell's ``&``) stays
-        ignored: it is meant for others. Terminating stops the arm all the same.
+        ignored: it is meant for others. Terminating stops the arm all the same. Only the main
+        thread hears signals.
         """
-        heard = [number for number in STOPPING if signal.getsignal(number) is not signal.SIG_IGN]
+        main = threading.current_thread() is threading.main_thread()
+        asked = STOPPING if main else ()
+        heard = [number for number in asked if signal.getsignal(number) is not signal.SIG_IGN]
         before = {number: signal.signal(number, self._handle) for number in heard}
         try:
             yield
