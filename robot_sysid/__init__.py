@@ -24,6 +24,8 @@ ERRORS = (
 
 
 def __getattr__(name: str) -> object:
+    if name == "motors":
+        return importlib.import_module("robot_sysid.api.motors")
     if name in FACE:
         return getattr(importlib.import_module("robot_sysid.api"), name)
     if name in ERRORS:
@@ -32,7 +34,7 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *FACE, *ERRORS})
+    return sorted({*globals(), *FACE, *ERRORS, "motors"})
 
 
 class _Called(ModuleType):

@@ -258,7 +258,7 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
     lines = tuple(promise(config, robot, checked))
     if checked.failure:
         return PlanOutcome(lines, f"{checked.failure}; nothing was written", checked=checked)
-    motor_file = _motor_file(config, robot, checked.plan)
+    motor_file = motor_writer(config, robot, checked.plan)
     with whole_files() as files:
         paths = save_plan(files, config, robot, checked.plan)
         if motor_file is not None:
@@ -428,7 +428,7 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
     if isinstance(config, PayloadConfig):
         as_body, scales = config.payload.as_body, config.payload.save_torque_scale
     elif isinstance(config, SysidConfig):
-        motor_file = None if found.plan is None else _motor_file(config, robot, found.plan)
+        motor_file = None if found.plan is None else motor_writer(config, robot, found.plan)
         if config.log.verify_rollout and result.file is not None and result.verdict.is_trustworthy:
             progress.stage("Playing the model on held-out pieces...")
             result = replace(result, rollout=_played(config, robot, found))
@@ -468,7 +468,7 @@ def _played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> Rollo
     return play(robot, signals, again, mesh_dir, split_time, LAST_FIFTH)
 
 
-def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:
+def motor_writer(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:
     """Return what writes the trajectory for Damiao motors, or None where none was asked for."""
     motors = config.motors
     if not motors.export_damiao:

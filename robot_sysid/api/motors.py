@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.api.results import PlanResult
 from robot_sysid.config import ModelOptions
+from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import (
     BusAddress,
     GuardedLink,
@@ -25,8 +27,9 @@ from robot_sysid.damiao.bus import (
     open_bus,
 )
 from robot_sysid.damiao.holding import HoldingCheck
-from robot_sysid.damiao.inspection import Inspection
-from robot_sysid.damiao.preflight import Check, Permissions, Plan, plan_checks
+from robot_sysid.damiao.inspection import Inspection, inspect_bus
+from robot_sysid.damiao.player import PlayReport
+from robot_sysid.damiao.preflight import Check, Permissions, Plan, plan_checks, require_no_stop
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, read_joint_map
 from robot_sysid.damiao.protocol.motors import matching_types
@@ -38,10 +41,15 @@ from robot_sysid.damiao.simulated import (
     SimulatedLink,
     simulated_motor,
 )
+from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
-from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.errors import HardwareAbort, InputError, SysidError
+from robot_sysid.pipeline import motor_writer
 from robot_sysid.records import Array
-from robot_sysid.records.options import given_options, record_from
+from robot_sysid.records.atomic_files import DAMIAO_NAME, temporary_folder
+from robot_sysid.records.options import given_options, options_of, record_from, refuse_unknown
+
+Say = Callable[[str], None]
 
 
 class MotorRun:
@@ -162,11 +170,12 @@ class MotorRun:
         motors = [simulated_motor(each, watchdog) for each in plan.trajectory.joints]
         return SimulatedArm(ArmStepper(self.robot, plan.scan.first, *timestep), motors)
 
-    def simulated(self, arm: SimulatedArm) -> GuardedLink:
-        """Return a bus with a simulated arm on it, in simulated time."""
+    @contextlib.contextmanager
+    def simulated(self, arm: SimulatedArm) -> Iterator[GuardedLink]:
+        """Open a bus with a simulated arm on it, in simulated time."""
         clock = SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
-        return GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
+        yield GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
 
     def open(self, timing: BusTiming | None = None) -> Link:
         """Open the bus, with other bit rates than those asked for if given."""
@@ -181,3 +190,105 @@ class MotorRun:
             raise InputError("this command needs --channel, for instance --channel can0")
         with contextlib.closing(self.open(timing)) as link:
             yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
+
+
+def lasting(plan: Plan, seconds: float) -> Plan:
+    """Return a plan to hold an arm that lasts so long [s]."""
+    time = np.array([0.0, seconds])
+    return replace(plan, trajectory=replace(plan.trajectory, time=time))
+
+
+def play(
+    trajectory: Path | str | PlanResult,
+    *,
+    model: Path | str | None = None,
+    joint_map: Path | str | None = None,
+    simulate: bool = False,
+    say: Say = lambda sentence: None,
+    **options: Any,
+) -> PlayReport:
+    """Play a trajectory on Damiao motors, with all checks of ``robot-sysid motors play``.
+
+    Nobody is asked first. Ctrl-C brings the arm to rest, where this is the main thread.
+
+    Args:
+        trajectory: a file for motors, or a plan, made with ``export_damiao=True, motor_type=...``.
+        model: MJCF or URDF file of the arm, to compare with; that of the plan where there is one.
+        joint_map: how each joint's motor is mounted.
+        simulate: play on a simulated arm of the model instead, in simulated time.
+        say: called with a sentence for each thing that happens.
+        options: those of ``robot-sysid motors play``, such as ``channel="can0"``, ``speed=0.3``,
+            ``park="rest"`` or ``record="measured.csv"``.
+
+    Returns:
+        How it went: cycles, lateness [s], missed commands and worst tracking [rad] per joint.
+
+    Raises:
+        InputError: an option or a file cannot be used.
+        HardwareAbort: a check forbids it, or the run was stopped; its message says whether a motor
+            may still be enabled.
+    """
+    with _motor_file(trajectory) as (path, own):
+        chosen = {**own, **({} if model is None else {"model": model}), **options}
+        run = _run(say, trajectory=path, joint_map=joint_map, **chosen)
+        plan = run.plan()
+        require_no_stop(run.checks(plan), "not played")
+        plan.recording.require_free(path)
+        bus = run.simulated(run.simulated_arm(plan)) if simulate else run.bus()
+        with bus as link:
+            return _played(run, link, plan, say)
+
+
+def hold(
+    model: Path | str,
+    seconds: float,
+    *,
+    joint_map: Path | str | None = None,
+    say: Say = lambda sentence: None,
+    **options: Any,
+) -> PlayReport:
+    """Hold an arm where it stands for some time [s], as ``robot-sysid motors hold`` does.
+
+    For the other arguments, what is returned and what is raised see ``play``.
+    """
+    run = _run(say, model=model, joint_map=joint_map, **options)
+    with run.bus() as link:
+        plan = run.hold_plan(inspect_bus(link))
+        require_no_stop(run.checks(plan), "not held")
+        plan.recording.require_free()
+        return _played(run, link, lasting(plan, seconds), say)
+
+
+_RECORDS = BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions
+
+
+def _run(say: Say, **values: Any) -> MotorRun:
+    keys = [each.key for record in _RECORDS for each in options_of(record).values()]
+    refuse_unknown(values, [*keys, "model", "joint_map", "trajectory"])
+    return MotorRun(values, lambda words, last: say(words))
+
+
+def _played(run: MotorRun, link: GuardedLink, plan: Plan, say: Say) -> PlayReport:
+    stop = StopRequest()
+    with stop.on_signals():
+        told = stop, say, lambda time: None, run.holding(plan)
+        return execution.run(link, plan, inspect_bus(link), *told)
+
+
+@contextlib.contextmanager
+def _motor_file(trajectory: Path | str | PlanResult) -> Iterator[tuple[Path, Mapping[str, Any]]]:
+    """Yield the file of a trajectory, and which arm it is for, where a plan tells."""
+    if not isinstance(trajectory, PlanResult):
+        yield Path(trajectory), {}
+        return
+    if trajectory.failure:
+        raise SysidError(f"{trajectory.failure}; not played")
+    config = trajectory.config
+    write = motor_writer(config, trajectory.robot, trajectory.checked.plan)
+    if write is None:
+        raise InputError("the plan is for no motors; give rs.plan export_damiao and motor_type")
+    arm = {each.key: getattr(config.model, each.key) for each in given_options(config.model)}
+    with temporary_folder() as folder, open(folder / DAMIAO_NAME, "w", encoding="utf-8") as file:
+        write(file)
+        file.flush()
+        yield folder / DAMIAO_NAME, {"model": config.model.path, **arm}

@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
+from robot_sysid.api.motors import lasting
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
@@ -102,8 +101,8 @@ def simulate(asked: Asked) -> int:
     options, plan = record_from(SimulatedMotorOptions, asked.values), asked.plan()
     checks = asked.checks(plan)
     if options.play:
-        link = asked.simulated(asked.simulated_arm(plan, options.watchdog))
-        return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
+        with asked.simulated(asked.simulated_arm(plan, options.watchdog)) as link:
+            return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
     preflight.require_no_stop(checks, "not rehearsed")
     arm = asked.simulated_arm(plan, options.watchdog, _REAL_TIME_STEP)
     system, stop = asked.clock, StopRequest()
@@ -129,9 +128,7 @@ def hold(asked: Asked) -> int:
     with asked.bus() as link:
         plan = asked.hold_plan(inspect_bus(link))
         checks = asked.checks(plan)
-        lasting = replace(plan.trajectory, time=np.array([0.0, seconds]))
-        plan = replace(plan, trajectory=lasting)
-        return _play_on(link, plan, checks, choices, asked, holds=True)
+        return _play_on(link, lasting(plan, seconds), checks, choices, asked, holds=True)
 
 
 class _Command(NamedTuple):

@@ -1,0 +1,84 @@
+"""Playing on motors from Python: the same run as that of the command."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import robot_sysid as rs
+from robot_sysid.api import calls, motors
+from robot_sysid.config import MotorOptions
+from robot_sysid.damiao.protocol.frames import DISABLED
+from tests.support import arms
+from tests.support.clocks import ScriptedClock
+from tests.support.damiao_rig import swing, trajectory_file, two_motor_arm
+from tests.support.links import RememberingLink
+from tests.support.recordings import read_recording
+
+
+@pytest.fixture
+def model(arm_file):
+    return arm_file(arms.serial_arm((arms.Z, arms.Y)))
+
+
+@pytest.fixture
+def trajectory(tmp_path):
+    return trajectory_file(tmp_path, swing(2, duration=0.5, amplitude=0.05)).path
+
+
+@pytest.fixture(autouse=True)
+def coarse_physics(monkeypatch):
+    fine = motors.MotorRun.simulated_arm
+    monkeypatch.setattr(motors.MotorRun, "simulated_arm", lambda *a: fine(*a, 0.1, 4e-3))
+
+
+def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
+    said, record = [], tmp_path / "measured.csv"
+    options = {"model": model, "simulate": True, "record": record, "rate": 250}
+    report = rs.motors.play(trajectory, **options, say=said.append)
+    assert report.cycles == 126 and "enabling the motors" in said
+    assert read_recording(record).ending == "completed"
+    assert tuple(capfd.readouterr()) == ("", "")
+
+
+def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
+    # What an estimate will know is slow to tell.
+    monkeypatch.setattr(calls, "promise", lambda *_: ())
+    made = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
+    planned = rs.plan(model, **made, export_damiao=True, motor_type=["DM4340"] * 2)
+    report = rs.motors.play(planned, simulate=True, rate=250)
+    assert report.cycles == 151 and np.max(report.worst_tracking) < 0.1
+    for_none = replace(planned, config=replace(planned.config, motors=MotorOptions()))
+    with pytest.raises(rs.InputError, match="give rs.plan export_damiao and motor_type"):
+        rs.motors.play(for_none, simulate=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"sped": 0.5}, "unknown option 'sped'; did you mean 'speed'"),
+        ({}, "this command needs --channel"),
+    ],
+)
+def test_what_cannot_be_used_is_said(trajectory, options, words):
+    with pytest.raises(rs.InputError, match=words):
+        rs.motors.play(trajectory, **options)
+
+
+def test_an_arm_is_held_from_any_thread(model, monkeypatch):
+    """Signals are for the main thread; a run does not need them."""
+    arm, clock, reports = two_motor_arm(), ScriptedClock(), []
+    monkeypatch.setattr(motors, "SystemClock", lambda: clock)
+
+    def opened(address, timing, clock, tell):
+        return RememberingLink(motors.SimulatedLink(clock, arm, timing, echo=True), clock)
+
+    monkeypatch.setattr(motors, "open_bus", opened)
+    held = {"channel": "can0", "max_torque_error": 27.0, "rate": 100}
+    thread = threading.Thread(target=lambda: reports.append(rs.motors.hold(model, 0.5, **held)))
+    thread.start()
+    thread.join()
+    assert reports[0].cycles == 51 and [m.status for m in arm.motors] == [DISABLED] * 2
