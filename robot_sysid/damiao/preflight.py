@@ -296,16 +296,32 @@ def _other_motors(plan: Plan, others: Sequence[InspectedMotor]) -> Iterator[Chec
     names = ", ".join(motor.name for motor in others)
     if plan.settings.others == "limp":
         yield _note(f"not in the trajectory and left limp: {names} (--others hold holds them)")
+        yield from (check for motor in others for check in _left_alone(motor))
         return
     yield _note(f"not in the trajectory and held where they are: {names}")
     for motor in others:
-        yield from _condition(motor, plan.settings, plan.allowed)
+        yield from _condition(motor, plan.settings, plan.allowed, taken_over=True)
         if not matching_types(motor.limits):
             yield _stop(f"{motor.name} is of no known type and cannot be held; use --others limp")
 
 
+def _left_alone(motor: InspectedMotor) -> Iterator[Check]:
+    """Yield what forbids to leave a motor as it is: it drives something, and nobody watches it."""
+    if motor.feedback is None:
+        yield _stop(f"{motor.name} does not tell whether it is enabled; take it off the bus")
+    elif motor.feedback.status[0] == frames.ENABLED:
+        yield _stop(
+            f"{motor.name} is enabled by another program and not in the trajectory; end that "
+            "program and power-cycle the motor, or take it over with --others hold"
+        )
+
+
 def _condition(
-    motor: InspectedMotor, play: PlaySettings, allow: Permissions, joint: DamiaoJoint | None = None
+    motor: InspectedMotor,
+    play: PlaySettings,
+    allow: Permissions,
+    joint: DamiaoJoint | None = None,
+    taken_over: bool = False,
 ) -> Iterator[Check]:
     name, held = joint.label if joint else motor.name, motor.registers
     if len(motor.reply_ids) > 1:
@@ -323,7 +339,7 @@ def _condition(
         yield _stop(f"{name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
     stored = held[frames.TIMEOUT] * frames.TIMEOUT_UNIT
     yield _watchdog(name, stored if allow.watchdog is None else allow.watchdog, play)
-    yield from _state(motor, play, name)
+    yield from _state(motor, play, name, taken_over)
 
 
 def _identity(motor: InspectedMotor, joint: DamiaoJoint, name: str) -> Iterator[Check]:
@@ -354,8 +370,9 @@ def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) ->
 
 
 def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
-    held, remedy = f"{name}'s watchdog of {1e3 * timeout:g} ms", "give --set-watchdog 0.1"
     least = _LEAST_WATCHDOG_CYCLES * settings.period
+    usual = f"--set-watchdog {max(0.1, np.ceil(10.0 * least) / 10.0):g}"
+    held, remedy = f"{name}'s watchdog of {1e3 * timeout:g} ms", f"give {usual}"
     gone = f"{name} has no watchdog: it would go on for ever if this program died"
     none = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
     short = f"{held} is too short for {settings.rate:g} Hz; {remedy}"
@@ -363,18 +380,24 @@ def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
         (STOP, timeout == 0.0, f"{gone}; {remedy} or set TIMEOUT"),
         (STOP, timeout > _NO_WATCHDOG, f"{none}; {remedy} or set TIMEOUT"),
         (STOP, timeout < least, short),
-        (NOTE, timeout > _LONG_WATCHDOG, f"{held} is long; --set-watchdog 0.1 is better"),
+        (NOTE, timeout > _LONG_WATCHDOG, f"{held} is long; {usual} is better"),
         (OK, True, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms"),
     )
 
 
-def _state(motor: InspectedMotor, settings: PlaySettings, name: str) -> Iterator[Check]:
+def _state(
+    motor: InspectedMotor, settings: PlaySettings, name: str, taken_over: bool
+) -> Iterator[Check]:
     told = motor.feedback
     if told is None:
         yield _stop(f"{name} does not tell its state; its firmware may be too old")
         return
     code = int(told.status[0])
-    if code == frames.ENABLED:
+    if code == frames.ENABLED and taken_over:
+        yield _note(
+            f"{name} is enabled by another program: it is taken over, and disabled at the end"
+        )
+    elif code == frames.ENABLED:
         yield _stop(f"{name} is enabled already; end the program that uses it")
     elif code != frames.DISABLED:
         said = frames.describe(code)

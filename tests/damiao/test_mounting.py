@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from robot_sysid.cli import main
+from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.model_check import gravity_check
-from robot_sysid.damiao.preflight import stops
-from robot_sysid.damiao.protocol.frames import DISABLED
+from robot_sysid.damiao.preflight import bus_checks, stops
+from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, TIMEOUT
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, mapped, write_joint_map
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
@@ -63,6 +64,21 @@ def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, how):
     if how == "hold":
         assert position == pytest.approx(0.3, abs=1e-3)
     assert run.recording.joint_values("pos").shape[1] == 2
+
+
+def test_a_motor_that_another_program_has_enabled_is_refused_or_taken_over_when_asked(tmp_path):
+    """Left alone it would go on driving while the run says that all motors are disabled."""
+    gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
+    gripper.status, gripper.position, gripper.registers[TIMEOUT] = ENABLED, 0.3, 9e4
+    run = rig(tmp_path, extra_motors=[gripper], others="limp").run()
+    assert "motor 8 is enabled by another program and not in the trajectory" in str(run.error)
+    run.assert_never_moved()
+    silent = inspect_bus(run.link)
+    silent.motors[0, 8] = replace(silent.motors[0, 8], feedback=None)
+    assert "motor 8 does not tell whether it is enabled" in stops(bus_checks(run.plan, silent))[0]
+    run = rig(tmp_path, extra_motors=[gripper], others="hold").run()
+    assert run.error is None and run.states() == [DISABLED] * 3
+    assert any("motor 8 is enabled by another program: it is taken" in c.text for c in run.checks)
 
 
 def test_an_unknown_motor_cannot_be_held_and_the_fault_of_a_held_one_stops_the_arm(tmp_path):
