@@ -11,13 +11,11 @@ import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from robot_sysid.commands import COMMANDS
 from robot_sysid.commands.streams import print_line, tolerant_output
 from robot_sysid.errors import INTERRUPTED, InputError, SysidError
 from robot_sysid.interrupts import STOPPING
 
-COMMANDS = ("plan", "identify", "arm", "payload", "log", "report", "motors", "example")
-"""Subcommands, each a module of its name (but ``arm``, an older name of ``identify --links``); any
-other first word is a model file."""
 UNFINISHED = "interrupted; no unfinished file is left"
 """What an interrupted command says that says nothing else by its ``INTERRUPTED``."""
 

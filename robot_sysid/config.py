@@ -5,6 +5,7 @@ One record for an identification, another for finding a payload.
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
@@ -64,8 +65,13 @@ class ModelOptions(OptionRecord):
 
 @dataclass(frozen=True)
 class OutputOptions(OptionRecord):
-    """Where results go, and what of the model stays as it is (see ``estimation.file_fit``)."""
+    """Where results go, and what of the model stays as it is (see ``estimation.file_fit``).
 
+    Attributes:
+        config: the file that the options come from, which no result replaces.
+    """
+
+    config: Path | None = None
     output_dir: Path = option(Path("sysid_output"), "folder for the results", "DIR", parse=folder)
     keep: tuple[str, ...] = option(
         (),
@@ -172,6 +178,12 @@ class Config:
             return self
         return replace(self, estimation=replace(self.estimation, scale_uncertainty=own))
 
+    def seeded(self: AnyConfig) -> AnyConfig:
+        """Return the configuration with a seed, where something is random."""
+        if self.trajectory.seed is not None or not self._is_drawn():
+            return self
+        return replace(self, trajectory=replace(self.trajectory, seed=secrets.randbelow(2**31)))
+
     def _is_drawn(self) -> bool:
         """Tell whether anything of the run is random."""
         return self.trajectory.file is None or self.arm.is_noisy
@@ -181,7 +193,7 @@ class Config:
         log = self.log
         factors = (log.torque_scale, log.torque_constants)
         files = (each for each in factors if isinstance(each, Path))
-        models = (self.model.path, self.arm.plant_model, self.trajectory.file)
+        models = (self.output.config, self.model.path, self.arm.plant_model, self.trajectory.file)
         return (*models, *log.measurements, log.validation_measurements, log.columns, *files)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
@@ -267,7 +279,8 @@ class SysidConfig(Config):
 
     def _is_drawn(self) -> bool:
         fixed = self.trajectory.file is not None or self.poses.purpose == "friction"
-        return not fixed or (self.arm.plant_model is not None and self.arm.is_noisy)
+        noisy = self.arm.plant_model is not None and self.arm.is_noisy
+        return not self.log.measurements and (noisy or not fixed)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         if self.arm.save_measurements is not None:
@@ -375,6 +388,9 @@ class PayloadConfig(Config):
         moving = _given(self.estimation, only=("cutoff", "velocity_deadband", "friction_model"))
         yield not asked.static, "is about motion; --static uses poses at rest", moving
         yield from super()._groups()
+
+    def _is_drawn(self) -> bool:
+        return not self.payload.empty and super()._is_drawn()
 
     def read_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over."""

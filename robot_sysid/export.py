@@ -24,6 +24,7 @@ from robot_sysid.records.atomic_files import (
     DAMIAO_NAME,
     MODEL_NAMES,
     PARAMS_NAME,
+    RUN_NAME,
     SERVO_NAME,
 )
 from robot_sysid.records.figures import with_error
@@ -38,7 +39,8 @@ from robot_sysid.results.verdict import refusal
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
-_REPORT_DATA = "report_data.npz"
+_BESIDE = ("report_data.npz", RUN_NAME)
+"""What a command writes once the results are in their places."""
 RESULT_NAMES = (
     *(PARAMS_NAME, "arm.json", "friction.json", SERVO_NAME, *MODEL_NAMES.values()),
     *(CARD_NAME, DAMIAO_NAME, "report.html"),
@@ -172,12 +174,11 @@ def remove_earlier(
     What this run writes, and what it reads, stays.
     """
     kept = {os.path.realpath(path) for path in (*written, *inputs)}
-    there = [folder / name for name in (*RESULT_NAMES, _REPORT_DATA) if (folder / name).is_file()]
+    there = [folder / name for name in (*RESULT_NAMES, *_BESIDE) if (folder / name).is_file()]
     stale = [path for path in there if os.path.realpath(path) not in kept]
     for path in stale:
         files.remove(path)
-    # Data for a report are written anew once this run's files are in place.
-    told = [path for path in stale if path.name != _REPORT_DATA]
+    told = [path for path in stale if path.name not in _BESIDE]
     return tuple(f"{path} of an earlier run was removed" for path in told)
 
 

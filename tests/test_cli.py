@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -25,6 +25,7 @@ MISSING_MESH = ARM.replace(
 SHORT = ("--duration", "1", "--sample-rate", "100", "--seed", "1")
 EXPORT = ("--quiet", "--export-damiao", *(("--motor-type", "DM4340") * 2))
 RESULTS = ["damiao_trajectory.csv", "params.json", "updated_model.xml"]
+WITH_OPTIONS = sorted([*RESULTS, "run.toml"])
 
 
 @pytest.fixture
@@ -129,15 +130,22 @@ def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, command):
     assert "Identified parameters:" in printed.out
     assert "settotalmass" in printed.err.splitlines()[-1]
     assert "updated_model.xml of an earlier run was removed" in printed.err
-    assert [path.name for path in (arm.parent / "sysid_output").iterdir()] == ["params.json"]
+    left = {path.name for path in (arm.parent / "sysid_output").iterdir()}
+    assert left == {"params.json", "run.toml"}
 
 
 def test_a_seed_repeats_a_run_to_the_last_bit_and_none_draws_another(arm, command):
     for folder in ("a", "b"):
         command.run(arm, *SHORT, "--output-dir", folder)
-    assert files_in(arm.parent / "a") == files_in(arm.parent / "b")
-    drawn = [re.search(r"Random seed: (\d+)", command.run(arm, *SHORT[:4]).out) for _ in "ab"]
-    assert drawn[0][1] != drawn[1][1]
+    one, other = (files_in(arm.parent / folder) for folder in "ab")
+    assert one.pop("run.toml") and other.pop("run.toml") and one == other
+    drawn = [json.loads(command.run(arm, *SHORT[:4], "--json").out)["seed"] for _ in "ab"]
+    assert drawn[0] != drawn[1]
+    params = (folder := arm.parent / "sysid_output") / "params.json"
+    kept = params.read_bytes()
+    params.unlink()
+    command.run("--config", folder / "run.toml")
+    assert params.read_bytes() == kept
 
 
 def test_debug_shows_the_traceback(arm, command):
@@ -149,7 +157,7 @@ def first(command, arm):
     """The files of a run, which are in the output folder."""
     command.run(arm, *SHORT, *EXPORT)
     found = files_in(arm.parent / "sysid_output")
-    assert sorted(found) == RESULTS
+    assert sorted(found) == WITH_OPTIONS
     return found
 
 

@@ -1,1 +1,15 @@
 """One file per subcommand, and the console that all of them print on."""
+
+COMMANDS = (
+    "plan",
+    "identify",
+    "arm",
+    "payload",
+    "log",
+    "report",
+    "motors",
+    "example",
+    "completion",
+)
+"""Subcommands, each a module of its name (but ``arm``, an older name of ``identify --links``); any
+other first word is a model file."""

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Callable, NoReturn
 
 import robot_sysid.records.options as options
@@ -28,6 +29,9 @@ class ConsoleOptions(options.OptionRecord):
     debug: bool = options.option(False, "show the traceback of an error")
     json: bool = options.option(
         False, "print the result as JSON on standard output, all else on standard error"
+    )
+    config: Path | None = options.option(
+        None, "take options from this TOML file too, such as the run.toml of a run", "FILE"
     )
 
     def __post_init__(self) -> None:
@@ -81,6 +85,27 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}{self._meant(unknown)}")
         return known
+
+    def with_config(self, path: Path, arguments: Sequence[str]) -> dict[str, Any]:
+        """Return what a TOML file holds, and over it what was typed."""
+        from robot_sysid.commands.config_file import words_in
+
+        words = [action for action in self._actions if not action.option_strings]
+        needed = [action for action in words if action.required]
+        for action in words:
+            action.nargs, action.required = "*" if action.nargs == "+" else "?", False
+            action.default = None
+        stored = words_in(path, self._actions, self.prog)
+        try:
+            held = vars(self.parse_args(stored))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        both = (*held.items(), *vars(self.parse_args(arguments)).items())
+        values = {key: value for key, value in both if value not in (None, [])}
+        missing = [str(action.metavar) for action in needed if action.dest not in values]
+        if missing:
+            self.error(f"the following arguments are required: {', '.join(missing)}")
+        return values
 
     def _meant(self, unknown: Sequence[str]) -> str:
         from difflib import get_close_matches
@@ -204,7 +229,10 @@ def parsed(
     Args:
         build_parser: makes the parser; told whether its help shows all options.
     """
-    given = vars(build_parser("--help-all" in arguments).parse_args(arguments))
+    parser, asked = build_parser("--help-all" in arguments), argparse.ArgumentParser(add_help=False)
+    asked.add_argument("--config", nargs="?", type=Path)
+    file = asked.parse_known_args(arguments)[0].config
+    given = parser.with_config(file, arguments) if file else vars(parser.parse_args(arguments))
     values = {key: _frozen(value) for key, value in given.items()}
     wanted = options.record_from(ConsoleOptions, values)
     for name in options.options_of(ConsoleOptions):

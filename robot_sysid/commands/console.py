@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from robot_sysid.commands.streams import print_line, print_text
@@ -16,16 +17,22 @@ class Console(Progress):
     A ``Detail`` among them only shows where it is verbose.
 
     Args:
-        verbose, quiet, debug, json: as ``arguments.ConsoleOptions``.
+        verbose, quiet, debug, json, config: as ``arguments.ConsoleOptions``.
 
     Attributes:
         said: the lines that went to standard error because the result is JSON.
     """
 
     def __init__(
-        self, verbose: bool = False, quiet: bool = False, debug: bool = False, json: bool = False
+        self,
+        verbose: bool = False,
+        quiet: bool = False,
+        debug: bool = False,
+        json: bool = False,
+        config: Path | None = None,
     ) -> None:
         self.verbose, self.quiet, self.debug, self.json = verbose, quiet, debug, json
+        self.config = config
         self._bar: Any = None
         self.said: list[str] = []
 

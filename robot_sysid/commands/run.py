@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.commands.arguments import Parser, parsed
+from robot_sysid.commands.arguments import PROGRAM, PYTHON_ONLY, Parser, parsed
+from robot_sysid.commands.config_file import text_of
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import (
@@ -16,6 +18,7 @@ from robot_sysid.config import (
     ModelOptions,
     MotorOptions,
     OutputOptions,
+    PayloadConfig,
     SysidConfig,
     config_from,
 )
@@ -23,7 +26,13 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
-from robot_sysid.records.atomic_files import MODEL_NAMES, PARAMS_NAME, SERVO_NAME
+from robot_sysid.records.atomic_files import (
+    MODEL_NAMES,
+    PARAMS_NAME,
+    RUN_NAME,
+    SERVO_NAME,
+    write_whole,
+)
 from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.simulation.options import SimulatedArmOptions
 
@@ -87,12 +96,15 @@ def carry_out(
         SysidError: it failed, there is nothing to use, or no report.
     """
     require_report(config.output)
+    config = replace(config.seeded(), output=replace(config.output, config=console.config))
     with warnings_as_notes(console):
         outcome = _outcome(config, console)
     if then is not None:
         then(outcome, console)
     console.lines(outcome.report_lines())
     console.result(_answer(outcome))
+    if outcome.files:
+        _repeatable(config)
     failure = report_of(outcome, config.output, config.model.mesh_dir, console)
     if outcome.failure:
         raise SysidError(" ".join(outcome.verdict) or outcome.failure)
@@ -105,6 +117,19 @@ def carry_out(
     if failure:
         raise SysidError(failure)
     return 0
+
+
+def _repeatable(config: Config) -> None:
+    """Write the file that repeats a run, but not over the one that it was asked with."""
+    path, command = config.output.output_dir / RUN_NAME, PROGRAM
+    if isinstance(config, PayloadConfig):
+        command += " payload"
+    elif isinstance(config, SysidConfig) and config.trajectory.plan_only:
+        assert config.plan_file is not None
+        path, command = config.plan_file.with_suffix(".toml"), f"{command} plan"
+    given = config.output.config
+    if given is None or not (path.exists() and path.samefile(given)):
+        write_whole(path, text_of(command, config, path, PYTHON_ONLY))
 
 
 def _answer(outcome: Any) -> Mapping[str, Any] | str:

@@ -135,8 +135,6 @@ def _new_plan(
     elif request.poses.sets_its_time:
         stage = "Looking for room to sweep each joint in"
     progress.stage(f"{stage}...")
-    if options.seed is None:
-        progress.stage(f"Random seed: {seed} (--seed {seed} repeats this run)")
     if request.poses.sets_its_time:
         problem = _problem(request, robot)
         static = request.poses.static

@@ -21,7 +21,7 @@ from robot_sysid.interrupts import held_back
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Kind of model file to the name of the written model: a URDF stays one."""
 PARAMS_NAME, PLAN_NAME, DAMIAO_NAME = "params.json", "trajectory.json", "damiao_trajectory.csv"
-CARD_NAME, SERVO_NAME = "payload_card.txt", "servo.json"
+CARD_NAME, SERVO_NAME, RUN_NAME = "payload_card.txt", "servo.json", "run.toml"
 LOCK_NAME, PREFIX = ".robot-sysid.lock", ".robot-sysid-"
 
 

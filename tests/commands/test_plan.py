@@ -18,7 +18,7 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(command, arm_file):
     printed = command.run("plan", path, *SINES)
     assert sorted(files_in(path.parent)) == [
         *("arm.xml", "sysid_output", "sysid_output/trajectory.csv"),
-        "sysid_output/trajectory.json",
+        *("sysid_output/trajectory.json", "sysid_output/trajectory.toml"),
     ]
     assert "Predicted standard deviations (301 samples, noise 0.3 N·m):" in printed.out
     assert "Peaks (share of limit):" in printed.out

@@ -75,7 +75,11 @@ def test_without_the_option_nothing_is_drawn_and_nothing_for_it_loaded(command, 
     already = {"matplotlib", "jinja2"} & set(sys.modules)
     command.run(arm, *RUN)
     folder = arm.parent / "sysid_output"
-    assert {path.name for path in folder.iterdir()} == {"params.json", "updated_model.xml"}
+    assert {path.name for path in folder.iterdir()} == {
+        "params.json",
+        "run.toml",
+        "updated_model.xml",
+    }
     assert {"matplotlib", "jinja2"} & set(sys.modules) == already
 
 

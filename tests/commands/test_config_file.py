@@ -1,0 +1,73 @@
+"""``--config FILE``: every option arrives from a file as it does when it is typed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import get_type_hints
+
+import pytest
+
+from robot_sysid.commands import identify, payload, plan, run
+from robot_sysid.commands.arguments import PYTHON_ONLY, parsed
+from robot_sysid.commands.config_file import text_of
+from robot_sysid.config import ModelOptions, PayloadConfig, SysidConfig
+from robot_sysid.errors import InputError
+from robot_sysid.records.options import default_of, options_of
+from tests.support import option_samples
+
+MODULES = {"identify": identify, "payload": payload, "plan": plan, "": run}
+MODEL = Path("an 'arm'.xml")
+
+
+def written(kind, sample):
+    """The file of a run that was asked for one thing."""
+    record = get_type_hints(kind)[sample.record]
+    held = object.__new__(record)  # what else goes with it is not checked
+    vars(held).update({name: default_of(record, name) for name in options_of(record)})
+    vars(held)[sample.field] = sample.value
+    config = SimpleNamespace(model=ModelOptions(path=MODEL), asked=held)
+    return text_of("robot-sysid", config, Path("run.toml"), PYTHON_ONLY)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_option_that_is_written_is_read_again(name, tmp_path):
+    kind = PayloadConfig if name == "payload" else SysidConfig
+    taken, file = option_samples.keys_of(MODULES[name].build_parser()), tmp_path / "run.toml"
+    logs = {"measurements": (Path("log.csv"),)} if name == "identify" else {}
+    for sample in option_samples.samples(kind):
+        if sample.option.key in taken:
+            file.write_text(written(kind, sample) + 'measurements = ["log.csv"]\n' * len(logs))
+            values, _ = parsed(MODULES[name].build_parser, ["--config", str(file)])
+            assert values == {"path": MODEL, **logs, sample.option.key: sample.value}
+
+
+def test_what_is_typed_counts_before_the_file(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('path = "arm.xml"\ncutoff = 8\nkeep = ["friction"]\nverbose = true\n')
+    words = ["other.xml", "b.csv", f"--config={file}", "--cutoff", "9", "--keep", "links"]
+    values, console = parsed(identify.build_parser, words)
+    assert values == {
+        **{"path": Path("other.xml"), "measurements": (Path("b.csv"),)},
+        **{"cutoff": 9.0, "keep": ("links",)},
+    }
+    assert console.verbose and console.config == file
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("cutoff = 'high'", "mine.toml: argument --cutoff: invalid float value: 'high'"),
+        ("cutof = 8", "robot-sysid identify has no option cutof"),
+        ("cutoff = ", "mine.toml is no TOML file: "),
+        ("cutoff = 8", "the following arguments are required: MODEL, LOG"),
+        (None, "mine.toml: No such file"),
+    ],
+)
+def test_what_is_wrong_with_it_is_said_in_one_line(tmp_path, text, said):
+    file = tmp_path / "mine.toml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(InputError) as error:
+        parsed(identify.build_parser, ["--config", str(file)])
+    assert said in str(error.value)
