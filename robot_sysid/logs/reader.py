@@ -25,7 +25,14 @@ from robot_sysid.json_files import read_json
 from robot_sysid.logs import column_map
 from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.columns import joint_kind, read_title
-from robot_sysid.logs.formats.arrays import hdf5_table, lerobot_table, matlab_table, npz_table
+from robot_sysid.logs.formats.arrays import (
+    feather_table,
+    hdf5_table,
+    lerobot_table,
+    matlab_table,
+    npz_table,
+    parquet_table,
+)
 from robot_sysid.logs.formats.ros_bag import bag_table
 from robot_sysid.logs.formats.table import Asked, LogTable
 from robot_sysid.logs.formats.text import is_number, text_table
@@ -165,6 +172,8 @@ _FORMS: Mapping[bytes, Callable[[Asked], LogTable]] = {
     # .mat files are HDF5 since version 7.3.
     **dict.fromkeys((b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"), hdf5_table),
     b"PK\x03\x04": npz_table,
+    b"PAR1": parquet_table,
+    b"ARROW1": feather_table,
 }
 """How files of a form begin, to what reads it; what begins otherwise is a text table."""
 _FOLDERS = {"metadata.yaml": bag_table, "meta/info.json": lerobot_table}
@@ -194,7 +203,7 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     if read is text_table and is_folder:
         raise InputError(
             f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
-            "bag, a LeRobot data set, HDF5, NumPy .npz or MATLAB .mat"
+            "bag, a LeRobot data set, HDF5, Parquet, Feather, NumPy .npz or MATLAB .mat"
         )
     return read(Asked(path, start, joint_names, options))
 

@@ -189,6 +189,34 @@ def npz(folder: Path, data: Measurement) -> Path:
     return path
 
 
+def arrow(data: Measurement):
+    """A table of Arrow: time in dates, positions as lists, a column per torque, and text."""
+    import pyarrow as pa
+
+    stamps = np.datetime64("2024-05-01T12:00:00", "ns") + np.round(1e9 * data.time).astype(int)
+    columns = {
+        "time": stamps,
+        "q": data.q.tolist(),
+        "qd": data.qd.tolist(),
+        "note": ["text"] * len(data),
+    }
+    return pa.table({**columns, **{f"tau{k}": tau for k, tau in enumerate(data.tau.T)}})
+
+
+def parquet(folder: Path, data: Measurement) -> Path:
+    import pyarrow.parquet as pq
+
+    pq.write_table(arrow(data), folder / "log.parquet", row_group_size=7)
+    return folder / "log.parquet"
+
+
+def feather(folder: Path, data: Measurement) -> Path:
+    from pyarrow.feather import write_feather
+
+    write_feather(arrow(data), folder / "log.feather", compression="zstd", chunksize=7)
+    return folder / "log.feather"
+
+
 def libfranka(folder: Path, data: Measurement) -> Path:
     """The columns of logToCSV."""
     zero = np.zeros_like(data.q)
@@ -226,6 +254,8 @@ FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
     "ROS 2 DynamicJointState": dynamic_joint_state,
     "ROS 2 FrankaRobotState": franka_state,
     "LeRobot": lerobot("v2.1"),
+    "Parquet": parquet,
+    "Feather": feather,
     "npz": npz,
     "libfranka": libfranka,
     "RTDE": rtde,

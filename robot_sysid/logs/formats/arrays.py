@@ -1,5 +1,5 @@
-"""Recordings kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 (also as ALOHA writes it), and
-LeRobot data sets: a folder with meta/info.json and Parquet files.
+"""Recordings kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 (also as ALOHA writes it),
+Parquet, Feather, and LeRobot data sets: a folder with meta/info.json and Parquet files.
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -207,6 +208,46 @@ def _aloha(path: Path, arrays: Mapping[str, Any]) -> table.LogTable:
     return table.pieces_table(path, layout, titles, [list(arrays.values())], rate)
 
 
+_OF_NUMBERS = re.compile(
+    r"((fixed_size_|large_)?list<[^<]*)?(u?int\d+|float|double|halffloat|timestamp|duration)\b.*"
+)
+"""Types of Arrow that make columns: numbers, times, and lists of numbers."""
+
+
+def parquet_table(asked: table.Asked) -> table.LogTable:
+    """Return the columns of numbers of a Parquet file; a list in a cell is a column each."""
+    path, what = asked.path, "a Parquet file"
+    parquet = table.library("pyarrow.parquet", "parquet", what)
+    with table.as_input_errors(path, what):
+        names = _numeric(parquet.read_schema(path))
+        unpacked = _unpacked_bytes(parquet.read_metadata(path), names)
+        table.refuse_bomb(path, unpacked, path.stat().st_size, len(names))
+        return _arrow_table(path, "Parquet", parquet.read_table(path, columns=names))
+
+
+def feather_table(asked: table.Asked) -> table.LogTable:
+    """Return the columns of numbers of a Feather file, an Arrow table in a file."""
+    path, what, size = asked.path, "a Feather file", asked.path.stat().st_size
+    feather = table.library("pyarrow.feather", "parquet", what)
+    ipc = table.library("pyarrow.ipc", "parquet", what)
+    with table.as_input_errors(path, what), table.bounded_memory(table.most_bytes(size)):
+        with ipc.open_file(path) as file:
+            names = _numeric(file.schema)
+        table.refuse_bomb(path, 0.0, size, len(names))
+        columns = feather.read_table(path, columns=names, memory_map=False)
+        table.refuse_bomb(path, float(columns.nbytes), size)
+        return _arrow_table(path, "Feather", columns)
+
+
+def _numeric(schema: Any) -> list[str]:
+    return [field.name for field in schema if _OF_NUMBERS.fullmatch(str(field.type))]
+
+
+def _arrow_table(path: Path, layout: str, columns: Any) -> table.LogTable:
+    named = zip(columns.column_names, columns.columns)
+    return table.arrays_table(path, layout, {name: _array(column) for name, column in named})
+
+
 LEROBOT = "a LeRobot data set"
 STATE = "observation.state"
 # What a name in a feature ends in, and the title that says quantity and unit.
@@ -314,5 +355,6 @@ def _array(column: Any) -> Array:
     combined = column.combine_chunks()
     is_list = "list" in str(combined.type)
     flat = combined.flatten() if is_list else combined
-    values = np.asarray(flat.to_numpy(zero_copy_only=False), float)
+    values = flat.to_numpy(zero_copy_only=False)
+    values = values if values.dtype.kind in "Mm" else np.asarray(values, float)
     return values.reshape(len(combined), -1) if is_list else values

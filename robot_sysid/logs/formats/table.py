@@ -161,12 +161,14 @@ def _rows(pieces: Sequence[Sequence[Array]], columns: Sequence[int]) -> Iterator
 def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
     """Return a recording of named arrays with one row, or column, per sample.
 
-    A column of a two-dimensional array ``q`` is called ``q[0]``; an array of another length or
+    A column of a two-dimensional array ``q`` is called ``q[0]``; dates are seconds from the first;
+    an array of another length or
     shape, or of no numbers, is no column. Of ``group/q`` the last part is the name, if no other
     array has it. InputError where there is no array with rows.
     """
     last = [name.rsplit("/", 1)[-1] for name in arrays]
-    ends, often = zip(last, arrays.items()), Counter(last)
+    dated = ((name, _seconds(array)) for name, array in arrays.items())
+    ends, often = zip(last, dated), Counter(last)
     named = {end if often[end] == 1 else name: a for end, (name, a) in ends}
     sized = {n: a for n, a in named.items() if is_column(a)}
     # As many samples as times, else what most arrays have.
@@ -185,6 +187,13 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         for k in range(a.shape[1])
     ]
     return pieces_table(path, layout, titles, [list(kept.values())])
+
+
+def _seconds(array: Any) -> Any:
+    """Return dates and lengths of time as seconds from the first; anything else as it is."""
+    if getattr(getattr(array, "dtype", None), "kind", "") not in ("M", "m") or not array.size:
+        return array
+    return (array - array.flat[0]) / np.timedelta64(1, "s")
 
 
 def is_column(array: Any) -> bool:

@@ -47,6 +47,26 @@ def lerobot(path, time, **states):
         parquet.write_table(pa.table(columns), path / "data" / f"{name}.parquet")
 
 
+def arrow(write):
+    """What writes arrays as a file of Arrow, lists of three in a cell."""
+
+    def written(path, **arrays):
+        pa = pytest.importorskip("pyarrow")
+        rows = pa.FixedSizeListArray.from_arrays
+        cells = {n: rows(pa.array(a.ravel()), 3) if a.ndim == 2 else a for n, a in arrays.items()}
+        write(pa.table(cells), path)
+
+    return written
+
+
+def parquet(table, path):
+    pytest.importorskip("pyarrow.parquet").write_table(table, path)
+
+
+def feather(table, path):
+    pytest.importorskip("pyarrow.feather").write_feather(table, path, compression="zstd")
+
+
 class Harmless:
     """Would be made anew, by code of the file's choosing, if pickles were loaded."""
 
@@ -75,7 +95,14 @@ def test_an_array_that_only_says_it_is_huge_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("write", "rows"), [(np.savez_compressed, 20_000), (hdf5, 20_000), (lerobot, 8000)]
+    ("write", "rows"),
+    [
+        (np.savez_compressed, 20_000),
+        (hdf5, 20_000),
+        (lerobot, 8000),
+        (arrow(parquet), 20_000),
+        (arrow(feather), 20_000),
+    ],
 )
 def test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused(
     tmp_path, monkeypatch, write, rows

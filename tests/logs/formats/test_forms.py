@@ -36,6 +36,8 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path):
         (b"#ROSBAG V2.0\n", "a ROS bag"),
         (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
         (b"PK\x03\x04", "a NumPy .npz file"),
+        (b"PAR1", "a Parquet file"),
+        (b"ARROW1\x00\x00", "a Feather file"),
     ):
         path = tmp_path / "log.bag"
         path.write_bytes(begins + b" rubbish")
