@@ -1,113 +1,327 @@
 """What an identification will make of a recording of a planned motion, before there is one.
 
 The planned motion is treated like a log of it would be: its ends are cut off, all columns pass the
-low-pass, and moments in which a joint is too slow are left out. What is left is less than all
-samples could tell (``motion.prediction``). Torque noise is all that is counted: errors of the
-model, which an identification states too, do not become smaller by moving more cleverly.
+low-pass, and moments in which a joint is too slow are left out. What remains has the covariance
+that the estimate itself states, with the same unknowns and the same priors, cause by cause. The
+search for a motion gets these priors from here.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
-from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.identifiability import describe
+from robot_sysid.estimation.algebra.information import restricted
+from robot_sysid.estimation.algebra.nuisances import with_prior
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.uncertainty import Uncertainty, uncertainty
 from robot_sysid.estimation.choices import CANDIDATES
-from robot_sysid.estimation.dataset import DecimatedSamples, decimated_equations
-from robot_sysid.estimation.identify import Piece, answer_link, filtered
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.couplings import couplings_of
+from robot_sysid.estimation.dataset import Dataset, mean_torque
+from robot_sysid.estimation.fit import evidence_of
+from robot_sysid.estimation.identify import Piece, filtered
+from robot_sysid.estimation.unknowns import (
+    DRIFTS,
+    LINKS,
+    LOADED_SCALE,
+    Choice,
+    Question,
+    Unknowns,
+    unknowns,
+)
 from robot_sysid.logs.reader import join_measurements
-from robot_sysid.motion.prediction import Prediction, Seen, predict
+from robot_sysid.motion.information import (
+    OWN,
+    Criterion,
+    Known,
+    criterion,
+    predicted_information,
+    random_information,
+    spread_of,
+)
+from robot_sysid.motion.prediction import (
+    LOOSE_SHARE,
+    WEIGHED,
+    Prediction,
+    Remedy,
+    remedy_figures,
+    sizes,
+)
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, Measurement, MotionPlan
-from robot_sysid.records.progress import Progress
-from robot_sysid.signals.process import process
-from robot_sysid.simulator import collect_sysid_data, simulate_inverse
+from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_count
 
-COUNTED = "torque noise alone, after the ends are cut off and all signals are low-passed"
-UNUSABLE = "if all samples could be used, but they cannot"
+UNUSABLE = "that is from all samples, but they cannot all be used"
 HIGHEST_RATE_HZ = 200.0
 """Rate at which the motion is processed: far above its band. Noise is scaled to it."""
-MOST_SHOWN = 20_000
-"""Samples of a motion that the regressor is looked at with."""
 MOST_SAMPLES = 200_000
 """Samples beyond which processing a motion beforehand would take too long."""
+LONGER, FASTER, BETTER = 4.0, 1.5, 0.5
+"""By how much longer and faster, and to which part of the error of the links, remedies are told."""
+_INSTANTS, _FEWEST, _MOST = 20.0, 100, 4000
+"""Instants of a motion per second that a remedy is worked out from, and at least and at most."""
+_NOISELESS = 1e-6
+"""Torque noise that hides nothing [N m]."""
+_NOTHING = 100.0
+"""How many times its size a parameter may be off where all that is told is rounding."""
+NOISE = "torque noise"
+
+
+def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str) -> Known:
+    """Return what an estimate knows of the arm before there is a recording, and what is asked."""
+    robot = problem.robot
+    own = np.zeros((len(OWN), len(problem.rows)))
+    if asked == "payload":
+        # Of the difference of two recordings only what changes between them is left.
+        own[0] = DRIFTS * robot.friction.coulomb[list(problem.rows)]
+        own[1] = DRIFTS * robot.friction.viscous[list(problem.rows)]
+        return Known(np.zeros((0, 0)), own, asked)
+    columns = Columns(robot, (), options.torques)
+    rng, limits = np.random.default_rng(0), problem.limits
+    poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
+    torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))
+    choice, question = _choice(problem, options), Question(options)
+    sought = unknowns(columns, question, choice, torque, np.ones(len(columns.names), dtype=bool))
+    factor, sure = np.zeros((0, 0)), dict[str, float]()
+    for group in sought.groups:
+        sure.update(zip(group.names, np.sqrt(np.sum(group.factor**2, axis=1)).tolist()))
+        factor = group.factor if group.cause == LINKS else factor
+    for place, term in enumerate(OWN):
+        for row, joint in enumerate(columns.joints):
+            name = f"{term}[{joint}]"
+            free = np.inf if term in choice.friction[columns.rows_of[row]].terms else 0.0
+            own[place, row] = sure.get(name, free)
+    return Known(factor, own, asked)
+
+
+def _choice(problem: ExcitationProblem, options: EstimationOptions) -> Choice:
+    """Return the friction that the estimate begins with, and the couplings that are known."""
+    given = options if options.friction else replace(options, friction_model=CANDIDATES[0])
+    assert given.friction is not None
+    given_motors, offered = couplings_of(problem.robot, options)
+    friction = (given.friction,) * problem.robot.n_joints
+    return Choice(friction, () if offered else given_motors)
 
 
 def expect(
-    problem: ExcitationProblem, plan: MotionPlan, sample_rate: float, options: EstimationOptions
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    sample_rate: float,
+    options: EstimationOptions,
+    asked: str = "link",
 ) -> Prediction:
-    """Predict what an identification of a recording of a motion will deliver.
+    """Predict what an identification of a recording of a motion will state.
 
     Args:
         problem: the arm, its limits, and the torque noise.
         sample_rate: at which it will be recorded, with independent noise in each sample [Hz].
         options: how it will be identified.
+        asked: what is to be identified, see ``Known``.
     """
-    rate = min(sample_rate, HIGHEST_RATE_HZ)
-    # What the model's own simulation along the motion says of the link's equations.
-    friction = friction_per_joint(problem.robot, "terminal", TERMINAL_FRICTION)
-    motions = motion_chunks(plan, min(rate, MOST_SHOWN / plan.duration))
-    equations = Equations(problem.robot, problem.torques, friction)
-    simulated = simulate_inverse(problem.robot, motions)
-    shown = analyse_identifiability(collect_sysid_data(equations, simulated))
-    sigma = problem.sigma * np.sqrt(rate / sample_rate)
-    given = options if options.friction else replace(options, friction_model=CANDIDATES[0])
+    robot, known = problem.robot, known_of(problem, options, asked)
+    told, size, theta = criterion(problem, known), sizes(problem), robot.prior.theta
+    of, scaled, missing = robot.body_name, 0.0, ""
+    if asked == "payload":
+        of, theta, size = f"a payload of {WEIGHED:g} kg", _weighed(), size / robot.prior.mass
+        # All torques that read too much alike read its weight too large by as much.
+        each = LOADED_SCALE if options.scale_uncertainty is None else options.scale_uncertainty
+        scaled = 0.01 * float(np.sqrt(np.mean(np.square(each)) / len(problem.rows)))
+    others: dict[str, float] = {}
     try:
-        recording = _rehearsal(problem, plan, rate, sigma)
-        prediction = predict(problem, plan, sample_rate, _seen(problem, recording, sigma, given))
+        sought, found, causes = _posterior(problem, plan, sample_rate, options, asked)
     except InputError as error:
-        prediction = predict(problem, plan, sample_rate)
-        return replace(prediction, counted=f"{UNUSABLE}: {error}", shown=shown)
-    prediction = replace(prediction, counted=COUNTED, shown=shown)
-    try:
-        datasets, _ = filtered(problem.robot, [Piece("", recording)], given)
-        answer = answer_link(problem.robot, datasets, given, Progress(), None)
-    except SysidError:
-        return prediction
-    return replace(prediction, stated=answer.errors.whole.standard_errors[:10])
+        missing = f"{UNUSABLE}: {error}"
+        covariance = told.covariance(_told(problem, plan, sample_rate, known))
+        covariance = _hidden_is_infinite(covariance, sizes(problem))
+        causes = {NOISE: covariance}
+    else:
+        names = PAYLOAD_NAMES if asked == "payload" else PARAMETER_NAMES
+        places = [sought.kept_names.index(name) for name in names]
+        causes = {cause: part[np.ix_(places, places)] for cause, part in causes.items()}
+        covariance = found.covariance[np.ix_(places, places)]
+        np.fill_diagonal(covariance, found.standard_errors[places] ** 2)
+        others = dict(_masses(problem, sought, found)) if asked == "arm" else {}
+    remedies = _best_first(problem, plan, sample_rate, options, asked)
+    about = others, _never(problem, told), remedies, missing, scaled
+    return Prediction(of, theta, size, covariance, causes, *about)
 
 
-def _rehearsal(
-    problem: ExcitationProblem, plan: MotionPlan, rate: float, sigma: Array
-) -> Measurement:
-    """Return what a recording of the motion at ``rate`` [Hz] would look like, with noise [N m]."""
+def _weighed() -> Array:
+    """Return a payload (10,) at the origin of the last link."""
+    return WEIGHED * np.eye(10)[0]
+
+
+def _posterior(
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    sample_rate: float,
+    options: EstimationOptions,
+    asked: str,
+) -> tuple[Unknowns, Uncertainty, dict[str, Array]]:
+    """Return what an estimate from a recording seeks, how well it knows that, and why."""
+    rate = min(sample_rate, HIGHEST_RATE_HZ)
+    sigma = problem.sigma * np.sqrt(rate / sample_rate)
+    robot, choice, is_loaded = problem.robot, _choice(problem, options), asked == "payload"
+    (dataset,), _ = filtered(robot, [Piece("", _rehearsal(problem, plan, rate))], options)
+    datasets: Sequence[Dataset] = (dataset,)
+    assert dataset.signals is not None
+    if is_loaded:
+        datasets = replace(dataset, place=-1.0), replace(dataset, is_loaded=True, place=1.0)
+    columns = Columns(robot, datasets, options.torques, choice.couplings)
+    torque = mean_torque(datasets)
+    data = evidence_of([columns.samples(columns.start())], torque)
+    question = Question(options, loaded=is_loaded, drifts=is_loaded)
+    sought = unknowns(columns, question, choice, torque, data.shown)
+    plain = restricted(data.whole, sought.kept_names, sought.held)
+    known, low_pass = with_prior(plain, sought.groups), dataset.signals.low_pass
+    # Rows count by the noise that is left in each. They are slow: what counts of white noise that
+    # passed the filter is its density at low frequencies, which the filter leaves alone, spread
+    # over the samples each row stands for.
+    left = sigma * np.sqrt(np.sum(low_pass.kernel**2))
+    found = uncertainty(known, 1.0 / left, sigma / np.sqrt(low_pass.step))
+    causes = {
+        group.cause: found.inverse @ group.precision(known.names) @ found.inverse
+        for group in sought.groups
+    }
+    return sought, found, {NOISE: found.noise, **causes}
+
+
+def _rehearsal(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> Measurement:
+    """Return what a recording of the motion at ``rate`` [Hz] would look like, without noise."""
     if sample_count(plan.duration, rate) > MOST_SAMPLES:
         raise InputError(f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand")
     exact = join_measurements(simulate_inverse(problem.robot, motion_chunks(plan, rate)))
-    tau = exact.tau.copy()
-    noise = np.random.default_rng(0).normal(size=(len(tau), len(problem.rows)))
-    tau[:, list(problem.rows)] += sigma * noise
-    return replace(exact, tau=tau, qd=None, qdd=None)
+    return replace(exact, qd=None, qdd=None)
 
 
-def _seen(
-    problem: ExcitationProblem, recording: Measurement, sigma: Array, options: EstimationOptions
-) -> Seen:
-    """Return the information that a recording with noise sigma holds for its identification."""
-    robot, band = problem.robot, options.velocity_deadband
-    signals = process(recording, robot.joint_names, options.cutoff, band)
-    assert options.friction is not None
-    friction = friction_per_joint(robot, problem.torques, options.friction)
-    samples = decimated_equations(Equations(robot, problem.torques, friction), signals)
-    # The rows are slow: what counts of white noise that passed the filter is its density at low
-    # frequencies, which the filter leaves alone, spread over the samples each row stands for.
-    noise = sigma / np.sqrt(signals.low_pass.step)
-    return _without_friction(samples, noise, problem.scale)
+def _masses(
+    problem: ExcitationProblem, sought: Unknowns, found: Uncertainty
+) -> Iterator[tuple[str, float]]:
+    """Yield other link and the share that its mass will be known to."""
+    masses = {link.body_name: float(link.theta[0]) for link in problem.robot.links}
+    for name, (places, _) in sought.bodies.items():
+        if name != problem.robot.body_name:
+            place = int(np.searchsorted(sought.kept, places[0]))
+            yield name, float(found.standard_errors[place]) / masses[name]
 
 
-def _without_friction(samples: DecimatedSamples, noise: Array, scale: Array) -> Seen:
-    """Return what equations tell about theta in units of ``scale``, friction eliminated."""
-    size = len(samples.names)
-    normal = np.zeros((size, size))
-    for (_, rows, tau), columns, sigma in zip(samples, samples.columns, noise):
-        rows = rows[np.isfinite(tau)]
-        normal[np.ix_(columns, columns)] += rows.T @ rows / sigma**2
-    link, cross, own = normal[:10, :10], normal[:10, 10:], normal[10:, 10:]
-    units = np.outer(scale, scale)
-    left = link - cross @ np.linalg.pinv(own, rcond=1e-12, hermitian=True) @ cross.T
-    return units * left, float(np.trace(units * link))
+def _never(problem: ExcitationProblem, told: Criterion) -> tuple[str, ...]:
+    """Return what no motion of these joints can show, in words."""
+    possible = told.seen / problem.scale[:, None]
+    left, singular, _ = np.linalg.svd(possible, full_matrices=True)
+    space = left[:, len(singular) :]
+    return tuple(describe(space, problem.scale, PARAMETER_NAMES)) if space.shape[1] else ()
+
+
+def _hidden_is_infinite(covariance: Array, size: Array) -> Array:
+    """Return a covariance in which what is known to no part of its size (10,) is not known."""
+    found, variance = covariance.copy(), np.diag(covariance)
+    shown = (variance > 0.0) & (variance < (_NOTHING * size) ** 2)
+    found[np.diag_indices(10)] = np.where(shown, variance, np.inf)
+    return found
+
+
+def _told(
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    rate: float,
+    known: Known,
+    longer: float = 1.0,
+    faster: float = 1.0,
+) -> Array:
+    """Return the information of a path that is recorded at a rate [Hz], longer and faster."""
+    count = int(np.clip(_INSTANTS * plan.duration, _FEWEST, _MOST))
+    motion = plan.evaluate((np.arange(count) + 0.5) * plan.duration / count)
+    sigma = problem.sigma * np.sqrt(count / (longer * rate * plan.duration))
+    information = predicted_information(problem, sigma, known)
+    moved = motion.q, faster * motion.qd, faster**2 * motion.qdd
+    return information.evaluate(*moved).information
+
+
+def _remedies(
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    rate: float,
+    options: EstimationOptions,
+    asked: str,
+) -> Iterator[Remedy]:
+    """Yield what would tell more than a motion does, with the errors of mass and centre then."""
+    theta, known = problem.robot.prior.theta, known_of(problem, options, asked)
+    told = criterion(problem, known)
+    if asked == "payload":
+        theta = _weighed()
+
+    def remedy(words: str, covariance: Array) -> Remedy:
+        return Remedy(words, *spread_of(theta, covariance))
+
+    longer = told.covariance(_told(problem, plan, rate, known, LONGER))
+    yield remedy(f"a motion {LONGER:g} times as long", longer)
+    quick = _told(problem, plan, rate, known, faster=FASTER)
+    yield remedy(f"a motion {FASTER:g} times as fast, over the same time", told.covariance(quick))
+    if asked == "payload":
+        return
+    here = _told(problem, plan, rate, known)
+    if len(known.factor):
+        better = replace(told, factor=BETTER * known.factor)
+        half = f"{BETTER * options.link_uncertainty:g}"
+        words = f"other links known to {half} % (--link-uncertainty)"
+        yield remedy(words, better.covariance(here))
+    covariance = told.covariance(here)
+    known_mass = covariance - np.outer(covariance[0], covariance[0]) / covariance[0, 0]
+    yield Remedy("its mass known, by weighing the part", 0.0, spread_of(theta, known_mass)[1])
+    apart = known_of(problem, options, "payload")
+    by_difference = criterion(problem, apart).covariance(_told(problem, plan, rate, apart))
+    words = "what is bolted to it as a payload by difference (plan --for payload)"
+    yield remedy(words, by_difference)
+
+
+def _best_first(
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    rate: float,
+    options: EstimationOptions,
+    asked: str,
+) -> tuple[Remedy, ...]:
+    """Return what would tell more, what leaves the least error of the centre of mass first."""
+    places = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
+    if len(problem.rows) == 1 or np.all(places == places[0]):
+        return ()
+    found = _remedies(problem, plan, rate, options, asked)
+    return tuple(sorted(found, key=lambda each: each.centre))
+
+
+def outlook(
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    rate: float,
+    options: EstimationOptions,
+    asked: str,
+) -> str:
+    """Say before a search what no motion tells of a link, and what would; "" where one can.
+
+    Any motion leaves what the priors leave where there is no noise. Remedies are worked out along
+    a motion that is not designed yet.
+    """
+    known, mass = known_of(problem, options, asked), problem.robot.prior.mass
+    told = criterion(problem, known)
+    least = told.covariance(random_information(problem, known, _NOISELESS))
+    floor, centre = spread_of(problem.robot.prior.theta, least)
+    if asked == "payload" or not floor > LOOSE_SHARE * mass:
+        return ""
+    listed = "; ".join(
+        f"{each.words}: {remedy_figures(each)}"
+        for each in _best_first(problem, plan, rate, options, asked)
+    )
+    return (
+        f"no motion of this arm tells the mass of {problem.robot.body_name}, {mass:.2g} kg, better "
+        f"than ± {floor:.2g} kg and its centre of mass than ± {1e3 * centre:.2g} mm: that much may "
+        f"be in the links before it, known to {options.link_uncertainty:g} %. What would help, "
+        f"along a random motion: {listed}"
+    )

@@ -28,6 +28,7 @@ from robot_sysid.estimation.identify import (
 )
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
+from robot_sysid.expected import expect, known_of, outlook
 from robot_sysid.export import MotorFile, Saved, locked_folder, save
 from robot_sysid.interrupts import only_the_first
 from robot_sysid.logs.reader import (
@@ -188,7 +189,10 @@ def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tupl
     seed = secrets.randbelow(2**31) if chosen is None else chosen
     played = config.motors.export_damiao or arm.simulation == "forward"
     options = config.trajectory, config.excitation, config.limits, config.estimation.torques
-    request = MotionRequest(*options, arm.noise_torque, played, config.poses)
+    rate, how = config.trajectory.sample_rate, config.estimation
+    known = partial(known_of, options=how, asked=config.poses.asked)
+    told = partial(outlook, rate=rate, options=how, asked=config.poses.asked)
+    request = MotionRequest(*options, arm.noise_torque, played, config.poses, known, told)
     return make_plan(request, robot, seed, progress), seed
 
 
@@ -270,19 +274,20 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
     """Yield what a motion promises, and what it does beside its limits."""
-    from robot_sysid.expected import expect
-    from robot_sysid.motion.prediction import motion_lines, plan_lines
+    from robot_sysid.motion.prediction import motion_lines, plan_lines, verdict_lines
     from robot_sysid.motion.static import pose_lines, sweep_lines
 
     assert checked.problem is not None and checked.check is not None
     made = checked.problem, checked.plan, checked.check
     if config.poses.sets_its_time:
         tell = pose_lines if config.poses.static else sweep_lines
+        yield from verdict_lines(*made)
         yield from tell(checked.problem, checked.plan)
         yield from motion_lines(*made)
     else:
         rate = config.trajectory.sample_rate
-        yield from plan_lines(*made, expect(*made[:2], rate, config.estimation))
+        told = expect(*made[:2], rate, config.estimation, config.poses.asked)
+        yield from plan_lines(*made, told)
 
 
 def _of_itself(

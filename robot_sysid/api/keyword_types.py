@@ -84,7 +84,7 @@ class ExcitationOptions(TypedDict, total=False):
     """Of a record."""
 
     excitation: Literal["sines", "optimal"]
-    excitation_time_budget: float
+    excitation_time_budget: float | None
 
 
 class LimitOptions(TypedDict, total=False):

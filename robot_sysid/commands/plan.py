@@ -28,7 +28,10 @@ MAIN = (
     *("workspace", "keep_out", "export_damiao", "motor_type"),
 )
 NO_RESULT = (*("keep", "links", "bundle", "report", "plots"),)
-PREDICTED = ("torques", "noise_torque")
+PREDICTED = (
+    *("torques", "noise_torque", "link_uncertainty", "scale_uncertainty", "zero_uncertainty"),
+    *("gravity_uncertainty", "delay_uncertainty", "friction_uncertainty"),
+)
 USUAL = {"excitation": "optimal"}
 """What this command does where a user does not say otherwise."""
 

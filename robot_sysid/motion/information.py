@@ -1,12 +1,17 @@
-"""Information about the ten inertial parameters that a motion will give, and its gradient.
+"""Information about the arm's bodies that a motion will give, and its gradient.
 
-Joint j delivers equations tau_j = Y_j theta + Z_j x_j with its own nuisances x_j: Coulomb friction,
-viscous friction, a torque offset and, where it is estimated, the inertia of its rotor, Z_j =
-[sign(qd_j), qd_j, 1, qdd_j]. What is left for theta after eliminating them is the Schur complement
+Joint j delivers equations tau_j = Y_j theta + Z_j x_j, theta the parameters of all links and x_j
+what only this joint has. Its friction and the inertia of its rotor are free; its torque scale and
+what friction may have that its model lacks are known to be small, x ~ N(0, s^2), which is one more
+row of unit variance. What is left for theta after eliminating them is the Schur complement
 
-    L = sum_j E_j^T E_j / sigma_j^2,   E_j = Y_j - Z_j C_j,   C_j = (Z_j^T Z_j)^-1 Z_j^T Y_j,
+    L = sum_j E_j^T E_j / sigma_j^2 + C_j^T D C_j,   E_j = Y_j - Z_j C_j,
+    C_j = (Z_j^T Z_j / sigma_j^2 + D)^-1 Z_j^T Y_j / sigma_j^2,
 
-and L^-1 is the covariance of the least-squares estimate in white noise (Cramer-Rao bound).
+D the precision of x_j. With the precision P of what the model knows of the other links
+(L + P)^-1 is the covariance of the estimate (``expected`` takes P and s from what identifies).
+Encoder zeros, gravity's direction and a delay are in the promise, not here: of two arms they are
+less than a twentieth of any variance.
 """
 
 from __future__ import annotations
@@ -18,119 +23,167 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import Equations, other_links
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+from robot_sysid.dynamics.equations import other_links
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.screws import ChainMotion, ScrewChain
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, Measurement, MotionPlan
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
 
 _RIDGE = 1e-10
 """Keeps the elimination defined where a joint stands still and its friction has no columns."""
-ARM_RATE_HZ = 20.0
-"""How densely a candidate for a whole arm is looked at: 33 times per period of 0.6 Hz."""
-KNOWN = 0.3
-"""How well the model is taken to know each link, as a share of its numbers.
-
-Chosen rough: it only has to keep what no motion shows from counting.
-"""
-_OWN = friction_model("coulomb-viscous-offset-armature")
-_UNIT_ROTOR = 0.1
-"""Size of a rotor's inertia at its joint [kg m^2]: 1e-5 kg m^2 behind a gear of 1:100."""
+_STILL = 1e-9
+"""Speed below which a square root of it has no slope any more [rad/s]."""
+_HIDDEN = 1e-9
+"""Share of the largest information below which a direction is not seen."""
+OWN = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
+"""What only one joint's equations contain."""
 
 Gradient = tuple[Array, Array, Array]
 """Of a scalar, with respect to q, qd and qdd (N, n)."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What an estimate knows beforehand.
+
+    Attributes:
+        factor: (10 L, 10 L) F, the parameters of the L other links with mass have the covariance
+            F F^T; empty where they are taken as they are.
+        own: (7, rows) standard deviations of ``OWN`` in each joint's equations; infinite where
+            nothing is known, zero where it is no unknown.
+        asked: what the motion is for: "link", "arm" for every link, or "payload".
+    """
+
+    factor: Array
+    own: Array
+    asked: str = "link"
+
+
+def known_arm(problem: ExcitationProblem) -> Known:
+    """Return what is known of an arm of which all but the terminal link and friction is known."""
+    own = np.zeros((len(OWN), len(problem.rows)))
+    # From one torque rotor inertias are not estimated: they are the link's.
+    own[: 4 if len(problem.rows) > 1 else 3] = np.inf
+    return Known(np.zeros((0, 0)), own)
 
 
 class Information(NamedTuple):
     """Information of a motion.
 
     Attributes:
-        information: (r, r) L.
-        signal: sum of the squared rows before elimination: what counts as large.
-        vjp: gives the gradient, from the symmetric derivative (r, r) of a scalar with respect to L.
+        information: (10 L, 10 L) about all links with mass, the terminal one first.
+        vjp: gives the gradient, from the symmetric derivative of a scalar with respect to it.
     """
 
     information: Array
-    signal: float
     vjp: Callable[[Array], Gradient]
 
 
 @dataclass(frozen=True)
 class PredictedInformation:
-    """Maps motions to information about x, theta = coordinates @ x, and says from which equations.
+    """Maps motions to information about all links with mass.
 
     Attributes:
+        chains: number of a link to the screws of the joints that carry it, the terminal one first.
+        theta: (L, 10) of these links in the model.
         joints: chain joints whose torque is used.
         sigma: (len(joints),) standard deviation of their torque noise [N m].
         smoothing: (n,) speed below which sign(qd) is rounded off to tanh [rad/s]; 0 for none.
-        coordinates: (10, r) scaling, and restriction to what can be seen.
-        rotors: whether the inertia of each joint's rotor is a nuisance too.
+        own: see ``Known``.
     """
 
-    chain: ScrewChain
+    chains: dict[int, ScrewChain]
+    theta: Array
     joints: tuple[int, ...]
     sigma: Array
     smoothing: Array
-    coordinates: Array
-    rotors: bool = False
+    own: Array
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Information:
         """Return the information of one sample per row of q, qd, qdd (N, n)."""
-        motion = self.chain.evaluate(q, qd, qdd)
-        wrench = body_wrench(motion.velocity, motion.acceleration)
-        jacobian = motion.jacobian[:, list(self.joints)]
-        rows = np.einsum("ijn,ikn->jnk", jacobian, wrench, optimize=True)
-        rows = rows @ self.coordinates / self.sigma[:, None, None]
-        friction, slope = self._nuisances(qd[:, list(self.joints)].T, qdd[:, list(self.joints)].T)
-        # The regression of each joint's rows on its nuisances.
-        transposed = friction.transpose(0, 2, 1)
-        normal = transposed @ friction
-        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(len(normal[0]))
-        gain = np.linalg.solve(normal + ridge, transposed @ rows)
-        residual = rows - friction @ gain
-        information = np.einsum("jnk,jnl->kl", residual, residual, optimize=True)
-        vjp = partial(self._vjp, motion, wrench, slope, gain, residual)
-        return Information(information, float(np.sum(rows**2)), vjp)
+        moves, wrenches = [], []
+        rows = np.zeros((len(self.joints), len(q), self.theta.size))
+        for place, (link, chain) in enumerate(self.chains.items()):
+            upto = slice(link + 1)
+            moves.append(chain.evaluate(q[:, upto], qd[:, upto], qdd[:, upto]))
+            wrenches.append(body_wrench(moves[-1].velocity, moves[-1].acceleration))
+            at, joints = self._carrying(link)
+            jacobian, block = moves[-1].jacobian[:, joints], slice(10 * place, 10 * place + 10)
+            rows[at, :, block] = np.einsum("ijn,ikn->jnk", jacobian, wrenches[-1], optimize=True)
+        used = list(self.joints)
+        own, slopes = self._own(qd[:, used].T, qdd[:, used].T, rows @ self.theta.ravel())
+        weight = 1.0 / self.sigma[:, None, None]
+        rows, own = weight * rows, weight * own
+        # The regression of each joint's rows on what only it has.
+        transposed = own.transpose(0, 2, 1)
+        normal = transposed @ own
+        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None] + self._precision
+        gain = np.linalg.solve(normal + ridge[:, None] * np.eye(len(OWN)), transposed @ rows)
+        residual = rows - own @ gain
+        information = np.einsum("jnk,jnl->kl", rows, residual, optimize=True)
+        vjp = partial(self._vjp, moves, wrenches, slopes, gain, weight * residual)
+        return Information(0.5 * (information + information.T), vjp)
 
-    def _nuisances(self, qd: Array, qdd: Array) -> tuple[Array, Array]:
-        """Return Z (rows, N, 3 or 4) and the derivative of its first column with respect to qd."""
+    def _carrying(self, link: int) -> tuple[list[int], list[int]]:
+        """Return (places among the rows, joints) of what carries a link."""
+        pairs = [(k, joint) for k, joint in enumerate(self.joints) if joint <= link]
+        return [k for k, _ in pairs], [joint for _, joint in pairs]
+
+    @property
+    def _precision(self) -> Array:
+        """Precision (rows, 7) of what only one joint has, in units of what is known of it."""
+        return np.isfinite(self.own).astype(float).T
+
+    def _own(self, qd: Array, qdd: Array, torque: Array) -> tuple[Array, list[Array]]:
+        """Return Z (rows, N, 7), and what it changes by with speed, acceleration and torque."""
         speed = self.smoothing[list(self.joints)][:, None]
-        smooth = np.tanh(qd / np.where(speed > 0.0, speed, 1.0))
+        rounded = np.where(speed > 0.0, speed, 1.0)
+        smooth = np.tanh(qd / rounded)
         sign = np.where(speed > 0.0, smooth, np.sign(qd))
-        slope = np.where(speed > 0.0, (1.0 - smooth**2) / np.where(speed > 0.0, speed, 1.0), 0.0)
-        rotors = (qdd,) if self.rotors else ()
-        return np.stack((sign, qd, np.ones_like(qd), *rotors), axis=2), slope
+        slope = np.where(speed > 0.0, (1.0 - smooth**2) / rounded, 0.0)
+        root, one, none = np.sqrt(np.abs(qd)), np.ones_like(qd), np.zeros_like(qd)
+        bend = 0.5 * np.abs(sign) / np.maximum(root, _STILL)
+        size = np.where(np.isfinite(self.own), self.own, 1.0).T[:, None]
+        load = np.abs(torque)
+        tables = (
+            (sign, qd, one, qdd, torque, sign * load, sign * root),
+            (slope, one, none, none, none, slope * load, slope * root + bend),
+            (none, none, none, one, none, none, none),
+            (none, none, none, none, one, sign * np.sign(torque), none),
+        )
+        found, *slopes = (size * np.stack(columns, axis=2) for columns in tables)
+        return found, slopes
 
     def _vjp(
         self,
-        motion: ChainMotion,
-        wrench: Array,
-        slope: Array,
+        moves: list[ChainMotion],
+        wrenches: list[Array],
+        slopes: list[Array],
         gain: Array,
         residual: Array,
         adjoint: Array,
     ) -> Gradient:
-        """Reverse mode. C needs no derivative: it minimises the residual."""
-        joints = list(self.joints)
+        """Reverse mode. C needs no derivative: it minimises what is left."""
         rows_adjoint = 2.0 * residual @ adjoint
-        friction_adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
-        scale = self.coordinates.T
-        theta_adjoint = rows_adjoint @ scale / self.sigma[:, None, None]
-        jacobian_adjoint = np.zeros_like(motion.jacobian)
-        jacobian_adjoint[:, joints] = np.einsum(
-            "jnk,ikn->ijn", theta_adjoint, wrench, optimize=True
+        own_adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
+        by_speed, by_acceleration, by_torque = (
+            np.sum(own_adjoint * slope, axis=2) for slope in slopes
         )
-        jacobian = motion.jacobian[:, joints]
-        wrench_adjoint = np.einsum("ijn,jnk->ikn", jacobian, theta_adjoint, optimize=True)
-        q_adjoint, qd_adjoint, qdd_adjoint = motion.vjp(
-            jacobian_adjoint, *_wrench_vjp(motion.velocity, wrench_adjoint)
-        )
-        qd_adjoint[:, joints] += (friction_adjoint[..., 0] * slope + friction_adjoint[..., 1]).T
-        if self.rotors:
-            qdd_adjoint[:, joints] += friction_adjoint[..., 3].T
-        return q_adjoint, qd_adjoint, qdd_adjoint
+        rows_adjoint += by_torque[:, :, None] * self.theta.ravel()
+        total = np.zeros((3, residual.shape[1], len(self.smoothing)))
+        total[1][:, list(self.joints)] = by_speed.T
+        total[2][:, list(self.joints)] = by_acceleration.T
+        for place, (link, move, wrench) in enumerate(zip(self.chains, moves, wrenches)):
+            at, joints = self._carrying(link)
+            block = rows_adjoint[at, :, 10 * place : 10 * place + 10]
+            turned = np.zeros_like(move.jacobian)
+            turned[:, joints] = np.einsum("jnk,ikn->ijn", block, wrench, optimize=True)
+            jacobian = move.jacobian[:, joints]
+            felt = np.einsum("ijn,jnk->ikn", jacobian, block, optimize=True)
+            for part, own in zip(total, move.vjp(turned, *_wrench_vjp(move.velocity, felt))):
+                part[:, : link + 1] += own
+        return total[0], total[1], total[2]
 
 
 @lru_cache(maxsize=1)
@@ -166,75 +219,116 @@ _SINGULAR = 1e-14
 """Smallest eigenvalue, of L with a unit diagonal, that an inverse in double precision survives."""
 
 
-def d_criterion(information: Array) -> tuple[float, Array]:
-    """Return (-ln det L / 2r, gradient (r, r)) of L (r, r); infinite where L is singular.
+@dataclass(frozen=True)
+class Criterion:
+    """How much a motion leaves unknown of what is asked for.
 
-    The logarithm of the geometric mean of the standard deviations along the axes of the confidence
-    ellipsoid: a change of 0.01 is one of about 1 % (D-optimality; Pukelsheim, "Optimal Design of
-    Experiments", 2006, ch. 6).
+    Attributes:
+        seen: (10, r) scaled directions of the terminal link that some motion shows.
+        factor, asked: see ``Known``.
     """
-    diagonal, size = np.diag(information), len(information)
-    if not np.all(np.isfinite(information)) or np.any(diagonal <= 0.0):
-        return np.inf, np.zeros_like(information)
-    root = np.sqrt(diagonal)
-    if np.linalg.eigvalsh(information / np.outer(root, root))[0] <= _SINGULAR:
-        return np.inf, np.zeros_like(information)
-    value = -float(np.linalg.slogdet(information)[1]) / (2.0 * size)
-    return value, np.asarray(-np.linalg.inv(information) / (2.0 * size), dtype=float)
+
+    seen: Array
+    factor: Array
+    asked: str
+
+    def _posterior(self, information: Array) -> tuple[Array, Array]:
+        """Return (T, M): theta = T x, with M the precision of x, priors included."""
+        count, others = self.seen.shape[1], len(self.factor)
+        change = np.zeros((len(information), count + others))
+        change[:10, :count] = self.seen
+        change[10 : 10 + others, count:] = self.factor
+        known = np.diag(np.repeat((0.0, 1.0), (count, others)))
+        # The difference of two recordings has twice the noise.
+        told = 0.5 * information if self.asked == "payload" else information
+        return change, change.T @ told @ change + known
+
+    def evaluate(self, information: Array) -> tuple[float, Array]:
+        """Return (ln det C / 2r, gradient) of information (10 L, 10 L); infinite if singular.
+
+        C (r, r) is the covariance of what is asked for, all others eliminated. That is the
+        logarithm of the geometric mean of the standard deviations along the axes of its confidence
+        ellipsoid: a change of 0.01 is one of about 1 % (Bayesian D-optimality; Chaloner,
+        Verdinelli, "Bayesian experimental design: a review", Statistical Science 10(3), 1995).
+        """
+        nothing = np.inf, np.zeros_like(information)
+        if not np.all(np.isfinite(information)):
+            return nothing
+        change, precision = self._posterior(information)
+        diagonal = np.diag(precision)
+        if np.any(diagonal <= 0.0):
+            return nothing
+        root = np.sqrt(diagonal)
+        if np.linalg.eigvalsh(precision / np.outer(root, root))[0] <= _SINGULAR:
+            return nothing
+        count = len(precision) if self.asked == "arm" else self.seen.shape[1]
+        slope, rest = np.linalg.inv(precision), precision[count:, count:]
+        value = float(np.linalg.slogdet(precision)[1] - np.linalg.slogdet(rest)[1])
+        slope[count:, count:] -= np.linalg.inv(rest)
+        told = 0.5 if self.asked == "payload" else 1.0
+        return -0.5 * value / count, -0.5 * told / count * (change @ slope @ change.T)
+
+    def covariance(self, information: Array) -> Array:
+        """Return the covariance (10, 10) of what is seen of the terminal link."""
+        count = self.seen.shape[1]
+        own = np.linalg.inv(self._posterior(information)[1])[:count, :count]
+        return np.asarray(self.seen @ own @ self.seen.T)
+
+
+def spread_of(theta: Array, covariance: Array) -> tuple[float, float]:
+    """Return (standard deviation of the mass [kg], of the centre of mass: root of summed squares
+    [m]) of a body (10,) with covariance (10, 10); the centre of mass c = h / m to first order.
+    """
+    slope = np.hstack((-theta[1:4, None] / theta[0], np.eye(3))) / theta[0]
+    centre = slope @ covariance[:4, :4] @ slope.T
+    return float(np.sqrt(covariance[0, 0])), float(np.sqrt(np.trace(centre)))
+
+
+def link_chains(robot: RobotModel) -> dict[int, ScrewChain]:
+    """Return number of a link with mass to the screws that carry it, the terminal one first."""
+    still = np.zeros((1, robot.n_joints))
+    moves = LinkDynamics(robot).motion(robot.reference[None], still, still)
+    found, twists = {}, list[Array]()
+    for link, step in enumerate(moves.steps):
+        twists = [*map(step.into, twists), moves.screws[link][:, None]]
+        # At rest the only acceleration is the missing fall: minus gravity.
+        falling, home = -moves.acceleration[link][3:, 0], robot.reference[: link + 1]
+        found[link] = ScrewChain(np.hstack(twists), home, falling)
+    return {link: found[link] for link in (robot.n_joints - 1, *other_links(robot))}
 
 
 def predicted_information(
-    problem: ExcitationProblem, sigma: Array, coordinates: Array, smoothing: float = 0.0
+    problem: ExcitationProblem, sigma: Array, known: Known, smoothing: float = 0.0
 ) -> PredictedInformation:
-    """Return what tells the information of motions about x, theta = coordinates @ x (10, r).
+    """Return what tells the information of motions about the arm.
 
     From torques with noise sigma (rows,) [N m]; Coulomb friction's jump is rounded off below a
     share of the speed limits.
     """
+    chains, links = link_chains(problem.robot), problem.robot.links
+    theta = np.array([links[link].theta for link in chains])
     smooth = smoothing * problem.limits.velocity
-    # From one torque rotor inertias are not estimated: they are the link's.
-    rotors = "armature" in DEFAULT_MEASURED and len(problem.rows) > 1
-    return PredictedInformation(problem.chain, problem.rows, sigma, smooth, coordinates, rotors)
+    return PredictedInformation(chains, theta, problem.rows, sigma, smooth, known.own)
 
 
-def visible_coordinates(problem: ExcitationProblem) -> Array:
-    """Return (10, r): scaled directions of theta that some motion of this arm can show.
+def criterion(problem: ExcitationProblem, known: Known) -> Criterion:
+    """Return what is minimised, about all that some motion of this arm can show.
 
-    Found from unrelated positions, velocities and accelerations, a fixed set of random numbers.
-    What such data cannot see, no trajectory of these joints can.
+    That is found from unrelated positions, velocities and accelerations, a fixed set of random
+    numbers. What such data cannot see, no trajectory of these joints can.
     """
-    scale = np.diag(problem.scale)
+    scale, information = np.diag(problem.scale), random_information(problem, known)
+    own = Criterion(scale, known.factor, known.asked)._posterior(information)[1]
+    block, cross, rest = own[:10, :10], own[:10, 10:], own[10:, 10:]
+    values, vectors = np.linalg.eigh(block - cross @ np.linalg.solve(rest, cross.T))
+    seen = scale @ vectors[:, values > _HIDDEN * values[-1]]
+    return Criterion(seen, known.factor, known.asked)
+
+
+def random_information(problem: ExcitationProblem, known: Known, noise: float = 1.0) -> Array:
+    """Return the information of unrelated random motion with some torque noise [N m]."""
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
     q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
-    information = predicted_information(problem, np.ones(len(problem.rows)), scale)
-    matrix = information.evaluate(q, qd, qdd).information
-    values, vectors = np.linalg.eigh(matrix)
-    return scale @ vectors[:, values > 1e-9 * values[-1]]
-
-
-def arm_criterion(problem: ExcitationProblem, plan: MotionPlan) -> float:
-    """Return -ln det L / 2r of what a motion says of all links, rotors and friction, r unknowns.
-
-    L = Y^T Y / sigma^2 + P, with P what the model knows beforehand, so that what no motion shows
-    does not count (Bayesian D-optimality; Chaloner, Verdinelli, "Bayesian experimental design: a
-    review", Statistical Science 10(3), 1995).
-    """
-    robot, others = problem.robot, other_links(problem.robot)
-    equations = Equations(robot, problem.torques, (_OWN,) * robot.n_joints, links=others)
-    own = np.where(np.array(_OWN.terms) == "armature", _UNIT_ROTOR, 1.0)
-    last, *rest = (_known(robot.links[link].theta) for link in (-1, *others))
-    scale = np.concatenate((last, np.tile(own, len(problem.rows)), *rest))
-    motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / ARM_RATE_HZ))
-    data = Measurement(motion.time, motion.q, motion.qd, np.zeros_like(motion.q), motion.qdd)
-    total = np.eye(len(scale))
-    for (rows, _), columns, sigma in zip(equations.rows(data), equations.columns, problem.sigma):
-        rows = rows * scale[columns] / sigma
-        total[np.ix_(columns, columns)] += rows.T @ rows
-    return -float(np.linalg.slogdet(total)[1]) / (2.0 * len(total))
-
-
-def _known(theta: Array) -> Array:
-    """Return how well the model is taken to know each of a link's parameters (10,)."""
-    length = max(spatial.characteristic_length(theta), 1e-3)
-    return KNOWN * spatial.parameter_scale(float(theta[0]), length)
+    sigma = np.full(len(problem.rows), noise)
+    return predicted_information(problem, sigma, known).evaluate(q, qd, qdd).information

@@ -157,8 +157,8 @@ class ExcitationOptions(OptionRecord):
 
     Attributes:
         draws: number of random trajectories to begin with.
-        starts: how many of the best are improved; None takes two per minute of budget, at least 2.
-        rounds: improvement rounds per start.
+        starts: how many of the best are improved by one round; the best of them goes on.
+        rounds: that a start is improved by at most.
         iterations: of the optimiser per round.
         workers: processes to use; 1 stays in this one, None takes one per processor.
     """
@@ -169,16 +169,17 @@ class ExcitationOptions(OptionRecord):
         flag="--excitation",
         choices=EXCITATIONS,
     )
-    time_budget: float = option(
-        60.0,
-        "stop designing after this time and keep the best",
+    time_budget: float | None = option(
+        None,
+        "go on designing for this time and keep the best",
         "S [s] > 0",
         flag="--excitation-time-budget",
+        usual="until it hardly gets better",
     )
-    draws: int = 300
-    starts: int | None = None
-    rounds: int = 8
-    iterations: int = 120
+    draws: int = 60
+    starts: int = 2
+    rounds: int = 20
+    iterations: int = 60
     workers: int | None = None
 
     def basis(self, duration: float) -> FourierBasis:
@@ -190,19 +191,14 @@ class ExcitationOptions(OptionRecord):
         return FourierBasis(duration, base, harmonics, min(LONGEST_FADE, 0.25 * duration))
 
     @property
-    def n_starts(self) -> int:
-        """How many of the best random trajectories are improved."""
-        return self.starts or 2 * max(1, round(self.time_budget / 60.0))
-
-    @property
     def n_workers(self) -> int:
         """Number of processes; more than there are starts would idle after the draws.
 
         A short search takes one: starting others would take longer than they help.
         """
-        if self.workers is None and self.time_budget < WORTH_WORKERS:
+        if self.workers is None and (self.time_budget or 0.0) < WORTH_WORKERS:
             return 1
-        return min(self.workers or processors(), max(2, self.n_starts))
+        return min(self.workers or processors(), max(2, self.starts))
 
 
 @dataclass(frozen=True)
@@ -228,6 +224,11 @@ class PoseOptions(OptionRecord):
     )
     poses: int = 12
     dwell: float = 1.5
+
+    @property
+    def asked(self) -> str:
+        """What an estimate from the motion is asked for, see ``motion.information.Known``."""
+        return self.purpose if self.purpose in ("arm", "payload") else "link"
 
     @property
     def sets_its_time(self) -> bool:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
+from robot_sysid.motion.information import Known
 from robot_sysid.motion.limit_check import LimitCheck, check_limits, scaled_to_limits
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, ExcitationProblem, build_problem
@@ -42,6 +43,8 @@ class MotionRequest:
         noise_torque: torque noise that is expected [N m]; zero for the usual.
         played: whether something will play the motion.
         poses: whether it rests in poses, and in which.
+        known: what an estimate knows of an arm beforehand; None for all but the terminal link.
+        outlook: says before a search, from a motion, what no motion tells; "" for nothing.
     """
 
     trajectory: TrajectoryOptions
@@ -51,6 +54,8 @@ class MotionRequest:
     noise_torque: PerJoint = 0.0
     played: bool = False
     poses: PoseOptions = PoseOptions()
+    known: Callable[[ExcitationProblem], Known] | None = None
+    outlook: Callable[[ExcitationProblem, MotionPlan], str] | None = None
 
     @property
     def is_checked(self) -> bool:
@@ -175,17 +180,23 @@ def _designed(
     from robot_sysid.motion.design.optimise import Design
     from robot_sysid.motion.design.search import design_excitation
 
-    problem, for_arm = _problem(request, robot), request.poses.purpose == "arm"
-    design = Design(problem, request.excitation, request.trajectory, for_arm)
-    result = design_excitation(design, rng, progress)
+    problem = _problem(request, robot)
+    known = None if request.known is None else request.known(problem)
+    design = Design(problem, request.excitation, request.trajectory, known)
+
+    def before(plan: MotionPlan) -> None:
+        told = "" if request.outlook is None else request.outlook(problem, plan)
+        if told:
+            progress.note(told)
+
+    result = design_excitation(design, rng, progress, before)
     for note in result.notes:
         progress.note(note)
-    if not for_arm:
-        gain = result.start_objective / result.objective
-        progress.detail(
-            f"Mean standard deviation: {result.objective:.4g}, {gain:.2f} times better than the "
-            f"best of {result.n_feasible} feasible random trajectories"
-        )
+    gain = result.start_objective / result.objective
+    progress.detail(
+        f"Mean standard deviation: {result.objective:.4g}, {gain:.2f} times better than the "
+        f"best of {result.n_feasible} feasible random trajectories"
+    )
     return CheckedPlan(result.trajectory, problem, result.limit_check)
 
 

@@ -2,65 +2,73 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.identifiability import describe
-from robot_sysid.motion.information import predicted_information, visible_coordinates
+from robot_sysid.motion.information import spread_of
 from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION, LimitCheck
 from robot_sysid.motion.problem import ASKED, ASSUMED, LIMIT_NAMES, MODEL, ExcitationProblem
 from robot_sysid.motion.solids import swept_space
 from robot_sysid.motion.static import contact_on_the_way
-from robot_sysid.records import Array, Identifiability, MotionPlan
+from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.figures import percent
-from robot_sysid.trajectory import TORQUE_MARGIN, sample_count, spread_motion
+from robot_sysid.records.progress import Detail
+from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
 
-PREDICTION_RATE_HZ = 100.0
-"""Sampling of the motion for the prediction: far above its band, see docs/excitation.md."""
-MOST_INSTANTS = 60_000
-"""Instants of the motion that are looked at: all of the first ten minutes, or spread over it."""
 LOOSE_SHARE = 0.2
 """A predicted standard deviation above this share of the parameter's size is called loose."""
-_INVISIBLE = 1e-10
-"""Share of the whole signal below which a direction counts as not visible."""
+_TOLD_PART = 0.2
+"""Part of the whole error from which a cause is told: 4 % of its square."""
 _DIAGONAL, _OFF_DIAGONAL = (0, 4, 7, 9), {5: (4, 7), 6: (4, 9), 8: (7, 9)}
 """Which parameters are compared with themselves: mass and moments; which with two others."""
 _SAME_POSE = 1e-6
 """How near to the model's pose a start counts as it [rad or m]."""
 _MOST_POSTURES = 3000
 """Postures from which the swept box is found."""
+WEIGHED = 1.0
+"""Mass of the payload whose centre of mass is promised [kg]."""
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """What would tell more: in words, with the errors of mass [kg] and centre of mass [m] then."""
+
+    words: str
+    mass: float
+    centre: float
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a trajectory promises.
+    """What an identification of one recording of a trajectory will state.
 
     Attributes:
-        n_samples: per joint.
-        covariance: (10, 10) of theta; infinite on the diagonal where this motion does not show it.
+        of: what it is about, in words.
+        theta: (10,) of that body.
         size: (10,) magnitude each parameter is compared with: its own value in the model, for a
             first moment m L, for a product of inertia sqrt(Iii Ijj).
-        com_deviation: standard deviation of the centre of mass, root of summed squares [m].
+        covariance: (10, 10) of theta; infinite on the diagonal where the model's value stays.
+        causes: cause to its part (10, 10).
+        others: every other link's name to the share that its mass will be known to.
         never: what no motion of these joints can show, in words.
-        unseen: what this motion does not show though another one would, in words.
-        counted: which errors it counts, in words.
-        stated: (10,) standard errors that an identification will state, with all that is not known
-            of the arm; infinite where the model's value stays, empty where nothing can be said.
-        shown: what a run of the motion will say of its regressor.
+        remedies: what would tell more, what helps most first.
+        missing: why it is only a bound, from all samples; "" where it is none.
+        scaled: share of a payload's own mass that torque scales leave open beside.
     """
 
-    n_samples: int
-    covariance: Array
+    of: str
+    theta: Array
     size: Array
-    com_deviation: float
+    covariance: Array
+    causes: Mapping[str, Array]
+    others: Mapping[str, float]
     never: tuple[str, ...]
-    unseen: tuple[str, ...]
-    counted: str = ""
-    stated: Array = field(default_factory=lambda: np.zeros(0))
-    shown: Identifiability | None = None
+    remedies: tuple[Remedy, ...] = ()
+    missing: str = ""
+    scaled: float = 0.0
 
     @property
     def deviation(self) -> Array:
@@ -73,126 +81,127 @@ class Prediction:
         return self.deviation / self.size
 
     @property
+    def com_deviation(self) -> float:
+        """Standard deviation of the centre of mass, root of summed squares [m]."""
+        return self._spread(self.covariance)[1]
+
+    @property
     def loose(self) -> tuple[int, ...]:
         """Which parameters are visible, but more uncertain than a fifth of their size."""
         share = self.share
         return tuple(k for k in range(10) if np.isfinite(share[k]) and share[k] > LOOSE_SHARE)
 
+    def budget(self) -> Iterator[tuple[str, float, float]]:
+        """Yield (cause, its part of the error of the mass [kg], of the centre of mass [m])."""
+        found = [(cause, *self._spread(part)) for cause, part in self.causes.items()]
+        yield from sorted(found, key=lambda each: -each[1])
 
-Seen = tuple[Array, float]
-"""What some equations tell about the terminal link: (information, signal).
-
-The information (10, 10) is about theta in units of ``problem.scale``, nuisances eliminated; the
-signal is its trace before they were: what counts as large.
-"""
+    def _spread(self, covariance: Array) -> tuple[float, float]:
+        if not np.all(np.isfinite(covariance[:4, :4])):
+            return float(np.sqrt(covariance[0, 0])), np.inf
+        return spread_of(self.theta, covariance)
 
 
-def predict(
-    problem: ExcitationProblem, plan: MotionPlan, sample_rate: float, seen: Seen | None = None
-) -> Prediction:
-    """Predict what least squares will make of a trajectory, with friction and offset of each joint.
-
-    Args:
-        problem, plan: the arm with its torque noise, and the trajectory.
-        sample_rate: at which torque will be measured, with independent noise in each sample [Hz].
-        seen: what the estimate will be made from; None takes all samples, the bound for any
-            unbiased estimate.
-    """
-    n_samples, scale = sample_count(plan.duration, sample_rate), problem.scale
-    covariance, hidden = _inverted(scale, *(seen or _all_samples(problem, plan, n_samples)))
-    possible = visible_coordinates(problem) / scale[:, None]
-    # What is orthogonal to that, and the part of what is hidden that another motion could show.
-    left, singular, _ = np.linalg.svd(possible, full_matrices=True)
-    shown = possible @ (np.linalg.pinv(possible) @ hidden)
-    inside, part, _ = np.linalg.svd(shown, full_matrices=False)
-    never, unseen = (
-        describe(space, scale, spatial.PARAMETER_NAMES) if space.shape[1] else ()
-        for space in (left[:, len(singular) :], inside[:, part > 1e-6])
-    )
-    theta = problem.robot.prior.theta
+def sizes(problem: ExcitationProblem) -> Array:
+    """Return (10,) the magnitudes that errors of the terminal link are compared with."""
+    theta, scale = problem.robot.prior.theta, problem.scale
     size = np.where((theta > 0.0) & np.isin(np.arange(10), _DIAGONAL), theta, scale)
     for k, (i, j) in _OFF_DIAGONAL.items():
         size[k] = np.sqrt(size[i] * size[j])
-    # The centre of mass c = h / m, to first order.
-    slope = np.hstack((-theta[1:4, None] / theta[0], np.eye(3))) / theta[0]
-    block = covariance[:4, :4]
-    known = np.all(np.isfinite(block))
-    com = float(np.sqrt(np.trace(slope @ block @ slope.T))) if known else np.inf
-    return Prediction(n_samples, covariance, size, com, never, unseen)
-
-
-def _all_samples(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -> Seen:
-    motion = spread_motion(plan, MOST_INSTANTS, PREDICTION_RATE_HZ)
-    sigma = problem.sigma / np.sqrt(n_samples / len(motion.q))
-    information = predicted_information(problem, sigma, np.diag(problem.scale))
-    return information.evaluate(motion.q, motion.qd, motion.qdd)[:2]
-
-
-def _inverted(scale: Array, information: Array, signal: float) -> tuple[Array, Array]:
-    """Return covariance of theta and hidden directions (scaled).
-
-    A parameter that a hidden direction contains has infinite variance.
-    """
-    values, vectors = np.linalg.eigh(information)
-    seen = values > _INVISIBLE * signal
-    hidden = vectors[:, ~seen]
-    root = vectors[:, seen] / np.sqrt(values[seen])
-    covariance = np.outer(scale, scale) * (root @ root.T)
-    covariance[np.diag_indices(10)] += np.where(np.linalg.norm(hidden, axis=1) > 1e-6, np.inf, 0.0)
-    return covariance, hidden
+    return size
 
 
 def plan_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck, prediction: Prediction
 ) -> Iterator[str]:
-    """Yield the lines ``robot-sysid plan`` prints.
+    """Yield the lines ``robot-sysid plan`` prints; those that are a ``Detail`` on demand.
 
     Args:
         problem, plan: the arm with its limits, and the motion.
         check, prediction: of this motion.
     """
-    noise = ", ".join(f"{value:g}" for value in np.unique(problem.sigma))
-    yield f"Predicted standard deviations ({prediction.n_samples} samples, noise {noise} N·m):"
-    if prediction.counted:
-        yield f"  {prediction.counted}"
-    yield from _parameter_lines(prediction)
-    shown = prediction.shown
-    if shown is not None:
-        scaled = f"({shown.scaled_condition_number:.1f} with columns of unit length)"
-        yield f"Condition number: {shown.condition_number:.1f} {scaled}"
-    yield from motion_lines(problem, plan, check)
+    yield from verdict_lines(problem, plan, check)
+    yield from _promise_lines(prediction)
     yield from _advice_lines(prediction)
+    yield from motion_lines(problem, plan, check)
+
+
+def verdict_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
+    """Say whether the motion may be played, and how near it comes; arguments as ``plan_lines``."""
+    if check.holds:
+        nearest = check.nearest
+        near = "nothing comes near"
+        if np.isfinite(nearest.distance):
+            near = f"least distance {_at_least(nearest.distance, check.resolution)} mm"
+            near = f"{near}, between {nearest.label}"
+        yield f"Keeps all limits for {plan.duration:.1f} s; {near}"
+    yield from (f"NOT KEPT: {excess}" for excess in check.excesses)
+
+
+def _promise_lines(prediction: Prediction) -> Iterator[str]:
+    """Say what an identification will state, and what of it comes from what."""
+    yield f"An identification of one recording will state, of {prediction.of}:"
+    if prediction.missing:
+        yield f"  {prediction.missing}"
+    mass, centre = float(prediction.deviation[0]), prediction.com_deviation
+    parts = [p for p in prediction.budget() if max(p[1] / mass, p[2] / centre) > _TOLD_PART]
+    if np.isfinite(mass):
+        of_mass = ", ".join(f"{cause} {part:.2g}" for cause, part, _ in parts)
+        yield f"  mass ± {mass:.2g} kg ({percent(mass / prediction.size[0])}): {of_mass}"
+    if np.isfinite(centre):
+        of_centre = ", ".join(f"{cause} {1e3 * part:.2g}" for cause, _, part in parts)
+        yield f"  centre of mass ± {1e3 * centre:.2g} mm: {of_centre}"
+    pairs = list(zip(spatial.PARAMETER_NAMES, prediction.share))
+    shown = ", ".join(f"{name} {percent(share)}" for name, share in pairs if np.isfinite(share))
+    if shown:
+        yield f"  {shown}"
+    hidden = [name for name, share in pairs if not np.isfinite(share)]
+    if hidden:
+        yield f"  not identified: {', '.join(hidden)}"
+    if prediction.others:
+        listed = ", ".join(f"{name} {percent(s)}" for name, s in prediction.others.items())
+        yield f"  mass of the other links: {listed}"
+    units = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
+    for name, deviation, unit in zip(spatial.PARAMETER_NAMES, prediction.deviation, units):
+        if np.isfinite(deviation):
+            yield Detail(f"  {name:3s} ± {deviation:9.2e} {unit}")
+
+
+def _advice_lines(prediction: Prediction) -> Iterator[str]:
+    """Say what stays unknown, and what would show it."""
+    for what in prediction.never:
+        yield (
+            f"No motion of these joints shows {what}: use --torques chain if only the last joint "
+            "is used now, or mount the base at another angle"
+        )
+    loose = [
+        f"{spatial.PARAMETER_NAMES[k]} {percent(prediction.share[k])}" for k in prediction.loose
+    ]
+    if loose:
+        yield f"Stays loose: {', '.join(loose)}"
+    for number, remedy in enumerate(prediction.remedies):
+        line = f"{remedy.words}: {remedy_figures(remedy)}"
+        yield f"What would help first: {line}" if number == 0 else Detail(f"  or {line}")
+
+
+def remedy_figures(remedy: Remedy) -> str:
+    """Return the errors that something leads to, in words."""
+    known = remedy.mass == 0.0
+    mass = "" if known else f"mass ± {remedy.mass:.2g} kg, "
+    return f"{mass}centre of mass ± {1e3 * remedy.centre:.2g} mm"
 
 
 def motion_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
     """Yield what a motion does beside its limits; arguments as in ``plan_lines``."""
-    yield "Peaks (share of limit):"
-    yield from _joint_lines(problem, check)
-    yield from _origin_lines(problem)
-    yield from _space_lines(problem, plan, check)
-    yield from _load_lines(problem, plan)
+    lines = (
+        ["Peaks (share of limit):"],
+        _joint_lines(problem, check),
+        _origin_lines(problem),
+        _space_lines(problem, plan, check),
+        _load_lines(problem, plan),
+    )
+    yield from (Detail(line) for some in lines for line in some)
     yield from _start_lines(problem, plan)
-    yield from (f"NOT KEPT: {excess}" for excess in check.excesses)
-
-
-def _parameter_lines(prediction: Prediction) -> Iterator[str]:
-    """Say what noise alone leaves, then what else an identification will not know of the arm."""
-    units = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
-    rows = zip(spatial.PARAMETER_NAMES, prediction.deviation, prediction.share, units)
-    for name, deviation, share, unit in rows:
-        if np.isfinite(deviation):
-            yield f"  {name:3s} {deviation:9.2e} {unit:6s} {percent(share):>10s}"
-        else:
-            yield f"  {name:3s} not identified"
-    if np.isfinite(prediction.com_deviation):
-        yield f"  centre of mass {1000.0 * prediction.com_deviation:.3g} mm"
-    shares = zip(spatial.PARAMETER_NAMES, prediction.stated, prediction.size)
-    known = [f"{name} {percent(e / size)}" for name, e, size in shares if np.isfinite(e)]
-    if known:
-        yield (
-            "An identification of one recording will state more, for errors of the model, torque "
-            f"scales, joint zeros and friction: {', '.join(known)}"
-        )
 
 
 def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]:
@@ -289,31 +298,10 @@ def _start_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
     start, home = plan.evaluate(np.zeros(1)).q[0], problem.robot.reference
     pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
     if np.allclose(start, home, atol=_SAME_POSE):
-        yield f"Start: the model's pose at rest, {pose}"
+        yield Detail(f"Start: the model's pose at rest, {pose}")
     else:
         touched = contact_on_the_way(problem, start)
         way = "free" if touched is None else f"NOT free, by the clearance of {touched}"
         yield f"Start: {pose}"
         yield f"  the straight way in joint space there from the model's pose at rest is {way}"
-    yield "  the way there from where the arm stands now is no part of this motion, and not checked"
-
-
-def _advice_lines(prediction: Prediction) -> Iterator[str]:
-    """Say what stays unknown, and what would show it."""
-    for what in prediction.never:
-        yield (
-            f"No motion of these joints shows {what}: use --torques chain if only the last joint "
-            "is used now, or mount the base at another angle"
-        )
-    for what in prediction.unseen:
-        yield (
-            f"This motion does not show {what}: move more joints (--excitation optimal does), or "
-            "make it longer"
-        )
-    for k in prediction.loose:
-        factor = (prediction.share[k] / LOOSE_SHARE) ** 2
-        yield (
-            f"{spatial.PARAMETER_NAMES[k]} stays loose ({percent(prediction.share[k])}): "
-            f"{100.0 * LOOSE_SHARE:.0f} % would take {factor:.1f} times the duration, or faster "
-            "motion (higher speed limits)"
-        )
+    yield "The way there from where the arm stands now is no part of this motion, and not checked"

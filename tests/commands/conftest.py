@@ -8,7 +8,7 @@ from robot_sysid import pipeline
 from robot_sysid.api import motors
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.errors import InputError
-from robot_sysid.motion.prediction import motion_lines
+from robot_sysid.motion.prediction import motion_lines, verdict_lines
 from tests.support.clocks import ScriptedClock, heard_signals
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.links import RememberingLink
@@ -19,7 +19,8 @@ def unpredicted(monkeypatch):
     """Plans say what they do beside their limits, not what an estimate will know: that is slow."""
 
     def promise(config, robot, checked):
-        return motion_lines(checked.problem, checked.plan, checked.check)
+        made = checked.problem, checked.plan, checked.check
+        return (*verdict_lines(*made), *motion_lines(*made))
 
     monkeypatch.setattr(pipeline, "promise", promise)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.motion.limit_check import check_limits
-from robot_sysid.motion.prediction import plan_lines, predict
+from robot_sysid.motion.prediction import motion_lines
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import witness
 from tests.support.arms import X, Y, Z
@@ -19,8 +19,7 @@ STRONG = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" actuatorfrcrange="-
 
 
 def report(some, plan):
-    promised = predict(some, plan, 500.0)
-    return list(plan_lines(some, plan, check_limits(some, plan), promised))
+    return list(motion_lines(some, plan, check_limits(some, plan)))
 
 
 def sines(xml, seed=0):

@@ -1,4 +1,4 @@
-"""What a plan promises: the deviations least squares then shows, and honest words for the rest."""
+"""What all samples of a motion tell is what least squares then shows."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import pytest
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.motion.design.search import draw_trajectories
-from robot_sysid.motion.prediction import predict
-from robot_sysid.motion.trajectories import FourierTrajectory
+from robot_sysid.motion.information import criterion, known_arm, predicted_information, spread_of
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from tests.support import arms
@@ -41,28 +40,20 @@ def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
 
 
 @pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN])
-def test_deviations_are_those_of_monte_carlo(xml):
-    plan = a_plan(xml)
-    promised = predict(problem(xml), plan, 200.0)
+def test_the_information_of_all_samples_is_that_of_monte_carlo(xml):
+    some, plan = problem(xml), a_plan(xml)
+    known, time = known_arm(some), np.arange(1201) / 200.0
+    motion, told = plan.evaluate(time), predicted_information(some, some.sigma, known_arm(some))
+    found = told.evaluate(motion.q, motion.qd, motion.qdd).information
+    deviation = np.sqrt(np.diag(criterion(some, known).covariance(found)))
     # 1000 draws know a standard deviation to 2.2 %; ten of them stay within 10 %.
     seen = empirical_deviation_of(robot(xml), plan, 200.0, 0.3, 1000)
-    assert promised.n_samples == 1201
-    assert np.all(np.abs(seen / promised.deviation - 1.0) < 0.10)
+    assert np.all(np.abs(seen / deviation - 1.0) < 0.10)
 
 
 def test_the_centre_of_mass_is_that_of_monte_carlo_to_first_order():
-    some, plan = problem(arms.SEVEN), a_plan(arms.SEVEN)
-    promised = predict(some, plan, 200.0)
-    rng = np.random.default_rng(0)
-    drawn = rng.multivariate_normal(some.robot.prior.theta, 1e-4 * promised.covariance, size=4000)
+    theta, rng = problem(arms.SEVEN).robot.prior.theta, np.random.default_rng(0)
+    root = 1e-3 * rng.normal(size=(10, 10))
+    drawn = rng.multivariate_normal(theta, root @ root.T, size=4000)
     spread = np.sqrt(np.sum(np.var(drawn[:, 1:4] / drawn[:, :1], axis=0)))
-    assert promised.com_deviation == pytest.approx(100.0 * spread, rel=0.05)
-
-
-def test_an_arm_at_rest_shows_nothing_of_what_it_could():
-    some = problem(arms.THREE)
-    still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 7)))
-    promised = predict(some, still, 500.0)
-    assert promised.never == predict(some, a_plan(arms.THREE), 500.0).never
-    assert len(promised.unseen) > 0
-    assert np.all(np.isinf(promised.deviation))
+    assert spread_of(theta, root @ root.T)[1] == pytest.approx(spread, rel=0.05)

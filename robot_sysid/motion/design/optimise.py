@@ -1,6 +1,6 @@
 """What the optimiser minimises, and one round of it: minimise, update multipliers, check or repair.
 
-The objective is -ln det of the information plus an augmented Lagrangian of the constraints.
+The objective is ln det of the posterior covariance plus an augmented Lagrangian of constraints.
 For constraints g <= 0 with multipliers l and weight m the penalty is
 sum (max(0, l + m g)^2 - l^2) / 2 m; between minimisations l becomes max(0, l + m g)
 (Nocedal, Wright, "Numerical Optimization", 2006, section 17.4). It leads to a feasible optimum
@@ -23,10 +23,12 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.motion.information import (
     Gradient,
-    arm_criterion,
-    d_criterion,
+    Information,
+    Known,
+    criterion,
+    known_arm,
     predicted_information,
-    visible_coordinates,
+    spread_of,
 )
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.options import ExcitationOptions
@@ -49,6 +51,8 @@ REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency; see docs/excitation.md for why."""
 FEWEST_GRID_POINTS = 60
+TOLD_BY = slice(1, None, 3)
+"""Points of the grid that tell the information: 8 per period change no criterion by over 0.2 %."""
 LIMIT_SHARE = 0.99
 """Share of the limits the search uses; the rest covers peaks between grid points.
 
@@ -162,7 +166,8 @@ class Design:
     """Everything about one problem that does not change during the search.
 
     Attributes:
-        for_arm: whether the motion is for all links, rotors and friction, not the last link alone.
+        known: what an estimate knows beforehand; None for an arm of which all is known but the
+            terminal link and friction.
         unit: (M,) of each free coefficient in the optimiser's eyes [rad].
 
     Raises:
@@ -174,10 +179,9 @@ class Design:
         problem: ExcitationProblem,
         options: ExcitationOptions,
         motion: TrajectoryOptions,
-        for_arm: bool = False,
+        known: Known | None = None,
     ) -> None:
         self.problem, self.options, self.sample_rate = problem, options, motion.sample_rate
-        self.for_arm = for_arm
         self.basis: FourierBasis = options.basis(motion.duration)
         top = self.basis.top_frequency_hz
         if top > 0.5 * motion.sample_rate:
@@ -198,9 +202,11 @@ class Design:
         self.harmonic = np.tile(np.arange(1.0, self.basis.harmonics + 1.0), 2)
         self.unit = np.concatenate(([1.0], 1.0 / self.harmonic))
         self.grid = (np.arange(points) + 0.5) * self.basis.duration / points
-        self.coordinates = visible_coordinates(problem)
-        sigma = problem.sigma / np.sqrt(motion.duration * motion.sample_rate / points)
-        self.information = predicted_information(problem, sigma, self.coordinates, SMOOTHING_SHARE)
+        known = known or known_arm(problem)
+        told = len(self.grid[TOLD_BY])
+        sigma = problem.sigma / np.sqrt(motion.duration * motion.sample_rate / told)
+        self.criterion = criterion(problem, known)
+        self.information = predicted_information(problem, sigma, known, SMOOTHING_SHARE)
 
     def trajectory(self, x: Array) -> FourierTrajectory:
         """Return the trajectory of the free coefficients x (n, M)."""
@@ -216,11 +222,22 @@ class Design:
         b, db, ddb = self.on_grid
         return self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
 
+    def told(self, motion: Series) -> Information:
+        """Return the information of a motion (q, qd, qdd) on the grid."""
+        return self.information.evaluate(*(part[TOLD_BY] for part in motion))
+
+    def promise(self, x: Array | None) -> str:
+        """Return in words about how well free coefficients x (n, M) tell the terminal link."""
+        if x is None or not np.any(x):
+            return ""
+        covariance = self.criterion.covariance(self.told(self.motion(x)).information)
+        theta = self.problem.robot.prior.theta
+        mass, centre = spread_of(theta, covariance)
+        return f"mass ± {mass:.2g} kg, centre of mass ± {1e3 * centre:.2g} mm"
+
     def criterion_of(self, x: Array) -> float:
         """Return the criterion of free coefficients x (n, M) alone."""
-        if self.for_arm:
-            return arm_criterion(self.problem, self.trajectory(x))
-        return d_criterion(self.information.evaluate(*self.motion(x)).information)[0]
+        return self.criterion.evaluate(self.told(self.motion(x)).information)[0]
 
 
 class Constraints(NamedTuple):
@@ -302,13 +319,13 @@ def penalised(design: Design, candidate: Candidate, x: Array) -> tuple[float, Ar
     minimisation that ends at x.
     """
     multipliers, weight, motion = candidate.multipliers, candidate.weight, design.motion(x)
-    told = design.information.evaluate(*motion)
-    criterion, slope = d_criterion(told.information)
+    told = design.told(motion)
+    value, slope = design.criterion.evaluate(told.information)
     constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)
     active = np.maximum(0.0, multipliers + weight * constraints.value)
     penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
     adjoints = constraints.vjp(active)
     for adjoint, part in zip(adjoints, told.vjp(slope)):
-        adjoint += part
+        adjoint[TOLD_BY] += part
     gradient = sum(a.T @ f for a, f in zip(adjoints, design.on_grid))
-    return min(criterion, _WORST) + penalty, np.asarray(gradient), active
+    return min(value, _WORST) + penalty, np.asarray(gradient), active

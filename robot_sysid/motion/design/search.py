@@ -1,12 +1,11 @@
 """Designs the trajectory that tells most about the terminal link within all limits.
 
-Random feasible trajectories first; the best of them are improved by L-BFGS rounds. All of the work
-is counted in trajectories, rounds and iterations, never in seconds: the same seed and options give
-the same trajectory on a fast and on a slow machine, with one worker or with several. The time
-budget only cuts the search short, which the result then says.
-
-For a whole arm the best of the random feasible trajectories is taken, by
-``information.arm_criterion``.
+Random feasible trajectories first; the best of them are improved by a round of L-BFGS, and the
+best of these by more rounds until one gains next to nothing. All of the work is counted in
+trajectories, rounds and iterations, never in seconds: the same seed and options give the same
+trajectory on a fast and on a slow machine, with one worker or with several. Only a time budget
+makes the result depend on the clock: the search then goes on with the next trajectories until it is
+used up.
 """
 
 from __future__ import annotations
@@ -38,15 +37,19 @@ from robot_sysid.motion.design.optimise import (
     is_over,
 )
 from robot_sysid.motion.limit_check import LimitCheck, check_limits
+from robot_sysid.motion.options import ExcitationOptions
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING
 from robot_sysid.motion.trajectories import FourierTrajectory
-from robot_sysid.records import Array
-from robot_sysid.records.progress import Progress
+from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records.progress import Detail, Progress
 
 DRAWS_PER_JOB = 5
 """An interruption loses no more of them than one job holds."""
 CHECK_TIME = 2.0
 """Time that is left for the last check [s]: as long as it takes for a seven-joint arm and 15 s."""
+FLAT = 0.01
+"""Gain of a round in the mean standard deviation from which on a search has settled: what a minute
+finds is then at most 5 % better (docs/excitation.md)."""
 RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
 """Change of a limit [share], of clearances [m], by which its worth is told; the least that is."""
 _CUT: Mapping[str, tuple[str, ...]] = {
@@ -93,12 +96,15 @@ class ExcitationResult:
 
 
 def design_excitation(
-    design: Design, rng: np.random.Generator, progress: Progress | None = None
+    design: Design,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+    before: Callable[[MotionPlan], None] | None = None,
 ) -> ExcitationResult:
     """Search for the trajectory that makes the predicted uncertainty smallest.
 
     Ctrl-C ends the search and keeps the best trajectory so far, a random one if need be. Progress
-    is told after every job.
+    is told after every job. ``before`` is told the best random trajectory, before it is improved.
 
     Raises:
         InputError: no drawn trajectory obeys all limits; names the one that is in the way.
@@ -107,7 +113,7 @@ def design_excitation(
     draws, candidates, interruption = list[Draw](), list[Candidate](), None
     try:
         seed = int(rng.integers(2**62))
-        stopped = _search(design, seed, draws, candidates, progress or Progress())
+        stopped = _search(design, seed, draws, candidates, progress or Progress(), before)
     except KeyboardInterrupt as error:
         stopped, interruption = "interrupted", error
     best = _best(candidates)
@@ -131,44 +137,74 @@ def design_excitation(
 
 
 def _search(
-    design: Design, seed: int, draws: list[Draw], candidates: list[Candidate], progress: Progress
+    design: Design,
+    seed: int,
+    draws: list[Draw],
+    candidates: list[Candidate],
+    progress: Progress,
+    before: Callable[[MotionPlan], None] | None,
 ) -> str:
     """Draw, choose, improve; fill the lists, and return what cut the search, or ""."""
-    options = design.options
-    budget, rounds = options.time_budget, 0 if design.for_arm else options.rounds
-    deadline = optimise.clock() + budget - min(0.5 * budget, CHECK_TIME)
+    options, began = design.options, optimise.clock()
+    budget = options.time_budget or np.inf
+    deadline = began + budget - min(0.5 * budget, CHECK_TIME)
     drawn = range(options.draws)
     numbers = [drawn[k : k + DRAWS_PER_JOB] for k in drawn[::DRAWS_PER_JOB]]
-    done, jobs = 0, len(numbers) + rounds * options.n_starts
+    most = len(numbers) + options.starts + options.rounds
 
-    def tell() -> None:
+    def tell(done: int) -> None:
         best = _best(candidates)
-        score = best.feasible_score if best else min(draw.score for draw in draws)
-        text = f"mean standard deviation {float(np.exp(score)):.3g}"
-        progress.advance("Designing the trajectory", done, jobs, text)
+        x = best.feasible_x if best else min(draws, key=lambda draw: draw.score).x
+        far = (optimise.clock() - began, budget) if options.time_budget else (done, most)
+        progress.advance("Designing the trajectory", min(far), far[1], design.promise(x))
 
     with _workers(design, options.n_workers) as run:
         draw = partial(draw_trajectories, seed=seed, deadline=deadline)
-        for some in run([partial(draw, numbers=some) for some in numbers]):
+        jobs = [partial(draw, numbers=some) for some in numbers]
+        for done, some in enumerate(run(jobs), start=1):
             draws += some
-            done += 1
-            tell()
+            tell(done)
             if is_over(deadline) and _feasible(draws):
                 return "time budget"
-        starts = _feasible(draws)[: options.n_starts]
-        for candidate in run([partial(first_candidate, x=draw.x) for draw in starts]):
-            candidates.append(candidate)
-            tell()
-        for _ in range(rounds if candidates else 0):
+        starts = _feasible(draws) if options.rounds else _feasible(draws)[:1]
+        if starts and before is not None:
+            before(design.trajectory(starts[0].x))
+        for first in range(0, len(starts), options.starts):
+            some_starts = [each.x for each in starts[first : first + options.starts]]
+            for done in _improved(run, options, some_starts, candidates, deadline):
+                tell(len(numbers) + done)
             if is_over(deadline):
                 return "time budget"
-            job = partial(improve, deadline=deadline)
-            improved = run([partial(job, candidate=candidate) for candidate in candidates])
-            for k, candidate in enumerate(improved):
-                candidates[k] = candidate
-                done += 1
-                tell()
+            if options.time_budget is None:
+                break
+    tell(most)
     return ""
+
+
+def _improved(
+    run: Callable[[Sequence[Job]], Iterator[Any]],
+    options: ExcitationOptions,
+    starts: Sequence[Array],
+    candidates: list[Candidate],
+    deadline: float,
+) -> Iterator[int]:
+    """Improve some starts by a round each, the best of them until it settles; yield jobs done."""
+    own = list(run([partial(first_candidate, x=x) for x in starts]))
+    place = len(candidates)
+    candidates += own
+    jobs = [partial(improve, candidate=each, deadline=deadline) for each in own]
+    for k, better in enumerate(run(jobs) if options.rounds else ()):
+        candidates[place + k] = better
+        yield k + 1
+    at = place + int(np.argmin([each.feasible_score for each in candidates[place:]]))
+    for done in range(1, options.rounds):
+        if is_over(deadline):
+            break
+        before = candidates[at].feasible_score
+        (candidates[at],) = run([partial(improve, candidate=candidates[at], deadline=deadline)])
+        yield len(own) + done
+        if before - candidates[at].feasible_score < FLAT and np.isfinite(before):
+            break
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate | None:
@@ -199,14 +235,14 @@ def _price_note(prices: Mapping[str, float]) -> tuple[str, ...]:
     listed = (
         f"limits that keep the errors from being smaller, and by about how much: {'; '.join(parts)}"
     )
-    return (listed,) if parts else ()
+    return (Detail(listed),) if parts else ()
 
 
 def _why_none(draws: Sequence[Draw], design: Design) -> str:
     """Say which limit is in the way of all drawn trajectories."""
     reasons = [draw.obstacle for draw in draws if draw.obstacle]
     if not reasons:
-        hidden = 10 - design.coordinates.shape[1]
+        hidden = 10 - design.criterion.seen.shape[1]
         return (
             "no drawn trajectory shows all that these joints could show of the link "
             f"({hidden} directions do not show in principle); use a longer --duration"
