@@ -32,6 +32,7 @@ from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import Check, Permissions, Plan, plan_checks, require_no_stop
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, read_joint_map
+from robot_sysid.damiao.protocol.lerobot import read_lerobot_map
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings
@@ -121,6 +122,8 @@ class MotorRun:
     @cached_property
     def _rows(self) -> tuple[DamiaoJoint, ...]:
         path = self.values.get("joint_map")
+        if path is not None and Path(path).suffix == ".json":
+            return read_lerobot_map(Path(path), self.robot.joint_names if self.robot else ())
         return () if path is None else read_joint_map(path)
 
     @property

@@ -219,7 +219,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
         group, help_model = parser.add("arm", ModelOptions), "of the arm"
         if command != "map":
             help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
-            help_map = "how each joint's motor is mounted (see: motors map)"
+            help_map = "how each joint's motor is mounted (see: motors map), or LeRobot's file"
             group.add_argument("--joint-map", metavar="FILE", type=Path, help=help_map)
         needed = command in ("simulate", "hold", "map")
         group.add_argument("--model", metavar="MODEL", type=Path, required=needed, help=help_model)

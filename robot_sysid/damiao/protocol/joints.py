@@ -199,7 +199,14 @@ def read_joint_map(path: str | os.PathLike[str]) -> tuple[DamiaoJoint, ...]:
         raise InputError(
             f"{path}: expected the columns {', '.join(_COLUMNS)} (at least {', '.join(_NEEDED)})"
         )
-    rows = tuple(_row(line, f"{path}, row {k}") for k, line in enumerate(table, start=1))
+    rows = (_row(line, f"{path}, row {k}") for k, line in enumerate(table, start=1))
+    return checked_map(path, tuple(rows))
+
+
+def checked_map(
+    path: str | os.PathLike[str], rows: tuple[DamiaoJoint, ...]
+) -> tuple[DamiaoJoint, ...]:
+    """Return the rows of a joint map, or raise InputError where they cannot share their buses."""
     if not rows:
         raise InputError(f"{path} has no lines")
     names = [row.name for row in rows]
