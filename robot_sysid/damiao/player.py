@@ -128,7 +128,8 @@ class Player:
         self._announce, self._on_progress = on_phase, on_progress
         _, velocity_step, torque_step = session.steps
         self._supervisor = supervision.Supervisor(session.joints, settings, velocity_step)
-        self._velocity_check = supervision.VelocityScalingCheck(velocity_step)
+        fades = settings.period * np.array(settings.kp) / np.array(settings.kd)
+        self._velocity_check = supervision.VelocityScalingCheck(velocity_step, fades)
         self._torque_check = supervision.TorqueScalingCheck(torque_step, session.peak_torque)
         self._timer: CycleTimer
         self._kp, self._kd = np.array(settings.kp), np.array(settings.kd)
@@ -299,8 +300,9 @@ class Player:
         for found, words in (
             (torque, "reports {:.2f} times the torque that it was told to make: its TMAX register "
             "does not describe its torques, or its torque ratio is another"),
-            (moved, "moves {:.3f} times as far as its velocity says: its VMAX register does not "
-            "describe its velocities"),
+            (moved, "moves {:.3f} times as far as its velocity says, and sampling does not explain "
+            "it: one of the two has another scale; turn the joint by hand by a known angle and "
+            "compare with 'motors monitor', before anything is changed"),
         ):  # fmt: skip
             if found:
                 j, factor = found

@@ -232,10 +232,16 @@ class VelocityScalingCheck:
     The slope of position change against integrated velocity, over short windows, has to be 1. How
     well it can be known depends on the scatter and on the steps (n,) of the velocity channel
     [rad/s]: an error of up to half a step, the same all through a window, is allowed for.
+
+    Velocities are sampled at the end of each command's time, when a joint of little inertia has
+    slowed down. Without any it is v = v_des + k (p_des - p), k = kp / kd, so that in steady motion
+    the mean over a cycle T is (exp(kT) - 1) / (kT) times the last velocity; with inertia it is
+    between 1 and this. ``fades`` (n,) is kT.
     """
 
-    def __init__(self, velocity_step: Array) -> None:
+    def __init__(self, velocity_step: Array, fades: Array) -> None:
         n_joints = len(velocity_step)
+        self._explained = np.expm1(fades) / fades
         self._rounding = 0.5 * velocity_step * _WINDOW
         self._last: tuple[Array, ...] | None = None
         self._begin = np.zeros((2, n_joints))
@@ -277,7 +283,9 @@ class VelocityScalingCheck:
         slope = np.where(moved, cxy / safe, 1.0)
         residual = np.maximum(cyy - slope * cxy, 0.0) / np.maximum(count - 2.0, 1.0)
         doubt = 3.0 * np.sqrt(residual / safe) + self._rounding / np.where(moved, spread, 1.0)
-        return _farthest_from_one(slope, np.where(moved, doubt, np.inf), _SLOPE_TOLERANCE)
+        unexplained = slope / np.clip(slope, 1.0, self._explained)
+        found = _farthest_from_one(unexplained, np.where(moved, doubt, np.inf), _SLOPE_TOLERANCE)
+        return found and (found[0], float(slope[found[0]]))
 
 
 def _farthest_from_one(ratio: Array, doubt: Array, tolerance: float) -> tuple[int, float] | None:

@@ -561,7 +561,7 @@ def test_the_other_motors_come_to_rest_before_they_are_disabled(rig):
 
 def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig):
     faults, motion = [fault("velocity_factor", 1, 0.8)], swing(2, 4.0)
-    rig(motion=motion, faults=faults, rate=100.0).run().assert_stopped("motor 2 moves 1.2")
+    rig(motion=motion, faults=faults, rate=250.0).run().assert_stopped("motor 2 moves 1.2")
 
 
 @pytest.mark.parametrize("seed", range(1))

@@ -191,9 +191,10 @@ def test_what_a_run_was_like_is_counted():
 # --- scales -------------------------------------------------------------------------------------
 
 
-def watched_swing(factor, noise=0.0, step=0.005, gone=0.0):
+def watched_swing(factor, noise=0.0, step=0.005, gone=0.0, fades=1e-6):
     """A check that has seen two joints swing for six seconds, with velocities of another scale."""
-    rng, check = np.random.default_rng(0), VelocityScalingCheck(np.full(2, step))
+    rng = np.random.default_rng(0)
+    check = VelocityScalingCheck(np.full(2, step), np.full(2, fades))
     for t in np.arange(0.0, 6.0, 0.004):
         time = t + np.array([0.0, 1e-4])
         time[:] = np.nan if t > 0.1 and rng.uniform() < gone else time
@@ -219,6 +220,25 @@ def test_a_wrong_velocity_scale_is_found(factor):
 )
 def test_a_right_one_or_one_that_is_too_coarse_to_judge_is_left_alone(options):
     assert watched_swing(**options).worst() is None
+
+
+@pytest.mark.parametrize("fades", [0.05, 0.2, 0.8, 1.5])
+@pytest.mark.parametrize("lag", [0.02, 0.1, 0.5, 3.0])
+def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_scale(fades, lag):
+    """One that is held to commands: dv/dt = (v_des + k (p_des - p) - v) / lag, seen at the end."""
+    cycle = 0.01
+    p, v, target, check = 0.0, 0.0, 0.0, VelocityScalingCheck(np.full(1, 1e-4), np.array([fades]))
+    # Position and velocity behind the command after one cycle, by the exponential of the equation.
+    rates = np.array([[0.0, 1.0], [-fades / lag, -1.0 / lag]]) / 400
+    step = np.linalg.matrix_power(np.eye(2) + rates + rates @ rates / 2, 400)
+    for n in range(600):
+        speed = 1.0 + 0.5 * np.sin(0.02 * n)
+        target += speed * cycle
+        rest = target + speed * cycle / fades
+        away = step @ [(p - rest) / cycle, v]
+        p, v = rest + away[0] * cycle, away[1]
+        check.add(np.full(1, n * cycle), np.full(1, p), np.full(1, v))
+    assert check.worst() is None
 
 
 @pytest.mark.parametrize("ratio", [0.8, 0.87, 1.13, 1.2, -1.0])
