@@ -17,8 +17,8 @@ FACE = (
 )
 """The functions for Python programs, in ``robot_sysid.api``; typed in ``__init__.pyi``."""
 ERRORS = (
-    *("SysidError", "InputError", "ModelError", "AmbiguousJointError", "SimulationError"),
-    *("ExportError", "HardwareAbort"),
+    *("SysidError", "InputError", "ColumnsError", "ModelError", "AmbiguousJointError"),
+    *("SimulationError", "ExportError", "HardwareAbort"),
 )
 """What they raise, in ``robot_sysid.errors``."""
 

@@ -9,6 +9,7 @@ from robot_sysid.api import plan as plan
 from robot_sysid.api import read_log as read_log
 from robot_sysid.api import regressor as regressor
 from robot_sysid.errors import AmbiguousJointError as AmbiguousJointError
+from robot_sysid.errors import ColumnsError as ColumnsError
 from robot_sysid.errors import ExportError as ExportError
 from robot_sysid.errors import HardwareAbort as HardwareAbort
 from robot_sysid.errors import InputError as InputError

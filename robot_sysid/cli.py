@@ -13,7 +13,7 @@ from typing import Any
 
 from robot_sysid.commands import COMMANDS
 from robot_sysid.commands.streams import print_line, tolerant_output
-from robot_sysid.errors import INTERRUPTED, InputError, SysidError
+from robot_sysid.errors import INTERRUPTED, ColumnsError, InputError, SysidError
 from robot_sysid.interrupts import STOPPING
 
 UNFINISHED = "interrupted; no unfinished file is left"
@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             interrupted = getattr(command, "INTERRUPTED", UNFINISHED)
             return int(command.main(arguments, *((True,) if name == "arm" else ())))
         except SysidError as error:
-            return _report(str(error), error.exit_code, debug)
+            return _report(f"{error}{_drafted(error)}", error.exit_code, debug)
         except MemoryError:
             remedy = "use a shorter log or motion, or a lower rate"
             return _report(f"the memory is not enough; {remedy}", InputError.exit_code, debug)
@@ -50,6 +50,18 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return _report(f"{refused}; check it, or choose another", 2, debug)
             hint = "this is a defect in robot-sysid; run again with --debug and report it"
             return _report(f"{type(error).__name__}: {error} ({hint})", 1, debug)
+
+
+def _drafted(error: SysidError) -> str:
+    """Write the columns file that an error brings, over no other; return what to do with it."""
+    if not isinstance(error, ColumnsError) or not error.draft:
+        return ""
+    try:
+        with open(error.name, "x", encoding="utf-8") as file:
+            file.write(error.draft)
+    except OSError:
+        return ""
+    return f"; complete {error.name}, which was written for it, and add --columns {error.name}"
 
 
 def _refuse_misspelt(word: str) -> None:

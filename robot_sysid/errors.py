@@ -4,6 +4,7 @@
 
     SysidError                 exit code 1: ran, but the result is not trustworthy
     ├── InputError             exit code 2: bad input or usage
+    │   ├── ColumnsError       it is not known which column of a log is what
     │   └── ModelError         the model file cannot be used as it is
     │       └── AmbiguousJointError   several joints could be the terminal one
     ├── SimulationError        non-finite values while simulating
@@ -45,6 +46,19 @@ class InputError(SysidError):
     """Bad input or usage; the user has to change something."""
 
     exit_code = 2
+
+
+class ColumnsError(InputError):
+    """It is not known which column of a log is what.
+
+    Attributes:
+        draft: a columns file to complete; "" where there is none.
+        name: what such a file of this log may be called.
+    """
+
+    def __init__(self, message: str, draft: str = "", name: str = "columns.txt") -> None:
+        super().__init__(message)
+        self.draft, self.name = draft, name
 
 
 class ModelError(InputError):

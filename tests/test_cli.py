@@ -44,6 +44,16 @@ def test_bad_files_exit_2_with_one_line_and_nothing_written(arm, command):
     assert "is a folder" in command.refused(arm.parent)
 
 
+def test_a_log_that_is_not_understood_leaves_a_columns_file_and_never_over_another(arm, command):
+    arm.with_name("run.csv").write_text("time,q0,q1,A,B\n" + "0,0,0,0,0\n" * 20)
+    said = command.run("log", "run.csv", arm, code=2).err
+    assert "complete run_columns.txt, which was written for it, and add --columns run_col" in said
+    mine = arm.with_name("run_columns.txt")
+    assert "torque = ?, ?" in mine.read_text()
+    mine.write_text("mine")
+    assert "which was written" not in command.refused("log", "run.csv", arm)
+
+
 BAD_OPTIONS = {
     "zero duration": (["--duration", "0"], "--duration must be positive"),
     "duration in words": (["--duration", "long"], "argument --duration: invalid float value"),

@@ -17,7 +17,9 @@ The file behind ``--columns`` says what titles do not tell, in lines of ``key = 
 
 Keys: time, position, velocity, acceleration, torque, joint_time (a time stamp of each joint's own),
 command (position a servo is asked for), units (rad, deg; s, ms, us, ns) and rate (samples per
-second, for a log without a time column). ``#3`` is the third column, for a log without titles.
+second, for a log without a time column). ``#3`` is the third column, for a log without titles, and
+``#3-9`` are seven of them. Where columns cannot be recognised, a ``draft`` of such a file says what
+could.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import columns as naming
 from robot_sysid.records import Array
 
@@ -40,6 +42,8 @@ _ANGLES = ("rad", "deg")
 _LONGEST = 1_000_000
 """Characters of a columns file that are read: 10 000 long lines."""
 _TIMES = ("s", "ms", "us", "ns")
+_OPEN = "?"
+"""Stands in a draft for a column that is to be named."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,8 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
         key, equals, value = (part.strip() for part in content.partition("="))
         if not equals or not value or key in entries:
             raise InputError(f"{path} line {number}: expected one 'key = value' per key: {line!r}")
+        if _OPEN in re.split(r"[,\s]+", value):
+            raise InputError(f"{path} line {number}: put the log's columns in the place of ?")
         quantity, _, joint = key.partition(".")
         if quantity not in _KEYS:
             raise InputError(f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}")
@@ -115,11 +121,21 @@ def _per_joint(
         raise InputError(f"{path}: {quantity}.{joint} names the unknown joint {joint!r}; {known}")
     if joint or value == "none":
         return dict.fromkeys([joint] if joint else joint_names, value)
-    titles = [title.strip() for title in value.split(",")]
+    titles = [each for title in value.split(",") for each in _counted(title.strip())]
     if len(titles) != len(joint_names):
         chain_has = f"the chain has {len(joint_names)} joints: {', '.join(joint_names)}"
         raise InputError(f"{path}: {quantity} lists {len(titles)} columns, {chain_has}")
     return dict(zip(joint_names, titles))
+
+
+def _counted(title: str) -> list[str]:
+    """Return the columns "#2", "#3", ... of a range "#2-8", or the one of a title."""
+    found = re.fullmatch(r"#(\d{1,5})\s*-\s*#?(\d{1,5})", title)
+    if not found:
+        return [title]
+    first, last = int(found[1]), int(found[2])
+    step = 1 if last >= first else -1
+    return [f"#{number}" for number in range(first, last + step, step)]
 
 
 def _rate(path: Path, value: str) -> float:
@@ -188,6 +204,34 @@ class ColumnMap:
         )
 
 
+def draft(
+    titles: Sequence[str],
+    joint_names: Sequence[str],
+    asked: str = "torque",
+    known: Mapping[str, Sequence[Source] | None] | None = None,
+) -> str:
+    """Return a columns file to complete: what was recognised, and ? for what was not.
+
+    Args:
+        asked: what is needed beside positions, "torque" or "command".
+        known: quantity to its columns.
+    """
+    listed = ", ".join(f"#{k} {' '.join(title.split())}" for k, title in enumerate(titles, 1))
+    lines = [
+        "# Which column is what. Complete the lines with ?, then give this file with --columns.",
+        f"# The log's columns: {listed}",
+        f"# One column for each of the joints {', '.join(joint_names)}; #2-{1 + len(joint_names)} "
+        "are columns one after the other.",
+    ]
+    for kind in ("time", "position", "velocity", asked):
+        found, joints = (known or {}).get(kind), 1 if kind == "time" else len(joint_names)
+        columns = [f"#{each.index + 1}" for each in found or ()]
+        if found or kind != "velocity":
+            lines.append(f"{kind} = {', '.join(columns or [_OPEN] * joints)}")
+    hints = ["# rate = 200: samples per second, in place of time, of evenly spaced rows"]
+    return "\n".join([*lines, *hints, "# units = deg, ms: where they are not rad and s", ""])
+
+
 def recognise_columns(
     titles: Sequence[str],
     joint_names: Sequence[str],
@@ -207,8 +251,30 @@ def recognise_columns(
         currents, commanded: as in ``columns.with_meaning``.
 
     Raises:
-        InputError: a quantity is missing, has two candidates, or contradicts the declared units.
+        ColumnsError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
+    known: dict[str, Sequence[Source] | None] = {}
+    try:
+        return _recognised(
+            titles, joint_names, chosen, first_row, is_slide, currents, commanded, known
+        )
+    except InputError as error:
+        is_declared = chosen.columns or chosen.time or chosen.rate
+        asked = "command" if commanded else "torque"
+        text = "" if is_declared else draft(titles, joint_names, asked, known)
+        raise ColumnsError(str(error), text) from None
+
+
+def _recognised(
+    titles: Sequence[str],
+    joint_names: Sequence[str],
+    chosen: ColumnChoices,
+    first_row: Sequence[str],
+    is_slide: Sequence[bool],
+    currents: bool,
+    commanded: bool,
+    known: dict[str, Sequence[Source] | None],
+) -> ColumnMap:
     plain = [naming.read_title(title) for title in titles]
     parsed = naming.with_meaning(plain, joint_names, currents, commanded)
     # What the file names in full need not be recognised, and cannot be ambiguous.
@@ -224,6 +290,7 @@ def recognise_columns(
             sources[kind] = columns.of_joints(kind, found)
     with naming.collected(faults):
         time = columns.time(found)
+    known.update(sources, time=[time] if time else None)
     if faults:
         raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(titles)}")
     used = {s.index for group in (*sources.values(), [time]) for s in group or () if s}

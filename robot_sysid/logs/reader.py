@@ -9,9 +9,13 @@ It is read in blocks; what is left of it after thinning is held in memory.
 from __future__ import annotations
 
 import csv
+import functools
 import os
 import re
+import shutil
 import stat
+import sys
+import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from html import escape
@@ -20,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.json_files import read_json
 from robot_sysid.logs import column_map
 from robot_sysid.logs.checks import check_log
@@ -100,19 +104,7 @@ def open_log(
         return source
     path, names, slides = Path(source), robot.joint_names, robot.is_slide.tolist()
     table = source if isinstance(source, LogTable) else open_table(path, names, options)
-    choices = column_map.parse_units(options.units) if options.units else column_map.ColumnChoices()
-    if options.columns:
-        choices = choices.over(column_map.read_columns_file(Path(options.columns), names))
-    elif table.titles[:1] == ("#1",):
-        raise InputError(
-            f"{table.path} has no column titles; say which of its {len(table.titles)} columns is "
-            "what with --columns FILE, for instance 'time = #1' and 'position = #2, #3, ...'"
-        )
-    wanted = options.torque_constants is not None, options.commanded
-    choices = choices.over(table.choices)
-    found = column_map.recognise_columns(
-        table.titles, names, choices, table.first_row, slides, *wanted
-    )
+    found = _columns(table, path, robot, options)
     tables = (CONSTANTS, options.torque_constants), (SCALE, options.torque_scale)
     constants, scale = (
         np.ones(len(names)) if given is None else joint_factors(given, names, name)[0]
@@ -127,12 +119,37 @@ def open_log(
     return MeasurementLog(path, found, rows.samples, pieces, notes, scale)
 
 
+def _columns(
+    table: LogTable, path: Path, robot: RobotModel, options: LogOptions
+) -> column_map.ColumnMap:
+    """Return what each column of a log is, declared or recognised."""
+    names, slides = robot.joint_names, robot.is_slide.tolist()
+    choices = column_map.parse_units(options.units) if options.units else column_map.ColumnChoices()
+    if options.columns:
+        choices = choices.over(column_map.read_columns_file(Path(options.columns), names))
+    elif table.titles[:1] == ("#1",):
+        raise ColumnsError(
+            f"{table.path} has no column titles; say which of its {len(table.titles)} columns is "
+            "what with --columns FILE, for instance 'time = #1' and 'position = #2-8'",
+            column_map.draft(table.titles, names, "command" if options.commanded else "torque"),
+            f"{path.stem}_columns.txt",
+        )
+    wanted = options.torque_constants is not None, options.commanded
+    try:
+        return column_map.recognise_columns(
+            table.titles, names, choices.over(table.choices), table.first_row, slides, *wanted
+        )
+    except ColumnsError as error:
+        error.name = f"{path.stem}_columns.txt"
+        raise
+
+
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     """Return where the data of some logs comes from."""
     duration = sum(log.duration for log in logs)
     rate = sum(len(log.samples) - 1 for log in logs) / duration
     words = ", ".join(str(log.path) for log in logs)
-    files = tuple(str(log.path.absolute()) for log in logs)
+    files = tuple(str(log.path.absolute()) for log in logs if log.path != STANDARD_INPUT)
     return DataOrigin(Source.LOG, words, duration, rate, files=files)
 
 
@@ -182,13 +199,34 @@ _ONLY = {"topic": ("a ROS bag", bag_table), "episode": ("a LeRobot data set", le
 """Options that only one form knows."""
 
 
+STANDARD_INPUT = Path("-")
+"""Stands for a log that is piped in."""
+
+
+@functools.cache
+def _piped() -> Path:
+    """Return what is piped in as a file; it is read once, and looked at more often."""
+    if sys.stdin is None or sys.stdin.isatty():
+        raise InputError("- stands for a log that is piped in, and nothing is")
+    _KEPT.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
+    path = Path(_KEPT[-1].name, "standard input")
+    with path.open("wb") as file:
+        shutil.copyfileobj(sys.stdin.buffer, file)
+    return path
+
+
+_KEPT: list[tempfile.TemporaryDirectory[str]] = []
+
+
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
     """Return a recording as a table."""
+    path = _piped() if path == STANDARD_INPUT else path
     is_folder, start = os.path.isdir(path), b""  # Path.is_dir raises where a name is too long
     try:
         if not is_folder:
             if not stat.S_ISREG(path.stat().st_mode):
                 fault = "is a pipe or a device, and a log is read twice; write it to a file first"
+                fault += ", or pipe it into this command and call it -"
                 raise InputError(f"{path} {fault}")
             with path.open("rb") as stream:
                 start = stream.read(4096)

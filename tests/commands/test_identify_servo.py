@@ -61,11 +61,11 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_fi
 
 def test_what_cannot_be_used_is_said_in_one_line(command, arm_file, recorded, log, tmp_path):
     path, (time, q, asked) = arm_file(servo_logs.XML), recorded
-    said = command.refused("identify", path, log)
+    said = command.run("identify", path, log, code=2).err
     assert "torque" in said and "identify --torque-from position-error" in said
     still = servo_logs.write(tmp_path / "still.csv", time, 0.0 * q, asked)
     assert "at rest" in command.refused("identify", path, still, *MODE)
     one = servo_logs.write(tmp_path / "one.csv", time, q, asked)
     one.write_text(one.read_text().replace("action joint1.pos", "remark"))
-    said = command.refused("arm", path, one, *MODE)
+    said = command.run("arm", path, one, *MODE, code=2).err
     assert "one command column for each" in said and "joint1" in said

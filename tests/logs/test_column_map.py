@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.trajectory import trajectory_columns
-from robot_sysid.errors import InputError
+from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs.column_map import (
     ColumnChoices,
     ColumnMap,
@@ -213,6 +213,22 @@ def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     found = recognise("q1,q2,q3,qd1,qd2,qd3", chosen=choices(tmp_path, text))
     assert where(found) == ((0, 1, 2), (3, 4, 5))
     assert found.velocity is None and found.time is None and found.rate == 100.0
+
+
+def test_a_draft_says_what_was_recognised_and_works_once_completed(tmp_path):
+    titles = "when,q1 [deg],q2 [deg],q3 [deg],A,B,C"
+    with pytest.raises(ColumnsError) as caught:
+        recognise(titles)
+    drafted = caught.value.draft
+    assert "time = ?\nposition = #2, #3, #4\ntorque = ?, ?, ?\n" in drafted
+    with pytest.raises(InputError, match="line 4: put the log's columns in the place of ?"):
+        choices(tmp_path, drafted)
+    completed = drafted.replace("time = ?", "time = when").replace("?, ?, ?", "#5-7")
+    found = recognise(titles, chosen=choices(tmp_path, completed))
+    assert where(found) == ((1, 2, 3), (4, 5, 6)) and found.time.title == "when"
+    with pytest.raises(ColumnsError) as caught:
+        recognise(titles, chosen=choices(tmp_path, "time = when"))
+    assert caught.value.draft == ""
 
 
 @pytest.mark.parametrize(

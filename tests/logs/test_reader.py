@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs import reader
 from robot_sysid.logs.formats import table as formats_table
 from robot_sysid.logs.reader import earlier_logs, write_measurement_csv
 from robot_sysid.records import Measurement
@@ -124,6 +128,16 @@ def test_dates_are_times_from_the_first(tmp_path, form):
     assert "time in dates" in log.notes[0]
 
 
+def test_a_decimal_comma_need_not_be_in_the_first_row_nor_unquoted(tmp_path):
+    data = motion(50)
+    data = replace(data, q=data.q - data.q[0], tau=data.tau - data.tau[0], qd=None)
+    rows = [[str(cell).replace(".", ",") for cell in row] for row in table(data).tolist()]
+    rows[0] = ["0"] * 7
+    for cells, separator in ((rows, ";"), ([[f'"{c}"' for c in row] for row in rows], ",")):
+        log = read_measurements(write(tmp_path / "l.csv", cells, separator=separator), JOINTS)
+        assert_same(data, log.samples)
+
+
 def test_dates_go_on_over_a_change_of_the_clock(tmp_path):
     rows = table(motion(40)).tolist()
     for row, second in zip(rows, range(40)):
@@ -140,7 +154,7 @@ def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(t
     with pytest.raises(InputError, match="no column titles.*7 columns.*--columns"):
         read_measurements(path, JOINTS)
     columns = tmp_path / "columns.txt"
-    columns.write_text("rate = 200\nposition = #2, #3, #4\ntorque = #5, #6, #7\n")
+    columns.write_text("rate = 200\nposition = #2-4\ntorque = #5, #6 - #7\n")
     log = read_measurements(path, JOINTS, columns=columns)
     assert_same(replace(data, qd=None), log.samples, tolerance=1e-15)
 
@@ -175,6 +189,23 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "log.csv")
     with pytest.raises(InputError, match="log.csv is a pipe or a device"):
         read_measurements(tmp_path / "log.csv", JOINTS)
+
+
+def test_a_log_is_read_from_a_pipe(tmp_path, monkeypatch):
+    path = write(tmp_path / "log.csv", table(motion(50)))
+    for content in (path.read_bytes(), None):
+        reader._piped.cache_clear()
+        pipe = io.BytesIO(content or b"")
+        stdin = SimpleNamespace(buffer=pipe, isatty=partial(bool, content is None))
+        monkeypatch.setattr(sys, "stdin", stdin)
+        if content is None:
+            with pytest.raises(InputError, match="a log that is piped in, and nothing is"):
+                read_measurements("-", JOINTS)
+        else:
+            whole = read_measurements(path, JOINTS)
+            for _ in range(2):
+                assert_same(read_measurements("-", JOINTS).samples, whole.samples)
+    assert reader.origin_of([read_measurements(path, JOINTS)]).files == (str(path),)
 
 
 def test_a_failed_write_leaves_nothing_behind(tmp_path):

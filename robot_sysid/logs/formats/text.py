@@ -58,7 +58,6 @@ class Dialect:
     path: Path
     encoding: str
     separator: str
-    decimal_comma: bool
     header: tuple[str, ...]
     header_line: int
     first_row: tuple[str, ...]
@@ -79,7 +78,8 @@ def text_table(asked: Asked) -> LogTable:
     """Return a file as a table of text."""
     dialect = read_dialect(asked.path, asked.start)
     layout = f"{len(dialect.titles)} columns separated by {_SEPARATORS[dialect.separator]}"
-    layout += ", decimal comma" * dialect.decimal_comma
+    comma = any("," in cell and is_number(cell) for cell in dialect.first_row)
+    layout += ", decimal comma" * comma
     layout += ", titles in a comment line" * bool(dialect.header and not dialect.header_line)
     layout += ", time in dates" * any(_DATE.fullmatch(cell) for cell in dialect.first_row)
     is_franka = {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header)
@@ -108,8 +108,7 @@ def read_dialect(path: Path, start: bytes) -> Dialect:
         header = _commented_header(above, len(row))
     elif len(lines) < 2:
         raise InputError(f"{path} has a header but no rows; check that the recording ran")
-    comma, quoted = separator != "," and "," in last, '"' in last
-    return Dialect(path, encoding, separator, comma, header, number, row, quoted)
+    return Dialect(path, encoding, separator, header, number, row, '"' in last)
 
 
 def split_line(line: str, separator: str) -> list[str]:
@@ -125,20 +124,20 @@ def split_line(line: str, separator: str) -> list[str]:
 def is_number(cell: str) -> bool:
     """Return whether a cell holds a number, or is marked empty."""
     with contextlib.suppress(ValueError):
-        _number(cell, decimal_comma=True)
+        _number(cell)
         return True
     return False
 
 
-def _number(cell: str, decimal_comma: bool, start: str = "") -> float:
+def _number(cell: str, start: str = "") -> float:
     """Return the value of a cell, NaN where it is empty or marked missing, or ValueError; of a date
-    the time since another one [s].
+    the time since another one [s]. A comma in a cell is a decimal one.
     """
     if cell.lower() in _MISSING:
         return float("nan")
     if ":" in cell:
         return 1e-9 * (_nanoseconds(cell) - _start(start))
-    return float(cell.replace(",", ".") if decimal_comma else cell)
+    return float(cell.replace(",", "."))
 
 
 def _nanoseconds(cell: str) -> int:
@@ -233,7 +232,7 @@ def _fast(dialect: Dialect, columns: Sequence[int], texts: list[str]) -> Array |
     mark = None if dialect.separator == " " else dialect.separator
     if dialect.quoted or any(len(text.split(mark)) != len(dialect.titles) for text in texts):
         return None
-    if dialect.decimal_comma:
+    if mark != ",":
         texts = [text.replace(",", ".") for text in texts]
     first = dialect.first_row
     dates = [k for k in columns if k < len(first) and ":" in first[k]]
@@ -241,7 +240,7 @@ def _fast(dialect: Dialect, columns: Sequence[int], texts: list[str]) -> Array |
         if dates:
             rows = [text.split(mark) for text in texts]
             for row, k in itertools.product(rows, dates):
-                row[k] = repr(_number(row[k].strip(), False, first[k]))
+                row[k] = repr(_number(row[k].strip(), first[k]))
             texts = [(mark or " ").join(row) for row in rows]
         return np.loadtxt(texts, delimiter=mark, usecols=list(columns), comments=None, ndmin=2)
     except ValueError:
@@ -256,7 +255,7 @@ def _read_row(dialect: Dialect, columns: Sequence[int], text: str, row: Array) -
     try:
         for place, at in enumerate(columns):
             start = dialect.first_row[at] if at < len(dialect.first_row) else ""
-            row[place] = _number(cells[at], dialect.decimal_comma, start)
+            row[place] = _number(cells[at], start)
     except ValueError:
         return f", column {titles[at]!r}: {cells[at][:40]!r} is not a number"
     return ""
