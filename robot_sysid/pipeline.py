@@ -42,14 +42,8 @@ from robot_sysid.logs.reader import (
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.parser import load_robot_model
 from robot_sysid.payload_pipeline import weighed
-from robot_sysid.records import (
-    DataOrigin,
-    InertialParameters,
-    Motion,
-    MotionPlan,
-    RobotModel,
-    Source,
-)
+from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
+from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.atomic_files import (
     DAMIAO_NAME,
     MODEL_NAMES,
