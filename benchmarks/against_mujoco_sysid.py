@@ -32,7 +32,7 @@ from tests.support.core_fits import BASIC, KNOWN, result_of_logs
 
 STEP, SECONDS, TORQUE_NOISE, ENCODER = 0.002, 15.0, 0.05, 1e-4
 PIECE, HORIZON = 0.3, 0.5
-START = {"armature": 0.1, "damping": 1.0, "frictionloss": 0.5}
+START = {"armature": 0.1, "damping": 1.0, "frictionloss": 0.5, "offset": 0.0}
 BOUNDS = {"armature": (1e-3, 2.0), "damping": (0.0, 20.0), "frictionloss": (0.0, 20.0)}
 NAMES = tuple(f"joint{index}" for index in range(7))
 
@@ -44,15 +44,18 @@ def spec_of(values=None) -> mujoco.MjSpec:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     for index, name in enumerate(NAMES):
-        joint = spec.joint(name)
-        for number, usual in START.items():
-            value = usual if values is None else float(values[number][index])
-            # A joint's damping is a polynomial from MuJoCo 3.7 on.
-            old = getattr(joint, number)
-            setattr(joint, number, value if np.isscalar(old) else [value, *old[1:]])
-        spec.add_actuator(
-            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, gainprm=[1.0] + [0.0] * 9
-        )
+        for number in BOUNDS:
+            value = START[number] if values is None else float(values[number][index])
+            _set(spec, name, number, value)
+    return with_motors(spec, NAMES)
+
+
+def with_motors(spec, names) -> mujoco.MjSpec:
+    """A model with a motor and a position sensor at each joint, called like it."""
+    joint, affine = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtBias.mjBIAS_AFFINE
+    for name in names:
+        gain = [1.0] + [0.0] * 9
+        spec.add_actuator(name=name, target=name, trntype=joint, gainprm=gain, biastype=affine)
         spec.add_sensor(
             name=f"{name}_pos",
             type=mujoco.mjtSensor.mjSENS_JOINTPOS,
@@ -116,9 +119,9 @@ def speeds(q):
 
 
 def pieces(model, log, seconds: float):
-    """(initial states, torques, positions) of consecutive pieces."""
-    clock, q, tau = log
-    qd, size = speeds(q), round(seconds / STEP)
+    """(initial states, torques, positions) of consecutive pieces of (time, q, qd, torque)."""
+    clock, q, qd, tau = log
+    size = round(seconds / (clock[1] - clock[0]))
     states, torques, positions = [], [], []
     for start in range(50, len(clock) - size - 50, size):
         data = mujoco.MjData(model)
@@ -131,14 +134,32 @@ def pieces(model, log, seconds: float):
     return np.array(states), np.array(torques), np.array(positions)
 
 
-def by_rollouts(log) -> dict:
-    """The numbers from mujoco.sysid."""
+def joint_parameters(names=NAMES, bounds=BOUNDS):
+    """The numbers of each joint that mujoco.sysid seeks."""
     from mujoco import sysid
 
-    spec = spec_of()
-    states, torques, positions = pieces(spec.compile(), log, PIECE)
-    clock = STEP * np.arange(torques.shape[1])
+    params = sysid.ParameterDict()
+    for number, (low, high) in bounds.items():
+        for name in names:
+            params.add(
+                sysid.Parameter(
+                    f"{name}_{number}",
+                    nominal=START[number],
+                    min_value=low,
+                    max_value=high,
+                    modifier=lambda s, p, n=name, a=number: _set(s, n, a, p.value[0]),
+                )
+            )
+    return params
+
+
+def optimised(spec, log, params, residual=None, steps: int = 200):
+    """What mujoco.sysid makes of parameters on pieces of a log (time, q, qd, torque)."""
+    from mujoco import sysid
+
     model = spec.compile()
+    states, torques, positions = pieces(model, log, PIECE)
+    clock = (log[0][1] - log[0][0]) * np.arange(torques.shape[1])
     sequences = sysid.ModelSequences(
         "arm",
         spec,
@@ -147,31 +168,54 @@ def by_rollouts(log) -> dict:
         [sysid.TimeSeries(clock, each) for each in torques],
         [sysid.TimeSeries.from_names(clock, each, model) for each in positions],
     )
-    params = sysid.ParameterDict()
-    for number, (low, high) in BOUNDS.items():
-        for name in NAMES:
-            params.add(
-                sysid.Parameter(
-                    f"{name}_{number}",
-                    nominal=START[number],
-                    min_value=low,
-                    max_value=high,
-                    modifier=lambda s, p, n=name, a=number: _set(s.joint(n), a, p.value[0]),
-                )
-            )
-    found, _ = sysid.optimize(
-        initial_params=params,
-        residual_fn=sysid.build_residual_fn(models_sequences=[sequences]),
-        optimizer="mujoco",
-        verbose=False,
+    built = {}
+
+    def once(params, spec):
+        """Its model of these parameters, which it would compile for each piece again."""
+        key = params.as_vector().tobytes()
+        if key not in built:
+            while len(built) > params.size + 1:
+                del built[next(iter(built))]
+            built[key] = sysid.apply_param_modifiers(params, spec)
+        return built[key]
+
+    wrong = sysid.build_residual_fn(
+        models_sequences=[sequences], build_model=once, modify_residual=residual
     )
+    return sysid.optimize(params, wrong, optimizer="mujoco", verbose=False, max_iters=steps)[0]
+
+
+def in_radians(params, predicted, measured, model, all_of_it, **_):
+    """Positions' errors as they are: divided by their norm, a joint that rests at 0 is all."""
+    from mujoco import sysid
+
+    measured = sysid.apply_delayed_ts_window(measured, predicted, 0.0, 0.0)
+    predicted = predicted.resample(measured.times)
+    return predicted.data - measured.data, predicted, measured
+
+
+def by_rollouts(log) -> dict:
+    """The numbers from mujoco.sysid."""
+    found = optimised(spec_of(), moving(log), joint_parameters())
     return {
         number: np.array([found[f"{name}_{number}"].value[0] for name in NAMES])
         for number in BOUNDS
     }
 
 
-def _set(joint, number, value) -> None:
+def moving(log):
+    """A log (time, q, torque) with velocities, for the states pieces start from."""
+    clock, q, tau = log
+    return clock, q, speeds(q), tau
+
+
+def _set(spec, name, number, value) -> None:
+    """Give a joint a number, or its motor a constant torque beside the recorded one."""
+    if number == "offset":
+        spec.actuator(name).biasprm[0] = value
+        return
+    joint = spec.joint(name)
+    # A joint's damping is a polynomial from MuJoCo 3.7 on.
     old = getattr(joint, number)
     setattr(joint, number, value if np.isscalar(old) else [value, *old[1:]])
 
@@ -179,7 +223,7 @@ def _set(joint, number, value) -> None:
 def rollout_error(values, log) -> float:
     """Root mean square position error over held-out pieces [mrad]."""
     model = spec_of(values).compile()
-    states, torques, positions = pieces(model, log, HORIZON)
+    states, torques, positions = pieces(model, moving(log), HORIZON)
     found, _ = rollout.rollout(model, mujoco.MjData(model), states, torques[:, :-1])
     off = found[:, :, 1 : 1 + model.nq] - positions[:, 1:]
     return 1e3 * float(np.sqrt(np.mean(off**2)))

@@ -17,6 +17,7 @@ import platform
 import sys
 from collections.abc import Iterator
 from importlib.metadata import version
+from pathlib import Path
 
 from benchmarks import against_mujoco_sysid, whole_arm
 from tests.support.places import DATA, ROOT
@@ -63,10 +64,15 @@ def main(*options: str) -> None:
     lines, whole = table()
     print("\n".join(lines))
     if "--write" in options and whole:
-        text = PAGE.read_text(encoding="utf-8")
-        before, _, rest = text.partition(BEGIN)
-        after = rest.partition(END)[2]
-        PAGE.write_text("\n".join([before + BEGIN, "", *lines, END]) + after, encoding="utf-8")
+        rewrite(PAGE, BEGIN, END, lines)
+
+
+def rewrite(page: Path, begin: str, end: str, lines: list[str]) -> None:
+    """Put lines between two marks of a page."""
+    text = page.read_text(encoding="utf-8")
+    before, _, rest = text.partition(begin)
+    after = rest.partition(end)[2]
+    page.write_text("\n".join([before + begin, "", *lines, "", end]) + after, encoding="utf-8")
 
 
 if __name__ == "__main__":
