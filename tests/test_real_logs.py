@@ -10,7 +10,7 @@ import json
 import pytest
 
 from robot_sysid.cli import main
-from tests.support.places import DATA
+from tests.support.places import DATA, ROOT
 
 KUKA, TX40 = DATA / "kuka_lwr4", DATA / "tx40"
 
@@ -35,6 +35,13 @@ def torque_errors(params):
     return before["relative_error"], after["relative_error"]
 
 
+def on_the_page(row, column):
+    """Relative torque error that docs/evidence.md states, to half of its last digit."""
+    lines = (ROOT / "docs" / "evidence.md").read_text(encoding="utf-8").splitlines()
+    (line,) = [line for line in lines if line.startswith(f"| {row} |")]
+    return pytest.approx(0.01 * float(line.split("|")[column + 2].strip(" %*")), abs=0.0006)
+
+
 @pytest.mark.parametrize(
     ("tested", "limit"), [(2, 0.025), pytest.param(3, 0.045, marks=pytest.mark.slow)]
 )
@@ -43,6 +50,8 @@ def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
     code, params = kuka(tmp_path, tested)
     before, after = torque_errors(params)
     assert after < min(limit, 0.5 * before)
+    assert before == on_the_page("catalogue model, as it came", tested - 2)
+    assert after == on_the_page("the URDF that robot-sysid writes", tested - 2)
     assert (code, params["status"]) == (0, "BETTER")
     assert (tmp_path / "updated_model.urdf").exists()
     assert params["known_to"] > 0.5
