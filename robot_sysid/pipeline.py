@@ -34,7 +34,6 @@ from robot_sysid.interrupts import only_the_first
 from robot_sysid.logs.reader import (
     MeasurementLog,
     earlier_logs,
-    join_measurements,
     open_log,
     origin_of,
     write_measurement_csv,
@@ -68,6 +67,7 @@ from robot_sysid.results.rollout import (
     torque_error,
 )
 from robot_sysid.results.verdict import verdict_lines
+from robot_sysid.signals.resampling import MOST_KEPT, bounded
 from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.loading import load_plant
 from robot_sysid.simulator import ArmTorque
@@ -308,15 +308,17 @@ def _of_plant(
     progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")
     rng = np.random.default_rng([seed, _NOISE_STREAM])
     simulation = PlantSimulation(plant, plan, arm, rate, rng)
-    count = math.ceil(sample_count(plan.duration, rate) / CHUNK)
-    samples = join_measurements(progress.track(iter(simulation), "Collecting measurements", count))
+    count = sample_count(plan.duration, rate)
+    label, chunks = "Collecting measurements", math.ceil(count / CHUNK)
+    parts, cut = bounded(progress.track(iter(simulation), label, chunks), count)
     least, ramp = _past_the_ramp(config.estimation, simulation)
     if arm.save_measurements is not None:
-        write_measurement_csv(arm.save_measurements, robot.joint_names, [samples], ramp)
-    notes = (*plant.notes, *simulation.notes(), *ramp)
+        whole = simulation if count > MOST_KEPT else parts
+        write_measurement_csv(arm.save_measurements, robot.joint_names, whole, ramp)
+    notes = (*plant.notes, *simulation.notes(), *ramp, *cut)
     detail = f"{arm.plant_model}, {arm.simulation}"
     origin = DataOrigin(Source.SIMULATED_ARM, detail, plan.duration, rate, seed)
-    pieces = [Piece(str(arm.plant_model), samples, least_deadband=least)]
+    pieces = [Piece(str(arm.plant_model), part, least_deadband=least) for part in parts]
     found = _identified(config, robot, pieces, origin, notes, (), progress)
     truth = plant.prior
     return replace(found, traces=partial(_with_truth, found.traces, truth))

@@ -17,10 +17,9 @@ import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -47,6 +46,7 @@ from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 from robot_sysid.signals.process import LogPiece
+from robot_sysid.signals.resampling import join_measurements as join_measurements
 from robot_sysid.signals.resampling import piece_note, pieces_of
 
 
@@ -82,15 +82,6 @@ class MeasurementLog:
     def duration(self) -> float:
         """Time from the first to the last sample [s]."""
         return float(self.samples.time[-1] - self.samples.time[0])
-
-
-def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
-    """Return consecutive chunks as one measurement."""
-    parts = list(chunks)
-    there = [each.name for each in fields(Measurement) if getattr(parts[0], each.name) is not None]
-    joined: dict[str, Any] = {"qd": None}
-    joined |= {name: np.concatenate([getattr(part, name) for part in parts]) for name in there}
-    return Measurement(**joined)
 
 
 def open_log(

@@ -25,7 +25,14 @@ from robot_sysid.results.rollout import HELD_OUT_SHARE, HORIZONS
 from robot_sysid.servo.commands import MOST_PERIODS
 from robot_sysid.signals.resampling import part_of, usual_period
 from robot_sysid.simulation.playback import MOST_WINDOWS
-from robot_sysid.simulation.servos import Servos, Window, actuators_of, model_servos, played_servos
+from robot_sysid.simulation.servos import (
+    Servos,
+    Window,
+    actuators_of,
+    model_servos,
+    played_servos,
+    servo_copy,
+)
 
 SERVO_WORDS = "the log's commands through the model's servos, both late by the delay that was found"
 # Windows: time step of rollouts, at most, length, what does not count at the beginning, where the
@@ -57,11 +64,13 @@ class Problem:
     Attributes:
         windows: where rollouts start, with times after it (m,) and positions (m, n) that count.
         edges: (S + 1,) ends of the steps of each window, from its start [s].
+        model: what is rolled out, see ``servos.servo_copy``.
     """
 
     robot: RobotModel
     windows: tuple[tuple[Window, Array, Array], ...]
     edges: Array
+    model: Any
 
     def some(self, most: int) -> Problem:
         """Return the problem with at most so many of its windows, spread evenly."""
@@ -75,7 +84,8 @@ class Problem:
 
     def played(self, choices: Sequence[Servos]) -> Array:
         """Return positions (C, W, S + 1, n) of each choice in every window."""
-        return played_servos(self.robot, choices, [own[0] for own in self.windows], self.edges)
+        windows = [own[0] for own in self.windows]
+        return played_servos(self.robot, choices, windows, self.edges, self.model)
 
     def errors(self, choices: Sequence[Servos]) -> Array:
         """Return position errors (C, M, n) of all windows [rad]; pi where a rollout diverges."""
@@ -116,7 +126,7 @@ def problem_of(
     if not windows:
         raise InputError(f"no piece of the log is as long as {length:g} s; record longer")
     edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
-    return Problem(robot, tuple(windows), edges).some(most)
+    return Problem(robot, tuple(windows), edges, servo_copy(robot, STEP)).some(most)
 
 
 def smoothed(piece: Measurement) -> tuple[Array, Array]:
@@ -277,7 +287,7 @@ def fit_servos(
     from scipy.optimize import least_squares
 
     scale = whole if seen is None else replace(whole, free=whole.free & seen)
-    bounds = scale.bounds()
+    bounds, slopes_of = scale.bounds(), _Slopes(problem)
     origin = x = np.clip(scale.unknowns(scale.start), *bounds)
     done = 0.0
 
@@ -290,7 +300,7 @@ def fit_servos(
         done = min(done + 1.0, MOST_ROUNDS - 0.5)
         progress.advance(stage, done, MOST_ROUNDS, "")
         servos = scale.servos(at)
-        slopes = _slopes(problem, scale, servos) * scale.derivative(servos)[scale.free]
+        slopes = slopes_of(scale, servos) * scale.derivative(servos)[scale.free]
         slopes /= sigma[:, None]
         return np.vstack((slopes.reshape(-1, len(at)), np.eye(len(at)) / PULL))
 
@@ -299,7 +309,7 @@ def fit_servos(
         done, sigma = 0.0, _sigma(problem.errors([scale.servos(x)])[0])
         x = least_squares(residuals, x, jacobian, bounds, args=(sigma, stage), **settled).x
         progress.advance(stage, 1.0, 1.0, "")
-    fit = judged(problem, whole, scale.servos(x))
+    fit = judged(problem, whole, scale.servos(x), slopes_of)
     return fit if seen is None else replace(fit, seen=seen)
 
 
@@ -317,6 +327,20 @@ def as_in_model(robot: RobotModel, found: Servos, which: Any = True) -> Servos:
 def _sigma(errors: Array) -> Array:
     """Return (n,) root mean square error of each joint [rad]."""
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)) + 1e-9)
+
+
+class _Slopes:
+    """Derivatives of a problem's errors; the last are kept, as the next search begins there."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self._key, self._last = problem, (b"", b""), np.zeros(0)
+
+    def __call__(self, scale: Scale, servos: Servos) -> Array:
+        """Return the derivative (M, n, p) of the errors in each number that is sought."""
+        key = servos.vector().tobytes(), scale.free.tobytes()
+        if self._key != key:
+            self._key, self._last = key, _slopes(self._problem, scale, servos)
+        return self._last
 
 
 def _slopes(problem: Problem, scale: Scale, servos: Servos) -> Array:
@@ -339,7 +363,9 @@ def _unit(scale: Scale, servos: Servos) -> Array:
     return np.maximum(scale.derivative(servos), scale.size.vector())
 
 
-def judged(problem: Problem, scale: Scale, servos: Servos) -> ServoFit:
+def judged(
+    problem: Problem, scale: Scale, servos: Servos, slopes_of: _Slopes | None = None
+) -> ServoFit:
     """Return the result with its errors.
 
     They hold noise as long-lived as the residuals' own, and what rollouts of steps without length
@@ -354,7 +380,7 @@ def judged(problem: Problem, scale: Scale, servos: Servos) -> ServoFit:
     sigma = _sigma(residuals)
     normal, bias = np.eye(len(free)) / PULL**2, np.zeros(len(free))
     score = normal.copy()
-    slopes, moves = _slopes(problem, scale, servos) * unit, problem.moves()
+    slopes, moves = (slopes_of or _Slopes(problem))(scale, servos) * unit, problem.moves()
     for joint in range(joints):
         rows = slopes[:, joint] / sigma[joint]
         own = (free % joints == joint) & (free < 4 * joints)

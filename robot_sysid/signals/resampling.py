@@ -9,7 +9,9 @@ low-pass and are decimated, which leaves a log recorded at a lower rate behind a
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,6 +222,36 @@ LEAST_RATE = 60.0
 """Rows per second that thinning leaves at least (docs/logs.md) [Hz]."""
 # Of the rate that is left; flat below 0.4 times this, and what folds back stays above that.
 _CUTOFF = 0.45
+
+
+def bounded(
+    chunks: Iterable[Measurement], count: int
+) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
+    """Return (pieces of a simulated run of so many samples, a sentence on how it was cut).
+
+    A long one is thinned and cut as a log is, without velocities and accelerations, which no
+    estimate takes from a recording.
+    """
+    if count <= MOST_KEPT:
+        return (join_measurements(chunks),), ()
+    parts, thinning = [], None
+    for each in chunks:
+        thinning = thinning or Thinning.of(each.time, count)
+        rows = thinning.push(np.column_stack((each.time, each.time, each.q, each.tau)))
+        parts.append(rows[:, 1:])
+    time, q, tau = np.split(np.concatenate(parts), (1, 1 + each.q.shape[1]), axis=1)
+    whole = Measurement(time[:, 0].copy(), q.copy(), None, tau.copy())
+    pieces = pieces_of(whole)
+    return pieces, piece_note(whole, pieces)
+
+
+def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
+    """Return consecutive chunks as one measurement."""
+    parts = list(chunks)
+    there = [each.name for each in fields(Measurement) if getattr(parts[0], each.name) is not None]
+    made: dict[str, Any] = {"qd": None}
+    made |= {name: np.concatenate([getattr(part, name) for part in parts]) for name in there}
+    return Measurement(**made)
 
 
 class Thinning:

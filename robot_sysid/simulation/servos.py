@@ -190,7 +190,11 @@ class Window:
 
 
 def played_servos(
-    robot: RobotModel, choices: Sequence[Servos], windows: Sequence[Window], edges: Array
+    robot: RobotModel,
+    choices: Sequence[Servos],
+    windows: Sequence[Window],
+    edges: Array,
+    model: Any = None,
 ) -> Array:
     """Return positions (C, W, S + 1, n) of every choice of servos in every window.
 
@@ -198,9 +202,12 @@ def played_servos(
         choices: C servos and joints.
         windows: W of them, all of one length.
         edges: (S + 1,) ends of the steps, from the start of a window [s].
+        model: a ``servo_copy`` that serves all choices and calls, as meshes make it large and slow
+            to copy; None makes one.
     """
-    # One copy serves all choices: an arm's meshes make it large, and slow to copy.
-    model = servo_copy(robot, float(edges[1] - edges[0]))
+    step = float(edges[1] - edges[0])
+    model = model or servo_copy(robot, step)
+    model.opt.timestep = step
     q, qd = (np.stack([getattr(w, name) for w in windows]) for name in ("q", "qd"))
     index = actuators_of(robot).index
     driven = index != NONE

@@ -9,7 +9,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robot_sysid.records import Measurement
-from robot_sysid.signals.resampling import is_even, resampled
+from robot_sysid.signals import resampling
+from robot_sysid.signals.resampling import bounded, is_even, part_of, resampled
 from tests.support.swing import Swing, seconds
 
 
@@ -101,3 +102,15 @@ def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
     uniform = resampled(log)
     np.testing.assert_array_equal(uniform.q, log.q)
     assert uniform.notes == ()
+
+
+def test_a_long_simulated_run_is_thinned_as_a_log_is(monkeypatch):
+    log = Swing().measured(seconds(8.0, 500.0))
+    chunks = [part_of(log, start, start + 700) for start in range(0, len(log), 700)]
+    (whole,), said = bounded(chunks, len(log))
+    np.testing.assert_array_equal(whole.q, log.q)
+    assert said == ()
+    monkeypatch.setattr(resampling, "MOST_KEPT", 1000)
+    (thinned,), said = bounded(chunks, len(log))
+    assert 700 < len(thinned) <= len(log) / 5.0 and said == ()
+    np.testing.assert_allclose(thinned.q, Swing().q(thinned.time), atol=1e-3)
