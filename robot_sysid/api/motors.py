@@ -29,7 +29,15 @@ from robot_sysid.damiao.bus import (
 from robot_sysid.damiao.holding import HoldingCheck
 from robot_sysid.damiao.inspection import Inspection, inspect_bus
 from robot_sysid.damiao.player import PlayReport
-from robot_sysid.damiao.preflight import Check, Permissions, Plan, plan_checks, require_no_stop
+from robot_sysid.damiao.preflight import (
+    Check,
+    Permissions,
+    Plan,
+    bus_checks,
+    direction_checks,
+    plan_checks,
+    require_no_stop,
+)
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, read_joint_map
 from robot_sysid.damiao.protocol.lerobot import read_lerobot_map
@@ -113,14 +121,15 @@ class MotorRun:
 
     def _mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         names = self.robot.joint_names if self.robot else ()
-        if self._rows:
-            return mapped(joints, self._rows, self.channels, names)
+        if self.rows:
+            return mapped(joints, self.rows, self.channels, names)
         if len(names) != len(joints):
             return tuple(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
 
     @cached_property
-    def _rows(self) -> tuple[DamiaoJoint, ...]:
+    def rows(self) -> tuple[DamiaoJoint, ...]:
+        """The joint map's lines; none without one."""
         path = self.values.get("joint_map")
         if path is not None and Path(path).suffix == ".json":
             return read_lerobot_map(Path(path), self.robot.joint_names if self.robot else ())
@@ -129,7 +138,7 @@ class MotorRun:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the buses: those that were given, or else those of the joint map."""
-        mapped_to = dict.fromkeys(row.channel for row in self._rows if row.channel)
+        mapped_to = dict.fromkeys(row.channel for row in self.rows if row.channel)
         return tuple(self.address.buses or mapped_to)
 
     def checks(self, plan: Plan) -> list[Check]:
@@ -144,6 +153,11 @@ class MotorRun:
         played, settings, robot = plan.trajectory, plan.settings, self.robot
         fits = [*model_checks(played, settings.speed, robot, plan.pose)]
         return [*plan_checks(plan), *fits, *torque_checks(played, settings, robot)]
+
+    def met_checks(self, plan: Plan, inspection: Inspection, real: bool = True) -> list[Check]:
+        """Return what motors that were met say, and whether ``real`` ones turn as they should."""
+        turned = direction_checks(plan, self.holding(plan)) if real else ()
+        return [*bus_checks(plan, inspection), *turned]
 
     def holding(self, plan: Plan) -> HoldingCheck | None:
         """Return what compares the arm, held still, with the model's gravity; None without one."""
@@ -239,7 +253,7 @@ def play(
         plan.recording.require_free(path)
         bus = run.simulated(run.simulated_arm(plan)) if simulate else run.bus()
         with bus as link:
-            return _played(run, link, plan, say)
+            return _played(run, link, plan, say, real=not simulate)
 
 
 def hold(
@@ -259,7 +273,7 @@ def hold(
         plan = run.hold_plan(inspect_bus(link))
         require_no_stop(run.checks(plan), "not held")
         plan.recording.require_free()
-        return _played(run, link, lasting(plan, seconds), say)
+        return _played(run, link, lasting(plan, seconds), say, real=False)
 
 
 _RECORDS = BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions
@@ -271,11 +285,12 @@ def _run(say: Say, **values: Any) -> MotorRun:
     return MotorRun(values, lambda words, last: say(words))
 
 
-def _played(run: MotorRun, link: GuardedLink, plan: Plan, say: Say) -> PlayReport:
-    stop = StopRequest()
+def _played(run: MotorRun, link: GuardedLink, plan: Plan, say: Say, real: bool) -> PlayReport:
+    stop, inspection = StopRequest(), inspect_bus(link)
+    require_no_stop(run.met_checks(plan, inspection, real), "not played")
     with stop.on_signals():
         told = stop, say, lambda time: None, run.holding(plan)
-        return execution.run(link, plan, inspect_bus(link), *told)
+        return execution.run(link, plan, inspection, *told)
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ import numpy as np
 
 from robot_sysid.damiao import inspection as asked
 from robot_sysid.damiao.bus import GuardedLink, RawFrameLog
-from robot_sysid.damiao.holding import FileHolding, HoldingCheck
+from robot_sysid.damiao.holding import HoldingCheck
 from robot_sysid.damiao.player import Player, PlayReport
 from robot_sysid.damiao.preflight import Plan, bus_checks, plan_checks, require_no_stop
 from robot_sysid.damiao.protocol.codec import Scaling
@@ -53,8 +53,7 @@ def run(
     session = MotorSession(link, joints, scaling)
     settings = _with_held(plan, held)
     park = settings.park if pose is None else np.concatenate([pose, places])
-    scan, played = plan.scan, plan.trajectory
-    check = holding or FileHolding(played.joints, scan.first, played.tau[0], scan.peak_torque)
+    check = holding or plan.holding
     console, written = Aside(link.clock.live), Aside(link.clock.live)
     told = (
         lambda text: console(partial(on_phase, text)),

@@ -255,12 +255,12 @@ class Player:
 
     def _cycle(self, reference: Reference, deadline: float) -> tuple[Replies, MitCommand]:
         """Exchange one command; return the replies and the command they were sampled under."""
+        lift_time = _LIFT_SHARE * self._settings.ramp_time
+        self._gain = min(self._gain + self._settings.period / lift_time, 1.0)
         before, command = self._command, self._command_for(reference)
         replies = self._session.exchange(command, self._reply_deadline(deadline))
         self._supervisor.update(replies)
         self._reference, self._command = reference, replies.command
-        lift_time = _LIFT_SHARE * self._settings.ramp_time
-        self._gain = min(self._gain + self._settings.period / lift_time, 1.0)
         self._note(replies)
         return replies, before or command
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao import trajectory as motion
+from robot_sysid.damiao.holding import FileHolding, HoldingCheck
 from robot_sysid.damiao.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Scaling
@@ -82,6 +83,12 @@ class Permissions(OptionRecord):
         usual="as they are",
     )
 
+    directions: bool = option(
+        False,
+        "play although nobody has verified which way the joints turn that gravity hardly loads",
+        flag="--accept-directions",
+    )
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -125,6 +132,12 @@ class Plan:
         if pose.shape != (n,) or not np.all(np.isfinite(pose)):
             raise InputError(f"{where} has to hold {n} positions in one line, separated by commas")
         return pose
+
+    @property
+    def holding(self) -> HoldingCheck:
+        """What the trajectory itself says that holds the arm."""
+        played, scan = self.trajectory, self.scan
+        return FileHolding(played.joints, scan.first, played.tau[0], scan.peak_torque)
 
     def others(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
         """Return the motors that answer but drive no joint of the trajectory."""
@@ -419,6 +432,23 @@ def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
     )
     timely = took <= _ANSWER_SHARE * settings.period
     yield _first((OK, timely, f"{text}, in time for {settings.rate:g} Hz"), (STOP, True, late))
+
+
+def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
+    """Yield which joints' directions nothing has shown, and what to do."""
+    unseen = [joint.label for joint in (model or plan.holding).unjudged(plan.scan.first)]
+    if not unseen:
+        yield Check(OK, "gravity shows which way each joint turns, or somebody has verified it")
+        return
+    names = f"nobody has verified which way {', '.join(unseen)} turn"
+    names += ", and where the trajectory begins gravity hardly loads them"
+    if model is None or plan.allowed.directions:
+        return (yield _note(f"{names}: mirrored or swapped, they would be played like that"))
+    yield _stop(
+        f"{names}; move them by hand once (robot-sysid motors map --model), or let each move a "
+        "little (robot-sysid motors play --verify), and give the --joint-map; --accept-directions "
+        "plays without"
+    )
 
 
 def _near_start(plan: Plan, motors: Sequence[InspectedMotor]) -> Iterator[Check]:

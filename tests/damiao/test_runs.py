@@ -70,7 +70,7 @@ def test_gains_and_feed_forward_torque_rise_together_in_a_fifth_of_the_ramp(rig)
         run.run()
     assert run.error is None
     kp, torque = np.array(told[:76]).T
-    share = np.minimum(np.arange(76) / 15, 1.0)
+    share = np.minimum(np.arange(1, 77) / 15, 1.0)
     np.testing.assert_allclose(kp, 180.0 * share, atol=1e-9)
     np.testing.assert_allclose(torque, GRAVITY * np.sin(0.5) * share, atol=1e-3)
 

@@ -15,6 +15,7 @@ from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.commands.motors.asked import Asked, said_yes
+from robot_sysid.commands.motors.directions import DirectionChoices, verify
 from robot_sysid.commands.motors.tables import check_lines, load_line, motor_table, run_lines
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao import bus, preflight, simulated
@@ -73,7 +74,7 @@ def check(asked: Asked) -> int:
         return 1
     rate = record_from(PlaySettings, asked.values).rate or default_rate(motors, asked.timing)
     if plan:
-        checks += preflight.bus_checks(plan, inspection)
+        checks += asked.met_checks(plan, inspection)
     else:
         checks += preflight.general_checks(inspection, PlaySettings(rate=rate))
     console.lines(motor_table(inspection, plan.trajectory.joints if plan else ()))
@@ -89,7 +90,9 @@ def play(asked: Asked) -> int:
     checks = asked.checks(plan)
     if asked.address.channel:
         with asked.bus() as link:
-            return _play_on(link, plan, checks, choices, asked)
+            if record_from(DirectionChoices, asked.values).verify:
+                return verify(asked, link, plan)
+            return _play_on(link, plan, checks, choices, asked, real=True)
     if not choices.dry_run:
         raise InputError("play needs --channel, for instance --channel can0 (or --dry-run)")
     asked.console.lines(check_lines(checks))
@@ -156,7 +159,7 @@ _PLAYED = {
         "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
         "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
         "it cannot fall.",
-        {**_MOTION, "recording": (RecordingOptions,), **_ASKING},
+        {**_MOTION, "recording": (RecordingOptions,), "asking": (PlayChoices, DirectionChoices)},
     ),
     "simulate": _Command(
         simulate,
@@ -263,11 +266,12 @@ def _play_on(
     choices: PlayChoices,
     asked: Asked,
     holds: bool = False,
+    real: bool = False,
 ) -> int:
-    """Play on motors; where it ``holds``, until somebody wants it to end."""
+    """Play on ``real`` motors or others; where it ``holds``, until somebody wants it to end."""
     console = asked.console
     inspection = inspect_bus(link)
-    checks = [*checks, *preflight.bus_checks(plan, inspection)]
+    checks = [*checks, *asked.met_checks(plan, inspection, real)]
     console.lines([*motor_table(inspection, plan.trajectory.joints), *check_lines(checks)])
     if choices.dry_run:
         return _verdict(checks, console)
@@ -278,6 +282,7 @@ def _play_on(
             raise InputError("not confirmed; nothing was moved")
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
+        preflight.require_no_stop(asked.met_checks(plan, inspection, real), "not played")
 
     stop = StopRequest()
 

@@ -31,9 +31,9 @@ from robot_sysid.damiao.inspection import (
 )
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import refuse_motion
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, id_problems, write_joint_map
+from robot_sysid.damiao.protocol.joints import BY_HAND, DamiaoJoint, id_problems, write_joint_map
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.records import RobotModel
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.options import (
     OptionRecord,
     given_options,
@@ -189,17 +189,22 @@ _PROBE, _SEEN = 0.3, 0.02
 _WAYS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
 
 
-def positive_ways(robot: RobotModel) -> list[str]:
-    """Return, per joint, what the model does when it moves the positive way, in words."""
+def positive_ways(
+    robot: RobotModel, q: Array | None = None, signs: Array | float = 1.0
+) -> list[str]:
+    """Return, per joint, what the model does when it moves the positive way, in words.
+
+    That is from q (n,) [rad], or else from its own pose; with ``signs`` (n,) the way they say.
+    """
     # Imported here so that setting up and monitoring do not wait for MuJoCo.
     from robot_sysid.simulation.forward_dynamics import ArmStepper
 
-    begin, words = ArmStepper(robot), []
+    place, words = robot.reference if q is None else q, []
+    begin, probe = ArmStepper(robot, place), _PROBE * np.diag(np.zeros(robot.n_joints) + signs)
     for j in range(robot.n_joints):
-        q = robot.reference + _PROBE * (np.arange(robot.n_joints) == j)
-        shift = ArmStepper(robot, q).tip() - begin.tip()
+        shift = ArmStepper(robot, place + probe[j]).tip() - begin.tip()
         seen = np.max(np.abs(shift)) > _SEEN
-        vector = shift if seen else begin.axis(j)
+        vector = shift if seen else np.sign(probe[j, j]) * begin.axis(j)
         k = int(np.argmax(np.abs(vector)))
         start = (
             "the end of the arm moves towards" if seen else "it turns counter-clockwise seen from"
@@ -240,7 +245,7 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     for (address, (name, direction)), q in zip(found.items(), robot.reference):
         motor, offset = by_address[address], round(here[address] - direction * float(q), 4)
         place = address.can_id, motor.master_id, name, 0, motor.channel
-        rows.append(DamiaoJoint("", *place, direction, offset))
+        rows.append(DamiaoJoint("", *place, direction, offset, verified=BY_HAND))
     return rows
 
 

@@ -13,9 +13,11 @@ frames is in joint space; only here and in the frames are motors' own numbers.
 A joint map is a small table in a file; only ``joint``, ``can_id`` and ``direction`` have to be
 there::
 
-    joint,bus,can_id,master_id,direction,offset,torque_ratio
-    shoulder,can0,1,0x11,+1,0.0,1.0
-    elbow,can0,2,0x12,-1,0.785,1.0
+    joint,bus,can_id,master_id,direction,offset,torque_ratio,verified
+    shoulder,can0,1,0x11,+1,0.0,1.0,hand
+    elbow,can0,2,0x12,-1,0.785,1.0,
+
+``verified`` is how somebody saw that this motor turns this joint this way, if anybody has.
 """
 
 from __future__ import annotations
@@ -38,6 +40,9 @@ from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import write_whole
 
 MASTER_ID_OFFSET = 0x10
+BY_HAND, BY_MOTION = "hand", "motion"
+VERIFIED = ("", BY_HAND, BY_MOTION)
+"""How it was seen which joint a motor turns, and which way: not yet, by hand, by a small motion."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,7 @@ class DamiaoJoint:
     It listens to ``can_id`` and answers on ``master_id``. ``name`` is the joint's in the model, or
     ""; buses are counted from 0, and ``channel`` names the bus where there are several. The offset
     [rad] is the motor's position where the joint is at zero. A line of a joint map tells no type.
+    ``verified`` is one of ``VERIFIED``.
     """
 
     motor_type: str
@@ -58,6 +64,7 @@ class DamiaoJoint:
     direction: int = 1
     offset: float = 0.0
     torque_ratio: float = 1.0
+    verified: str = ""
 
     @property
     def address(self) -> Address:
@@ -180,7 +187,9 @@ class JointSpace:
         return np.asarray(self.direction * self.ratio * torque)
 
 
-_COLUMNS = ("joint", "bus", "can_id", "master_id", "direction", "offset", "torque_ratio")
+_COLUMNS = (
+    *("joint", "bus", "can_id", "master_id", "direction", "offset", "torque_ratio", "verified"),
+)
 _NEEDED = ("joint", "can_id", "direction")
 
 
@@ -221,7 +230,7 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
     """Write a joint map."""
     lines = [",".join(_COLUMNS)]
     for row in rows:
-        numbers = f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g}"
+        numbers = f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g},{row.verified}"
         lines.append(f"{row.name},{row.channel},{row.can_id},{row.master_id:#x},{numbers}")
     write_whole(path, "\n".join(lines) + "\n")
 
@@ -274,11 +283,16 @@ def _row(line: Mapping[str, str | None], where: str) -> DamiaoJoint:
             direction=int(cells["direction"]),
             offset=float(cells.get("offset") or 0.0),
             torque_ratio=float(cells.get("torque_ratio") or 1.0),
+            verified=cells.get("verified", ""),
         )
     except ValueError:
         raise InputError(
             f"{where}: expected a name and numbers, as in elbow,can0,2,0x12,-1,0,1"
         ) from None
+    if row.verified not in VERIFIED:
+        raise InputError(
+            f"{where}: verified must be {BY_HAND}, {BY_MOTION} or nothing, got {row.verified}"
+        )
     if row.direction not in (1, -1):
         raise InputError(f"{where}: direction must be +1 or -1, got {row.direction}")
     if not math.isfinite(row.offset) or not 0.0 < row.torque_ratio < math.inf:

@@ -1,0 +1,132 @@
+"""``motors play --verify``: joints whose direction gravity does not show move a little, one by one.
+
+A person sees which way each turned. What was seen is kept in the joint map, so that a set-up is
+asked once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.commands.motors.asked import Asked, said_yes
+from robot_sysid.commands.motors.setup import positive_ways
+from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao.execution import run
+from robot_sysid.damiao.inspection import Inspection, inspect_bus
+from robot_sysid.damiao.preflight import Plan, require_no_stop
+from robot_sysid.damiao.protocol.joints import BY_MOTION, DamiaoJoint, JointSpace, write_joint_map
+from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.supervision import StopRequest
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+from robot_sysid.records.options import OptionRecord, option
+
+
+@dataclass(frozen=True)
+class DirectionChoices(OptionRecord):
+    """How ``motors play`` finds out which way joints turn."""
+
+    verify: bool = option(
+        False,
+        "instead of the trajectory, move each joint that gravity hardly loads by 0.1 rad, ask "
+        "which way it went, and keep that in the joint map",
+    )
+
+
+# How far and for how long a joint moves [rad, s], at 0.08 rad/s at most; enough to be seen, little
+# enough for the wrong way. Rows per second.
+_NUDGE, _THERE_AND_BACK, _ROW_RATE = 0.1, 4.0, 100.0
+
+
+def verify(asked: Asked, link: GuardedLink, plan: Plan) -> int:
+    """Let each joint of a plan that nothing shows the direction of move, ask, and keep the answers.
+
+    InputError where no model is known, or where a joint did not go the way that was said; then
+    nothing is written. HardwareAbort as for any run.
+    """
+    if asked.robot is None:
+        raise InputError("--verify needs --model, which says where each joint should go")
+    path = Path(asked.values.get("joint_map") or "joint_map.csv")
+    if not asked.values.get("joint_map") and path.exists():
+        raise InputError(f"{path} is there already; give it with --joint-map")
+    console, holding = asked.console, asked.holding(plan)
+    unseen = [] if holding is None else holding.unjudged(plan.scan.first)
+    if not unseen:
+        console.stage("gravity shows which way each joint turns, or somebody has verified it")
+        return 0
+    ways = _move_a_little(asked, link, plan, unseen)
+    for joint, way in zip(unseen, ways):
+        if not said_yes(f"Did {joint.label}, and no other joint, turn so that {way}, and back?"):
+            raise InputError(
+                f"{joint.label} is not verified and nothing was written; a motor turns the other "
+                "way than its joint, or sits at another one: see robot-sysid motors map"
+            )
+    seen = {joint.address for joint in unseen}
+    rows = asked.rows or plan.trajectory.joints
+    met = {(joint.can_id, joint.name) for joint in plan.trajectory.joints if joint.address in seen}
+    write_joint_map(
+        path, [replace(r, verified=BY_MOTION) if (r.can_id, r.name) in met else r for r in rows]
+    )
+    console.stage(f"kept in {path}; play with --joint-map {path}")
+    return 0
+
+
+def _move_a_little(
+    asked: Asked, link: GuardedLink, plan: Plan, unseen: Sequence[DamiaoJoint]
+) -> list[str]:
+    """Move joints one after the other; return which way each should have gone, in words."""
+    inspection, console = inspect_bus(link), asked.console
+    here = _places(plan, inspection)
+    numbers = [plan.trajectory.joints.index(joint) for joint in unseen]
+    room = asked.robot.limits
+    signs = np.where(room.upper - here < here - room.lower, -1.0, 1.0)
+    ways = positive_ways(asked.robot, here, signs)
+    little, mirrored = (_small_motion(asked, plan, here, numbers, s) for s in (signs, -signs))
+    for each in (little, mirrored):
+        require_no_stop([*asked.checks(each), *asked.met_checks(each, inspection, False)], "still")
+    for joint, j in zip(unseen, numbers):
+        console.stage(f"{joint.label} is to turn so that {ways[j]}, and back")
+    if not said_yes("They move one after the other, by 0.1 rad. Keep clear, and watch."):
+        raise InputError("not confirmed; nothing was moved")
+    stop, waiting = StopRequest(), list(unseen)
+
+    def tell(time: float) -> None:
+        if waiting and time >= _THERE_AND_BACK * (len(unseen) - len(waiting)):
+            console.stage(f"now {waiting.pop(0).label}")
+
+    with stop.on_signals():
+        run(link, little, inspect_bus(link), stop, console.stage, tell, asked.holding(little))
+    console.stage("all motors are disabled")
+    return [ways[j] for j in numbers]
+
+
+def _places(plan: Plan, inspection: Inspection) -> Array:
+    joints, motors = plan.trajectory.joints, inspection.motors
+    places = [motors[j.address].position if j.address in motors else np.nan for j in joints]
+    here = JointSpace.of(joints).joint_position(np.array(places))
+    for j in np.flatnonzero(~np.isfinite(here)):
+        raise InputError(f"{joints[int(j)].label} does not answer; see robot-sysid motors check")
+    return here
+
+
+def _small_motion(
+    asked: Asked, plan: Plan, here: Array, numbers: Sequence[int], signs: Array
+) -> Plan:
+    """Return the motion of some joints, one after the other, from where they stand (n,) [rad]."""
+    time = np.arange(round(_THERE_AND_BACK * len(numbers) * _ROW_RATE) + 1) / _ROW_RATE
+    phase, turn = 2.0 * np.pi * time / _THERE_AND_BACK, 2.0 * np.pi / _THERE_AND_BACK
+    q, qd = np.tile(here, (len(time), 1)), np.zeros((len(time), len(here)))
+    for k, j in enumerate(numbers):
+        now = (time >= k * _THERE_AND_BACK) & (time < (k + 1) * _THERE_AND_BACK)
+        q[now, j] += 0.5 * _NUDGE * signs[j] * (1.0 - np.cos(phase[now]))
+        qd[now, j] = 0.5 * _NUDGE * signs[j] * turn * np.sin(phase[now])
+    holding = asked.holding(plan)
+    assert holding is not None
+    tau = np.array([holding.torque(row) for row in q])
+    trajectory = replace(plan.trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau)
+    settings = replace(plan.settings, speed=1.0, park=None)
+    return replace(plan, trajectory=trajectory, settings=settings, recording=RecordingOptions())

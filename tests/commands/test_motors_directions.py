@@ -1,0 +1,87 @@
+"""Joints whose direction gravity does not show: named, moved a little, kept in the joint map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.commands.motors import directions
+from robot_sysid.damiao.holding import HoldingCheck
+from robot_sysid.damiao.protocol.joints import damiao_joints, read_joint_map
+from robot_sysid.errors import HardwareAbort
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Motion
+from robot_sysid.simulation.forward_dynamics import ArmStepper
+from robot_sysid.simulator import ArmTorque
+from tests.support import arms
+from tests.support.command_line import run_motors as run
+from tests.support.damiao_rig import only_asks, swing, trajectory_file
+
+CAN0 = ("--channel", "can0", "--rate", "100")
+START = np.array([0.4, 0.6])
+
+
+@pytest.fixture
+def words(bus, arm_file, tmp_path, monkeypatch):
+    """What plays a swing on an arm with an upright first axis."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(directions, "_THERE_AND_BACK", 0.8)
+    path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
+    robot = load_robot_model(path)
+    bus.arm.mechanism = ArmStepper(robot, START, 4e-3)
+    time, q, qd, _ = swing(2, duration=1.0, amplitude=0.05)
+    still = Motion(time, q + START, 0 * qd, 0 * qd)
+    played = trajectory_file(tmp_path, (time, q + START, qd, ArmTorque(robot)(still)))
+    return ("play", played.path, *CAN0, "--model", path)
+
+
+@pytest.fixture
+def person(monkeypatch):
+    """Answers to what is asked, one after the other, and what was asked."""
+    answers, asked = [], []
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda prompt: asked.append(prompt) or answers.pop(0))
+    return answers, asked
+
+
+def test_nothing_is_played_before_somebody_has_seen_which_way_joints_turn(capsys, bus, words):
+    code, _, err = run(capsys, *words, "--yes")
+    assert code == 3 and "nobody has verified which way motor 1 (joint joint0)" in err
+    assert only_asks(bus.wire.sent)
+    code, out, err = run(capsys, *words, "--yes", "--accept-directions")
+    assert (code, err) == (0, "") and "mirrored or swapped, they would be played like that" in out
+    # Without a model it is said.
+    code, out, err = run(capsys, *words[:-2], "--yes")
+    assert (code, err) == (0, "") and "nobody has verified which way motor 1" in out
+
+
+def test_a_small_motion_verifies_a_set_up_once(capsys, bus, words, person, tmp_path):
+    person[0][:] = ["yes"] * 3
+    code, out, err = run(capsys, *words, "--verify")
+    assert (code, err) == (0, ""), err
+    assert "motor 1 (joint joint0) is to turn so that" in out
+    assert np.max(np.abs(bus.arm.mechanism.q - START)[0]) < 0.02
+    rows = read_joint_map(tmp_path / "joint_map.csv")
+    assert [row.verified for row in rows] == ["motion"] * 2
+    code, out, err = run(capsys, *words, "--yes", "--joint-map", "joint_map.csv")
+    assert (code, err) == (0, ""), err
+    code, out, _ = run(capsys, *words, "--verify", "--joint-map", "joint_map.csv")
+    assert code == 0 and "somebody has verified it" in out
+
+
+def test_a_joint_that_went_another_way_leaves_nothing_written(capsys, words, person, tmp_path):
+    person[0][:] = ["yes", "no"]
+    code, _, err = run(capsys, *words, "--verify")
+    assert code == 2 and "motor 1 (joint joint0) is not verified" in err
+    assert "Did motor 1 (joint joint0), and no other joint, turn so that" in person[1][-1]
+    assert not (tmp_path / "joint_map.csv").exists()
+
+
+def test_a_motor_that_carries_nothing_where_its_joint_carries_much_is_stopped():
+    """Two wrist ids are swapped: 2.5 N m are needed, and its motor holds what hangs straight."""
+    joints = damiao_joints(["DM4310"], 1)
+    check = HoldingCheck(joints, lambda q: np.array([2.5]), 0.0, "the model needs")
+    check(np.zeros(1), np.array([1.0]))
+    with pytest.raises(HardwareAbort, match="motor 1 holds the arm with 0.1 N m but the model"):
+        check(np.zeros(1), np.array([0.1]))
+    assert check.unjudged(np.zeros(1)) == []
