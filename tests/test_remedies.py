@@ -57,8 +57,8 @@ NEVER = {
     "report": places("model.chain", "_require_end")
     + (*places("errors", "AmbiguousJointError"), *places("parser", "_notes")),
     "example": places("commands.example", "_record"),  # with files of its own
-    "motors map": places("damiao.preflight", "plan_checks")  # nothing is played
-    + places("damiao.model_check", "model_checks"),
+    "motors map": places("damiao.preflight", "plan_checks", "bus_checks", "direction_checks")
+    + places("damiao.model_check", "model_checks", "torque_checks"),  # nothing is played
     # No model.
     **dict.fromkeys(("motors monitor", "motors setup"), places("commands.motors.asked", "Asked")),
 }
