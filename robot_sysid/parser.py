@@ -21,6 +21,7 @@ from robot_sysid.model.chain import (
     resolve_joint,
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
+from robot_sysid.model.descriptions import model_file
 from robot_sysid.model.inertia import arm_links, composite_theta
 from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint
@@ -36,6 +37,8 @@ def load_robot_model(
     """Load an MJCF or URDF file and find the arm in it.
 
     Args:
+        model: the file; or, where there is none of that name, a name of robot_descriptions, such as
+            "ur5e_mj_description".
         mesh_dir: folder of its meshes; default what the file says.
         joint: name of the terminal joint; default found automatically.
         max_velocity: speed limit of hinge joints, one number or one per joint [rad/s].
@@ -46,8 +49,9 @@ def load_robot_model(
         AmbiguousJointError: several joints could be the terminal one.
         InputError: there is no such keyframe; lists those there are.
     """
-    compiled = compile_model(Path(model), None if mesh_dir is None else Path(mesh_dir))
-    return robot_from_compiled(compiled, Path(model), joint, max_velocity, keyframe)
+    path = model_file(Path(model))
+    compiled = compile_model(path, None if mesh_dir is None else Path(mesh_dir))
+    return robot_from_compiled(compiled, path, joint, max_velocity, keyframe)
 
 
 def robot_from_compiled(
