@@ -298,17 +298,15 @@ def _best_first(
 
 
 def outlook(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    rate: float,
-    options: EstimationOptions,
-    asked: str,
+    problem: ExcitationProblem, plan: MotionPlan, how: tuple[float, EstimationOptions, str]
 ) -> str:
     """Say before a search what no motion tells of a link, and what would; "" where one can.
 
+    ``how`` is the sample rate and what follows it in ``expect``.
     Any motion leaves what the priors leave where there is no noise. Remedies are worked out along
     a motion that is not designed yet.
     """
+    rate, options, asked = how
     known, mass = known_of(problem, options, asked), problem.robot.prior.mass
     told = criterion(problem, known)
     least = told.covariance(random_information(problem, known, _NOISELESS))

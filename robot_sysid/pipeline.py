@@ -183,10 +183,9 @@ def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tupl
     seed = secrets.randbelow(2**31) if chosen is None else chosen
     played = config.motors.export_damiao or arm.simulation == "forward"
     options = config.trajectory, config.excitation, config.limits, config.estimation.torques
-    rate, how = config.trajectory.sample_rate, config.estimation
-    known = partial(known_of, options=how, asked=config.poses.asked)
-    told = partial(outlook, rate=rate, options=how, asked=config.poses.asked)
-    request = MotionRequest(*options, arm.noise_torque, played, config.poses, known, told)
+    how = config.trajectory.sample_rate, config.estimation, config.poses.asked
+    told = partial(known_of, options=how[1], asked=how[2]), partial(outlook, how=how)
+    request = MotionRequest(*options, arm.noise_torque, played, config.poses, *told)
     return make_plan(request, robot, seed, progress), seed
 
 
@@ -280,8 +279,8 @@ def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Ite
         yield from motion_lines(*made)
     else:
         rate = config.trajectory.sample_rate
-        told = expect(*made[:2], rate, config.estimation, config.poses.asked)
-        yield from plan_lines(*made, told)
+        how = rate, config.estimation, config.poses.asked
+        yield from plan_lines(*made, expect(checked.problem, checked.plan, *how))
 
 
 def _of_itself(

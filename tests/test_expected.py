@@ -110,11 +110,11 @@ def test_where_no_motion_tells_the_mass_it_is_said_beforehand_with_what_would():
     tip = '<inertial pos=".02 .03 .06" mass=".08" diaginertia=".0005 .0006 .0003"/>'
     light = ARM.replace(arms.TIP, tip)
     some = problem(light, noise_torque=SIGMA)
-    said = outlook(some, PLAN, RATE, EstimationOptions(), "link")
+    said = outlook(some, PLAN, (RATE, EstimationOptions(), "link"))
     floor = float(re.search(r"better than ± ([\d.]+) kg", said).group(1))
     assert floor > 0.2 * some.robot.prior.mass and "payload by difference" in said
     longer = replace(EstimationOptions(), link_uncertainty=0.5)
-    assert outlook(some, PLAN, RATE, longer, "link") == ""
+    assert outlook(some, PLAN, (RATE, longer, "link")) == ""
     promise = expect(some, PLAN, RATE, EstimationOptions())
     assert promise.deviation[0] > 0.99 * floor
 

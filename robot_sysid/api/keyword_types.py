@@ -97,6 +97,7 @@ class LimitOptions(TypedDict, total=False):
     max_tool_speed: float | None
     workspace: Numbers | None
     keep_out: Numbers | Sequence[Numbers]
+    below_base: bool
     clearance: float
 
 

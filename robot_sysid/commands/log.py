@@ -101,5 +101,7 @@ def _shown(robot: RobotModel, samples: Measurement, trajectory: Path | None) -> 
 
     saved = load_trajectory(trajectory)
     saved.require_fits(robot.joint_names)
-    problem = build_problem(robot, LimitOptions(), "chain", DEFAULT_NOISE_TORQUE, None)
+    problem = build_problem(
+        robot, LimitOptions(below_base=True), "chain", DEFAULT_NOISE_TORQUE, None
+    )
     return shown_plan(problem, saved.plan, samples)

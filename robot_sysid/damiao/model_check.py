@@ -111,7 +111,9 @@ def _unit(what: str, robot: RobotModel, joint: int) -> str:
 
 
 def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float]]:
-    touched = first_contact(build_problem(robot, LimitOptions(clearance=0.0)), motion)
+    touched = first_contact(
+        build_problem(robot, LimitOptions(clearance=0.0, below_base=True)), motion
+    )
     if touched is not None:
         yield touched.label, touched.time
 

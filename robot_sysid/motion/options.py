@@ -99,6 +99,11 @@ class LimitOptions(OptionRecord):
         metavar=("NX", "NY", "NZ", "OFFSET"),
         repeats=True,
     )
+    below_base: bool = option(
+        False,
+        "allow parts to get below what carries the arm; they stay above it otherwise, but for an "
+        "arm that is below it at rest",
+    )
     clearance: float = option(
         0.01, "least distance between parts that are apart at rest", "D [m] >= 0"
     )

@@ -14,10 +14,11 @@ from robot_sysid.dynamics.screws import ScrewChain
 from robot_sysid.errors import InputError
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion.clearance import Clearance
-from robot_sysid.motion.options import TOP_FREQUENCY_HZ, LimitOptions
-from robot_sysid.motion.solids import has_floor, outermost_points
+from robot_sysid.motion.options import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
+from robot_sysid.motion.solids import has_floor, mounting_height, outermost_points
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint, per_joint
+from robot_sysid.records.progress import Detail
 from robot_sysid.regressor import wrench_regressor
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE, TorqueFunction
@@ -30,6 +31,8 @@ ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""
+_LEVEL = 0.9
+"""Cosine of the slope up to which a plane that is asked for says where the ground is."""
 MODEL, ASKED, ASSUMED, NONE = "the model", "the options", "an assumption", "nothing"
 """Where a limit may come from."""
 
@@ -257,7 +260,8 @@ def build_problem(
     motion_limits, origins = _limits(robot, limits, top_frequency_hz)
     rest = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
     notes = _moved_rest_note(robot, rest)
-    obstacles, more = _obstacles(robot, limits, rest)
+    base = _above_base(robot, limits, rest)
+    obstacles, more = _obstacles(robot, limits, rest, base)
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
         robot=robot,
@@ -272,7 +276,7 @@ def build_problem(
         sigma=per_joint(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
         origins=origins,
         notes=notes + more,
-        has_floor=bool(limits.keep_out or limits.workspace) or has_floor(robot),
+        has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
     )
 
 
@@ -338,16 +342,28 @@ def _moved_rest_note(robot: RobotModel, rest: Array) -> tuple[str, ...]:
     return (f"{words} ends with {moved}",) if moved else ()
 
 
+def _above_base(robot: RobotModel, options: LimitOptions, rest: Array) -> tuple[HalfSpace, ...]:
+    """Return the space above what carries the arm, where nothing else says how low it may get."""
+    found = mounting_height(robot, rest)
+    if options.below_base or has_floor(robot) or found is None:
+        return ()
+    up, height, bodies = found
+    if any(space.normal @ up > _LEVEL for space in options.half_spaces(bodies)):
+        return ()
+    label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m (--below-base lifts it)"
+    return (HalfSpace(up, height, 0.0, tuple(bodies), label),)
+
+
 def _obstacles(
-    robot: RobotModel, options: LimitOptions, rest: Array
+    robot: RobotModel, options: LimitOptions, rest: Array, base: tuple[HalfSpace, ...]
 ) -> tuple[Clearance, tuple[str, ...]]:
     model = robot.mj_model
     moving = subtree(model, int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]]))
-    spaces = options.half_spaces(moving, subtree(model, robot.body_id))
+    spaces = (*options.half_spaces(moving, subtree(model, robot.body_id)), *base)
     clearance = Clearance(robot, rest, options.clearance, spaces)
-    if clearance.is_empty:
-        note = "the model has no collision geometry; nothing keeps the arm from touching itself"
-        return clearance, (note,)
+    none: tuple[str, ...] = ()
+    if not (np.any(model.geom_contype | model.geom_conaffinity) or model.npair):
+        none = ("the model has no collision geometry; nothing keeps the arm from touching itself",)
     if clearance.left_at_rest:
         space, body, depth = max(clearance.left_at_rest, key=lambda entry: entry[2])
         raise InputError(
@@ -361,4 +377,5 @@ def _obstacles(
         "so near at rest that they keep half that distance, less than elsewhere",
     )
     listed = ("; ".join(pairs[kind]) for kind in ("ignored", "touching", "near"))
-    return clearance, tuple(f"{words}: {which}" for words, which in zip(said, listed) if which)
+    told = (Detail(f"{words}: {which}") for words, which in zip(said, listed) if which)
+    return clearance, (*none, *told)

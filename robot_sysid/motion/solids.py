@@ -170,6 +170,46 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
     return -np.array([x, y, z]), np.array(upper), body_label(model, bodies[lowest])
 
 
+def mounting_height(robot: RobotModel, rest: Array) -> tuple[Array, float, list[int]] | None:
+    """Return (up (3,), height of what carries the arm along it [m], the bodies that are above).
+
+    It is as low as the origin of the body that carries the arm, and as what is fixed to that one
+    gets, by its meshes where it has any: what collides may be rough. So a pedestal shows where the
+    ground is. None without gravity, or where more of the arm than its first link is below at rest
+    (n,): such an arm hangs, or stands at an edge.
+    """
+    model, parts = robot.mj_model, parts_of(robot)
+    down = np.array(model.opt.gravity, dtype=float)
+    if not np.any(down):
+        return None
+    up, qpos = -down / np.linalg.norm(down), robot.reference_qpos.copy()
+    qpos[robot.qpos_index] = rest
+    data = posed(model, qpos)
+    carrier = int(model.body_parentid[np.flatnonzero(parts)[0]])
+    fixed = np.flatnonzero(model.body_weldid == model.body_weldid[carrier])
+    shown = np.flatnonzero(
+        np.isin(model.geom_bodyid, fixed) & (model.geom_type == _TYPES.mjGEOM_MESH)
+    )
+
+    def lowest(solid: Solid) -> float:
+        turn = data.xmat[solid.body].reshape(3, 3)
+        return float(up @ (data.xpos[solid.body] + turn @ solid.farthest(-up[None] @ turn)[0]))
+
+    feet = [lowest(solid) for solid in solids_of(model, fixed.tolist())]
+    if len(shown):
+        places = [
+            data.geom_xpos[geom] + _shape(model, geom)[0] @ data.geom_xmat[geom].reshape(3, 3).T
+            for geom in shown.tolist()
+        ]
+        feet = [float(np.min(np.concatenate(places) @ up))]
+    height = min(float(up @ data.xpos[carrier]), *feet, np.inf)
+    heights = {s.body: lowest(s) for s in solids_of(model, np.flatnonzero(parts).tolist())}
+    low = [body for body, own in heights.items() if own <= height]
+    if any(parts[body] > 1 for body in low):
+        return None
+    return up, height, [body for body in heights if body not in low]
+
+
 def has_floor(robot: RobotModel) -> bool:
     """Tell whether the model has a level plane, or ground of any form, that the arm can touch."""
     model = robot.mj_model

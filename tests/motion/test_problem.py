@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion.options import TOP_FREQUENCY_HZ, LimitOptions
-from robot_sysid.motion.problem import Tool, build_problem
+from robot_sysid.motion.problem import Tool, _above_base, build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
@@ -177,3 +177,27 @@ def test_terminal_torques_use_one_row():
     assert some.rows == (6,)
     assert some.sigma.tolist() == [7.0]
     assert problem(arms.SEVEN).rows == tuple(range(7))
+
+
+BLOCK = '<geom type="box" size=".1 .1 .4" pos="0 0 -.4"/>'
+FLOOR = '<geom type="plane" size="2 2 .1" pos="0 0 -.5"/>'
+
+
+@pytest.mark.parametrize(
+    ("model", "limits", "lowest"),
+    [
+        (TUBES, {}, 0.0),
+        (TUBES, {"below_base": True}, None),
+        (TUBES, {"keep_out": ((0.0, 0.0, 1.0, -0.3),)}, None),
+        (TUBES, {"keep_out": ((1.0, 0.0, 0.0, -0.3),)}, 0.0),
+        (TUBES.replace("<worldbody>", f"<worldbody>{BLOCK}"), {}, -0.8),
+        (TUBES.replace("<worldbody>", f"<worldbody>{FLOOR}"), {}, None),
+        (TUBES.replace("<option ", '<option gravity="0 0 9.81" '), {}, None),
+    ],
+    ids=["usual", "lifted", "asked for", "a wall", "pedestal", "floor", "hanging"],
+)
+def test_parts_stay_above_what_carries_the_arm_unless_it_hangs(model, limits, lowest):
+    some = robot(model)
+    found = _above_base(some, LimitOptions(**limits), some.reference)
+    assert [each.offset for each in found] == ([] if lowest is None else [pytest.approx(lowest)])
+    assert all(len(each.bodies) == some.n_joints for each in found)
