@@ -44,19 +44,21 @@ RUNS = ("run", "identify", "payload")
 OF_PLANS = places("pipeline", "_plan_outcome")
 CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
 USUAL = places("records.sampling", "require_countable")  # the motion that nobody asked for is short
+LIFTED = places("motion.problem", "_above_base")  # what was planned below the base may be played
 EXPORT = places("damiao.protocol.joints", "damiao_joints")
 NEVER = {
     "run": places("payload_pipeline", "weighed") + places("motion.static", "design_poses"),
     "plan": (*ONLY["identify"], *CHOSEN, *places("pipeline", "analysed", "written", "Outcome")),
-    "identify": places("pipeline", "analysed", "designed", "_motor_file")
+    "identify": places("pipeline", "analysed", "designed", "motor_writer")
     + (*OF_PLANS, *USUAL, *EXPORT),
     "payload": places("pipeline", "_of_itself")
     + (*OF_PLANS, *EXPORT, *places("results.record", "Verdict.PARTLY_FROM_MODEL")),
-    "log": CHOSEN + USUAL,
+    "log": CHOSEN + USUAL + LIFTED,
     # A page names the joint that the run found.
     "report": places("model.chain", "_require_end")
     + (*places("errors", "AmbiguousJointError"), *places("parser", "_notes")),
     "example": places("commands.example", "_record"),  # with files of its own
+    **dict.fromkeys([f"motors {word}" for word in ("check", "play", "simulate", "hold")], LIFTED),
     "motors map": places("damiao.preflight", "plan_checks", "bus_checks", "direction_checks")
     + places("damiao.model_check", "model_checks", "torque_checks"),  # nothing is played
     # No model.

@@ -176,7 +176,7 @@ class ExcitationOptions(OptionRecord):
     )
     time_budget: float | None = option(
         None,
-        "go on designing for this time and keep the best",
+        "design for this time",
         "S [s] > 0",
         flag="--excitation-time-budget",
         usual="until it hardly gets better",

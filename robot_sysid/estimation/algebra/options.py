@@ -71,7 +71,7 @@ class EstimationOptions(OptionRecord):
         None,
         "how far each joint's torque scale may be off, one number or one per joint",
         "P [%] >= 0",
-        usual="2; 3 of payloads; what a file of --torque-scale says of itself",
+        usual="2; 3 of payloads; what a file of torque scales says of itself",
     )
     zero_uncertainty: float = _uncertainty(
         2.0, "how far each joint's zero position may be off", "mrad"
