@@ -66,7 +66,9 @@ def regressor(
 
     Args:
         model: MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
-        q, qd, qdd: (N, n) motion of the chain joints [rad, rad/s, rad/s^2], or (n,) one instant.
+        q: (N, n) positions of the chain joints [rad], or (n,) of one instant.
+        qd: their velocities [rad/s].
+        qdd: their accelerations [rad/s^2].
         options: ``joint``, ``mesh_dir`` and ``keyframe``, as of ``identify``.
 
     Raises:
