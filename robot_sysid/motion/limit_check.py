@@ -29,6 +29,10 @@ CLEARANCE_RESOLUTION, DISTANCE_RESOLUTION = 1e-3, 1e-4
 """
 EXACT_UP_TO, LEAST_EXACT = 15.0, 3e-3
 """Duration up to which it is that exact [s]; less where longer, but never less than this [m]."""
+TOUCH = 1e-6
+"""How far a clearance may be missed [m]: MuJoCo's tolerance for distances of convex shapes. How far
+approaching takes is rounded, so that two ways of looking find a motion that just keeps it 1e-9 m
+apart."""
 SMALLEST, BISECTIONS = 2.0**-9, 4
 """Share of a random motion below which it is not made smaller; halvings of the last factor of 2."""
 RESERVE = 1e-4
@@ -129,7 +133,7 @@ def check_limits(
     closest = _tightest(problem.obstacles, plan, room)
     nearest = _tightest(problem.obstacles.distances, plan, resolution)
     excesses = list(_excesses(problem, peaks))
-    if closest.slack < 0.0:
+    if closest.slack < -TOUCH:
         share = 1.0 - closest.slack / OBSTACLE_LENGTH
         excesses.append(Excess(f"clearance of {closest.label}", share, closest.time))
     excesses.sort(key=lambda excess: -excess.share)
@@ -238,8 +242,9 @@ def _tightest(
 ) -> Closest:
     """Return the tightest configuration and its time.
 
-    Nowhere is the slack negative without being found, nor smaller than that of the configuration
-    returned by more than the resolution [m]. An end at ``stop_below`` saves the rest of the tests.
+    Nowhere is the slack below -TOUCH without being found, nor smaller than that of the
+    configuration returned by more than the resolution [m]. An end at ``stop_below`` saves the rest
+    of the tests.
     """
     best, when, at_q = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0]
     budget, known_until = np.full(len(obstacles.rates), -np.inf), 0.0
@@ -251,8 +256,8 @@ def _tightest(
             slack, room = obstacles.slack_at(motion.q[at])
             if slack < best:
                 best, when, at_q = slack, float(motion.time[at]), motion.q[at]
-            # What can neither be negative nor lower than the lowest need not be looked at.
-            floor = best - resolution if best < 0.0 else max(0.0, best - resolution)
+            # What can neither be missed nor lower than the lowest need not be looked at.
+            floor = best - resolution if best < -TOUCH else max(-TOUCH, best - resolution)
             budget = path[at] + np.maximum(0.0, room - floor)
             at = max(at + 1, _used_up(path, budget))
         budget, known_until = budget - path[-1], motion.time[-1]

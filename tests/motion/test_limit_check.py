@@ -18,7 +18,7 @@ from robot_sysid.motion.limit_check import (
     keeps_limits,
     scaled_to_limits,
 )
-from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory, at_speed
+from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory, at_speed, straight_way
 from robot_sysid.records import Motion
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
@@ -205,3 +205,17 @@ def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_their
     kept = np.maximum(after.joints[1] / v, after.joints[2] / a)
     np.testing.assert_allclose(kept, np.minimum(1.0 - RESERVE, share), rtol=1e-9)
     assert keeps_limits(some, smaller)
+
+
+@pytest.mark.parametrize(("missed", "kept"), [(2e-9, True), (1e-7, True), (5e-6, False)])
+def test_a_clearance_may_be_missed_by_rounding_and_by_no_more(missed, kept):
+    """On the way to a pose that is so much beyond what it has to keep [m]."""
+    some, low, high = problem(TUBES_AND_POST), 0.0, 1.0
+    towards = np.array([0.0, 1.2, 0.0, 0.0])
+    while high - low > 1e-12:
+        middle = 0.5 * (low + high)
+        slack = some.obstacles.slack_at(some.rest + middle * towards)[0]
+        low, high = (middle, high) if slack > -missed else (low, middle)
+    plan = straight_way(some.rest, some.rest + high * towards)
+    check = check_limits(some, plan)
+    assert any("clearance" in excess.limit for excess in check.excesses) != kept
