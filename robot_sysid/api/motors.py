@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -51,14 +51,31 @@ from robot_sysid.damiao.simulated import (
     simulated_motor,
 )
 from robot_sysid.damiao.supervision import StopRequest
-from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
+from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory, together
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.pipeline import motor_writer
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import DAMIAO_NAME, temporary_folder
-from robot_sysid.records.options import given_options, options_of, record_from, refuse_unknown
+from robot_sysid.records.options import (
+    OptionRecord,
+    given_options,
+    option,
+    options_of,
+    record_from,
+    refuse_unknown,
+)
 
 Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class SecondArm(OptionRecord):
+    """Another arm of the same model that moves at the same time."""
+
+    also: Path | None = option(
+        None, "trajectory of the model's other arm, played at the same time", "FILE"
+    )
+    also_joint: str | None = option(None, "terminal joint of that arm", "NAME")
 
 
 class MotorRun:
@@ -74,8 +91,22 @@ class MotorRun:
 
     def plan(self) -> Plan:
         """Return the trajectory and how to play it."""
-        trajectory = read_damiao_trajectory(self.values["trajectory"])
+        trajectory = together(*self._files) if self._also else self._files[0]
         return self._planned(replace(trajectory, joints=self._mounted(trajectory.joints)))
+
+    @cached_property
+    def _files(self) -> tuple[DamiaoTrajectory, ...]:
+        paths = filter(None, (self.values["trajectory"], self._also))
+        return tuple(map(read_damiao_trajectory, paths))
+
+    @cached_property
+    def _also(self) -> Path | None:
+        asked = record_from(SecondArm, self.values)
+        if asked.also is None and asked.also_joint is not None:
+            raise InputError("--also-joint is about a second arm; add --also")
+        if asked.also and not (asked.also_joint and self.values.get("model")):
+            raise InputError("--also needs --also-joint, --joint and --model: which arms they are")
+        return asked.also
 
     def hold_plan(self, inspection: Inspection) -> Plan:
         """Return how the arm is held for a second where it stands, by torques of its model.
@@ -148,11 +179,18 @@ class MotorRun:
                 raise InputError(f"{given.flag} is about a model; add --model")
             return plan_checks(plan)
         # Imported here so that playing on real motors does not wait for MuJoCo.
-        from robot_sysid.damiao.model_check import model_checks, torque_checks
+        from robot_sysid.damiao.model_check import arms_apart, model_checks, torque_checks
 
-        played, settings, robot = plan.trajectory, plan.settings, self.robot
-        fits = [*model_checks(played, settings.speed, robot, plan.pose)]
-        return [*plan_checks(plan), *fits, *torque_checks(played, settings, robot)]
+        played, settings, pose = plan.trajectory, plan.settings, plan.pose
+        files, speed = self._files if self._also else (played,), settings.speed
+        fits: list[Check] = []
+        for own, robot in zip(files, self.robots):
+            left = None if pose is None else pose[: own.n_joints]
+            pose = None if pose is None else pose[own.n_joints :]
+            fits += model_checks(own, speed, robot, left)
+        if self._also:
+            fits += arms_apart(self.robots, played, speed, plan.pose)
+        return [*plan_checks(plan), *fits, *torque_checks(played, settings, self.robot)]
 
     def met_checks(self, plan: Plan, inspection: Inspection, real: bool = True) -> list[Check]:
         """Return what motors that were met say, and whether ``real`` ones turn as they should."""
@@ -169,14 +207,25 @@ class MotorRun:
 
     @cached_property
     def robot(self) -> Any:
-        """The arm of the model file; None without one."""
+        """The arm of the model file, or both as one; None without a model."""
+        if not self._also:
+            return self.robots[0] if self.robots else None
+        from robot_sysid.motion.two_arms import as_one
+
+        return as_one(*self.robots)
+
+    @cached_property
+    def robots(self) -> tuple[Any, ...]:
+        """The arm of the model file, or both; empty without a model."""
         if self.values.get("model") is None:
-            return None
+            return ()
         from robot_sysid.parser import load_robot_model
 
-        chosen = record_from(ModelOptions, self.values)
-        choice = chosen.mesh_dir, chosen.joint, float("inf"), chosen.keyframe
-        return load_robot_model(self.values["model"], *choice)
+        chosen, second = record_from(ModelOptions, self.values), record_from(SecondArm, self.values)
+        terminals = (chosen.joint, second.also_joint) if self._also else (chosen.joint,)
+        rest = float("inf"), chosen.keyframe
+        load = partial(load_robot_model, self.values["model"], chosen.mesh_dir)
+        return tuple(load(joint, *rest) for joint in terminals)
 
     def simulated_arm(
         self, plan: Plan, watchdog: float = DEFAULT_WATCHDOG, *timestep: float
@@ -276,7 +325,8 @@ def hold(
         return _played(run, link, lasting(plan, seconds), say, real=False)
 
 
-_RECORDS = BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions
+_BUS, _HOW = (BusAddress, BusTiming), (PlaySettings, Permissions, RecordingOptions)
+_RECORDS = (*_BUS, *_HOW, ModelOptions, SecondArm)
 
 
 def _run(say: Say, **values: Any) -> MotorRun:

@@ -121,6 +121,7 @@ def _recorder(
             return
         registers = [motor.registers for motor in motors[: played.n_joints]]
         head = head_lines(played.joints, registers, plan.settings, played.path.name)
-        how = played.n_joints, aside, frames, plan.recording.overwrite
+        names = [joint.name if played.both else f"j{j}" for j, joint in enumerate(played.joints)]
+        how = names, aside, frames, plan.recording.overwrite
         with MeasurementRecorder(record, head, *how) as recorder:
             yield recorder

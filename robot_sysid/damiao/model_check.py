@@ -9,7 +9,7 @@ that with what the motors can do.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
+from robot_sysid.motion.two_arms import BetweenArms
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque
 
@@ -30,6 +31,7 @@ from robot_sysid.simulator import ArmTorque
 _ROUNDING = 1e-9
 # Two positions with four decimals are this far apart from what was meant at most [rad or m].
 _PRINTED = 1e-4
+_PARKED = " on the straight way to where they are parked"
 
 
 class SampledTrajectory:
@@ -167,3 +169,17 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
 
     needs = f"the model {robot.path.name} needs"
     return HoldingCheck(joints, holding, robot.friction.coulomb, needs)
+
+
+def arms_apart(
+    arms: Sequence[RobotModel], both: DamiaoTrajectory, speed: float, pose: Array | None
+) -> Iterator[Check]:
+    """Yield whether two arms of a model touch while both move, or on the way to a pose (n,)."""
+    between, motion = BetweenArms(*arms), SampledTrajectory(both, speed)
+    touched = [("", between.touch_at(motion))]
+    if pose is not None:
+        touched.append((_PARKED, between.touch_at(straight_way(motion.q[-1], pose))))
+    stops = [f"the arms touch{where} at {at:.2f} s" for where, at in touched if at is not None]
+    yield from (Check(STOP, f"{text}; play one after the other") for text in stops)
+    if not stops:
+        yield Check(OK, "the arms do not touch while both move")

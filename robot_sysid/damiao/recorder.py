@@ -28,7 +28,6 @@ from robot_sysid.damiao.protocol.frames import text_of
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
@@ -87,6 +86,7 @@ class Aside:
             self.failure = error
 
 
+_MEASURED = ("pos", "vel", "tau")
 _EXTRA = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "status", "temp_mos", "temp_rotor")
 
 
@@ -151,7 +151,7 @@ def head_lines(
 
 
 class MeasurementRecorder:
-    """Writes a run of n joints to a CSV file, each row at once but aside of the control loop.
+    """Writes a run of labelled joints to a CSV file, row by row but aside of the control loop.
 
     A context manager; the file's last line says how the run ended. Only opening raises: what goes
     wrong later is kept in ``failure``, and the arm is brought to rest first. ``aside`` does the
@@ -162,14 +162,15 @@ class MeasurementRecorder:
         self,
         path: Path,
         head: Sequence[str],
-        n: int,
+        labels: Sequence[str],
         aside: Aside,
         frames: RawFrameLog | None = None,
         overwrite: bool = False,
     ) -> None:
-        self._aside, self._frames, self._n = aside, frames, n
-        columns = ["time", *trajectory_columns(n)]
-        columns += [f"j{j}_{what}" for j in range(n) for what in _EXTRA]
+        self._aside, self._frames, self._n = aside, frames, len(labels)
+        columns = ["time"]
+        for words in (_MEASURED, _EXTRA):
+            columns += [f"{label}_{word}" for label in labels for word in words]
         try:
             self._file = open(path, "w" if overwrite else "x", encoding="utf-8")  # noqa: SIM115
             self._file.writelines([*(f"# {line}\n" for line in head), ",".join(columns) + "\n"])

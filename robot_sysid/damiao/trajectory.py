@@ -58,7 +58,10 @@ class DamiaoExportReport:
 
 @dataclass(frozen=True, eq=False)
 class DamiaoTrajectory:
-    """A trajectory file: time (N,), q, qd, tau (N, n) [s, rad, rad/s, N m], each row's ``line``."""
+    """A trajectory file: time (N,), q, qd, tau (N, n) [s, rad, rad/s, N m], each row's ``line``.
+
+    Of two files it is ``both``: recordings call columns by the joints' names then.
+    """
 
     path: Path
     joints: tuple[DamiaoJoint, ...]
@@ -67,6 +70,7 @@ class DamiaoTrajectory:
     q: Array
     qd: Array
     tau: Array
+    both: bool = False
 
     @property
     def n_joints(self) -> int:
@@ -205,6 +209,24 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
 
 
+def together(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTrajectory:
+    """Return two trajectories as one, begun at the same time; the shorter one holds its end."""
+    files = first, second
+    times = [each.time - each.time[0] for each in files]
+    longer = int(times[1][-1] > times[0][-1])
+    time = np.union1d(*times)
+
+    def joined(name: str) -> Array:
+        columns = [column for each in files for column in getattr(each, name).T]
+        own = [each_time for each, each_time in zip(files, times) for _ in each.joints]
+        return np.stack([np.interp(time, *pair) for pair in zip(own, columns)], axis=1)
+
+    line = np.interp(time, times[longer], files[longer].line).astype(int)
+    q, qd, tau = (joined(name) for name in ("q", "qd", "tau"))
+    joints = first.joints + second.joints
+    return DamiaoTrajectory(first.path, joints, line, time, q, qd, tau, both=True)
+
+
 def _with_rows(
     path: Path, joints: tuple[DamiaoJoint, ...], filled: Sequence[tuple[int, str]]
 ) -> DamiaoTrajectory:
@@ -212,7 +234,8 @@ def _with_rows(
     number, time = np.array([k for k, _ in filled], int), table[:, 0].copy()
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
         raise InputError(f"{path}, near line {number[row + 1]}: time does not increase")
-    return DamiaoTrajectory(path, joints, number, time, *(table[:, k::3] for k in (1, 2, 3)))
+    q, qd, tau = (table[:, k::3] for k in (1, 2, 3))
+    return DamiaoTrajectory(path, joints, number, time, q, qd, tau)
 
 
 def _table(filled: Sequence[tuple[int, str]], width: int, path: Path) -> Array:

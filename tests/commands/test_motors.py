@@ -209,6 +209,8 @@ def test_a_driver_that_does_not_return_ends_the_program(capsys, monkeypatch):
         (["check", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
         (["check", *CAN0, "--model", "arm.xml"], "--model needs a TRAJECTORY to check"),
         (["simulate", "T"], "the following arguments are required: --model"),
+        (["play", "T", *CAN0, "--also", "T"], "--also needs --also-joint"),
+        (["play", "T", *CAN0, "--also-joint", "j"], "--also-joint is about a second arm"),
         (["simulate", "T", "--model", "M", "--interface", "pcan"], "--interface needs --channel"),
     ],
 )  # fmt: skip
@@ -355,6 +357,51 @@ def test_a_map_of_two_buses_needs_none_to_be_rehearsed(capsys, trajectory, model
     assert (code, err) == (0, "")
     code, out, _ = run(capsys, "play", trajectory, "--joint-map", two_buses, "--dry-run")
     assert code == 0 and "ids are unique: 1, 1" in out
+
+
+SIDE = """<body name="{side}" pos="0 {y} .5">
+ <joint name="{side}_j" axis="{way} 0 0" range="-3 3"/>
+ <geom type="capsule" fromto="0 0 0 0 0 .4" size=".04" mass="1"/></body>"""
+
+
+@pytest.fixture
+def both_arms(tmp_path):
+    """Function: words for two arms that bend towards each other, from so far apart [m]."""
+    table, paths = tmp_path / "map.csv", []
+    write_joint_map(table, [map_line(f"{s}_j", s, 1, 0x11) for s in ("right", "left")])
+    for name, duration in (("first", 0.5), ("second", 0.3)):
+        (tmp_path / name).mkdir()
+        time, q, qd, _ = swing(1, duration=duration, amplitude=0.05)
+        paths.append(written(tmp_path / name, (time, q, qd, 0.0 * q)))
+
+    def words(apart):
+        path, ends = tmp_path / "two.xml", (("left", 0.5 * apart, 1), ("right", -0.5 * apart, -1))
+        bodies = "".join(SIDE.format(side=s, y=y, way=way) for s, y, way in ends)
+        head = "<mujoco><compiler angle='radian'/><worldbody>"
+        path.write_text(f"{head}{bodies}</worldbody></mujoco>")
+        arms = ("--joint", "left_j", "--also", paths[1], "--also-joint", "right_j")
+        return ("simulate", paths[0], *arms, "--model", path, "--joint-map", table, "--play")
+
+    return words
+
+
+def test_both_arms_of_a_model_are_played_in_one_run(capsys, both_arms, tmp_path):
+    record = tmp_path / "measured.csv"
+    code, out, err = run(capsys, *both_arms(0.4), "--record", record)
+    assert (code, err) == (0, "") and "the arms do not touch while both move" in out
+    columns = read_recording(record).columns
+    left, right = columns["left_j_pos"], columns["right_j_pos"]
+    assert len(left) == 126 and np.max(left) > 0.045 and np.max(right) > 0.045
+    assert np.max(np.abs(right[-40:])) < 5e-3
+
+
+def test_arms_that_would_touch_are_not_played_together(capsys, both_arms):
+    """Each alone passes: it moves by 20 mm, and the other one is 30 mm away."""
+    words = both_arms(0.11)
+    code, _, err = run(capsys, *words)
+    assert code == 3 and "the arms touch at 0.1" in err and "play one after the other" in err
+    alone = [word for word in words[1:-1] if word not in words[4:8]]
+    assert run(capsys, "play", *alone, "--dry-run")[0] == 0
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")

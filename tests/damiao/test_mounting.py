@@ -195,19 +195,21 @@ def two_arms(mass):
     return f"{head}<worldbody>{arms}</worldbody></mujoco>"
 
 
+def exported(guess, folder, *options):
+    """Where a motion for an arm of a model is written for its motors."""
+    types = [word for _ in range(4) for word in ("--motor-type", "DM4340")]
+    usual = ("--seed", "0", "--quiet", "--export-damiao", "--output-dir", str(folder))
+    assert main(["plan", str(guess), *options, *usual, *types]) == 0
+    return folder / "damiao_trajectory.csv"
+
+
 @pytest.fixture
 def bimanual(tmp_path):
     """(guessed model, true model, trajectory of the left arm, joint map)."""
     guess, truth = tmp_path / "guess.xml", tmp_path / "truth.xml"
     guess.write_text(two_arms(0.5))
     truth.write_text(two_arms(0.9))
-    types = [word for _ in range(4) for word in ("--motor-type", "DM4340")]
-    options = ("--joint", "left_d", "--duration", "12", "--seed", "0", "--quiet")
-    folder = tmp_path / "export"
-    code = main(
-        ["plan", str(guess), *options, "--output-dir", str(folder), "--export-damiao", *types]
-    )
-    assert code == 0
+    trajectory = exported(guess, tmp_path / "export", "--joint", "left_d", "--duration", "12")
     table = tmp_path / "map.csv"
     mirrored = {"left_b": (-1, 0.4), "left_d": (-1, -0.2)}
     rows = [
@@ -216,7 +218,7 @@ def bimanual(tmp_path):
         for k, name in enumerate("abcd", start=1)
     ]
     write_joint_map(table, rows)
-    return guess, truth, folder / "damiao_trajectory.csv", table
+    return guess, truth, trajectory, table
 
 
 @pytest.mark.slow

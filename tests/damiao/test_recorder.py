@@ -36,7 +36,8 @@ def recorder_for(path, types=("DM4340",), overwrite=False):
     registers = [{k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)} for r in registers]
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
     head = head_lines(joints, registers, settings, "swing.csv")
-    return MeasurementRecorder(path, head, len(joints), Aside(threaded=False), None, overwrite)
+    labels = [f"j{j}" for j in range(len(joints))]
+    return MeasurementRecorder(path, head, labels, Aside(threaded=False), None, overwrite)
 
 
 @st.composite

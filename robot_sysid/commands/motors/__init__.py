@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from robot_sysid.api.motors import lasting
+from robot_sysid.api.motors import SecondArm, lasting
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
@@ -219,7 +219,8 @@ def build_parser(command: str, full: bool = True) -> Parser:
             "trajectory", metavar="TRAJECTORY", type=Path, help="damiao_trajectory.csv", nargs=nargs
         )
     if command in (*_PLAYED, "hold", "map"):
-        group, help_model = parser.add("arm", ModelOptions), "of the arm"
+        arms = (ModelOptions, SecondArm) if command in _PLAYED else (ModelOptions,)
+        group, help_model = parser.add("arm", *arms), "of the arm"
         if command != "map":
             help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
             help_map = "how each joint's motor is mounted (see: motors map), or LeRobot's file"
@@ -276,7 +277,8 @@ def _play_on(
     if choices.dry_run:
         return _verdict(checks, console)
     preflight.require_no_stop(checks, "not played")
-    plan.recording.require_free(*filter(None, (plan.trajectory.path, asked.values.get("model"))))
+    read = plan.trajectory.path, asked.values.get("model"), asked.values.get("also")
+    plan.recording.require_free(*filter(None, read))
     if not choices.yes:
         if not said_yes(_WARNING, "; give --yes"):
             raise InputError("not confirmed; nothing was moved")

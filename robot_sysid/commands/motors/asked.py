@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from robot_sysid.api.motors import MotorRun
+from robot_sysid.api.motors import MotorRun, SecondArm
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
 from robot_sysid.config import ModelOptions
@@ -47,7 +47,8 @@ class Asked(MotorRun):
 
     def arm_words(self) -> list[str]:
         """Return the words of the command line that say which arm it is."""
-        chosen = [each.key for each in given_options(record_from(ModelOptions, self.values))]
+        records = (record_from(record, self.values) for record in (ModelOptions, SecondArm))
+        chosen = [each.key for record in records for each in given_options(record)]
         keys = [key for key in ("model", "joint_map") if self.values.get(key)] + chosen
         flags = [f"--{key.replace('_', '-')}" for key in keys]
         return [str(w) for flag, key in zip(flags, keys) for w in (flag, self.values[key])]
