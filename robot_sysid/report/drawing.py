@@ -52,7 +52,6 @@ class Figure:
     table: Table
     drawing: Any = None
     png: bytes = b""
-    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,9 @@ class Section:
         blocks: (title, text) of what is to be copied as it is.
         missing: what is not there and what would make it so, one sentence each.
         verdict: "good", "part" where some of it is not known, "bad", or "".
+        headline: what stands out of it.
         details: (title, sentences) of what only some want to read.
+        is_open: whether a part is unfolded from the beginning.
     """
 
     key: str
@@ -75,7 +76,9 @@ class Section:
     blocks: Sequence[tuple[str, str]] = ()
     missing: Sequence[str] = ()
     verdict: str = ""
+    headline: str = ""
     details: Sequence[tuple[str, Sequence[str]]] = ()
+    is_open: bool = False
 
 
 def text(value: Any, error: float | None = None) -> str:
@@ -113,8 +116,8 @@ VARIABLES = dict(zip((INK, GRID, BEFORE, AFTER, TRUTH, MEASURED, OTHER), _NAMES)
 """Colour to the name of its variable in the page's style."""
 SERIES = ((AFTER, "o"), (BEFORE, "D"), (TRUTH, "s"), (OTHER, "^"), (MEASURED, "v"))
 """Colour and marker of the first, second, ... of several things beside each other."""
-NARROW, WIDE = 4.6, 9.4
-"""Widths of figures that stand beside another one, and that take the whole page [inch]."""
+WIDTH = 4.6
+"""Of figures [inch]: two beside each other on a screen, one on a phone."""
 HATCHES = ("", "///", "...", "xxx", "\\\\\\", "++", "oo")
 """Of the first, second, ... of several bars beside each other."""
 _SCATTERED = 400
@@ -177,21 +180,20 @@ def drawn(
     numbers: tuple[Sequence[str], Iterable[Sequence[Any]]],
     height: float,
     draw: Callable[[Any], None],
-    width: float = NARROW,
 ) -> Figure:
     """Return a figure.
 
     Args:
         name: of its files, unique on the page.
         numbers: header and rows of its table.
-        height, width: [inch].
+        height: [inch].
     """
     from matplotlib.figure import Figure as Canvas
 
     with _styled(name):
-        canvas = Canvas(figsize=(width, height), layout="constrained")
+        canvas = Canvas(figsize=(WIDTH, height), layout="constrained")
         draw(canvas)
-    return Figure(name, caption, table(*numbers), canvas, wide=width > NARROW)
+    return Figure(name, caption, table(*numbers), canvas)
 
 
 Curves = Mapping[str, tuple[Array, dict[str, Any]]]
@@ -297,22 +299,22 @@ def dots(axes: Any, places: Array, values: Array) -> None:
 def bars(
     canvas: Any, groups: Sequence[str], series: Sequence[tuple[str, Any, str]], label: str
 ) -> None:
-    """Draw bars beside each other.
+    """Draw bars below each other.
 
     Args:
-        series: (name, heights (n,), colour) of the first, second, ... bar of each group; what is
+        series: (name, lengths (n,), colour) of the first, second, ... bar of each group; what is
             not finite is not drawn.
     """
     axes = canvas.subplots()
-    width, places = 0.8 / len(series), np.arange(len(groups), dtype=float)
-    for k, (name, heights, colour) in enumerate(series):
+    height, places = 0.8 / len(series), -np.arange(len(groups), dtype=float)
+    for k, (name, lengths, colour) in enumerate(series):
         style = {"facecolor": colour, "edgecolor": INK, "alpha": 0.8, "hatch": HATCHES[k]}
-        drawable = np.where(np.isfinite(heights), heights, 0.0)
-        at = places + width * (k - 0.5 * (len(series) - 1))
-        axes.bar(at, drawable, 0.92 * width, label=shortened(name, 60), **style)
-    axes.set_xticks(places, [shortened(name) for name in groups], rotation=20, ha="right")
-    axes.set_ylabel(label)
-    legend(canvas, axes, 3 if all(len(name) < 20 for name, _, _ in series) else 1)
+        drawable = np.where(np.isfinite(lengths), lengths, 0.0)
+        at = places - height * (k - 0.5 * (len(series) - 1))
+        axes.barh(at, drawable, 0.92 * height, label=shortened(name, 40), **style)
+    axes.set_yticks(places, [shortened(name) for name in groups])
+    axes.set_xlabel(label)
+    legend(canvas, axes, 1)
 
 
 def shortened(name: str, most: int = 22) -> str:

@@ -39,7 +39,6 @@ def sections_of(runs: Sequence[Run], mesh_dir: Path | None = None) -> list[Secti
         *(verdict.verdict, card, scatter, parameters, visibility),
         *(signals.torques, signals.residuals, signals.friction, signals.excitation),
         *(signals.errors, signals.rollout, partial(picture, mesh_dir=mesh_dir)),
-        verdict.next_steps,
     )
     try:
         if len(runs) > 1:
@@ -61,10 +60,11 @@ def html(title: str, sections: Sequence[Section]) -> str:
 
 
 def _prose(text: str) -> str:
-    """Return a sentence with what stands between backticks as code."""
+    """Return a sentence with what stands between backticks as code; no line ends at a ± or %."""
     from markupsafe import escape
 
-    return re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(text)))
+    held = re.sub(" (?=[±%])|(?<=±) ", "\u00a0", str(escape(text)))
+    return re.sub("`([^`]*)`", r"<code>\1</code>", held)
 
 
 def _picture(content: bytes) -> str:

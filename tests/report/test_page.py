@@ -49,7 +49,8 @@ def test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere
             assert str(attrs.get(name, "#")).startswith(("#", "data:image/png;base64,"))
     policies = [a for tag, a in tags.seen if tag == "meta" and "http-equiv" in a]
     assert policies[0]["content"].startswith("default-src 'none'")
-    ids = [attrs["id"] for tag, attrs in tags.seen if "id" in attrs and tag == "section"]
+    parts = ("section", "details")
+    ids = [attrs["id"] for tag, attrs in tags.seen if "id" in attrs and tag in parts]
     assert len(ids) == len(set(ids)) > 8
     every = {attrs["id"] for _, attrs in tags.seen if "id" in attrs}
     assert set(re.findall(r"url\(#([^)]+)\)", text)) <= every
@@ -58,7 +59,11 @@ def test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere
 
 def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbers(text):
     for words in (
-        *("This result", "What to do next", "Before and after", "Identified, kept, not visible"),
+        *(
+            "torque error 27\u00a0% → 0.25\u00a0%",
+            "Before and after",
+            "Identified, kept, not visible",
+        ),
         *("Measured and predicted torque", "What is left over", "Excitation", "Friction"),
         *("Prediction errors", "truth", "Inertia on the arm", "fifths of arm.csv"),
     ):
@@ -69,6 +74,12 @@ def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbe
         assert re.search(r"<figcaption>.{10,}</figcaption>", figure, re.DOTALL)
         assert "<details>" in figure and "<td" in figure
         assert re.search(r"\[|±|%|posture", figure)
+
+
+def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(text):
+    first, *rest = text.partition("<main>")[2].split('<details class="fold"')
+    assert first.count("<figure") == 1 and 'class="headline"' in first and "Next: " in first
+    assert len(rest) > 7 and not any(part.startswith(" open") for part in rest)
 
 
 @pytest.mark.slow

@@ -30,10 +30,10 @@ from robot_sysid.report.runs import (
     load_run,
     report_data,
 )
-from robot_sysid.report.sections.comparison import predicted
+from robot_sysid.report.sections.comparison import compared, predicted
 from robot_sysid.report.sections.parameters import card, visibility
 from robot_sysid.report.sections.signals import errors, rollout
-from robot_sysid.report.sections.verdict import next_steps, verdict
+from robot_sysid.report.sections.verdict import verdict
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.record import Verdict
 from tests.support import results as made
@@ -176,8 +176,9 @@ def test_a_run_is_read_as_it_was_written(link_run):
 
 def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
     run = load_run(folder)
-    said = " ".join(verdict(run).sentences)
-    assert "Torque error of the model on held-out data: 27 % -> 0.25 %." in said
+    first = verdict(run)
+    assert first.sentences == run.content["verdict"] and "27 % -> 0.25 %" in first.sentences[0]
+    assert first.headline == "torque error 27 % → 0.25 %" and len(first.figures) == 1
     (figure,) = errors(run).figures
     told = {row[0]: row[2] for row in figure.table.rows}
     assert told["model before: fifths of arm.csv"] == "27 %"
@@ -189,9 +190,11 @@ def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
     assert table.rows[0][table.header.index("j5")] == "0.2 -> 0.02"
     file = json.loads((folder / "params.json").read_text())["file"]
     file["torque_error"]["after"] = file["after"] = None
-    said = " ".join(verdict(changed(folder, file=file)).sentences)
-    assert "27 % -> not known, no model was written" in said
+    assert verdict(changed(folder, file=file)).headline == "torque error 27 % → not known"
+    held_out = replace(run, content={**run.content, "rmse_per_joint": {}})
+    assert errors(held_out).sentences == ()
     nothing = changed(folder, file=None, validation=[])
+    assert verdict(nothing).headline == ""
     assert "Nothing was held out" in errors(nothing).sentences[0]
 
 
@@ -199,10 +202,8 @@ def test_a_model_of_its_own_simulation_has_one_body(folder):
     own = {"source": "simulation of the model itself", "links": [], "file": None, "joints": {}}
     run = changed(folder, **own, standard_errors=None, validation=[], rollout=None)
     (body,) = run.bodies
-    parts = sections_of([run])
-    assert "before" not in body.thetas
-    assert "had to come back" in " ".join(parts[0].sentences)
-    assert "simulated the model itself" in parts[-1].points[0]
+    first, *_ = sections_of([run])
+    assert "before" not in body.thetas and (first.headline, first.figures) == ("", ())
 
 
 def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(folder):
@@ -210,16 +211,13 @@ def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(folder):
     model = folder / "updated_model.xml"
     other = re.sub(r"RMSE [\d.]+ Nm", "RMSE 0.123456 Nm", model.read_text())
     (folder / "updated_model.urdf").write_text(other)
-    points = next_steps(load_run(folder)).points
-    assert "Load updated_model.xml in place of the model." in points
-    (said,) = [point for point in points if "updated_model.urdf" in point]
+    (said,) = verdict(load_run(folder)).points
     assert said.startswith("Do not load updated_model.urdf: it is from another run")
     # The newest file is no better for being the newest.
     (folder / "updated_model.urdf").write_text(model.read_text())
     model.write_text(other)
-    points = next_steps(load_run(folder)).points
-    assert "Load updated_model.urdf in place of the model." in points
-    assert any(point.startswith("Do not load updated_model.xml") for point in points)
+    (said,) = verdict(load_run(folder)).points
+    assert said.startswith("Do not load updated_model.xml")
 
 
 def test_torques_of_another_run_are_not_drawn(folder):
@@ -268,7 +266,9 @@ def test_a_payload_has_its_card_unless_it_is_refused(link_run, tmp_path):
     titles = ["payload", "link without payload", "link with payload"]
     assert [body.title for body in run.bodies] == titles
     assert part.tables[0].rows == (("$x^{1}&", "1.100 ± 0.010"),)
-    assert sum("Mass of" in words for words in verdict(run).sentences) == 3
+    (_, told), *_ = verdict(run).details
+    assert verdict(run).headline.startswith("payload 1.200 ± 0.010 kg")
+    assert sum("Mass of" in words for words in told) == 3
     run = load_run(saved(tmp_path, payload_result(model, Verdict.SWAPPED)))
     assert verdict(run).verdict == "bad" and "no card" in card(run).missing[0]
 
@@ -283,7 +283,6 @@ def test_a_payload_whose_inertia_is_not_known_is_not_all_good(link_run, tmp_path
     assert "do not show: the payload's inertia (its ±" in section.sentences[-1]
     rows = {row[0]: row[1:] for row in section.tables[0].rows}
     assert rows["Izz"][::2] == ("not known", "not known") and rows["m"][0] == "the data"
-    assert any("inertia of the payload is not known" in point for point in next_steps(run).points)
 
 
 def test_errors_of_every_joint_stand_beside_each_other(link_run):
@@ -295,3 +294,16 @@ def test_errors_of_every_joint_stand_beside_each_other(link_run):
     for k, row in enumerate(table.rows):
         number, place = divmod(k, len(alone.rows))
         assert row == (f"run{number}: {alone.rows[place][0]}", *alone.rows[place][1:])
+
+
+def test_runs_are_compared_in_the_bodies_that_they_share(link_run):
+    """Whatever comes first in each: the terminal link of another joint is another body."""
+    run = load_run(link_run)
+    other = replace(run, folder=run.folder.parent / "other", bodies=run.bodies[::-1])
+    tables = compared([run, other]).tables
+    assert [table.header[0] for table in tables] == ["link6", "link5"]
+    for table in tables:
+        assert all(one == another for _, one, another in table.rows)
+    alone = replace(other, bodies=[replace(run.bodies[0], title="tool")])
+    part = compared([run, alone])
+    assert not part.tables and "no body in common" in part.sentences[0]

@@ -23,7 +23,8 @@ def verdicts(runs: Sequence[Run]) -> Section:
     header = ("run", "what", "verdict", "body", "mass", "model")
     models = {run.content["model"]["sha256"] for run in runs}
     warned = ("The runs are of different model files.",) if len(models) > 1 else ()
-    return Section("verdicts", "Verdicts", warned, (table(header, rows),), missing=tuple(told))
+    tables, missing = (table(header, rows),), tuple(told)
+    return Section("verdicts", "Verdicts", warned, tables, missing=missing, is_open=True)
 
 
 def names(runs: Sequence[Run]) -> dict[str, Run]:
@@ -33,16 +34,20 @@ def names(runs: Sequence[Run]) -> dict[str, Run]:
 
 
 def compared(runs: Sequence[Run]) -> Section:
-    """Return the parameters of each run's first body beside each other."""
+    """Return the parameters of the bodies that all runs have, beside each other."""
+    bodies = {name: {b.title: b for b in run.bodies} for name, run in names(runs).items()}
+    first, *others = bodies.values()
+    both = [title for title in first if all(title in each for each in others)]
     words = "Values ± one standard error. Runs whose ranges do not meet contradict each other."
-    bodies = {name: run.bodies[0] for name, run in names(runs).items()}
-    titles = dict.fromkeys(body.title for body in bodies.values())
-    careful = f"Careful: these are different bodies ({', '.join(titles)})."
-    sentences = (words, careful) if len(titles) > 1 else (words,)
-    columns = [map(with_error, each.after, each.stated(each.errors)) for each in bodies.values()]
-    labels = (f"{label} [{unit}]" for label, unit in zip(PARAMETER_NAMES, THETA))
-    rows = list(zip(labels, *columns))
-    return Section("compared", "Parameters", sentences, (table(("parameter", *bodies), rows),))
+    if not both:
+        words = "These runs have no body in common, so there are no numbers to compare."
+    tables = []
+    for title in both:
+        same = [each[title] for each in bodies.values()]
+        columns = [map(with_error, each.after, each.stated(each.errors)) for each in same]
+        labels = (f"{label} [{unit}]" for label, unit in zip(PARAMETER_NAMES, THETA))
+        tables.append(table((title, *bodies), list(zip(labels, *columns))))
+    return Section("compared", "Parameters", (words,), tables, is_open=True)
 
 
 def predicted(runs: Sequence[Run]) -> Section:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -107,6 +106,10 @@ def _causes(body: Body, name: str) -> Figure:
     squares[:, ~np.isfinite(body.errors)] = 0.0
     total = np.sum(squares, axis=0)
     shares = np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0)
+    # As many as there are colours; what is least stands together.
+    most = np.argsort(-np.sum(shares, axis=1), kind="stable")[: len(drawing.SERIES) - 1]
+    shown = {causes[k]: shares[k] for k in sorted(most.tolist())}
+    shown["all others"] = np.sum(np.delete(shares, most, axis=0), axis=0)
     rows = [
         (label, drawing.plus_minus(error), *map(percent, each))
         for label, error, each in zip(PARAMETER_NAMES, body.errors, shares.T.tolist())
@@ -119,8 +122,9 @@ def _causes(body: Body, name: str) -> Figure:
     def draw(canvas: Any) -> None:
         ax = canvas.subplots()
         left, places = np.zeros(10), -np.arange(10.0)
-        looks = zip(cycle(drawing.SERIES), cycle(drawing.HATCHES))
-        for cause, share, ((colour, _), hatch) in zip(causes, shares, looks):
+        for (cause, share), (colour, _), hatch in zip(
+            shown.items(), drawing.SERIES, drawing.HATCHES
+        ):
             style = {"facecolor": colour, "edgecolor": drawing.INK, "alpha": 0.75, "hatch": hatch}
             ax.barh(places, 100.0 * share, left=left, label=cause, **style)
             left = left + 100.0 * share
@@ -194,7 +198,7 @@ def card(run: Run) -> Section | None:
     for entry in payload["cards"].values():
         comment = "\n".join(f"# {line}" for line in (entry["explanation"], *entry["notes"]) if line)
         blocks.append((entry["title"], f"{comment}\n{entry['text']}"))
-    return Section("card", "Payload card", (words,), tables, blocks=blocks)
+    return Section("card", "Payload card", (words,), tables, blocks=blocks, is_open=True)
 
 
 def scatter(run: Run) -> Section | None:

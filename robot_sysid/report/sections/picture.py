@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import characteristic_length
+from robot_sysid.dynamics.spatial import characteristic_length, com_from_theta
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.preview.studio import Colour, Studio
-from robot_sysid.records import Flange, RobotModel
+from robot_sysid.records import Array, Flange, RobotModel
 from robot_sysid.report.drawing import Figure, Section
 from robot_sysid.report.runs import Body, Run
 from robot_sysid.report.sections.parameters import masses
 
 _SIZE = (800, 620)
 _COLOURS: dict[str, Colour] = {"before": (0.9, 0.45, 0.05, 0.3), "after": (0.05, 0.38, 0.75, 0.5)}
-_ROOM, _FARTHER = 6.0, 1.25
+_ROOM, _FARTHER, _NEAREST = 6.0, 1.25, 3.0
 _TITLE = "Inertia on the arm"
 Bodies = list[tuple[int, Body]]
 
@@ -99,8 +99,19 @@ def _bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
 
 
 def _go_near(studio: Studio, robot: RobotModel, body: Body) -> None:
-    """Point the camera at the last link's centre of mass from a third of the distance."""
+    """Point the camera at the last link's centre of mass, as near as its ellipsoids allow."""
     com = body.after[1:4] / body.after[0] if body.after[0] > 0.0 else np.zeros(3)
+    reach = max(_reach(theta, com) for theta in body.thetas.values())
     turn = studio.data.xmat[robot.body_id].reshape(3, 3)
     place = studio.data.xpos[robot.body_id] + turn @ com
-    studio.look(place, 0.4 * studio.camera.distance)
+    studio.look(place, max(0.4 * studio.camera.distance, _NEAREST * reach))
+
+
+def _reach(theta: Array, around: Array) -> float:
+    """Return how far the ellipsoid of a body (10,) gets from a place (3,) [m]."""
+    if theta[0] <= 0.0:
+        return 0.0
+    mass, com, inertia = com_from_theta(theta)
+    moments = np.linalg.eigvalsh(inertia)
+    half_axis = np.sqrt(max(2.5 * (np.sum(moments) - 2.0 * moments[0]) / mass, 0.0))
+    return float(np.linalg.norm(com - around) + half_axis)

@@ -72,14 +72,39 @@ def _torque(data: ReportData, joint: int, before: str) -> Figure:
         f"root mean square {rms:.3g} {unit} of {whole:.3g} {unit} "
         f"({before} leaves {old:.3g} {unit})."
     )
-    above: Curves = {
+    above = _before_after(data, joint)
+    below: Curves = {f"residual [{unit}]": (left, {"color": drawing.INK, "lw": 0.7})}
+    panels = Panel(f"torque [{unit}]", above, height=2.5), Panel(f"residual [{unit}]", below)
+    return curves(f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6)
+
+
+def most_changed(run: Run) -> Figure:
+    """Return measured and predicted torque of the joint whose error has changed most."""
+    data = run.data
+    assert data is not None
+    earlier, after = (data.measured - each for each in (data.before, data.predicted))
+    falls = [_rms(old) - _rms(new) for old, new in zip(earlier.T, after.T)]
+    joint = int(np.argmax(np.nan_to_num(np.abs(falls))))
+    name, unit = data.joints[joint], torque(data.is_slide[joint])
+    old, new = _rms(earlier[:, joint]), _rms(after[:, joint])
+    caption = (
+        f"Torque of {name}, measured and predicted before and after: the prediction was off by "
+        f"{old:.3g} {unit}, and is by {new:.3g} {unit} (root mean square)."
+    )
+    panel = Panel(f"torque [{unit}]", _before_after(data, joint))
+    return curves("before-after", caption, ("time [s]", data.time), (panel,), 3.0)
+
+
+def _before_after(data: ReportData, joint: int) -> Curves:
+    unit = torque(data.is_slide[joint])
+    measured, earlier, after = (
+        each[:, joint] for each in (data.measured, data.before, data.predicted)
+    )
+    return {
         f"measured [{unit}]": (measured, {"color": MEASURED, "lw": 2.2, "alpha": 0.8}),
         f"before [{unit}]": (earlier, {"color": BEFORE, "ls": "--", "lw": 0.9}),
         f"after [{unit}]": (after, {"color": AFTER}),
     }
-    below: Curves = {f"residual [{unit}]": (left, {"color": drawing.INK, "lw": 0.7})}
-    panels = Panel(f"torque [{unit}]", above, height=2.5), Panel(f"residual [{unit}]", below)
-    return curves(f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6)
 
 
 def _rms(values: Array) -> float:
@@ -236,6 +261,9 @@ def _motion(data: ReportData, joint: int) -> Figure:
     return curves(f"motion-{joint}", caption, ("time [s]", data.time), panels, 3.0)
 
 
+FITTED = "fitted"
+
+
 class ErrorSet(NamedTuple):
     """Prediction errors on some data."""
 
@@ -260,11 +288,11 @@ def errors(run: Run) -> Section:
     bars = zip((row[3:] for row in rows), sets, drawing.HATCHES)
     series = [(each.words, heights, each.colour) for heights, each, _ in bars]
     joints = [name.rpartition(" [")[0] for name in header[3:]]
-    width = drawing.WIDE if len(joints) > 2 else drawing.NARROW
     draw = partial(drawing.bars, groups=joints, series=series, label="error [N·m]")
-    height = 2.8 + 0.2 * len(series)
-    figures = (drawn("errors", caption, (header, rows), height, draw, width),)
-    told = () if len(sets) > 1 else ("Nothing was held out: other motion may be predicted worse.",)
+    height = 1.2 + 0.2 * len(series) + 0.12 * len(series) * len(joints)
+    figures = (drawn("errors", caption, (header, rows), height, draw),)
+    held_out = any(each.words != FITTED for each in sets)
+    told = () if held_out else ("Nothing was held out: other motion may be predicted worse.",)
     return Section("errors", title, told, figures=figures)
 
 
@@ -285,7 +313,7 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
     content, file, tests = run.content, run.content["file"] or {"others": ()}, []
     if content["rmse_per_joint"]:
         fitted = Validation("", 0, content["rmse"], None, content["rmse_per_joint"], {})
-        yield ErrorSet("fitted", fitted, MEASURED)
+        yield ErrorSet(FITTED, fitted, MEASURED)
     for fits, colour, pairs in (
         (content["validation"][:1], OTHER, [file]),
         (content["validation"][1:], drawing.TRUTH, file["others"]),
