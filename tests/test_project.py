@@ -45,6 +45,14 @@ def test_the_site_has_every_page():
     assert set(re.findall(r"[\w-]+\.md", listed)) == pages
 
 
+def test_home_shows_before_it_tells():
+    """A picture, what to type and what it prints, before the first sentence."""
+    lines = (ROOT / "docs" / "index.md").read_text(encoding="utf-8").split("\n\n")
+    assert [re.match(r"\W*\w*", part)[0].strip() for part in lines[1:4]] == [
+        "![Torque", "```bash", "<!-- printed",
+    ]  # fmt: skip
+
+
 def masked(text: str) -> list[str]:
     """Return lines with what changes from run to run replaced by #."""
     return re.sub(r"(Condition number: )[\d.]+", r"\1#", text).splitlines()

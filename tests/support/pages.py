@@ -40,6 +40,7 @@ WEIGHT = "2.000"
 """Mass of the payload [kg], the one that docs/payload.md calls known."""
 _BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _PRINTED = re.compile(r"^<!-- printed -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\w)")
 _SECONDS, _RATE = "12", "200"
 
 
@@ -54,14 +55,24 @@ def command_lines(block: str) -> list[list[str]]:
     return [words for line in lines if (words := shlex.split(line, comments=True))]
 
 
-def printed(page: Path) -> set[str]:
-    """Return the lines that a page says its commands print, without their numbers."""
-    return {line for block in _PRINTED.findall(page.read_text("utf-8")) for line in lines_of(block)}
+def printed(page: Path) -> list[str]:
+    """Return the lines that a page says its commands print."""
+    text = page.read_text(encoding="utf-8")
+    return [line for block in _PRINTED.findall(text) for line in block.splitlines()]
 
 
-def lines_of(text: str) -> set[str]:
-    """Return the lines of a text with # in place of each number."""
-    return {re.sub(r"\d[\d.e-]*", "#", line) for line in text.splitlines()}
+def is_said(line: str, said: str) -> bool:
+    """Tell whether a text has a line with the same words and, up to a few per cent, numbers."""
+    words, numbers = _parts(line)
+    return any(
+        parts[0] == words and np.allclose(parts[1], numbers, rtol=0.03)
+        for parts in map(_parts, said.splitlines())
+    )
+
+
+def _parts(line: str) -> tuple[list[str], list[float]]:
+    """Return the words of a line with # in place of each number, and the numbers."""
+    return _NUMBER.sub("#", line).split(), [float(number) for number in _NUMBER.findall(line)]
 
 
 def make_workshop(folder: Path) -> None:
