@@ -45,16 +45,8 @@ def test_a_log_needs_its_model_to_be_shown(command, arm):
 
 
 def test_a_plan_says_that_there_is_no_floor(command, arm, arm_file):
-    short = [
-        "--duration",
-        "1",
-        "--sample-rate",
-        "20",
-        "--excitation",
-        "sines",
-        "--verbose",
-        "--below-base",
-    ]
+    words = "--duration 1 --sample-rate 20 --excitation sines --verbose --below-base"
+    short = words.split()
     assert "The model has no floor" in command.run("plan", arm, *short).out
     floor = arm_file(arms.THREE.replace("<worldbody>", f"<worldbody>{FLOOR}"), "floor.xml")
     assert "no floor" not in command.run("plan", floor, *short).out
