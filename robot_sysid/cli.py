@@ -26,6 +26,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in arguments
     tolerant_output()
     _without_what_only_costs_time()
+    if "_ARGCOMPLETE" in os.environ:
+        importlib.import_module("robot_sysid.commands.completion").complete()
     name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else "run"
     with _remembered_interrupts(ends=argv is None) as interrupts:
         interrupted = "interrupted"

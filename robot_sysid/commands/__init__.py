@@ -9,7 +9,6 @@ COMMANDS = (
     "report",
     "motors",
     "example",
-    "completion",
 )
 """Subcommands, each a module of its name (but ``arm``, an older name of ``identify --links``); any
 other first word is a model file."""
