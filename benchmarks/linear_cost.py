@@ -31,12 +31,16 @@ print(code, used.ru_utime + used.ru_stime, used.ru_maxrss)
 
 def measured(*words: str) -> tuple[float, float]:
     """(processor time [s], peak memory [MB]) of a run of the command."""
-    command = [sys.executable, "-m", "robot_sysid", *words, "--quiet"]
-    watched = [sys.executable, "-c", MEASURED, *command]
-    printed = subprocess.run(watched, check=True, capture_output=True, text=True).stdout
+    return watched(sys.executable, "-m", "robot_sysid", *words, "--quiet")
+
+
+def watched(*command: str) -> tuple[float, float]:
+    """(processor time [s], peak memory [MB]) of a process."""
+    outer = [sys.executable, "-c", MEASURED, *command]
+    printed = subprocess.run(outer, check=True, capture_output=True, text=True).stdout
     code, seconds, memory = map(float, printed.split())
     # 1: ran, but the result is not to be used; its cost is the same.
-    assert code in (0.0, 1.0), words
+    assert code in (0.0, 1.0), command
     return seconds, memory / (1024.0 if sys.platform != "darwin" else 1024.0**2)
 
 

@@ -1,12 +1,13 @@
-"""The table of docs/comparison.md: processor time beside pinocchio's and mujoco.sysid's.
+"""The table of docs/comparison.md: processor time and memory beside others', in one run.
 
-Run from the checkout, a few minutes on one core; ``--write`` puts it into the page:
+Run from the checkout, a quarter of an hour on one core; ``--write`` puts it into the page:
 
     pip install -e ".[dev,bench]"
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.speed_table [--write]
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.speed_table [--write] [PART...]
 
-What is not installed, or lacks its public log, is left out of what is printed; nothing is written
-then.
+Parts: start, logs, arm, many, servo, long, sysid. Commands are whole processes, imports and files
+included, with the most memory they held; what several rows compare ran in turns. What is not
+installed, or lacks its public arm or log, is left out of what is printed; nothing is written then.
 """
 
 from __future__ import annotations
@@ -15,55 +16,162 @@ import importlib
 import importlib.util
 import platform
 import sys
+import tempfile
+import time
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
-from benchmarks import against_mujoco_sysid, whole_arm
-from tests.support.places import DATA, ROOT
+import numpy as np
+
+import robot_sysid as rs
+from benchmarks import against_mujoco_sysid, linear_cost, servo_arm, whole_arm
+from robot_sysid.parser import load_robot_model
+from tests.support import arms
+from tests.support.places import DATA, GUESS, MODELS, ROOT, TRUTH
 
 PAGE = ROOT / "docs" / "comparison.md"
 BEGIN, END = "<!-- speed: python -m benchmarks.speed_table -->", "<!-- end of speed -->"
-HEADING = ("| Task | With | Processor time | Times | Error |", "| --- | --- | --- | --- | --- |")
+HEADING = (
+    "| Task | With | Processor time | Times | Memory | Error |",
+    "| --- | --- | --- | --- | --- | --- |",
+)
+ROUNDS, MANY = 5, (1, 4, 12)
+
+
+def row(task: str, who: str, seconds: float, base: float, more: str = " | |") -> str:
+    """One line; ``base`` is the time of the first row that it is compared with."""
+    times = "" if seconds == base else f"{seconds / base:.2g}"
+    return f"| {task} | {who} | {seconds:.2f} s | {times} | {more}"
+
+
+def process(*words: str) -> tuple[float, float]:
+    """(processor time [s], peak memory [MB]) of Python with some words, the least of a few."""
+    each = [linear_cost.watched(sys.executable, *words) for _ in range(ROUNDS)]
+    return min(s for s, _ in each), max(m for _, m in each)
+
+
+def start_rows() -> Iterator[str]:
+    """What a command costs before it does anything, and the Quick Start."""
+    with tempfile.TemporaryDirectory() as out:
+        command, task = ("-m", "robot_sysid"), "a process"
+        quick = (*command, str(GUESS), "--output-dir", out, "--seed", "0", "--quiet")
+        runs = {
+            "importing mujoco and numpy": ("-c", "import mujoco, numpy"),
+            "Python alone": ("-c", "pass"),
+            "robot-sysid --version": (*command, "--version"),
+            "robot-sysid --help": (*command, "--help"),
+            "robot-sysid, the README's Quick Start": quick,
+        }
+        found = {name: process(*words) for name, words in runs.items()}
+    base = next(iter(found.values()))[0]
+    for name, (seconds, memory) in found.items():
+        yield row(task, name, seconds, base, f"{memory:.0f} MB | |")
+
+
+def log_rows() -> Iterator[str]:
+    """``identify`` of logs of 15, 150 and 1500 s at 1 kHz."""
+    with tempfile.TemporaryDirectory() as name:
+        base = None
+        for length in linear_cost.LENGTHS[:3]:
+            linear_cost.log(Path(name), length)
+            seconds, memory = linear_cost.log(Path(name), length)
+            base = base or (seconds, memory)
+            task, more = f"`identify`, 7 joints, {length:g} s at 1 kHz", f"{memory:.0f} MB"
+            yield row(task, "robot-sysid", seconds, base[0], f"{more}, {memory / base[1]:.1f} | |")
 
 
 def arm_rows() -> Iterator[str]:
     """Every link of seven joints from 15 000 samples."""
+    if importlib.util.find_spec("pinocchio") is None or not (DATA / "kuka_lwr4").exists():
+        return
     spent = whole_arm.durations()
-    base, task = next(iter(spent.values())), "every link, 7 joints, 15 000 samples"
     for name, seconds in spent.items():
         who = name if "pinocchio" in name else f"robot-sysid, {name}"
-        yield f"| {task} | {who} | {seconds:.2f} s | {seconds / base:.1f} | |"
+        task = "every link, 7 joints, 15 000 samples in memory"
+        yield row(task, who, seconds, next(iter(spent.values())))
+
+
+def many_rows() -> Iterator[str]:
+    """``rs.identify`` of several logs at once, in one process."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "log.csv"
+        linear_cost.recorded(path, 15.0)
+        log = rs.read_log(path, GUESS)
+        rs.identify(GUESS, log)
+        for count in MANY:
+            before = time.process_time()
+            rs.identify(GUESS, [log] * count)
+            seconds = time.process_time() - before
+            yield row(f"`rs.identify`, logs of 15 s: {count}", "robot-sysid", seconds / count, -1.0)
+
+
+def servo_rows() -> Iterator[str]:
+    """An arm without torque sensors, from 40 s."""
+    path = MODELS / "so101" / "so101_new_calib.xml"
+    if not path.exists():
+        return
+    robot, rng = load_robot_model(path, joint="wrist_roll"), np.random.default_rng(1)
+    with tempfile.TemporaryDirectory() as name:
+        log, arm = Path(name) / "log.csv", servo_arm.other_than(robot, rng)
+        servo_arm.write_log(log, arm, *servo_arm.commands(robot, rng), 0.0015)
+        words = ("--joint", "wrist_roll", "--torque-from", "position-error", "--output-dir", name)
+        seconds, memory = linear_cost.measured("identify", str(path), str(log), *words)
+    yield row("servos, friction and rotors of 5 joints, 40 s", "robot-sysid", seconds, seconds,
+              f"{memory:.0f} MB | |")  # fmt: skip
+
+
+def long_rows() -> Iterator[str]:
+    """Sixty joints in a row; a simulated run of almost half an hour."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        sixty = folder / "sixty.xml"
+        joint = 'range="-2.5 2.5" frictionloss=".4" damping=".1"'
+        sixty.write_text(arms.serial_arm((arms.Z, arms.Y, arms.X) * 20, joint=joint))
+        out = ("--seed", "0", "--output-dir", str(folder / "out"))
+        plant = ("--plant-model", str(TRUTH), "--duration", "1600")
+        for task, words in (
+            ("60 joints, the model itself", (str(sixty),)),
+            ("60 joints, a simulated arm", (str(sixty), "--plant-model", str(sixty))),
+            ("7 joints, a simulated arm, 1600 s at 1 kHz", (str(GUESS), *plant)),
+        ):
+            seconds, memory = linear_cost.measured(*words, *out)
+            yield row(task, "robot-sysid", seconds, seconds, f"{memory:.0f} MB | |")
 
 
 def sysid_rows() -> Iterator[str]:
     """Friction, damping and rotor inertia of seven joints from 15 s."""
-    found = against_mujoco_sysid.compared()
-    base = next(iter(found.values())).seconds
-    task = "friction, damping and rotor inertia of 7 joints, 7500 samples"
-    for name, side in found.items():
-        error = f"{side.error:.2f} mrad held out"
-        yield f"| {task} | {name} | {side.seconds:.2f} s | {side.seconds / base:.0f} | {error} |"
-
-
-def table() -> tuple[list[str], bool]:
-    """Return (lines, whether nothing is left out)."""
-    has_pinocchio = importlib.util.find_spec("pinocchio") is not None
     # Without its own dependencies, the module is there and empty.
     found = importlib.util.find_spec("mujoco.sysid") is not None
-    has_sysid = found and hasattr(importlib.import_module("mujoco.sysid"), "ModelSequences")
-    arm = has_pinocchio and (DATA / "kuka_lwr4").exists()
-    rows = [*(arm_rows() if arm else ()), *(sysid_rows() if has_sysid else ())]
-    versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco"))
-    made = f"Python {platform.python_version()}, {versions}, one thread, best of five or one run."
-    return [*HEADING, *rows, "", made], arm and has_sysid
+    if not (found and hasattr(importlib.import_module("mujoco.sysid"), "ModelSequences")):
+        return
+    sides = against_mujoco_sysid.compared()
+    base = next(iter(sides.values())).seconds
+    task = "friction, damping and rotor inertia of 7 joints, 7500 samples in memory"
+    for name, side in sides.items():
+        yield row(task, name, side.seconds, base, f" | {side.error:.2f} mrad held out |")
 
 
-def main(*options: str) -> None:
+PARTS = {
+    **{"start": start_rows, "logs": log_rows, "arm": arm_rows, "many": many_rows},
+    **{"servo": servo_rows, "long": long_rows, "sysid": sysid_rows},
+}
+
+
+def main(*words: str) -> None:
     """Print the table; write it where that is asked for and it is whole."""
-    lines, whole = table()
-    print("\n".join(lines))
-    if "--write" in options and whole:
+    asked, whole, lines = [w for w in words if w != "--write"], True, [*HEADING]
+    print("\n".join(lines), flush=True)
+    for part in asked or PARTS:
+        before = len(lines)
+        for line in PARTS[part]():
+            print(line, flush=True)
+            lines.append(line)
+        whole &= len(lines) > before
+    versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco"))
+    lines += ["", f"Python {platform.python_version()}, {versions}, one thread."]
+    print("\n".join(lines[-2:]))
+    if "--write" in words and whole:
         rewrite(PAGE, BEGIN, END, lines)
 
 

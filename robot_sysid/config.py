@@ -5,7 +5,6 @@ One record for an identification, another for finding a payload.
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
@@ -182,6 +181,8 @@ class Config:
         """Return the configuration with a seed, where something is random."""
         if self.trajectory.seed is not None or not self._is_drawn():
             return self
+        import secrets
+
         return replace(self, trajectory=replace(self.trajectory, seed=secrets.randbelow(2**31)))
 
     def _is_drawn(self) -> bool:

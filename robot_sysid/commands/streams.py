@@ -6,9 +6,7 @@ Imports nothing that takes time: what goes wrong at the very start is told with 
 from __future__ import annotations
 
 import os
-import shutil
 import sys
-import textwrap
 from typing import Any
 
 from robot_sysid.errors import InputError
@@ -52,6 +50,9 @@ def print_text(text: str, stream: Any) -> None:
 def _on_terminal(text: str) -> str:
     """Return a line wrapped to the terminal's width, but for rows of a table, and in colour unless
     NO_COLOR (https://no-color.org) or a terminal without any forbids it."""
+    import shutil
+    import textwrap
+
     width, indent = shutil.get_terminal_size().columns, len(text) - len(text.lstrip())
     if len(text) > width > 20 and "  " not in text.strip():
         rest = " " * (indent + 2)
