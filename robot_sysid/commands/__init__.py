@@ -1,14 +1,5 @@
 """One file per subcommand, and the console that all of them print on."""
 
-COMMANDS = (
-    "plan",
-    "identify",
-    "arm",
-    "payload",
-    "log",
-    "report",
-    "motors",
-    "example",
-)
+COMMANDS = ("plan", "identify", "arm", "payload", "log", "report", "motors", "example")
 """Subcommands, each a module of its name (but ``arm``, an older name of ``identify --links``); any
 other first word is a model file."""

@@ -8,24 +8,31 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
+from argcomplete import autocomplete
+from argcomplete.completers import FilesCompleter
+
 from robot_sysid.commands import COMMANDS
 
 
 def complete() -> None:
     """Answer a shell that asks (``register-python-argcomplete robot-sysid``), and end."""
-    from argcomplete import autocomplete
-    from argcomplete.completers import FilesCompleter
-
     before = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])]
     done = f"{before}|".split()[1:-1]
     parser, words, offered = _parser(done)
     # A subcommand is completed as a program of its own: so many words belong to its name.
     os.environ["_ARGCOMPLETE"] = str(words)
+    autocomplete(parser, default_completer=_Words(offered))
 
-    def usual(prefix: str, **_: Any) -> list[str]:
-        return [*offered, *FilesCompleter()(prefix)]
 
-    autocomplete(parser, default_completer=usual)
+class _Words(FilesCompleter):
+    """Files and some words."""
+
+    def __init__(self, words: Sequence[str]) -> None:
+        super().__init__()
+        self.words = words
+
+    def __call__(self, prefix: str, **_: Any) -> list[str]:
+        return [*self.words, *super().__call__(prefix)]
 
 
 def _parser(done: Sequence[str]) -> tuple[argparse.ArgumentParser, int, Sequence[str]]:
