@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.kinematics import subtree
-from robot_sysid.errors import ModelError
+from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import Array, Motion, RobotModel
 
@@ -39,12 +39,16 @@ def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
 def parts_of(robot: RobotModel) -> NDArray[np.int64]:
     """Return the part (nbody,) each body belongs to; bodies of one part keep their distances.
 
-    Part 0 is what no chain joint moves, part l what is moved by the first l of them.
+    Part 0 is what no chain joint moves, part l what is moved by the first l of them. InputError for
+    joints of two arms, whose parts cannot be numbered like that.
     """
     model = robot.mj_model
     part = np.zeros(model.nbody, dtype=np.int64)
-    for joint in model.dof_jntid[robot.dof_index]:
-        part[subtree(model, int(model.jnt_bodyid[joint]))] += 1
+    for number, joint in enumerate(model.dof_jntid[robot.dof_index]):
+        moved = subtree(model, int(model.jnt_bodyid[joint]))
+        if np.any(part[moved] != number):
+            raise InputError(f"{', '.join(robot.joint_names)} are no serial chain: take one arm")
+        part[moved] += 1
     return part
 
 

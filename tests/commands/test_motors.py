@@ -337,7 +337,8 @@ def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, 
     arm = ("--model", str(spaced), "--joint", "joint1")
     code, out, err = run(capsys, "simulate", trajectory, *arm, *address, *fd, "--for", "2")
     assert (code, err) == (0, "")
-    words = ["play", str(trajectory), *address, *fd, *arm, "--record", "measured.csv"]
+    words = ["play", str(trajectory), *address, *fd, *arm, "--accept-directions"]
+    words += ["--record", "measured.csv"]
     assert shlex.split(out.splitlines()[-1]) == ["robot-sysid", "motors", *words]
     assert bus.clock.now() == pytest.approx(2.0, abs=2e-3)
 

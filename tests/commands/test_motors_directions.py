@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,20 @@ def test_a_small_motion_verifies_a_set_up_once(capsys, bus, words, person, tmp_p
     assert (code, err) == (0, ""), err
     code, out, _ = run(capsys, *words, "--verify", "--joint-map", "joint_map.csv")
     assert code == 0 and "somebody has verified it" in out
+
+
+def test_what_is_seen_is_never_written_into_a_file_of_lerobots(
+    capsys, words, person, tmp_path, monkeypatch
+):
+    entry = {"drive_mode": 0, "homing_offset": 0}
+    text = json.dumps({f"joint_{k}": {**entry, "id": k + 1} for k in range(2)})
+    theirs = tmp_path / "calibration.json"
+    theirs.write_text(text)
+    monkeypatch.setattr(directions, "_move_a_little", lambda *_: ["up"] * 2)
+    person[0][:] = ["yes"] * 3
+    code, _, err = run(capsys, *words, "--verify", "--joint-map", theirs)
+    assert (code, err) == (0, "") and theirs.read_text() == text
+    assert "motion" in [row.verified for row in read_joint_map(tmp_path / "joint_map.csv")]
 
 
 def test_a_joint_that_went_another_way_leaves_nothing_written(capsys, words, person, tmp_path):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robot_sysid.errors import InputError
+from robot_sysid.model.contacts import parts_of
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.motion.two_arms import BetweenArms, as_one
 from robot_sysid.parser import load_robot_model
@@ -47,6 +49,11 @@ def test_the_first_touch_is_that_of_a_dense_look(arms, end):
     assert (found is None) == (not any(near))
     if found is not None:
         assert found == pytest.approx(time[near.index(True)], abs=3e-3)
+
+
+def test_what_is_for_a_serial_chain_refuses_both(arms):
+    with pytest.raises(InputError, match="no serial chain: take one arm"):
+        parts_of(as_one(*arms))
 
 
 def test_one_of_them_reaches_the_other_and_one_does_not(arms):

@@ -325,7 +325,8 @@ def _simulated_end(asked: Asked) -> bus.Link:
         link, interface = BusLink([terminal for terminal, _ in ends], asked.clock), "slcan"
     buses = [word for channel in channels for word in ("--channel", channel)]
     words = ["play", str(asked.values["trajectory"]), "--interface", interface, *buses]
-    words += [*(["--fd"] if asked.timing.fd else []), *asked.arm_words()]
+    # A simulated arm turns as its model does.
+    words += [*(["--fd"] if asked.timing.fd else []), *asked.arm_words(), "--accept-directions"]
     told = "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
     told += "ends it. To play on it, in another terminal:"
     line = f"{PROGRAM} motors {shlex.join(words)} --record measured.csv"

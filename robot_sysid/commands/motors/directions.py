@@ -51,7 +51,10 @@ def verify(asked: Asked, link: GuardedLink, plan: Plan) -> int:
     if asked.robot is None:
         raise InputError("--verify needs --model, which says where each joint should go")
     path = Path(asked.values.get("joint_map") or "joint_map.csv")
-    if not asked.values.get("joint_map") and path.exists():
+    # LeRobot's own files are read and never written.
+    kept = asked.values.get("joint_map") and path.suffix != ".json"
+    path = path if kept else Path("joint_map.csv")
+    if not kept and path.exists():
         raise InputError(f"{path} is there already; give it with --joint-map")
     console, holding = asked.console, asked.holding(plan)
     unseen = [] if holding is None else holding.unjudged(plan.scan.first)
