@@ -195,7 +195,18 @@ class MotorRun:
     def met_checks(self, plan: Plan, inspection: Inspection, real: bool = True) -> list[Check]:
         """Return what motors that were met say, and whether ``real`` ones turn as they should."""
         turned = direction_checks(plan, self.holding(plan)) if real else ()
-        return [*bus_checks(plan, inspection), *turned]
+        return [*bus_checks(plan, inspection), *turned, *self._way_there(plan, inspection)]
+
+    def _way_there(self, plan: Plan, inspection: Inspection) -> list[Check]:
+        """Return whether two arms keep apart on the way to the first point."""
+        joints, motors = plan.trajectory.joints, inspection.motors
+        if not self._also or not all(joint.address in motors for joint in joints):
+            return []
+        from robot_sysid.damiao.model_check import approach_apart
+
+        places = np.array([motors[joint.address].position for joint in joints])
+        here = JointSpace.of(joints).joint_position(places)
+        return [approach_apart(self.robots, here, plan.scan.first)]
 
     def holding(self, plan: Plan) -> HoldingCheck | None:
         """Return what compares the arm, held still, with the model's gravity; None without one."""

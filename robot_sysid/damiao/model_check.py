@@ -31,7 +31,6 @@ from robot_sysid.simulator import ArmTorque
 _ROUNDING = 1e-9
 # Two positions with four decimals are this far apart from what was meant at most [rad or m].
 _PRINTED = 1e-4
-_PARKED = " on the straight way to where they are parked"
 
 
 class SampledTrajectory:
@@ -175,11 +174,21 @@ def arms_apart(
     arms: Sequence[RobotModel], both: DamiaoTrajectory, speed: float, pose: Array | None
 ) -> Iterator[Check]:
     """Yield whether two arms of a model touch while both move, or on the way to a pose (n,)."""
-    between, motion = BetweenArms(*arms), SampledTrajectory(both, speed)
-    touched = [("", between.touch_at(motion))]
+    motion, between = SampledTrajectory(both, speed), BetweenArms(*arms)
+    ways: dict[str, MotionPlan] = {"while both move": motion}
     if pose is not None:
-        touched.append((_PARKED, between.touch_at(straight_way(motion.q[-1], pose))))
-    stops = [f"the arms touch{where} at {at:.2f} s" for where, at in touched if at is not None]
-    yield from (Check(STOP, f"{text}; play one after the other") for text in stops)
-    if not stops:
-        yield Check(OK, "the arms do not touch while both move")
+        ways["on the straight way to where they are parked"] = straight_way(motion.q[-1], pose)
+    for where, way in ways.items():
+        yield _apart(between, way, where)
+
+
+def approach_apart(arms: Sequence[RobotModel], here: Array, first: Array) -> Check:
+    """Return whether two arms touch on the way from where they are (n,) to the first point."""
+    return _apart(BetweenArms(*arms), straight_way(here, first), "on the way to the first point")
+
+
+def _apart(between: BetweenArms, way: MotionPlan, where: str) -> Check:
+    at = between.touch_at(way)
+    if at is None:
+        return Check(OK, f"the arms do not touch {where}")
+    return Check(STOP, f"the arms touch {where}, at {at:.2f} s; play one after the other")

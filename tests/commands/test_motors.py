@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import can
 import numpy as np
@@ -21,7 +22,14 @@ from robot_sysid.cli import main
 from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.model_check import gravity_check
-from robot_sysid.damiao.protocol.frames import DISABLED, TIMEOUT, Address, enable_frame
+from robot_sysid.damiao.protocol.frames import (
+    DISABLED,
+    ESC_ID,
+    MST_ID,
+    TIMEOUT,
+    Address,
+    enable_frame,
+)
 from robot_sysid.damiao.protocol.joints import damiao_joints, write_joint_map
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.forward_dynamics import ArmStepper
@@ -400,9 +408,20 @@ def test_arms_that_would_touch_are_not_played_together(capsys, both_arms):
     """Each alone passes: it moves by 20 mm, and the other one is 30 mm away."""
     words = both_arms(0.11)
     code, _, err = run(capsys, *words)
-    assert code == 3 and "the arms touch at 0.1" in err and "play one after the other" in err
+    assert code == 3 and "the arms touch while both move, at 0.1" in err
     alone = [word for word in words[1:-1] if word not in words[4:8]]
     assert run(capsys, "play", *alone, "--dry-run")[0] == 0
+
+
+def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(capsys, both_arms, bus):
+    """They stand bent towards each other: their own motions begin apart."""
+    for side, motor in enumerate(bus.motors):
+        motor.joint = replace(motor.joint, can_id=1, master_id=0x11, bus=side)
+        motor.registers.update({ESC_ID: 1.0, MST_ID: 17.0})
+    bus.arm.mechanism.q[:] = 0.4
+    buses = ("--channel", "left", "--channel", "right", "--dry-run", "--accept-directions")
+    code, out, err = run(capsys, "play", *both_arms(0.3)[1:-1], *buses)
+    assert code == 3 and "the arms touch on the way to the first point, at 0.00 s" in err, out + err
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
