@@ -14,7 +14,7 @@ from robot_sysid.config import MotorOptions
 from robot_sysid.damiao.protocol.frames import DISABLED
 from tests.support import arms
 from tests.support.clocks import ScriptedClock
-from tests.support.damiao_rig import swing, trajectory_file, two_motor_arm
+from tests.support.damiao_rig import swing, trajectory_file, two_motor_arm, with_coarse_physics
 from tests.support.links import RememberingLink
 from tests.support.recordings import read_recording
 
@@ -30,9 +30,8 @@ def trajectory(tmp_path):
 
 
 @pytest.fixture(autouse=True)
-def coarse_physics(monkeypatch):
-    fine = motors.MotorRun.simulated_arm
-    monkeypatch.setattr(motors.MotorRun, "simulated_arm", lambda *a: fine(*a, 0.1, 4e-3))
+def quickly(monkeypatch):
+    with_coarse_physics(monkeypatch)
 
 
 def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):

@@ -35,7 +35,14 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.forward_dynamics import ArmStepper
 from tests.support import arms
 from tests.support.command_line import run_motors as run
-from tests.support.damiao_rig import fault, map_line, only_asks, swing, trajectory_file
+from tests.support.damiao_rig import (
+    fault,
+    map_line,
+    only_asks,
+    swing,
+    trajectory_file,
+    with_coarse_physics,
+)
 from tests.support.recordings import read_recording
 
 COMMANDS = ("check", "play", "simulate")
@@ -55,6 +62,11 @@ def written(folder, motion):
 @pytest.fixture
 def model(arm_file):
     return arm_file(arms.serial_arm((arms.Z, arms.Y)))
+
+
+@pytest.fixture
+def quickly(monkeypatch):
+    with_coarse_physics(monkeypatch)
 
 
 @pytest.fixture
@@ -323,7 +335,7 @@ def test_a_motor_that_cannot_hold_is_named_before_anything_moves(capsys, bus, le
 
 
 def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
-    capsys, no_real_time, trajectory, model, tmp_path, monkeypatch
+    capsys, no_real_time, trajectory, model, tmp_path, monkeypatch, quickly
 ):
     read, load = [], parser.load_robot_model
     monkeypatch.setattr(parser, "load_robot_model", lambda *a: read.append(a) or load(*a))
@@ -360,7 +372,9 @@ def two_buses(tmp_path):
     return path
 
 
-def test_a_map_of_two_buses_needs_none_to_be_rehearsed(capsys, trajectory, model, two_buses):
+def test_a_map_of_two_buses_needs_none_to_be_rehearsed(
+    capsys, trajectory, model, two_buses, quickly
+):
     arm = ("--model", model, "--joint-map", two_buses)
     code, _, err = run(capsys, "simulate", trajectory, *arm, "--play", "--rate", "250")
     assert (code, err) == (0, "")
@@ -394,7 +408,7 @@ def both_arms(tmp_path):
     return words
 
 
-def test_both_arms_of_a_model_are_played_in_one_run(capsys, both_arms, tmp_path):
+def test_both_arms_of_a_model_are_played_in_one_run(capsys, both_arms, tmp_path, quickly):
     record = tmp_path / "measured.csv"
     code, out, err = run(capsys, *both_arms(0.4), "--record", record)
     assert (code, err) == (0, "") and "the arms do not touch while both move" in out

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robot_sysid.api.motors import MotorRun
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.inspection import inspect_bus
@@ -15,6 +16,7 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import (
+    DEFAULT_WATCHDOG,
     SimulatedArm,
     SimulatedLink,
     SimulatedMotor,
@@ -128,6 +130,13 @@ def trajectory_file(folder, motion, motor_type="DM4340"):
     path = folder / "damiao_trajectory.csv"
     export_damiao_trajectory([motion], [motor_type] * motion[1].shape[1], path)
     return read_damiao_trajectory(path)
+
+
+def with_coarse_physics(monkeypatch):
+    """Let simulated arms of models take steps of 4 ms; a step of the usual size takes as long."""
+    usual = MotorRun.simulated_arm
+    coarse = lambda run, plan, *_: usual(run, plan, DEFAULT_WATCHDOG, 4e-3)  # noqa: E731
+    monkeypatch.setattr(MotorRun, "simulated_arm", coarse)
 
 
 def only_asks(sent):
