@@ -59,8 +59,12 @@ NEVER = {
     + (*places("errors", "AmbiguousJointError"), *places("parser", "_notes")),
     "example": places("commands.example", "_record"),  # with files of its own
     **dict.fromkeys([f"motors {word}" for word in ("check", "play", "simulate", "hold")], LIFTED),
-    "motors map": places("damiao.preflight", "plan_checks", "bus_checks", "direction_checks")
-    + places("damiao.model_check", "model_checks", "torque_checks"),  # nothing is played
+    "motors map": places(
+        *("damiao.preflight", "plan_checks", "bus_checks", "direction_checks", "limit_checks")
+    )
+    + places(
+        "damiao.model_check", "model_checks", "torque_checks", "way_checks"
+    ),  # nothing is played
     # No model.
     **dict.fromkeys(("motors monitor", "motors setup"), places("commands.motors.asked", "Asked")),
 }

@@ -35,6 +35,7 @@ from robot_sysid.damiao.preflight import (
     Plan,
     bus_checks,
     direction_checks,
+    limit_checks,
     plan_checks,
     require_no_stop,
 )
@@ -51,8 +52,14 @@ from robot_sysid.damiao.simulated import (
     simulated_motor,
 )
 from robot_sysid.damiao.supervision import StopRequest
-from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory, together
+from robot_sysid.damiao.trajectory import (
+    NO_LIMITS,
+    DamiaoTrajectory,
+    read_damiao_trajectory,
+    together,
+)
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
+from robot_sysid.motion.options import LimitOptions
 from robot_sysid.pipeline import motor_writer
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import DAMIAO_NAME, temporary_folder
@@ -66,6 +73,9 @@ from robot_sysid.records.options import (
 )
 
 Say = Callable[[str], None]
+MODEL_LIMITS = "workspace", "keep_out", "clearance"
+LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
+"""Which of a motion's limits hold for all that a run moves."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +150,17 @@ class MotorRun:
             record_from(Permissions, self.values),
             record_from(RecordingOptions, self.values),
             self._inertia(trajectory),
+            self._limits(),
         )
+
+    def _limits(self) -> LimitOptions:
+        """Return what holds for all that moves; InputError where only a model could tell."""
+        asked = {key: self.values[key] for key in LIMITS if key in self.values}
+        for key in MODEL_LIMITS if self.robot is None else ():
+            if key in asked:
+                raise InputError(f"--{key.replace('_', '-')} is about a model; add --model")
+        free = {"max_velocity": NO_LIMITS.max_velocity, "clearance": 0.0, "below_base": True}
+        return record_from(LimitOptions, {**free, **asked})
 
     def _inertia(self, trajectory: DamiaoTrajectory) -> Array | None:
         """Return what each joint moves at the first point, where a model is known [kg m^2]."""
@@ -174,39 +194,35 @@ class MotorRun:
 
     def checks(self, plan: Plan) -> list[Check]:
         """Return the checks that need no bus, those of a model of the arm included."""
+        own = [*plan_checks(plan), *limit_checks(plan)]
         if self.robot is None:
             for given in given_options(record_from(ModelOptions, self.values)):
                 raise InputError(f"{given.flag} is about a model; add --model")
-            return plan_checks(plan)
+            return own
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.damiao.model_check import arms_apart, model_checks, torque_checks
 
         played, settings, pose = plan.trajectory, plan.settings, plan.pose
         files, speed = self._files if self._also else (played,), settings.speed
         fits: list[Check] = []
-        for own, robot in zip(files, self.robots):
-            left = None if pose is None else pose[: own.n_joints]
-            pose = None if pose is None else pose[own.n_joints :]
-            fits += model_checks(own, speed, robot, left)
+        for each, robot in zip(files, self.robots):
+            left = None if pose is None else pose[: each.n_joints]
+            pose = None if pose is None else pose[each.n_joints :]
+            fits += model_checks(each, speed, robot, left, plan.limits)
         if self._also:
             fits += arms_apart(self.robots, played, speed, plan.pose)
-        return [*plan_checks(plan), *fits, *torque_checks(played, settings, self.robot)]
+        return [*own, *fits, *torque_checks(played, settings, self.robot)]
 
     def met_checks(self, plan: Plan, inspection: Inspection, real: bool = True) -> list[Check]:
         """Return what motors that were met say, and whether ``real`` ones turn as they should."""
-        turned = direction_checks(plan, self.holding(plan)) if real else ()
-        return [*bus_checks(plan, inspection), *turned, *self._way_there(plan, inspection)]
+        checks, here = bus_checks(plan, inspection), plan.places(inspection)
+        if np.all(np.isfinite(here)):
+            checks += limit_checks(plan, here)
+            if self.robot is not None:
+                from robot_sysid.damiao.model_check import way_checks
 
-    def _way_there(self, plan: Plan, inspection: Inspection) -> list[Check]:
-        """Return whether two arms keep apart on the way to the first point."""
-        joints, motors = plan.trajectory.joints, inspection.motors
-        if not self._also or not all(joint.address in motors for joint in joints):
-            return []
-        from robot_sysid.damiao.model_check import approach_apart
-
-        places = np.array([motors[joint.address].position for joint in joints])
-        here = JointSpace.of(joints).joint_position(places)
-        return [approach_apart(self.robots, here, plan.scan.first)]
+                checks += way_checks(plan, self.robots, here)
+        return [*checks, *(direction_checks(plan, self.holding(plan)) if real else ())]
 
     def holding(self, plan: Plan) -> HoldingCheck | None:
         """Return what compares the arm, held still, with the model's gravity; None without one."""
@@ -342,7 +358,7 @@ _RECORDS = (*_BUS, *_HOW, ModelOptions, SecondArm)
 
 def _run(say: Say, **values: Any) -> MotorRun:
     keys = [each.key for record in _RECORDS for each in options_of(record).values()]
-    refuse_unknown(values, [*keys, "model", "joint_map", "trajectory"])
+    refuse_unknown(values, [*keys, *LIMITS, "model", "joint_map", "trajectory"])
     return MotorRun(values, lambda words, last: say(words))
 
 

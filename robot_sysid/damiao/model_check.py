@@ -10,14 +10,15 @@ that with what the motors can do.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.damiao.holding import HoldingCheck, torque_doubt
-from robot_sysid.damiao.preflight import OK, STOP, Check
+from robot_sysid.damiao.preflight import OK, STOP, Check, Plan
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, DamiaoTrajectory
+from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.options import LimitOptions
@@ -51,13 +52,18 @@ class SampledTrajectory:
 
 
 def model_checks(
-    trajectory: DamiaoTrajectory, speed: float, robot: RobotModel, pose: Array | None = None
+    trajectory: DamiaoTrajectory,
+    speed: float,
+    robot: RobotModel,
+    pose: Array | None = None,
+    limits: LimitOptions = NO_LIMITS,
 ) -> Iterator[Check]:
     """Yield what a model of the arm says to a motor trajectory.
 
     It is played at a share of its speed. The arm is loaded without a speed limit, so that only its
-    own holds, and left in a pose (n,) afterwards [rad]; None where it ends. InputError where the
-    trajectory is for another number of joints.
+    own holds, and left in a pose (n,) afterwards [rad]; None where it ends. Of ``limits`` those
+    count that only a model can tell. InputError where the trajectory is for another number of
+    joints.
     """
     if robot.n_joints != trajectory.n_joints:
         raise InputError(
@@ -65,16 +71,44 @@ def model_checks(
             f"{robot.n_joints}: {', '.join(robot.joint_names)}"
         )
     motion = SampledTrajectory(trajectory, speed)
-    touches = [f"the model's {what} touch at {at:.2f} s" for what, at in _contact(robot, motion)]
+    touches = [
+        f"the model's {what} touch at {at:.2f} s" for what, at in _contact(robot, motion, limits)
+    ]
     excesses = [*_joint_excesses(robot, motion), *touches]
     yield from (Check(STOP, f"{e}; export a smaller trajectory for this arm") for e in excesses)
-    parking = [] if pose is None else [*_parking(robot, motion.q[-1], pose)]
+    parking = [] if pose is None else [*_parking(robot, motion.q[-1], pose, limits)]
     yield from (Check(STOP, f"{excess}; choose another --park pose") for excess in parking)
     if not excesses and not parking:
         yield Check(OK, f"the trajectory stays within the limits of {robot.path.name}")
 
 
-def _parking(robot: RobotModel, last: Array, pose: Array) -> Iterator[str]:
+# So near the arm is there: a contact on so short a way is the model's error [rad].
+_THERE = 0.02
+
+
+def way_checks(plan: Plan, arms: Sequence[RobotModel], here: Array) -> Iterator[Check]:
+    """Yield where arms that stand at ``here`` (n,) [rad] touch something on their ways."""
+    for words, way in plan.ways(here):
+        if np.max(np.abs(way.q[-1] - way.q[0])) > _THERE:
+            for touching in _touching(way, arms, plan.limits):
+                said = f"{words}, straight from where it stands, the model's {touching} touch"
+                yield Check(STOP, f"{said}; bring the arm nearer to the first point by hand")
+
+
+def _touching(
+    way: DamiaoTrajectory, arms: Sequence[RobotModel], limits: LimitOptions
+) -> Iterator[str]:
+    begin = 0
+    for robot in arms:
+        own = slice(begin, begin := begin + robot.n_joints)
+        part = {name: getattr(way, name)[:, own] for name in ("q", "qd", "tau")}
+        alone = replace(way, joints=way.joints[own], **part)
+        yield from (what for what, _ in _contact(robot, SampledTrajectory(alone, 1.0), limits))
+    if len(arms) > 1 and BetweenArms(*arms).touch_at(SampledTrajectory(way, 1.0)) is not None:
+        yield "arms"
+
+
+def _parking(robot: RobotModel, last: Array, pose: Array, asked: LimitOptions) -> Iterator[str]:
     """Yield a sentence for each limit that a pose is beyond, and on a contact on the way there."""
     limits = zip(robot.joint_names, pose, robot.limits.lower, robot.limits.upper)
     for j, (name, q, lower, upper) in enumerate(limits):
@@ -83,7 +117,7 @@ def _parking(robot: RobotModel, last: Array, pose: Array) -> Iterator[str]:
                 f"joint {name} is to be parked at {q:.4g} {_unit('position', robot, j)}, outside "
                 f"the model's {lower:g} to {upper:g}"
             )
-    for touching, _ in _contact(robot, straight_way(last, pose)):
+    for touching, _ in _contact(robot, straight_way(last, pose), asked):
         yield f"on the straight way to where the arm is parked, the model's {touching} touch"
 
 
@@ -111,10 +145,10 @@ def _unit(what: str, robot: RobotModel, joint: int) -> str:
     return {"position": length, "velocity": f"{length}/s", "torque": force}[what]
 
 
-def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float]]:
-    touched = first_contact(
-        build_problem(robot, LimitOptions(clearance=0.0, below_base=True)), motion
-    )
+def _contact(
+    robot: RobotModel, motion: MotionPlan, limits: LimitOptions
+) -> Iterator[tuple[str, float]]:
+    touched = first_contact(build_problem(robot, limits), motion)
     if touched is not None:
         yield touched.label, touched.time
 
@@ -180,11 +214,6 @@ def arms_apart(
         ways["on the straight way to where they are parked"] = straight_way(motion.q[-1], pose)
     for where, way in ways.items():
         yield _apart(between, way, where)
-
-
-def approach_apart(arms: Sequence[RobotModel], here: Array, first: Array) -> Check:
-    """Return whether two arms touch on the way from where they are (n,) to the first point."""
-    return _apart(BetweenArms(*arms), straight_way(here, first), "on the way to the first point")
 
 
 def _apart(between: BetweenArms, way: MotionPlan, where: str) -> Check:

@@ -21,9 +21,11 @@ from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.references import way_rows
 from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
 
@@ -94,7 +96,8 @@ class Permissions(OptionRecord):
 class Plan:
     """What is to be played, and how; settings left open are chosen for these motors and this bus.
 
-    ``inertia`` is what each joint moves (n,), where a model is known [kg m^2].
+    ``inertia`` is what each joint moves (n,), where a model is known [kg m^2]; ``limits`` hold for
+    the trajectory, the way to it and the way to where the arm is parked.
     """
 
     trajectory: motion.DamiaoTrajectory
@@ -103,6 +106,7 @@ class Plan:
     allowed: Permissions = Permissions()
     recording: RecordingOptions = RecordingOptions()
     inertia: Array | None = None
+    limits: LimitOptions = motion.NO_LIMITS
     scan: motion.TrajectoryScan = field(init=False)
 
     def __post_init__(self) -> None:
@@ -133,16 +137,47 @@ class Plan:
             raise InputError(f"{where} has to hold {n} positions in one line, separated by commas")
         return pose
 
+    def ways(self, here: Array) -> Iterator[tuple[str, motion.DamiaoTrajectory]]:
+        """Yield how the arm gets from ``here`` (n,) [rad] to the first point, and is parked."""
+        settings = self.settings
+        rest = {"start": here, None: None, "rest": None}.get(settings.park, self.pose)
+        pace = settings.approach_speed, settings.approach_time
+        yield "on the way to the first point", way_rows(self.trajectory, 0, here, *pace)
+        if rest is not None:
+            yield "on the way to where it is parked", way_rows(self.trajectory, -1, rest, *pace)
+
     @property
     def holding(self) -> HoldingCheck:
         """What the trajectory itself says that holds the arm."""
         played, scan = self.trajectory, self.scan
         return FileHolding(played.joints, scan.first, played.tau[0], scan.peak_torque)
 
+    def places(self, inspection: Inspection) -> Array:
+        """Return where the joints stand (n,) [rad]; NaN where a motor does not tell."""
+        joints, motors = self.trajectory.joints, inspection.motors
+        told = [motors[j.address].position if j.address in motors else np.nan for j in joints]
+        return JointSpace.of(joints).joint_position(np.array(told))
+
     def others(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
         """Return the motors that answer but drive no joint of the trajectory."""
         known = {joint.address for joint in self.trajectory.joints}
         return tuple(m for address, m in sorted(inspection.motors.items()) if address not in known)
+
+
+def limit_checks(plan: Plan, here: Array | None = None) -> list[Check]:
+    """Return where the trajectory, or else the ways from ``here`` (n,), break limits asked for."""
+    if here is None:
+        said = [*motion.limit_excesses(plan.trajectory, plan.settings.speed, plan.limits)]
+    else:
+        slow = (
+            f"; move it nearer by hand, or lower --approach-speed {plan.settings.approach_speed:g}"
+        )
+        said = [
+            f"{words}, {excess}{slow}"
+            for words, way in plan.ways(here)
+            for excess in motion.limit_excesses(way, 1.0, plan.limits)
+        ]
+    return [_stop(text) for text in said]
 
 
 def stops(checks: Sequence[Check]) -> list[str]:

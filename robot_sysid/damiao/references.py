@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +67,26 @@ def approach(
         return Reference(start + share * distance, rate * distance, carried)
 
     return reference, duration
+
+
+# Of the rows of a way, enough for motions of a second and more [Hz].
+_WAY_RATE = 100.0
+
+
+def way_rows(
+    trajectory: DamiaoTrajectory, row: int, place: Array, speed: float, shortest: float
+) -> DamiaoTrajectory:
+    """Return the way between a place (n,) [rad] and a row of a trajectory, as rows.
+
+    For ``speed`` and ``shortest`` see ``approach``.
+    """
+    end = Reference(trajectory.q[row], np.zeros_like(place), trajectory.tau[row])
+    reference, duration = approach(place, end, speed, shortest)
+    time = np.linspace(0.0, duration, int(np.ceil(duration * _WAY_RATE)) + 1)
+    q, qd, tau = (np.array(part) for part in zip(*map(reference, time)))
+    if row:
+        q, qd, tau = q[::-1], -qd[::-1], tau[::-1]
+    return replace(trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau)
 
 
 def come_to_rest(last: Reference, deceleration: float) -> tuple[ReferenceFunction, float]:

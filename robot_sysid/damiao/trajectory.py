@@ -38,8 +38,10 @@ from robot_sysid.damiao.protocol.frames import PLANNING_LIMIT, BusTiming, bus_lo
 from robot_sysid.damiao.protocol.joints import MASTER_ID_OFFSET, DamiaoJoint, damiao_joints
 from robot_sysid.damiao.protocol.motors import RPM, motor_spec
 from robot_sysid.errors import InputError
+from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import whole_file
+from robot_sysid.records.options import per_joint
 
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
 
@@ -314,6 +316,30 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
         found = found._replace(line=int(trajectory.line[found.line]))
     length = float(time[-1] - time[0])
     return TrajectoryScan(length, q[0], ends, *reach, velocity, torque, step, found)
+
+
+NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
+"""What a run obeys where nothing else is asked for: 1e6 rad/s is none."""
+
+
+def limit_excesses(
+    trajectory: DamiaoTrajectory, speed: float, limits: LimitOptions
+) -> Iterator[str]:
+    """Yield a sentence for each limit that a trajectory, played at a share of its speed, breaks."""
+    step = np.diff(trajectory.time)
+    # The fourth decimal of two velocities makes this much acceleration.
+    printed = 2.0 * _ROUNDING / step.min()
+    shaken = np.gradient(trajectory.qd, trajectory.time, axis=0)
+    for values, most, unit, flag, slack in (
+        (speed * trajectory.qd, limits.max_velocity, "rad/s", "--max-velocity", _ROUNDING),
+        (speed**2 * shaken, limits.max_acceleration, "rad/s^2", "--max-acceleration", printed),
+        (trajectory.tau, limits.max_torque, "N m", "--max-torque", _ROUNDING),
+    ):
+        tops = per_joint(np.inf if most is None else most, trajectory.n_joints, flag)
+        largest = np.abs(values).max(axis=0)
+        for j in np.flatnonzero(largest > tops + slack).tolist():
+            name = trajectory.joints[j].label
+            yield f"{name}: {largest[j]:.4g} {unit} is beyond {flag} {tops[j]:g}"
 
 
 # Numbers with four decimals, as the export writes them, are this far from what was meant.

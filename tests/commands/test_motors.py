@@ -276,6 +276,25 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused(capsys, bus, tmp_path, 
     assert only_asks(bus.wire.sent)
 
 
+def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):
+    """At 0.31 rad/s; planes only with a model."""
+    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes", "--max-velocity", "0.3")
+    assert code == 3 and "rad/s is beyond --max-velocity 0.3" in err
+    plane = "--keep-out", "0", "0", "1", "0"
+    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes", *plane)
+    assert code == 2 and "--keep-out is about a model; add --model" in err
+    # What is played at 0.6 keeps it, and the way to the first point does not.
+    slow = "--max-velocity", "0.4", "--speed", "0.6"
+    bus.arm.mechanism.q[:] = 0.3
+    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes", *slow, "--approach-speed", "0.5")
+    assert (
+        code == 3
+        and "on the way to the first point, motor 1: 0." in err
+        and "rad/s is beyond" in err
+    )
+    assert only_asks(bus.wire.sent)
+
+
 def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file):
     code, _, err = run(capsys, "play", trajectory, *CAN0, "--model", arm_file(arms.THREE))
     assert code == 2 and "has 2 joints but the chain" in err and "has 3" in err
@@ -435,7 +454,8 @@ def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(caps
     bus.arm.mechanism.q[:] = 0.4
     buses = ("--channel", "left", "--channel", "right", "--dry-run", "--accept-directions")
     code, out, err = run(capsys, "play", *both_arms(0.3)[1:-1], *buses)
-    assert code == 3 and "the arms touch on the way to the first point, at 0.00 s" in err, out + err
+    said = "on the way to the first point, straight from where it stands, the model's arms touch"
+    assert code == 3 and said in err, out + err
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.model_check import model_checks, torque_checks
-from robot_sysid.damiao.preflight import OK, STOP
+from robot_sysid.damiao.model_check import model_checks, torque_checks, way_checks
+from robot_sysid.damiao.preflight import OK, STOP, Plan
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
@@ -206,3 +207,35 @@ def test_where_the_arm_is_parked_and_the_way_there_are_compared_too(folder, angl
     )
     assert any("outside the model's -3 to 3" in text for text in said) == (angle > 3.0)
     assert all(text.endswith("choose another --park pose") for text in said) == (angle > 1.5)
+
+
+@given(angle=st.floats(-2.9, 1.4) | st.floats(1.7, 2.9))
+def test_the_way_to_the_first_point_and_back_is_compared_too(folder, angle):
+    """The arm stands at an angle and is to begin at zero, beyond the wall or not."""
+    robot, here = arms.robot_of(WALL, max_velocity=np.inf), np.array([angle])
+    plan = Plan(written(folder, turn(0.5)), PlaySettings(park="start"))
+    said = [check.text for check in way_checks(plan, [robot], here)]
+    assert len(said) == (2 if angle > 1.5 else 0) and all("wall touch" in text for text in said)
+    assert [text.split(",")[0] for text in said] == [
+        "on the way to the first point",
+        "on the way to where it is parked",
+    ][: len(said)]
+
+
+def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
+    """The ball of 0.02 m goes round at 0.5 m; it may not come above y = 0.3 m."""
+    robot = arms.robot_of(WALL, max_velocity=np.inf)
+    low, high, pose = turn(0.5), turn(1.0), np.array([1.0])
+    for limits in (
+        LimitOptions(keep_out=((0.0, -1.0, 0.0, -0.3),), clearance=0.0, below_base=True),
+        LimitOptions(workspace=(-1.0, 1.0, -1.0, 0.3, -1.0, 1.0), clearance=0.0, below_base=True),
+    ):
+        (fits,) = model_checks(written(folder, low), 1.0, robot, None, limits)
+        assert fits.severity == OK
+        (beyond,) = model_checks(written(folder, high), 1.0, robot, None, limits)
+        assert beyond.severity == STOP and "0.3 m" in beyond.text
+        (parked,) = model_checks(written(folder, low), 1.0, robot, pose, limits)
+        assert parked.severity == STOP and "where the arm is parked" in parked.text
+        plan = Plan(written(folder, low), limits=limits)
+        (way,) = way_checks(plan, [robot], pose)
+        assert "on the way to the first point" in way.text and "0.3 m" in way.text

@@ -12,13 +12,16 @@ from hypothesis.extra import numpy as hnp
 
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.trajectory import (
+    NO_LIMITS,
     export_damiao_trajectory,
+    limit_excesses,
     read_damiao_trajectory,
     scan_trajectory,
     velocity_mismatch,
 )
 from robot_sysid.errors import InputError
-from tests.support.damiao_rig import trajectory_file
+from robot_sysid.motion.options import LimitOptions
+from tests.support.damiao_rig import swing, trajectory_file
 
 
 def motion(samples=5, joints=2, dt=0.001, scale=1.0):
@@ -261,3 +264,28 @@ def test_a_rate_the_bus_cannot_carry_comes_with_one_that_it_can():
     (warning,) = exported([motion(10, 7)], ["DM4340"] * 7)[0].warnings
     assert "189 % of a classic CAN bus" in warning and "--sample-rate 250" in warning
     assert exported([motion(10, 7, 0.004)], ["DM4340"] * 7)[0].warnings == ()
+
+
+@given(share=st.lists(st.floats(0.1, 0.95) | st.floats(1.05, 5.0), min_size=5, max_size=5),
+       speed=st.floats(0.2, 1.0))  # fmt: skip
+def test_limits_that_are_asked_for_hold_joint_by_joint_at_the_speed_that_is_played(
+    swinging, share, speed
+):
+    shaken = speed**2 * np.abs(np.gradient(swinging.qd, swinging.time, axis=0)).max(axis=0)
+    fast, strong = speed * np.abs(swinging.qd).max(axis=0), np.abs(swinging.tau).max(axis=0)
+    top = float(shaken[0] / share[4])
+    limits = LimitOptions(tuple(fast / share[:2]), top, tuple(strong / share[2:4]))
+    due = [
+        *(("--max-velocity", j) for j in (0, 1) if share[j] > 1.0),
+        # What four digits of the velocities make beside it.
+        *(("--max-acceleration", j) for j in (0, 1) if shaken[j] > top + 0.01),
+        *(("--max-torque", j) for j in (0, 1) if share[2 + j] > 1.0),
+    ]
+    said = [text.split() for text in limit_excesses(swinging, speed, limits)]
+    assert [(words[-2], int(words[1].rstrip(":")) - 1) for words in said] == due
+    assert list(limit_excesses(swinging, speed, NO_LIMITS)) == []
+
+
+@pytest.fixture(scope="module")
+def swinging(tmp_path_factory):
+    return trajectory_file(tmp_path_factory.mktemp("swinging"), swing(2, rate=100.0))

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from robot_sysid.api.motors import SecondArm, lasting
+from robot_sysid.api.motors import LIMITS, SecondArm, lasting
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
@@ -29,6 +29,7 @@ from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import serve
 from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records.options import OptionRecord, option, options_of, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
@@ -230,6 +231,9 @@ def build_parser(command: str, full: bool = True) -> Parser:
     parser.add("bus", BusAddress, BusTiming)
     for title, records in groups.items():
         parser.add(title, *records)
+    if command in _PLAYED:
+        # Nothing is limited by default, but by the model.
+        parser.add("limits", LimitOptions, only=LIMITS, usual=dict.fromkeys(LIMITS))
     parser.add_console()
     return parser
 

@@ -16,9 +16,9 @@ from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.setup import positive_ways
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.execution import run
-from robot_sysid.damiao.inspection import Inspection, inspect_bus
+from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.preflight import Plan, require_no_stop
-from robot_sysid.damiao.protocol.joints import BY_MOTION, DamiaoJoint, JointSpace, write_joint_map
+from robot_sysid.damiao.protocol.joints import BY_MOTION, DamiaoJoint, write_joint_map
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.errors import InputError
@@ -83,7 +83,10 @@ def _move_a_little(
 ) -> list[str]:
     """Move joints one after the other; return which way each should have gone, in words."""
     inspection, console = inspect_bus(link), asked.console
-    here = _places(plan, inspection)
+    here = plan.places(inspection)
+    for j in np.flatnonzero(~np.isfinite(here)).tolist():
+        joint = plan.trajectory.joints[j]
+        raise InputError(f"{joint.label} does not answer; see robot-sysid motors check")
     numbers = [plan.trajectory.joints.index(joint) for joint in unseen]
     room = asked.robot.limits
     signs = np.where(room.upper - here < here - room.lower, -1.0, 1.0)
@@ -105,15 +108,6 @@ def _move_a_little(
         run(link, little, inspect_bus(link), stop, console.stage, tell, asked.holding(little))
     console.stage("all motors are disabled")
     return [ways[j] for j in numbers]
-
-
-def _places(plan: Plan, inspection: Inspection) -> Array:
-    joints, motors = plan.trajectory.joints, inspection.motors
-    places = [motors[j.address].position if j.address in motors else np.nan for j in joints]
-    here = JointSpace.of(joints).joint_position(np.array(places))
-    for j in np.flatnonzero(~np.isfinite(here)):
-        raise InputError(f"{joints[int(j)].label} does not answer; see robot-sysid motors check")
-    return here
 
 
 def _small_motion(
