@@ -14,6 +14,11 @@ from contextlib import contextmanager
 from typing import Any, TypeVar, get_type_hints
 
 from robot_sysid.config import ModelOptions, PayloadConfig, SysidConfig
+from robot_sysid.damiao.bus import BusAddress
+from robot_sysid.damiao.preflight import Permissions
+from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
@@ -32,6 +37,8 @@ RECORDS: Mapping[str, Sequence[Any]] = {
 }
 RECORDS = {**RECORDS, "identify_arm": RECORDS["identify"]}
 """Function to the records whose options are its keywords."""
+MOTOR_RECORDS = (BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions)
+"""Records whose options are keywords of ``motors.play`` and ``motors.hold``."""
 _COMMAND = "plays models; it needs the command robot-sysid identify"
 _SAVE = "is for the command; the result's save(folder) writes files"
 ELSEWHERE = {
@@ -103,7 +110,7 @@ def in_python() -> Iterator[None]:
 
 @functools.cache
 def _options() -> Mapping[str, Option]:
-    records = {*_ARM, *_PAYLOAD}
+    records = {*_ARM, *_PAYLOAD, *MOTOR_RECORDS}
     return {each.flag: each for record in records for each in options_of(record).values()}
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.api.keywords import MOTOR_RECORDS, in_python
 from robot_sysid.api.results import PlanResult
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao import execution
@@ -321,12 +322,12 @@ def play(
         HardwareAbort: a check forbids it, or the run was stopped; its message says whether a motor
             may still be enabled.
     """
-    with _motor_file(trajectory) as (path, own):
+    with in_python(), _motor_file(trajectory) as (path, own):
         chosen = {**own, **({} if model is None else {"model": model}), **options}
         run = _run(say, trajectory=path, joint_map=joint_map, **chosen)
         plan = run.plan()
         require_no_stop(run.checks(plan), "not played")
-        plan.recording.require_free(path)
+        plan.recording.require_free(*filter(None, (path, chosen.get("model"), chosen.get("also"))))
         bus = run.simulated(run.simulated_arm(plan)) if simulate else run.bus()
         with bus as link:
             return _played(run, link, plan, say, real=not simulate)
@@ -344,20 +345,18 @@ def hold(
 
     For the other arguments, what is returned and what is raised see ``play``.
     """
-    run = _run(say, model=model, joint_map=joint_map, **options)
-    with run.bus() as link:
+    with in_python():
+        run = _run(say, model=model, joint_map=joint_map, **options)
+    with in_python(), run.bus() as link:
         plan = run.hold_plan(inspect_bus(link))
         require_no_stop(run.checks(plan), "not held")
         plan.recording.require_free()
         return _played(run, link, lasting(plan, seconds), say, real=False)
 
 
-_BUS, _HOW = (BusAddress, BusTiming), (PlaySettings, Permissions, RecordingOptions)
-_RECORDS = (*_BUS, *_HOW, ModelOptions, SecondArm)
-
-
 def _run(say: Say, **values: Any) -> MotorRun:
-    keys = [each.key for record in _RECORDS for each in options_of(record).values()]
+    records = (*MOTOR_RECORDS, SecondArm)
+    keys = [each.key for record in records for each in options_of(record).values()]
     refuse_unknown(values, [*keys, *LIMITS, "model", "joint_map", "trajectory"])
     return MotorRun(values, lambda words, last: say(words))
 

@@ -59,7 +59,7 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
     ("options", "words"),
     [
         ({"sped": 0.5}, "unknown option 'sped'; did you mean 'speed'"),
-        ({}, "this command needs --channel"),
+        ({}, "this command needs channel, for"),
     ],
 )
 def test_what_cannot_be_used_is_said(trajectory, options, words):
