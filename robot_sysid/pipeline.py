@@ -367,7 +367,8 @@ def checked(
 ) -> None:
     """Look at each log against the model; stop at what must not become a number."""
     late = ("delay",) if config.estimation.delay == "auto" else ()
-    for log in logs:
+    for done, log in enumerate(logs):
+        progress.advance("Looking for what is wrong with the logs", done, len(logs), "")
         look_at(robot, log, (*config.log.accept, *late), progress, config.estimation.cutoff)
 
 

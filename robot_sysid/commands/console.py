@@ -50,8 +50,8 @@ class Console(Progress):
 
     def stage(self, message: str) -> None:
         """Print a progress line."""
-        self.close()
         if self._is_wanted(message):
+            self.close()
             self.said += [message] if self.json else []
             print_line(message, self._out)
 
@@ -67,14 +67,16 @@ class Console(Progress):
 
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
         """Show a bar while items pass, on a terminal; leave one line behind."""
-        yield from self._new_bar(label, total, items) if self._shows_bars else items
+        yield from self._new_bar(label, total, items=items) if self._shows_bars else items
         self.stage(f"{label}: 100%")
 
     def advance(self, label: str, done: float, total: float, text: str) -> None:
         """Move the bar of something long, on a terminal; it is gone once that is done."""
         if not self._shows_bars:
             return
-        self._bar = self._bar or self._new_bar(label, total)
+        if self._bar is None or self._bar.desc != label:
+            self.close()
+            self._bar = self._new_bar(label, total, done)
         self._bar.set_postfix_str(text, refresh=False)
         self._bar.update(done - self._bar.n)
         if done >= total:
@@ -91,15 +93,19 @@ class Console(Progress):
         return sys.stderr.isatty() and not self.quiet
 
     @staticmethod
-    def _new_bar(label: str, total: float, items: Iterator[Any] | None = None) -> Any:
+    def _new_bar(label: str, total: float, done: float = 0, items: Any = None) -> Any:
         from tqdm import tqdm
 
-        shape = None if items is not None else "{l_bar}{bar}| [{elapsed}<{remaining}{postfix}]"
-        return tqdm(items, desc=label, total=total, leave=False, delay=0.5, bar_format=shape)
+        look: dict[str, Any] = {"leave": False, "delay": 0.5, "initial": done}
+        if items is None:
+            look["bar_format"] = "{l_bar}{bar}| [{elapsed}<{remaining}{postfix}]"
+        return tqdm(items, desc=label, total=total, **look)
 
     def note(self, message: str) -> None:
         """Print a sentence the user should know."""
         if self._is_wanted(message):
+            if self._bar is not None:
+                self._bar.clear()
             print_line(f"note: {message}", sys.stderr)
 
     def detail(self, message: str) -> None:

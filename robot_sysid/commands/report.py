@@ -51,11 +51,12 @@ def main(arguments: Sequence[str]) -> int:
 
     folders = tuple(values["folders"])
     destination = page.output_dir or folders[0]
-    written = write_report(folders, destination, values.get("mesh_dir"), plots=page.plots)
+    mesh_dir = values.get("mesh_dir")
+    written = write_report(folders, destination, mesh_dir, plots=page.plots, progress=console)
     console.lines(f"Written: {path}" for path in written[:1])
     if len(written) > 1:
         console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")
-    verdicts = [load_run(folder).content["verdict"] for folder in folders]
+    verdicts = [load_run(folder).content.get("verdict", ()) for folder in folders]
     console.result({"written": list(map(str, written)), "verdicts": verdicts})
     console.lines(verdicts[0] if len(folders) == 1 else ())
     return 0
@@ -91,7 +92,8 @@ def report_of(
             return None
         console.stage("Drawing the report...")
         page, plots = output.report, output.plots
-        written = write_report((output.output_dir,), output.output_dir, mesh_dir, page, plots)
+        where = (output.output_dir,), output.output_dir
+        written = write_report(*where, mesh_dir, page, plots, console)
     except Exception as error:  # the run is done, and what it found must stand
         cause = str(error) if isinstance(error, SysidError) else f"{type(error).__name__}: {error}"
         if not wanted:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -190,16 +190,19 @@ class Fitter:
         columns: makes the rows.
         torque: (n,) root mean square of each joint's measured torque [N m].
         visits: which rows pass the same states; None where there are no rows.
+        told: called before every pass over the recordings.
     """
 
     columns: Columns
     torque: Array
     visits: Visits | None = None
+    told: Callable[[], None] = lambda: None
     _last: tuple[Point, tuple[DecimatedSamples, ...], Evidence] | None = field(default=None)
 
     def around(self, point: Point) -> tuple[tuple[DecimatedSamples, ...], Evidence]:
         """Return the rows around a point, and what they say."""
         if self._last is None or self._last[0] is not point:
+            self.told()
             samples = self.columns.samples(point)
             self._last = point, samples, evidence(samples, self.torque)
         return self._last[1], self._last[2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -46,6 +47,10 @@ from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_mo
 
 AT_REST = FrictionModel(("offset",))
 """What is left of friction at rest, approached from both sides."""
+
+
+_PASSES = 18
+"""Passes over the recordings in an identification: 15 to 18 with three real arms and an example."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,7 @@ def answer_link(
     """
     question = Question(options)
     progress.stage(Detail("Choosing friction, couplings and how far links may be off..."))
-    fitter = _fitter(robot, datasets, question, options.friction)
+    fitter = _fitter(robot, datasets, question, options.friction, progress)
     choice, tried, start = choose(fitter, question, options.friction)
     progress.stage("Solving for parameters...")
     fit = fitter.fit(question, choice, start)
@@ -164,7 +169,7 @@ def answer_payload(
     progress.stage(Detail("Estimating arm, friction and payload together..."))
     given = AT_REST if question.resting else options.friction
     weighing = replace(question, known_mass=None)
-    fitter = _fitter(robot, datasets, weighing, given)
+    fitter = _fitter(robot, datasets, weighing, given, progress)
     choice, tried, start = choose(fitter, weighing, given)
     free = fitter.fit(weighing, choice, start)
     progress.stage(Detail("Finding out how far off it may be..."))
@@ -187,8 +192,22 @@ def refit(answer: Answer, used: Sequence[Mask], kept: tuple[str, ...]) -> Answer
     return answer_link(answer.robot, datasets, fit.question.options, Progress(), kept)
 
 
+def _passes(progress: Progress) -> Callable[[], None]:
+    """Return what tells how far an identification is, when called before each pass."""
+    done = itertools.count()
+
+    def told() -> None:
+        progress.advance("Identifying", min(next(done), _PASSES - 1), _PASSES, "")
+
+    return told
+
+
 def _fitter(
-    robot: RobotModel, datasets: Sequence[Dataset], question: Question, given: FrictionModel | None
+    robot: RobotModel,
+    datasets: Sequence[Dataset],
+    question: Question,
+    given: FrictionModel | None,
+    progress: Progress,
 ) -> Fitter:
     """Return what fits, with the couplings that are known or that the recordings decide for."""
     options, again = question.options, None
@@ -198,12 +217,12 @@ def _fitter(
         again = visits([each.motion for each in datasets])
     known, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, known)
-    fitter = Fitter(columns, mean_torque(datasets), again)
+    fitter = Fitter(columns, mean_torque(datasets), again, _passes(progress))
     if not offered:
         return fitter
     # Columns of couplings that are not there would cost every later pass time and memory.
     found = () if question.resting else coupled(fitter, question, given, offered)
-    return Fitter(columns.coupled(found), fitter.torque, again)
+    return replace(fitter, columns=columns.coupled(found), _last=None)
 
 
 def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:

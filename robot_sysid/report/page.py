@@ -16,6 +16,7 @@ from robot_sysid import __version__
 from robot_sysid.errors import InputError
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.data import Traces
+from robot_sysid.records.progress import Progress
 from robot_sysid.report.drawing import Section, inline, png, svg
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, load_run, report_data
 from robot_sysid.report.sections import comparison, signals, verdict
@@ -29,7 +30,9 @@ _ODD = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueE
 """What a part raises where a result file that somebody changed by hand holds something odd."""
 
 
-def sections_of(runs: Sequence[Run], mesh_dir: Path | None = None) -> list[Section]:
+def sections_of(
+    runs: Sequence[Run], mesh_dir: Path | None = None, progress: Progress | None = None
+) -> list[Section]:
     """Return all parts of the page about a run, or about several beside each other.
 
     Raises:
@@ -40,10 +43,14 @@ def sections_of(runs: Sequence[Run], mesh_dir: Path | None = None) -> list[Secti
         *(signals.torques, signals.residuals, signals.friction, signals.excitation),
         *(signals.errors, signals.rollout, partial(picture, mesh_dir=mesh_dir)),
     )
+    found: list[Section | None] = []
     try:
         if len(runs) > 1:
             return [maker(runs) for maker in comparison.PARTS]
-        return [section for maker in alone if (section := maker(runs[0])) is not None]
+        for maker in alone:
+            (progress or Progress()).advance("Drawing the report", len(found), len(alone), "")
+            found.append(maker(runs[0]))
+        return [section for section in found if section is not None]
     except _ODD as error:
         cause = f"{type(error).__name__}: {error}"
         raise InputError(f"{runs[0].folder}: a result cannot be shown ({cause})") from None
@@ -91,6 +98,7 @@ def write_report(
     mesh_dir: Path | None = None,
     page: bool = True,
     plots: bool = False,
+    progress: Progress | None = None,
 ) -> tuple[Path, ...]:
     """Write the page of a run, or one that compares several, and return what was written.
 
@@ -105,7 +113,7 @@ def write_report(
     about, name = runs[0].name, REPORT_NAME
     if len(runs) > 1:
         about, name = f"{len(runs)} runs", COMPARISON_NAME
-    sections = sections_of(runs, mesh_dir)
+    sections = sections_of(runs, mesh_dir, progress)
     written = []
     with whole_files() as files:
         if page:

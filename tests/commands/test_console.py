@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import re
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -70,3 +72,16 @@ def test_a_result_as_json_has_standard_output_for_itself(capsys):
             assert printed.err == "a stage\nnote: a note\n" and console.said == ["a stage"]
         else:
             assert (printed.out, printed.err) == ("a stage\n", "note: a note\n")
+
+
+def test_a_bar_tells_the_time_left_until_a_line_takes_its_place(monkeypatch):
+    monkeypatch.setattr("sys.stderr", Terminal())
+    monkeypatch.setattr("sys.stdout", Terminal())
+    console = Console()
+    for done in range(1, 4):
+        time.sleep(0.3)
+        console.advance("Identifying", done, 10, "")
+        console.stage(Detail("nobody sees this"))
+    assert re.search(r"Identifying: +30%.*\[00:0\d<00:0\d\]", sys.stderr.getvalue())
+    console.stage("a line")
+    assert sys.stdout.getvalue() == "a line\n" and console._bar is None
