@@ -22,7 +22,8 @@ from tests.support import log_files, recorded
 
 ROWS = 24
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
-_TEXT, _ARRAYS = (("libfranka", "RTDE", "PlotJuggler"), ("npz", "ALOHA"))
+_ARROW = ("Parquet", "Feather")
+_TEXT, _ARRAYS = (("libfranka", "RTDE", "PlotJuggler"), ("npz", "ALOHA", *_ARROW))
 _SLOW = (*(name for name in recorded.FORMS if "ROS" in name), "LeRobot")
 SLOW_SHARE = 0.02
 """Bags and data sets take a tenth of a second, a table a thousandth."""
