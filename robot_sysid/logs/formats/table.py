@@ -84,6 +84,12 @@ class Asked:
     options: LogOptions
 
 
+# Year to day, time of the day, and how far the clock is ahead of UTC.
+DATE = re.compile(
+    r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)(?:Z|([+-])(\d\d):?(\d\d))?",
+    re.ASCII | re.IGNORECASE,
+)
+
 LARGEST = 8e8
 """Largest recording of arrays that is unpacked [bytes]: three hours of seven joints at 1 kHz."""
 MOST_RATIO, ALWAYS = 100, 10**8
@@ -189,11 +195,30 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     return pieces_table(path, layout, titles, [list(kept.values())])
 
 
+def nanoseconds(cell: str) -> int:
+    """Return a date and time, or a time alone, as ISO 8601 writes them, or ValueError."""
+    matched = DATE.fullmatch(cell)
+    if matched is None:
+        raise ValueError(cell)
+    day, clock, sign, hours, minutes = matched.groups()
+    stamp = np.datetime64(f"{day or '1970-01-01'}T{clock.replace(',', '.')}", "ns")
+    ahead = 60 * int(hours or 0) + int(minutes or 0)
+    return int(stamp.astype(np.int64)) - int(f"{sign or '+'}1") * ahead * 60 * 10**9
+
+
 def _seconds(array: Any) -> Any:
-    """Return dates and lengths of time as seconds from the first; anything else as it is."""
-    if getattr(getattr(array, "dtype", None), "kind", "") not in ("M", "m") or not array.size:
+    """Return dates, also as text, and lengths of time as seconds from the first; else the array."""
+    kind = getattr(getattr(array, "dtype", None), "kind", "")
+    if kind in ("M", "m") and array.size:
+        return (array - array.flat[0]) / np.timedelta64(1, "s")
+    if kind not in ("O", "U") or array.ndim != 1 or not array.size:
         return array
-    return (array - array.flat[0]) / np.timedelta64(1, "s")
+    first = array[0]
+    with contextlib.suppress(ValueError, TypeError, AttributeError):
+        if isinstance(first, str):
+            return np.array([1e-9 * (nanoseconds(each) - nanoseconds(first)) for each in array])
+        return np.array([(each - first).total_seconds() for each in array])
+    return array
 
 
 def is_column(array: Any) -> bool:

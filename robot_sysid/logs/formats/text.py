@@ -13,7 +13,6 @@ import contextlib
 import csv
 import functools
 import itertools
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,16 +24,11 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.table import Asked, Block, LogTable
+from robot_sysid.logs.formats.table import DATE, Asked, Block, LogTable, nanoseconds
 from robot_sysid.records import Array
 
 _MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
 _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
-# Year to day, time of the day, and how far the clock is ahead of UTC.
-_DATE = re.compile(
-    r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)(?:Z|([+-])(\d\d):?(\d\d))?",
-    re.ASCII | re.IGNORECASE,
-)
 # Characters of a line beyond which it is no row of a table; csv refuses cells of 131072.
 _LONGEST_LINE = 100_000
 # Control characters, and their share at the beginning of a file that makes it no text: a few may
@@ -81,7 +75,7 @@ def text_table(asked: Asked) -> LogTable:
     comma = any("," in cell and is_number(cell) for cell in dialect.first_row)
     layout += ", decimal comma" * comma
     layout += ", titles in a comment line" * bool(dialect.header and not dialect.header_line)
-    layout += ", time in dates" * any(_DATE.fullmatch(cell) for cell in dialect.first_row)
+    layout += ", time in dates" * any(DATE.fullmatch(cell) for cell in dialect.first_row)
     is_franka = {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header)
     layout = "libfranka's logToCSV, time in ms, " * is_franka + layout
     choices = ColumnChoices(time_unit="ms" if is_franka else None)
@@ -136,24 +130,13 @@ def _number(cell: str, start: str = "") -> float:
     if cell.lower() in _MISSING:
         return float("nan")
     if ":" in cell:
-        return 1e-9 * (_nanoseconds(cell) - _start(start))
+        return 1e-9 * (nanoseconds(cell) - _start(start))
     return float(cell.replace(",", "."))
-
-
-def _nanoseconds(cell: str) -> int:
-    """Return a date and time, or a time alone, as ISO 8601 writes them, or ValueError."""
-    matched = _DATE.fullmatch(cell)
-    if matched is None:
-        raise ValueError(cell)
-    day, clock, sign, hours, minutes = matched.groups()
-    stamp = np.datetime64(f"{day or '1970-01-01'}T{clock.replace(',', '.')}", "ns")
-    ahead = 60 * int(hours or 0) + int(minutes or 0)
-    return int(stamp.astype(np.int64)) - int(f"{sign or '+'}1") * ahead * 60 * 10**9
 
 
 @functools.lru_cache(maxsize=1)
 def _start(cell: str) -> int:
-    return _nanoseconds(cell) if _DATE.fullmatch(cell) else 0
+    return nanoseconds(cell) if DATE.fullmatch(cell) else 0
 
 
 def _lines(path: Path, encoding: str) -> Iterator[Line]:

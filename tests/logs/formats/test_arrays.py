@@ -9,6 +9,8 @@ import struct
 import sys
 import zipfile
 import zlib
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from robot_sysid.records.progress import Progress
 from tests.support.log_files import JOINTS, motion, read_measurements
 
 DATA = motion()
+DAY = datetime(2024, 5, 1, tzinfo=timezone.utc)
 COLUMNS = {"t": DATA.time[:, None], "q": DATA.q, "qd": DATA.qd, "tau": DATA.tau}
 EXTRAS = {"gains": np.ones(7), "limits": np.ones((7, 2)), "name": "arm", "cells": [1, "a"]}
 
@@ -241,6 +244,22 @@ def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column
     np.savez(path, **{f"{part}/{n}": a for part in ("train", "test") for n, a in COLUMNS.items()})
     with pytest.raises(InputError, match=r"train/q\[0\], .*test/q\[0\]"):
         read_measurements(path, JOINTS)
+
+
+@pytest.mark.parametrize(
+    "dated",
+    [
+        lambda t: np.datetime64("2024-05-01", "ns") + (t * 1e9).round().astype("m8[ns]"),
+        lambda t: np.array([f"2024-05-01T23:59:{each:06.3f}+02:00" for each in t]),
+        lambda t: np.array([DAY + timedelta(seconds=each) for each in t]),
+    ],
+)
+def test_dates_in_arrays_are_seconds_from_the_first(dated):
+    named = {**COLUMNS, "t": dated(DATA.time), "note": np.array(["x"] * len(DATA.time), object)}
+    made = table.arrays_table(Path("arrays"), "arrays", named)
+    assert made.titles[0] == "t" and "note" not in made.titles
+    (block,) = made.blocks([0])
+    np.testing.assert_allclose(block.cells[:, 0], DATA.time, atol=1e-9)
 
 
 def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
