@@ -51,7 +51,7 @@ def _search(path: Path, workers: int) -> None:
     from robot_sysid.motion.trajectories import save_trajectory
     from tests.support.excitation_arms import TUBES_AND_POST, design
 
-    few = {"draws": 30, "starts": 3, "rounds": 3, "iterations": 20, "time_budget": 600.0}
+    few = {"draws": 30, "starts": 3, "rounds": 3, "iterations": 20}
     some = design(TUBES_AND_POST, workers=workers, **few)
     with one_thread():
         found = design_excitation(some, np.random.default_rng(1))

@@ -1,13 +1,14 @@
 """Designed trajectories of all public arms: what they buy, how near and fast they get, the cost.
 
-    python -m benchmarks.excitation_table [--arms PART] [--seeds 0 1 2] [--weight W]
-        [--iterations K] [--rounds K] [--draws N]
+    python -m benchmarks.excitation_table [--arms PART] [--seeds 0 1 2] [--budget S]
 
-One line per arm: mass and centre of mass of random sinusoids (median of ten) over those of a design
-(median of the seeds), by the bound for all samples; the smallest distance that the
-plan states and the real one, by MuJoCo's contacts at 500 Hz; the speed of the tool's fastest point;
-processor time of one design; and by how much the mean deviation falls, in %, per % that a family
-of limits is raised by. A few draws and no rounds show the distances of all arms in minutes.
+One line per arm: what a recording of random sinusoids (median of five) leaves unknown over what
+one of a design leaves (median of the seeds), all unknowns of an estimate counted: standard
+deviations of mass, centre of mass, Izz, the median of ten and the mean of the axes of the
+confidence ellipsoid; in brackets the share of the error that any motion leaves. Then the smallest
+distance that the plan states and the real one, by MuJoCo's contacts at 500 Hz; the speed of the
+tool's fastest point; processor time of one design; and with a budget [s] how large the mean axis of
+a search for so long is beside that of the usual one.
 """
 
 from __future__ import annotations
@@ -15,16 +16,20 @@ from __future__ import annotations
 import argparse
 import copy
 import time
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.expected import known_of
 from robot_sysid.motion.design import optimise
 from robot_sysid.motion.design.optimise import Design
 from robot_sysid.motion.design.search import design_excitation
+from robot_sysid.motion.information import random_information, spread_of
 from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
-from robot_sysid.motion.prediction import predict
+from robot_sysid.motion.prediction import sizes
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
@@ -56,13 +61,23 @@ ARMS = [
     ("so101/so101_new_calib.xml", "wrist_roll"),
     ("so101/so101_new_calib.urdf", "gripper"),
 ]
-RATE = 1000.0
+NAMES = ("mass", "centre", "Izz", "ten", "mean")
 
 
-def mass_and_centre(problem, plan):
-    """Predicted deviations of mass [kg] and centre of mass [m]."""
-    promised = predict(problem, plan, RATE)
-    return np.array([promised.deviation[0], promised.com_deviation])
+def left_by(design, plan):
+    """Deviations of mass, centre of mass, Izz and all ten, and the mean axis, after a motion."""
+    motion = plan.evaluate(design.grid)
+    information = design.told((motion.q, motion.qd, motion.qdd)).information
+    return figures(design, information)
+
+
+def figures(design, information):
+    """What some information leaves unknown."""
+    covariance = design.criterion.covariance(information)
+    own, scale = np.sqrt(np.diag(covariance)), sizes(design.problem)
+    centre = spread_of(design.problem.robot.prior.theta, covariance)[1]
+    mean = np.exp(design.criterion.evaluate(information)[0])
+    return np.array([own[0], centre, own[9], np.median(own / scale), mean])
 
 
 def nearest(robot, plan):
@@ -100,37 +115,41 @@ def parts_by_joints(robot):
     return found
 
 
-def line(path, joint, seeds, **effort):
+def line(path, joint, seeds, budget):
     """The table's line of one arm."""
-    robot = load_robot_model(path, joint=joint)
-    options = ExcitationOptions(workers=1, time_budget=1e6, starts=2, **effort)
-    motion = TrajectoryOptions()
+    robot, motion = load_robot_model(path, joint=joint), TrajectoryOptions()
+    options = ExcitationOptions(workers=1)
     top = options.basis(motion.duration).top_frequency_hz
     problem = build_problem(robot, LimitOptions(), top_frequency_hz=top)
-    torque = ArmTorque(robot)
+    known = known_of(problem, EstimationOptions(), "link")
+    design, torque = Design(problem, options, motion, known), ArmTorque(robot)
     sines = np.median(
         [
-            mass_and_centre(problem, generate_excitation_trajectory(robot, rng, 15.0, torque)[0])
-            for rng in map(np.random.default_rng, range(10))
+            left_by(design, generate_excitation_trajectory(robot, rng, 15.0, torque)[0])
+            for rng in map(np.random.default_rng, range(5))
         ],
         axis=0,
     )
+    least = figures(design, random_information(problem, known, 1e-6))
     began, found = time.process_time(), []
     for seed in seeds:
-        result = design_excitation(Design(problem, options, motion), np.random.default_rng(seed))
-        found.append(mass_and_centre(problem, result.trajectory))
-    spent = (time.process_time() - began) / len(seeds)
-    ratio, check = sines / np.median(found, axis=0), result.limit_check
+        result = design_excitation(design, np.random.default_rng(seed))
+        found.append(left_by(design, result.trajectory))
+    spent, best = (time.process_time() - began) / len(seeds), np.median(found, axis=0)
+    check = result.limit_check
     neighbours = problem.obstacles.neighbours.distance
     stated = min(check.nearest.distance - check.resolution, neighbours - DISTANCE_RESOLUTION)
     real = nearest(robot, result.trajectory)
-    name = f"{path.parent.name}/{path.stem}"
-    return (
-        f"{name:38s} {robot.n_joints} joints  mass {ratio[0]:5.1f}  centre {ratio[1]:5.1f}  "
-        f"stated {1e3 * stated:6.1f} mm  real {1e3 * real:6.1f} mm  "
-        f"tool {check.tool_speed:4.2f} m/s  {spent:4.0f} s  J {np.log(result.objective):.4f}  "
-        + ", ".join(f"{name} {price:.2f}" for name, price in result.prices.items() if price > 0.01)
-    )
+    pairs = zip(NAMES, sines / best, least / best)
+    ratios = "  ".join(f"{name} {ratio:5.1f} ({100.0 * f:3.0f} %)" for name, ratio, f in pairs)
+    words = f"{path.parent.name}/{path.stem:24s} {ratios}  stated {1e3 * stated:6.1f} mm"
+    words += f"  real {1e3 * real:6.1f} mm  tool {check.tool_speed:4.2f} m/s  {spent:4.1f} s"
+    if budget is None:
+        return words
+    optimise.clock = time.process_time
+    longer = Design(problem, replace(options, time_budget=budget), motion, known)
+    most = design_excitation(longer, np.random.default_rng(seeds[-1]))
+    return f"{words}  {100.0 * most.objective / result.objective:.0f} % after {budget:g} s"
 
 
 def main() -> None:
@@ -138,16 +157,11 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--arms", default="")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--weight", type=float, default=optimise.FIRST_WEIGHT)
-    for name in ("iterations", "rounds", "draws"):
-        usual = getattr(ExcitationOptions, name)
-        parser.add_argument(f"--{name}", type=int, default=usual)
+    parser.add_argument("--budget", type=float)
     chosen = parser.parse_args()
-    effort = {name: getattr(chosen, name) for name in ("iterations", "rounds", "draws")}
-    optimise.FIRST_WEIGHT = chosen.weight
     for path, joint in [(GUESS, None), *((MODELS / model, joint) for model, joint in ARMS)]:
         if chosen.arms in str(path):
-            print(line(path, joint, chosen.seeds, **effort), flush=True)
+            print(line(path, joint, chosen.seeds, chosen.budget), flush=True)
 
 
 if __name__ == "__main__":

@@ -98,7 +98,7 @@ def _wrong(theta, rng):
 def plans(robot):
     """The designed motions: sweeps, then sines."""
     problem = build_problem(robot, LimitOptions(max_velocity=FASTEST))
-    options = ExcitationOptions(kind="optimal", draws=DRAWS, time_budget=1e6)
+    options = ExcitationOptions(kind="optimal", draws=DRAWS)
     design = Design(problem, options, TrajectoryOptions(duration=30.0), for_arm=True)
     found = [design_excitation(design, np.random.default_rng(seed)) for seed in SINES]
     return [design_sweeps(problem), *(each.trajectory for each in found)]

@@ -15,11 +15,11 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.expected import known_of
 from robot_sysid.motion.design.optimise import Design
 from robot_sysid.motion.design.search import design_excitation
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
-from robot_sysid.motion.prediction import predict
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, MotionPlan, RobotModel
@@ -45,21 +45,6 @@ def draw_trajectories(robot: RobotModel, plans: dict[str, MotionPlan], path: Pat
             if column == 0:
                 axis.set_ylabel(f"{robot.joint_names[joint]} [rad]", fontsize=8)
         axes[-1, column].set_xlabel("time [s]")
-    figure.tight_layout()
-    figure.savefig(path, dpi=80)
-
-
-def draw_deviations(shares: dict[str, Array], path: Path) -> None:
-    """Draw the predicted standard deviation of each parameter as bars."""
-    figure, axis = plt.subplots(figsize=(8, 3.6))
-    place = np.arange(10)
-    for offset, color, (label, share) in zip((-0.2, 0.2), (SINES, OPTIMAL), shares.items()):
-        axis.bar(place + offset, 100.0 * share, 0.38, color=color, label=label)
-    axis.set_yscale("log")
-    axis.set_xticks(place, PARAMETER_NAMES)
-    axis.set_ylabel("standard deviation\n[% of the parameter's size]")
-    axis.grid(axis="y", alpha=0.3)
-    axis.legend()
     figure.tight_layout()
     figure.savefig(path, dpi=80)
 
@@ -99,21 +84,13 @@ def main(folder: Path) -> None:
     """Design, predict, draw."""
     robot = load_robot_model(MODEL)
     problem = build_problem(robot, LimitOptions())
-    design = Design(problem, ExcitationOptions(workers=2), TrajectoryOptions())
+    known = known_of(problem, EstimationOptions(), "link")
+    design = Design(problem, ExcitationOptions(), TrajectoryOptions(), known)
     torque = ArmTorque(robot)
-    sines = [
-        generate_excitation_trajectory(robot, np.random.default_rng(seed), 15.0, torque)[0]
-        for seed in range(10)
-    ]
+    sines = generate_excitation_trajectory(robot, np.random.default_rng(SEED), 15.0, torque)[0]
     optimal = design_excitation(design, np.random.default_rng(SEED)).trajectory
-    plans: dict[str, MotionPlan] = {"random sinusoids": sines[SEED], "optimal, D": optimal}
-    median = np.median([predict(problem, plan, 1000.0).share for plan in sines], axis=0)
-    shares = {
-        "random sinusoids (median of 10 seeds)": median,
-        "optimal, D": predict(problem, optimal, 1000.0).share,
-    }
+    plans: dict[str, MotionPlan] = {"random sinusoids": sines, "optimal, D": optimal}
     draw_trajectories(robot, plans, folder / "excitation_trajectories.png")
-    draw_deviations(shares, folder / "excitation_deviations.png")
     draw_sweep(robot, plans, folder / "excitation_sweep.png")
 
 

@@ -193,6 +193,23 @@ def _posterior(
     return sought, found, {NOISE: found.noise, **causes}
 
 
+def friction_lines(
+    problem: ExcitationProblem, plan: MotionPlan, rate: float, options: EstimationOptions
+) -> Iterator[str]:
+    """Say how well an identification of one recording will know each joint's friction."""
+    try:
+        sought, found, _ = _posterior(problem, plan, rate, options, "link")
+    except InputError:
+        return
+    for term, unit in (("coulomb", "N·m"), ("viscous", "N·m·s/rad")):
+        names = [f"{term}[{joint}]" for joint in problem.joint_names]
+        known = [n for n in names if n in sought.kept_names]
+        errors = [float(found.standard_errors[sought.kept_names.index(n)]) for n in known]
+        pairs = zip(known, errors)
+        listed = ", ".join(f"{n.partition('[')[2][:-1]} {e:.2g}" for n, e in pairs)
+        yield f"{term.capitalize()} friction will be known to ± {listed} {unit}"
+
+
 def _rehearsal(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> Measurement:
     """Return what a recording of the motion at ``rate`` [Hz] would look like, without noise."""
     if sample_count(plan.duration, rate) > MOST_SAMPLES:

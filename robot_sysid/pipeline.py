@@ -28,7 +28,7 @@ from robot_sysid.estimation.identify import (
 )
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
-from robot_sysid.expected import expect, known_of, outlook
+from robot_sysid.expected import expect, friction_lines, known_of, outlook
 from robot_sysid.export import MotorFile, Saved, locked_folder, save
 from robot_sysid.interrupts import only_the_first
 from robot_sysid.logs.reader import (
@@ -272,15 +272,15 @@ def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Ite
 
     assert checked.problem is not None and checked.check is not None
     made = checked.problem, checked.plan, checked.check
+    how = config.trajectory.sample_rate, config.estimation
     if config.poses.sets_its_time:
-        tell = pose_lines if config.poses.static else sweep_lines
         yield from verdict_lines(*made)
-        yield from tell(checked.problem, checked.plan)
+        yield from (pose_lines if config.poses.static else sweep_lines)(*made[:2])
+        if not config.poses.static:
+            yield from friction_lines(*made[:2], *how)
         yield from motion_lines(*made)
     else:
-        rate = config.trajectory.sample_rate
-        how = rate, config.estimation, config.poses.asked
-        yield from plan_lines(*made, expect(checked.problem, checked.plan, *how))
+        yield from plan_lines(*made, expect(*made[:2], *how, config.poses.asked))
 
 
 def _of_itself(

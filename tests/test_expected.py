@@ -14,7 +14,7 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.identify import Piece, answer_link, filtered
 from robot_sysid.estimation.unknowns import LINKS, SCALES
-from robot_sysid.expected import NOISE, expect, known_of, outlook
+from robot_sysid.expected import NOISE, expect, friction_lines, known_of, outlook
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.motion.information import criterion, predicted_information
 from robot_sysid.motion.trajectories import FourierTrajectory
@@ -95,6 +95,16 @@ def test_the_search_makes_small_what_is_promised(options):
         np.diag(criterion(some, known).covariance(told.information))
     )
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
+
+
+def test_of_friction_what_identifications_report_is_promised():
+    options, stated = EstimationOptions(), delivered(EstimationOptions(), 0)
+    errors = dict(zip(stated.names, stated.standard_errors))
+    lines = friction_lines(problem(ARM, noise_torque=SIGMA), PLAN, RATE, options)
+    for term, line in zip(("coulomb", "viscous"), lines):
+        found = re.findall(r"(joint\d) ([\d.e-]+)", line)
+        ratio = [float(error) / errors[f"{term}[{joint}]"] for joint, error in found]
+        assert len(ratio) == 4 and np.all(np.abs(np.array(ratio) - 1.0) < 0.4)
 
 
 def test_a_payload_is_told_by_the_difference_of_two_recordings():

@@ -147,7 +147,10 @@ def _promise_lines(prediction: Prediction) -> Iterator[str]:
     parts = [p for p in prediction.budget() if max(p[1] / mass, p[2] / centre) > _TOLD_PART]
     if np.isfinite(mass):
         of_mass = ", ".join(f"{cause} {part:.2g}" for cause, part, _ in parts)
-        yield f"  mass ± {mass:.2g} kg ({percent(mass / prediction.size[0])}): {of_mass}"
+        part = percent(mass / prediction.size[0])
+        if prediction.scaled:
+            part = f"{part}, and {percent(prediction.scaled)} for torque scales"
+        yield f"  mass ± {mass:.2g} kg ({part}): {of_mass}"
     if np.isfinite(centre):
         of_centre = ", ".join(f"{cause} {1e3 * part:.2g}" for cause, _, part in parts)
         yield f"  centre of mass ± {1e3 * centre:.2g} mm: {of_centre}"
