@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
@@ -71,30 +72,34 @@ class HoldingCheck:
             )
 
 
-# So near to the first point its torque is nearly what holds the arm: 2 N m off at 20 N m/rad.
-_NEAR = 0.1
+# So near to the first point its torque is nearly what holds the arm: 2 N m off at 20 N m/rad [rad].
+# A motion that begins with less [rad/s^2] begins with the torque at rest: 1 N m at 2 kg m^2.
+_NEAR, _GENTLE = 0.1, 0.5
 
 
 class FileHolding(HoldingCheck):
-    """What the first row (n,) [rad, N m] of a trajectory says that holds the arm, near to it.
+    """What the first row of a trajectory says that holds the arm, where it is near to it.
 
-    A ``largest`` (n,) torque of the whole trajectory that is within every joint's doubt carries no
-    arm [N m].
+    One whose torque is within every joint's doubt all the time carries no arm.
     """
 
-    def __init__(
-        self, joints: Sequence[DamiaoJoint], first: Array, torque: Array, largest: Array
-    ) -> None:
-        super().__init__(joints, lambda q: torque, 0.0, "the trajectory feeds forward", False)
-        self._first, self._carries = first, bool(np.any(largest > self.doubt))
+    def __init__(self, played: DamiaoTrajectory) -> None:
+        speeding = np.abs(np.diff(played.qd[:2], axis=0)) / np.diff(played.time[:2])
+        exact, torque = bool(np.all(speeding < _GENTLE)), played.tau[0]
+        super().__init__(
+            played.joints, lambda q: torque, 0.0, "the trajectory feeds forward", exact
+        )
+        self._first = played.q[0]
+        self._carries = bool(np.any(np.abs(played.tau).max(axis=0) > self.doubt))
 
     def __call__(self, q: Array, tau: Array) -> None:
-        """Raise HardwareAbort as above, near the first point, or where nothing carries the arm."""
-        if not self._carries:
-            for j in np.flatnonzero(np.abs(tau[: self._n]) > self.doubt).tolist():
-                raise HardwareAbort(
-                    f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m, and the "
-                    "trajectory never feeds forward what carries an arm: its torque lacks gravity"
-                )
-        if np.all(np.abs(q[: self._n] - self._first) < _NEAR):
-            super().__call__(q, tau)
+        """Raise HardwareAbort as above, and where nothing is fed forward to carry the arm."""
+        if np.any(np.abs(q[: self._n] - self._first) > _NEAR):
+            return
+        loaded = np.abs(tau[: self._n]) > _LOADED * self.doubt
+        for j in [] if self._carries else np.flatnonzero(loaded).tolist():
+            raise HardwareAbort(
+                f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m, and the trajectory "
+                "never feeds forward what carries an arm: its torque lacks gravity"
+            )
+        super().__call__(q, tau)

@@ -149,8 +149,7 @@ class Plan:
     @property
     def holding(self) -> HoldingCheck:
         """What the trajectory itself says that holds the arm."""
-        played, scan = self.trajectory, self.scan
-        return FileHolding(played.joints, scan.first, played.tau[0], scan.peak_torque)
+        return FileHolding(self.trajectory)
 
     def places(self, inspection: Inspection) -> Array:
         """Return where the joints stand (n,) [rad]; NaN where a motor does not tell."""

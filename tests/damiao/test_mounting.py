@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.cli import main
+from robot_sysid.damiao.holding import FileHolding
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.preflight import bus_checks, stops
@@ -16,7 +18,7 @@ from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, TIMEOUT
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, mapped, write_joint_map
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
-from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing
+from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing, trajectory_file
 from tests.support.recordings import read_recording
 
 STANDING = 0.7
@@ -276,3 +278,19 @@ def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):
     turned = holding * np.where(np.arange(3) == loaded, -1.0, 1.0)
     with pytest.raises(HardwareAbort, match=f"motor {loaded + 1} holds .* see 'motors map'"):
         check(q, turned)
+
+
+@pytest.mark.parametrize(("bend", "swapped"), [(0.0, True), (1.0, False)])
+def test_without_a_model_the_first_row_says_what_holds_the_arm(tmp_path, bend, swapped):
+    """5 N m where the motor of a swapped id holds none; unless they begin a motion (1 rad/s^2)."""
+    time = np.arange(6) / 100
+    q = 0.5 * bend * (time**2)[:, None] + np.zeros((6, 1))
+    played = trajectory_file(tmp_path, (time, q, bend * time[:, None], 5.0 + 0 * q))
+    check, bare = FileHolding(played), np.array([0.1])
+    check(q[0] + 0.2, bare)
+    with (
+        pytest.raises(HardwareAbort, match="trajectory feeds forward 5.0 N m")
+        if swapped
+        else (contextlib.nullcontext())
+    ):
+        check(q[0], bare)
