@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -149,8 +148,7 @@ def _recordings(config: PayloadConfig, robot: RobotModel, progress: Progress) ->
 
 def _simulated(config: PayloadConfig, robot: RobotModel, progress: Progress) -> list[RawRecording]:
     """Let two models play the arm without and with the payload, in the order ABBA."""
-    chosen, models = config.trajectory.seed, config.payload
-    seed = secrets.randbelow(2**31) if chosen is None else chosen
+    models, seed = config.payload, config.seeded().trajectory.seed or 0
     request = MotionRequest(config.trajectory, config.excitation, config.limits)
     made = make_plan(request, robot, seed, progress)
     if made.failure:

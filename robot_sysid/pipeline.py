@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import secrets
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -66,7 +65,7 @@ from robot_sysid.results.rollout import (
     split_time,
     torque_error,
 )
-from robot_sysid.results.verdict import verdict_lines
+from robot_sysid.results.verdict import plan_verdict, verdict_lines
 from robot_sysid.signals.resampling import MOST_KEPT, bounded
 from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.loading import load_plant
@@ -90,15 +89,19 @@ class PlanOutcome:
         lines: what it promises, and what exporting it to motors had to say.
         failure: why it must not be run, or None; nothing is written then.
         files: what was written.
-        checked: the motion itself.
-        verdict: whether to use it and what to do next, in at most two lines, which come last.
+        checked, model: the motion itself, and the arm's file.
     """
 
     lines: tuple[str, ...]
     failure: str | None
     files: tuple[Path, ...] = ()
     checked: CheckedPlan | None = None
-    verdict: tuple[str, ...] = ()
+    model: Path = Path("MODEL")
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Whether to use it and what to do next, in two lines, which come last."""
+        return plan_verdict(self.model, self.files, self.failure)
 
     def report_lines(self) -> list[str]:
         """Return what the command line prints at the end."""
@@ -179,8 +182,7 @@ def run(config: Config, progress: Progress | None = None) -> Outcome | PlanOutco
 
 def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tuple[CheckedPlan, int]:
     """Return the motion that was asked for, checked, and the seed it was drawn with."""
-    chosen, arm = config.trajectory.seed, config.arm
-    seed = secrets.randbelow(2**31) if chosen is None else chosen
+    arm, seed = config.arm, config.seeded().trajectory.seed or 0
     played = config.motors.export_damiao or arm.simulation == "forward"
     options = config.trajectory, config.excitation, config.limits, config.estimation.torques
     how = config.trajectory.sample_rate, config.estimation, config.poses.asked
@@ -262,7 +264,7 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
             paths = (*paths, config.output.output_dir / DAMIAO_NAME)
             with files.open(paths[-1]) as file:
                 lines += tuple(clamping_lines(motor_file(file), robot.joint_names))
-    return PlanOutcome(lines, None, paths, checked)
+    return PlanOutcome(lines, None, paths, checked, robot.path)
 
 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:

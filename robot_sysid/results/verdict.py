@@ -7,14 +7,15 @@ it; the second what to type next.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
 from robot_sysid.records import DELAY_NAME, Source
-from robot_sysid.records.atomic_files import CARD_NAME, MODEL_NAMES
+from robot_sysid.records.atomic_files import CARD_NAME, DAMIAO_NAME, MODEL_NAMES
 from robot_sysid.records.figures import percent
 from robot_sysid.records.progress import Detail
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
@@ -88,6 +89,17 @@ def verdict_lines(result: Result, failure: str | None = None) -> tuple[str, ...]
         said += f" (not seen: {unseen})" if unseen else ""
         return said, f"Next: {_command(result, 'robot-sysid plan {model}')} (a motion to record)"
     return f"{use}: {'; '.join(_gains(result))}", f"Next: {_next(result)}"
+
+
+def plan_verdict(model: Path, files: Sequence[Path], failure: str | None) -> tuple[str, ...]:
+    """Return whether to play a planned motion of a model, and what to do next."""
+    if failure is not None:
+        return (f"Not usable: {failure}",)
+    then = f"robot-sysid identify {shlex.quote(str(model))} LOG (the log that was recorded)"
+    for path in files:
+        if path.name == DAMIAO_NAME:
+            then = f"robot-sysid motors check {shlex.quote(str(path))} --channel CHANNEL"
+    return "Usable: play it on the arm, slowly at first, and record it", f"Next: {then}"
 
 
 def refusal(result: Result) -> str | None:
