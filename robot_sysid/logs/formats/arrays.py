@@ -231,10 +231,10 @@ def feather_table(asked: table.Asked) -> table.LogTable:
     feather = table.library("pyarrow.feather", "parquet", what)
     ipc = table.library("pyarrow.ipc", "parquet", what)
     with table.as_input_errors(path, what), table.bounded_memory(table.most_bytes(size)):
-        with ipc.open_file(path) as file:
+        with ipc.open_file(str(path)) as file:
             names = _numeric(file.schema)
         table.refuse_bomb(path, 0.0, size, len(names))
-        columns = feather.read_table(path, columns=names, memory_map=False)
+        columns = feather.read_table(str(path), columns=names, memory_map=False)
         table.refuse_bomb(path, float(columns.nbytes), size)
         return _arrow_table(path, "Feather", columns)
 
