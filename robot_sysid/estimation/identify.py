@@ -285,12 +285,14 @@ def identify_itself(
         notes=robot.notes,
     )
 
-    return result, partial(_traces_of_itself, robot, plan, equations, estimate)
+    return result, partial(_traces_of_itself, robot, plan, options.torques, model, estimate)
 
 
 def _traces_of_itself(
-    robot: RobotModel, plan: MotionPlan, equations: Equations, estimate: Estimate
+    robot: RobotModel, plan: MotionPlan, torques: str, model: FrictionModel, estimate: Estimate
 ) -> Traces:
+    """Return what a report draws, of records alone: MuJoCo's data is not safely pickled."""
+    equations = Equations(robot, torques, friction_per_joint(robot, "terminal", model))
     motion = spread_motion(plan, _DRAWN)
     (measurement,) = simulate_inverse(robot, [motion])
     samples = equations_at(equations, measurement)
