@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -148,7 +149,7 @@ def expect(
         covariance = found.covariance[np.ix_(places, places)]
         np.fill_diagonal(covariance, found.standard_errors[places] ** 2)
         others = dict(_masses(problem, sought, found)) if asked == "arm" else {}
-    remedies = _best_first(problem, plan, sample_rate, options, asked)
+    remedies = _best_first(problem, plan, (sample_rate, options, asked))
     about = others, _never(problem, told), remedies, missing, scaled
     return Prediction(of, theta, size, covariance, causes, *about)
 
@@ -246,72 +247,54 @@ def _hidden_is_infinite(covariance: Array, size: Array) -> Array:
 
 
 def _told(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    rate: float,
-    known: Known,
-    longer: float = 1.0,
-    faster: float = 1.0,
+    problem: ExcitationProblem, plan: MotionPlan, rate: float, known: Known, faster: float = 1.0
 ) -> Array:
-    """Return the information of a path that is recorded at a rate [Hz], longer and faster."""
+    """Return the information of a path that is recorded at a rate [Hz], gone along faster."""
     count = int(np.clip(_INSTANTS * plan.duration, _FEWEST, _MOST))
     motion = plan.evaluate((np.arange(count) + 0.5) * plan.duration / count)
-    sigma = problem.sigma * np.sqrt(count / (longer * rate * plan.duration))
+    sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
     information = predicted_information(problem, sigma, known)
     moved = motion.q, faster * motion.qd, faster**2 * motion.qdd
     return information.evaluate(*moved).information
 
 
 def _remedies(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    rate: float,
-    options: EstimationOptions,
-    asked: str,
+    problem: ExcitationProblem, plan: MotionPlan, how: tuple[float, EstimationOptions, str]
 ) -> Iterator[Remedy]:
     """Yield what would tell more than a motion does, with the errors of mass and centre then."""
-    theta, known = problem.robot.prior.theta, known_of(problem, options, asked)
-    told = criterion(problem, known)
-    if asked == "payload":
-        theta = _weighed()
+    rate, options, asked = how
+    known, theta = known_of(problem, options, asked), problem.robot.prior.theta
+    theta = _weighed() if asked == "payload" else theta
+    told, tell = criterion(problem, known), partial(_told, problem, plan, rate)
+    here, quick = tell(known), tell(known, faster=FASTER)
 
     def remedy(words: str, covariance: Array) -> Remedy:
         return Remedy(words, *spread_of(theta, covariance))
 
-    longer = told.covariance(_told(problem, plan, rate, known, LONGER))
-    yield remedy(f"a motion {LONGER:g} times as long", longer)
-    quick = _told(problem, plan, rate, known, faster=FASTER)
+    yield remedy(f"a motion {LONGER:g} times as long", told.covariance(LONGER * here))
     yield remedy(f"a motion {FASTER:g} times as fast, over the same time", told.covariance(quick))
     if asked == "payload":
         return
-    here = _told(problem, plan, rate, known)
     if len(known.factor):
-        better = replace(told, factor=BETTER * known.factor)
+        better = replace(told, factor=BETTER * known.factor).covariance(here)
         half = f"{BETTER * options.link_uncertainty:g}"
-        words = f"other links known to {half} % (--link-uncertainty)"
-        yield remedy(words, better.covariance(here))
+        yield remedy(f"other links known to {half} % (--link-uncertainty)", better)
     covariance = told.covariance(here)
-    known_mass = covariance - np.outer(covariance[0], covariance[0]) / covariance[0, 0]
-    yield Remedy("its mass known, by weighing the part", 0.0, spread_of(theta, known_mass)[1])
+    sure = covariance - np.outer(covariance[0], covariance[0]) / covariance[0, 0]
+    yield Remedy("its mass known, by weighing the part", 0.0, spread_of(theta, sure)[1])
     apart = known_of(problem, options, "payload")
-    by_difference = criterion(problem, apart).covariance(_told(problem, plan, rate, apart))
-    words = "what is bolted to it as a payload by difference (plan --for payload)"
-    yield remedy(words, by_difference)
+    difference = criterion(problem, apart).covariance(tell(apart))
+    yield remedy("what is bolted to it as a payload by difference (--for payload)", difference)
 
 
 def _best_first(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    rate: float,
-    options: EstimationOptions,
-    asked: str,
+    problem: ExcitationProblem, plan: MotionPlan, how: tuple[float, EstimationOptions, str]
 ) -> tuple[Remedy, ...]:
     """Return what would tell more, what leaves the least error of the centre of mass first."""
     places = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
     if len(problem.rows) == 1 or np.all(places == places[0]):
         return ()
-    found = _remedies(problem, plan, rate, options, asked)
-    return tuple(sorted(found, key=lambda each: each.centre))
+    return tuple(sorted(_remedies(problem, plan, how), key=lambda each: each.centre))
 
 
 def outlook(
@@ -323,7 +306,7 @@ def outlook(
     Any motion leaves what the priors leave where there is no noise. Remedies are worked out along
     a motion that is not designed yet.
     """
-    rate, options, asked = how
+    _, options, asked = how
     known, mass = known_of(problem, options, asked), problem.robot.prior.mass
     told = criterion(problem, known)
     least = told.covariance(random_information(problem, known, _NOISELESS))
@@ -331,8 +314,7 @@ def outlook(
     if asked == "payload" or not floor > LOOSE_SHARE * mass:
         return ""
     listed = "; ".join(
-        f"{each.words}: {remedy_figures(each)}"
-        for each in _best_first(problem, plan, rate, options, asked)
+        f"{each.words}: {remedy_figures(each)}" for each in _best_first(problem, plan, how)
     )
     return (
         f"no motion of this arm tells the mass of {problem.robot.body_name}, {mass:.2g} kg, better "

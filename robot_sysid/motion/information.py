@@ -16,18 +16,16 @@ less than a twentieth of any variance.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.screws import ChainMotion, ScrewChain
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import Array
 from robot_sysid.regressor import wrench_regressor
 
 _RIDGE = 1e-10
@@ -93,7 +91,7 @@ class PredictedInformation:
         own: see ``Known``.
     """
 
-    chains: dict[int, ScrewChain]
+    chains: Mapping[int, ScrewChain]
     theta: Array
     joints: tuple[int, ...]
     sigma: Array
@@ -284,19 +282,6 @@ def spread_of(theta: Array, covariance: Array) -> tuple[float, float]:
     return float(np.sqrt(covariance[0, 0])), float(np.sqrt(np.trace(centre)))
 
 
-def link_chains(robot: RobotModel) -> dict[int, ScrewChain]:
-    """Return number of a link with mass to the screws that carry it, the terminal one first."""
-    still = np.zeros((1, robot.n_joints))
-    moves = LinkDynamics(robot).motion(robot.reference[None], still, still)
-    found, twists = {}, list[Array]()
-    for link, step in enumerate(moves.steps):
-        twists = [*map(step.into, twists), moves.screws[link][:, None]]
-        # At rest the only acceleration is the missing fall: minus gravity.
-        falling, home = -moves.acceleration[link][3:, 0], robot.reference[: link + 1]
-        found[link] = ScrewChain(np.hstack(twists), home, falling)
-    return {link: found[link] for link in (robot.n_joints - 1, *other_links(robot))}
-
-
 def predicted_information(
     problem: ExcitationProblem, sigma: Array, known: Known, smoothing: float = 0.0
 ) -> PredictedInformation:
@@ -305,10 +290,9 @@ def predicted_information(
     From torques with noise sigma (rows,) [N m]; Coulomb friction's jump is rounded off below a
     share of the speed limits.
     """
-    chains, links = link_chains(problem.robot), problem.robot.links
-    theta = np.array([links[link].theta for link in chains])
+    theta = np.array([problem.robot.links[link].theta for link in problem.chains])
     smooth = smoothing * problem.limits.velocity
-    return PredictedInformation(chains, theta, problem.rows, sigma, smooth, known.own)
+    return PredictedInformation(problem.chains, theta, problem.rows, sigma, smooth, known.own)
 
 
 def criterion(problem: ExcitationProblem, known: Known) -> Criterion:

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
+from robot_sysid.dynamics.equations import other_links
+from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.screws import ScrewChain
 from robot_sysid.errors import InputError
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
@@ -130,6 +132,7 @@ class ExcitationProblem:
 
     Attributes:
         rest: (n,) where the motion starts and ends [rad].
+        chains: see ``link_chains``.
         tool: the outermost points of the terminal link and all it carries.
         arm_torque: joint torques (N, n) along a motion, friction included, without any load.
         reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
@@ -143,7 +146,7 @@ class ExcitationProblem:
     robot: RobotModel
     rest: Array
     limits: MotionLimits
-    chain: ScrewChain
+    chains: Mapping[int, ScrewChain]
     tool: Tool
     arm_torque: TorqueFunction
     reserve: float
@@ -153,6 +156,11 @@ class ExcitationProblem:
     origins: Mapping[str, NDArray[np.str_]]
     notes: tuple[str, ...] = ()
     has_floor: bool = True
+
+    @property
+    def chain(self) -> ScrewChain:
+        """Screws of all joints, as seen from the terminal body."""
+        return self.chains[self.n_joints - 1]
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -267,7 +275,7 @@ def build_problem(
         robot=robot,
         rest=rest,
         limits=motion_limits,
-        chain=screw_chain(robot),
+        chains=link_chains(robot),
         tool=Tool(*outermost_points(robot)),
         arm_torque=ArmTorque(robot),
         reserve=limits.payload_reserve,
@@ -280,12 +288,17 @@ def build_problem(
     )
 
 
-def screw_chain(robot: RobotModel) -> ScrewChain:
-    """Return the arm's screws at the reference configuration."""
+def link_chains(robot: RobotModel) -> dict[int, ScrewChain]:
+    """Return number of a link with mass to the screws that carry it, the terminal one first."""
     still = np.zeros((1, robot.n_joints))
-    motion = ChainKinematics(robot).evaluate(robot.reference[None], still, still)
-    # At rest the only acceleration is the missing fall: minus gravity.
-    return ScrewChain(motion.jacobian[0], robot.reference, -motion.acceleration[0, 3:])
+    moves = LinkDynamics(robot).motion(robot.reference[None], still, still)
+    found, twists = {}, list[Array]()
+    for link, step in enumerate(moves.steps):
+        twists = [*map(step.into, twists), moves.screws[link][:, None]]
+        # At rest the only acceleration is the missing fall: minus gravity.
+        falling, home = -moves.acceleration[link][3:, 0], robot.reference[: link + 1]
+        found[link] = ScrewChain(np.hstack(twists), home, falling)
+    return {link: found[link] for link in (robot.n_joints - 1, *other_links(robot))}
 
 
 def _position_limits(robot: RobotModel) -> tuple[Array, Array]:

@@ -32,7 +32,7 @@ from robot_sysid.motion.information import (
 )
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.options import ExcitationOptions
-from robot_sysid.motion.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ExcitationProblem
+from robot_sysid.motion.problem import OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.records import Array, Motion
 from robot_sysid.trajectory import Series, TrajectoryOptions
@@ -100,18 +100,6 @@ class Candidate:
     rounds: int = 0
     feasible_x: Array | None = None
     feasible_score: float = np.inf
-
-    @property
-    def prices(self) -> dict[str, float]:
-        """By how much the criterion falls per share that a family of limits is raised by.
-
-        The sum of a family's multipliers (Nocedal, Wright, section 12.8); of clearances per
-        ``OBSTACLE_LENGTH`` that they are smaller.
-        """
-        *joints, tool, clearance = np.sum(self.multipliers, axis=0)
-        families = np.sum(np.reshape(joints, (len(LIMIT_NAMES), -1)), axis=1)
-        found = zip((*LIMIT_NAMES, "tool speed", "clearance"), (*families, tool, clearance))
-        return {name: float(value) for name, value in found}
 
 
 def first_candidate(design: Design, x: Array) -> Candidate:

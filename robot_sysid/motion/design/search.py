@@ -38,10 +38,10 @@ from robot_sysid.motion.design.optimise import (
 )
 from robot_sysid.motion.limit_check import LimitCheck, check_limits
 from robot_sysid.motion.options import ExcitationOptions
-from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING
+from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.progress import Detail, Progress
+from robot_sysid.records.progress import Progress
 
 DRAWS_PER_JOB = 5
 """An interruption loses no more of them than one job holds."""
@@ -50,8 +50,6 @@ CHECK_TIME = 2.0
 FLAT = 0.01
 """Gain of a round in the mean standard deviation from which on a search has settled: what a minute
 finds is then at most 5 % better (docs/excitation.md)."""
-RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
-"""Change of a limit [share], of clearances [m], by which its worth is told; the least that is."""
 _CUT: Mapping[str, tuple[str, ...]] = {
     "": (),
     "interrupted": (
@@ -79,7 +77,6 @@ class ExcitationResult:
         objective: exp of the criterion's value.
         start_objective: that of the best random trajectory.
         n_feasible: random trajectories that obey all limits, of ``n_drawn``.
-        prices: by how much the criterion falls per share that a family of limits is raised by.
         stopped: "" where the search was finished, else what cut it.
         notes: what the reader should know.
     """
@@ -90,7 +87,6 @@ class ExcitationResult:
     limit_check: LimitCheck
     n_feasible: int
     n_drawn: int
-    prices: Mapping[str, float]
     stopped: str
     notes: tuple[str, ...]
 
@@ -130,9 +126,8 @@ def design_excitation(
         limit_check=check_limits(design.problem, trajectory, design.sample_rate),
         n_feasible=len(_feasible(draws)),
         n_drawn=len(draws),
-        prices=best.prices,
         stopped=stopped,
-        notes=design.problem.notes + _price_note(best.prices) + _CUT[stopped],
+        notes=design.problem.notes + _CUT[stopped],
     )
 
 
@@ -216,26 +211,6 @@ def _best(candidates: Sequence[Candidate]) -> Candidate | None:
 def _feasible(draws: Sequence[Draw]) -> list[Draw]:
     """Return the feasible draws, best first."""
     return sorted((d for d in draws if np.isfinite(d.score)), key=lambda d: d.score)
-
-
-def _price_note(prices: Mapping[str, float]) -> tuple[str, ...]:
-    """Say which limits keep the motion from telling more, and by how much."""
-    more, less = f"{100.0 * RAISED:.0f} % more", f"{1e3 * NEARER:.0f} mm less"
-    gains = [
-        (1.0 - np.exp(-price * RAISED), f"{name} ({more}")
-        for name, price in sorted(prices.items(), key=lambda entry: -entry[1])
-        if name != "clearance"
-    ]
-    nearer = 1.0 - np.exp(-prices["clearance"] * NEARER / OBSTACLE_LENGTH)
-    parts = [
-        f"{what}: {100.0 * gain:.2g} %)"
-        for gain, what in (*gains, (nearer, f"clearance ({less}"))
-        if gain > WORTH_TELLING
-    ]
-    listed = (
-        f"limits that keep the errors from being smaller, and by about how much: {'; '.join(parts)}"
-    )
-    return (Detail(listed),) if parts else ()
 
 
 def _why_none(draws: Sequence[Draw], design: Design) -> str:

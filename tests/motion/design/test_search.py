@@ -103,7 +103,7 @@ class Told(Progress):
         self._then(done)
 
 
-def test_rounds_make_it_better_and_progress_and_the_limits_in_the_way_are_told():
+def test_rounds_make_it_better_and_progress_is_told():
     seen = Told()
     result = searched(design(arms.THREE, rounds=3, iterations=20), 3, seen)
     assert result.objective < 0.9 * result.start_objective
@@ -111,10 +111,6 @@ def test_rounds_make_it_better_and_progress_and_the_limits_in_the_way_are_told()
     some = design(arms.THREE, rounds=3, iterations=20)
     assert seen.texts[-1] == some.promise(result.trajectory.coefficients)
     assert seen.texts[-1].startswith("mass ± ") and seen.texts[-1].endswith(" mm")
-    dearest = max(result.prices, key=result.prices.get)
-    assert all(price >= 0.0 for price in result.prices.values())
-    (note,) = [note for note in result.notes if "keep the errors from being smaller" in note]
-    assert note.split(": ")[1].startswith(dearest)
 
 
 def test_the_best_start_goes_on_until_a_round_gains_next_to_nothing(monkeypatch):
