@@ -20,8 +20,8 @@ Mask = NDArray[np.bool_]
 BLOCKS, LONGEST_STRETCH = 5, 10.0
 """How many parts recordings are predicted in, each from the others. A part is every fifth stretch
 of a recording; stretches are less than so long [s], as a motion may show a joint for a while."""
-# Samples per pass: memory stays small, results are the same for any number.
-_CHUNK = 2048
+# Samples and numbers per pass: memory stays small, results are the same for any.
+_CHUNK, _NUMBERS = 2048, 16_000_000
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,8 @@ def decimated_equations(
     """
     decimators = [signals.decimator() for _ in equations.joints]
     parts: list[list[Array]] = [[] for _ in equations.joints]
-    for motion, tau in signals.chunks(_CHUNK):
+    width = sum(len(each) for each in equations.columns)
+    for motion, tau in signals.chunks(min(_CHUNK, max(1, _NUMBERS // width))):
         measurement = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
         common = None if shared is None else shared(motion)
         for joint, table in enumerate(_tables(equations, measurement, common)):

@@ -55,8 +55,9 @@ class InformationAccumulator:
 def update_triangle(triangle: Array, rows: Array) -> Array:
     """Return the (k, k) triangle of all rows so far and the new ones (N, k)."""
     size = triangle.shape[1]
-    # Before the first rows there is nothing to stack them under.
-    stacked = np.vstack((triangle, rows)) if np.any(triangle) else rows
+    stacked = np.vstack((triangle, rows))
+    # Where there are fewer equations than parameters most of a triangle is empty.
+    stacked = stacked[np.any(stacked != 0.0, axis=1)]
     made = np.asarray(np.linalg.qr(stacked, mode="r"))
     return np.vstack((made, np.zeros((size - len(made), size))))
 
