@@ -91,7 +91,7 @@ def play(asked: Asked) -> int:
     checks = asked.checks(plan)
     if asked.address.channel:
         with asked.bus() as link:
-            if record_from(DirectionChoices, asked.values).verify:
+            if record_from(DirectionChoices, asked.values).verify and not choices.dry_run:
                 return verify(asked, link, plan)
             return _play_on(link, plan, checks, choices, asked, real=True)
     if not choices.dry_run:
