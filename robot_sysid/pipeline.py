@@ -51,7 +51,7 @@ from robot_sysid.records.atomic_files import (
 )
 from robot_sysid.records.data import Traces
 from robot_sysid.records.options import per_joint
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.results import RolloutTest
 from robot_sysid.records.torque_scale import write_torque_scale
 from robot_sysid.results.console import block_lines, clamping_lines, folder_text, more_lines
@@ -226,7 +226,7 @@ def load(config: Config, progress: Progress) -> RobotModel:
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     for note in robot.notes:
         progress.note(note)
-    progress.detail(f"Joints that carry it: {', '.join(robot.joint_names)}")
+    progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
     if isinstance(config, SysidConfig) and config.motors.export_damiao:
         from robot_sysid.damiao.protocol.joints import damiao_joints
 

@@ -108,9 +108,5 @@ class Console(Progress):
                 self._bar.clear()
             print_line(f"note: {message}", sys.stderr)
 
-    def detail(self, message: str) -> None:
-        """Print a sentence that only --verbose shows."""
-        self.stage(Detail(message))
-
     def _is_wanted(self, message: str) -> bool:
         return not self.quiet and (self.verbose or not isinstance(message, Detail))

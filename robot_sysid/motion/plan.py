@@ -18,7 +18,7 @@ from robot_sysid.motion.static import design_poses, design_sweeps, startable
 from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import PerJoint, given_options
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.sampling import require_countable
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import (
@@ -193,10 +193,8 @@ def _designed(
     for note in result.notes:
         progress.note(note)
     gain = result.start_objective / result.objective
-    progress.detail(
-        f"Mean standard deviation: {result.objective:.4g}, {gain:.2f} times better than the "
-        f"best of {result.n_feasible} feasible random trajectories"
-    )
+    better = f"{gain:.2f} times better than the best of {result.n_feasible} feasible random ones"
+    progress.stage(Detail(f"Mean standard deviation: {result.objective:.4g}, {better}"))
     return CheckedPlan(result.trajectory, problem, result.limit_check)
 
 

@@ -28,6 +28,3 @@ class Progress:
 
     def note(self, message: str) -> None:
         """Tell the user something that does not stop the run."""
-
-    def detail(self, message: str) -> None:
-        """Tell something that is only of interest when a result looks odd."""

@@ -103,10 +103,9 @@ def _two_decimals(value: float) -> str:
 def _tables(result: Result, links: bool) -> Iterator[str]:
     if not result.is_measured or result.payload is not None:
         return
-    yield "Before -> after, ± one standard error of all causes:"
     yield from _mass_line(result)
     rows = link_rows(result) if links and result.links else asked_rows(result)
-    heading, *lines = table_lines(rows)
+    heading, *lines = table_lines(rows, "Before -> after")
     yield heading
     for row, line in zip(rows, lines):
         yield Detail(line) if any(word in row.name for word in _IN_THE_BLOCK) else line
@@ -119,7 +118,7 @@ def _mass_line(result: Result) -> Iterator[str]:
     rest = len(names) - _NAMED
     told = names if rest < 2 else [*names[:_NAMED], f"{rest} more"]
     found = result.estimate.inertial.theta
-    line = f"  the mass is that of {' + '.join(told)}"
+    line = f"The mass is that of {' + '.join(told)}"
     try:
         plan = plan_write_back(
             found if result.file is None else result.file.thetas[-1], result.bodies

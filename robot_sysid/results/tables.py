@@ -87,9 +87,10 @@ class BeforeAfter:
         )
 
 
-def table_lines(rows: Sequence[BeforeAfter]) -> list[str]:
+def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
     """Return rows as aligned lines under their headings; a column without entries is left out."""
-    columns = [c for c in zip(HEADINGS, *(row.cells for row in rows)) if any(c[1:])]
+    headings = (title, *HEADINGS[1:])
+    columns = [c for c in zip(headings, *(row.cells for row in rows)) if any(c[1:])]
     widths = [max(map(len, column)) for column in columns]
     aligned = [
         [f"{cell:>{width}}" if column[0] in _NUMBERS else f"{cell:<{width}}" for cell in column]

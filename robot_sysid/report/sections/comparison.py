@@ -15,12 +15,10 @@ def verdicts(runs: Sequence[Run]) -> Section:
     """Return each run's verdict."""
     rows, told = [], []
     for name, run in names(runs).items():
-        body, use = run.bodies[0], "may be used" if run.trustworthy else "must not be used"
-        mass = with_error(float(body.after[0]), body.stated(body.errors)[0], "kg")
-        path = run.content["model"]["path"]
-        rows.append((name, run.content["question"], use, body.title, mass, path))
+        content = run.content
+        rows.append((name, content["question"], content["verdict"][0], content["model"]["path"]))
         told += [f"{name}: {line}" for line in run.missing]
-    header = ("run", "what", "verdict", "body", "mass", "model")
+    header = ("run", "what", "verdict", "model")
     models = {run.content["model"]["sha256"] for run in runs}
     warned = ("The runs are of different model files.",) if len(models) > 1 else ()
     tables, missing = (table(header, rows),), tuple(told)
