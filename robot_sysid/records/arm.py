@@ -203,7 +203,7 @@ class JointFriction:
         return self.coulomb * np.sign(qd) + self.viscous * qd
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RobotModel:
     """One arm as the identification sees it.
 
@@ -238,6 +238,10 @@ class RobotModel:
     sha256: str = ""
     kind: str = "mjcf"
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        joints = ", ".join(self.joint_names)
+        return f"<RobotModel {self.path.name}: {joints} carry {self.body_name}>"
 
     @property
     def n_joints(self) -> int:

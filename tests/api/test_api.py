@@ -108,6 +108,7 @@ def test_a_result_is_the_same_after_pickling(result, tmp_path):
 def test_results_plans_and_logs_say_what_they_are(workshop, result, monkeypatch):
     assert repr(result).startswith("<Identified link3 of arm.xml: 4.0")
     assert repr(result).endswith("kg, usable>")
+    assert repr(result.robot).endswith("arm.xml: joint0, joint1, joint2, joint3 carry link3>")
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
     assert repr(log).endswith("log.csv: 1601 samples of 4 joints in 8 s>")
     assert "position from" in log._repr_html_() and "<Measure" not in log._repr_html_()
