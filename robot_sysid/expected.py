@@ -284,7 +284,7 @@ def _remedies(
     yield Remedy("its mass known, by weighing the part", 0.0, spread_of(theta, sure)[1])
     apart = known_of(problem, options, "payload")
     difference = criterion(problem, apart).covariance(tell(apart))
-    yield remedy("what is bolted to it as a payload by difference (--for payload)", difference)
+    yield remedy("what is bolted to it as a payload by difference (plan --for payload)", difference)
 
 
 def _best_first(

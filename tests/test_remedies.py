@@ -44,6 +44,7 @@ RUNS = ("run", "identify", "payload")
 OF_PLANS = places("pipeline", "_plan_outcome")
 CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
 USUAL = places("records.sampling", "require_countable")  # the motion that nobody asked for is short
+SECOND = places("api.motors", "SecondArm")  # one arm at a time
 LIFTED = places("motion.problem", "_above_base")  # what was planned below the base may be played
 EXPORT = places("damiao.protocol.joints", "damiao_joints")
 NEVER = {
@@ -58,7 +59,8 @@ NEVER = {
     "report": places("model.chain", "_require_end")
     + (*places("errors", "AmbiguousJointError"), *places("parser", "_notes")),
     "example": places("commands.example", "_record"),  # with files of its own
-    **dict.fromkeys([f"motors {word}" for word in ("check", "play", "simulate", "hold")], LIFTED),
+    **dict.fromkeys([f"motors {word}" for word in ("check", "play", "simulate")], LIFTED),
+    "motors hold": LIFTED + SECOND,
     "motors map": places(
         *("damiao.preflight", "plan_checks", "bus_checks", "direction_checks", "limit_checks")
     )

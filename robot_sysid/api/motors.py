@@ -88,6 +88,14 @@ class SecondArm(OptionRecord):
     )
     also_joint: str | None = option(None, "terminal joint of that arm", "NAME")
 
+    def of_model(self, model: object) -> Path | None:
+        """Return the trajectory of that arm; InputError where nothing says which arm it is."""
+        if self.also is None and self.also_joint is not None:
+            raise InputError("--also-joint is about a second arm; add --also")
+        if self.also and not (self.also_joint and model):
+            raise InputError("--also needs --also-joint, --joint and --model: which arms they are")
+        return self.also
+
 
 class MotorRun:
     """What a run on motors was asked for, key of an option to value, as records.
@@ -112,12 +120,7 @@ class MotorRun:
 
     @cached_property
     def _also(self) -> Path | None:
-        asked = record_from(SecondArm, self.values)
-        if asked.also is None and asked.also_joint is not None:
-            raise InputError("--also-joint is about a second arm; add --also")
-        if asked.also and not (asked.also_joint and self.values.get("model")):
-            raise InputError("--also needs --also-joint, --joint and --model: which arms they are")
-        return asked.also
+        return record_from(SecondArm, self.values).of_model(self.values.get("model"))
 
     def hold_plan(self, inspection: Inspection) -> Plan:
         """Return how the arm is held for a second where it stands, by torques of its model.
