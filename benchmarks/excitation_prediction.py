@@ -17,12 +17,13 @@ import time
 
 import numpy as np
 
+from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, turned, with_gravity
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.identify import Piece, answer_link, filtered
-from robot_sysid.estimation.unknowns import Question, unknowns
+from robot_sysid.estimation.unknowns import LINKS, Question, unknowns
 from robot_sysid.expected import NOISE, _choice, expect, known_of
 from robot_sysid.motion.design.optimise import Design
 from robot_sysid.motion.design.search import design_excitation
@@ -55,6 +56,26 @@ def beliefs(problem, motion):
     return robot, columns, sought.groups
 
 
+def possible_links(group, rng, sweeps=3, tries=300):
+    """Links of an arm that may be, drawn from what is believed of them: one after the other.
+
+    Given the others, each is drawn until it is a possible body: of what is believed of the Panda's
+    links as Gaussian numbers not one arm in three hundred could be built.
+    """
+    believed, found = group.factor @ group.factor.T, group.mean.copy()
+    for at in np.split(np.arange(len(found)), len(found) // 10) * sweeps:
+        rest = np.setdiff1d(np.arange(len(found)), at)
+        gain = believed[np.ix_(at, rest)] @ np.linalg.pinv(believed[np.ix_(rest, rest)])
+        middle = group.mean[at] + gain @ (found[rest] - group.mean[rest])
+        left = np.linalg.cholesky(believed[np.ix_(at, at)] - gain @ believed[np.ix_(rest, at)])
+        for _ in range(tries):
+            drawn = middle + left @ rng.normal(size=10)
+            if spatial.is_consistent(drawn):
+                found[at] = drawn
+                break
+    return found
+
+
 def measured(robot, columns, values, motion):
     """Torque of an arm with these values, and the positions that its encoders tell."""
     at = {name: float(value) for name, value in zip(columns.names, values)}
@@ -80,7 +101,8 @@ def error(problem, motion, rng, exact):
     values = columns.prior.copy()
     for group in () if exact else groups:
         drawn = group.mean + group.factor @ rng.normal(size=len(group.mean))
-        values[columns.at(group.names)] = drawn
+        of_links = group.cause == LINKS
+        values[columns.at(group.names)] = possible_links(group, rng) if of_links else drawn
     tau, q = measured(robot, columns, values, motion)
     tau = tau + SIGMA * rng.normal(size=tau.shape)
     recording = Measurement(motion.time, q, None, tau, None)
