@@ -187,7 +187,7 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
         model: MJCF or URDF file.
         options: every option of ``robot-sysid plan``, such as ``duration=15.0``, ``seed=1``,
             ``max_velocity=1.0`` or ``excitation="sines"``; like there, the motion is designed
-            (``excitation="optimal"``) for up to ``excitation_time_budget=60.0`` seconds.
+            (``excitation="optimal"``); ``excitation_time_budget=60.0`` goes on for a minute.
 
     Raises:
         InputError: an option or the model cannot be used.
