@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.cli import main
+from robot_sysid.damiao.protocol.joints import write_joint_map
+from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.logs.reader import join_measurements, write_measurement_csv
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
@@ -87,6 +90,8 @@ def make_workshop(folder: Path) -> None:
     _run(folder, *_basic(folder), "--export-damiao", *["--motor-type", "DM8009"] * 4)
     for path in (folder / "made").glob("damiao*.csv"):
         path.rename(folder / path.name)
+    joints = read_damiao_trajectory(folder / "damiao_trajectory.csv").joints
+    write_joint_map(folder / "joint_map.csv", [replace(each, verified="hand") for each in joints])
 
 
 def add_recordings(folder: Path) -> None:
