@@ -91,7 +91,8 @@ def make_workshop(folder: Path) -> None:
     for path in (folder / "made").glob("damiao*.csv"):
         path.rename(folder / path.name)
     joints = read_damiao_trajectory(folder / "damiao_trajectory.csv").joints
-    write_joint_map(folder / "joint_map.csv", [replace(each, verified="hand") for each in joints])
+    named = [replace(each, name=f"joint{k}", verified="hand") for k, each in enumerate(joints)]
+    write_joint_map(folder / "joint_map.csv", named)
 
 
 def add_recordings(folder: Path) -> None:
