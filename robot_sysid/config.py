@@ -213,6 +213,14 @@ OF_TORQUE = (
 OF_AN_ESTIMATE = ("bundle", "report", "plots", "plant_model", "save_measurements")
 """Keys of options that mean nothing where a motion is only planned."""
 
+PREDICTED = (
+    *("torques", "noise_torque", "link_uncertainty", "scale_uncertainty", "zero_uncertainty"),
+    *("gravity_uncertainty", "delay_uncertainty", "friction_uncertainty"),
+)
+"""Keys of the estimate's options from which a plan says what it promises."""
+PLANNED = {"excitation": "optimal", "plan_only": True}
+"""What a plan does where a user does not say otherwise."""
+
 
 @dataclass(frozen=True)
 class SysidConfig(Config):
@@ -417,6 +425,13 @@ def config_from(path: Path, **values: Any) -> SysidConfig:
         InputError: an option is unknown, its value cannot be used, or it does not go with another.
     """
     return _configured(SysidConfig, path, values)
+
+
+def plan_config_from(path: Path, **values: Any) -> SysidConfig:
+    """Return the configuration of a plan; where no motion is given, one is designed."""
+    rests = values.get("static") or values.get("for_") == "friction"
+    usual = {} if values.get("trajectory") or rests else PLANNED
+    return config_from(path, **{**usual, **values, "plan_only": True})
 
 
 def payload_config_from(path: Path, **values: Any) -> PayloadConfig:

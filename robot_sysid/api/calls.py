@@ -19,7 +19,15 @@ import numpy as np
 from robot_sysid.api.keywords import python_words, with_keywords
 from robot_sysid.api.models import Model, arm_of, path_of
 from robot_sysid.api.results import Identified, PlanResult, one_thread
-from robot_sysid.config import Config, ModelOptions, SysidConfig, config_from, payload_config_from
+from robot_sysid.config import (
+    PLANNED,
+    Config,
+    ModelOptions,
+    SysidConfig,
+    config_from,
+    payload_config_from,
+    plan_config_from,
+)
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.result import result_of
@@ -179,7 +187,7 @@ def identify_arm(
     return identify(model, logs, validation=validation, **options)
 
 
-@with_keywords(excitation="optimal")
+@with_keywords(**PLANNED)
 def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     """Design a trajectory, or check one that was saved, and say what it promises.
 
@@ -192,9 +200,7 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     Raises:
         InputError: an option or the model cannot be used.
     """
-    rests = "static" in options or options.get("for_") == "friction"
-    usual = {} if "trajectory" in options or rests else {"excitation": "optimal"}
-    config = config_from(path_of(model), **{**usual, **options, "plan_only": True})
+    config = plan_config_from(path_of(model), **options)
     with _quietly() as notes:
         robot = load(config, notes)
         made, _ = designed(config, robot, notes)

@@ -65,19 +65,19 @@ def _content(path: Path) -> Mapping[str, Any]:
         raise InputError(f"{path} is no TOML file: {error}") from None
 
 
-def text_of(command: str, config: Any, path: Path, but: Sequence[str] = ()) -> str:
+def text_of(command: str, config: Any, path: Path, usual: Mapping[str, Any]) -> str:
     """Return the file that asks a command for a configuration again.
 
     Args:
         command: its words, such as "robot-sysid plan".
         config: a record of records of options, with the model's path.
         path: where the file will be.
-        but: keys that are left out.
+        usual: key to the default that the command has in place of the record's.
     """
     given = {"path": config.model.path}
     for record in vars(config).values():
         for name, each in options_of(record).items():
-            if each.key not in but and getattr(record, name) != default_of(record, name):
+            if getattr(record, name) != usual.get(each.key, default_of(record, name)):
                 given[each.key] = getattr(record, name)
     lines = [f"{key} = {_toml(value)}" for key, value in given.items()]
     said = f"# In {Path.cwd()}: {command} --config {path}"

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.run import add_model, carry_out
-from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, config_from
+from robot_sysid.config import (
+    PLANNED,
+    PREDICTED,
+    ModelOptions,
+    MotorOptions,
+    OutputOptions,
+    plan_config_from,
+)
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.preview.options import PreviewOptions
@@ -21,19 +28,12 @@ if TYPE_CHECKING:
     from robot_sysid.preview.motion import Shown
     from robot_sysid.records import RobotModel
 
-
 MAIN = (
     *("mesh_dir", "joint", "output_dir", "duration", "seed", "speed", "trajectory"),
     *("save_trajectory", "excitation", "excitation_time_budget", "max_velocity", "max_torque"),
     *("workspace", "keep_out", "export_damiao", "motor_type"),
 )
-NO_RESULT = (*("keep", "links", "bundle", "report", "plots"),)
-PREDICTED = (
-    *("torques", "noise_torque", "link_uncertainty", "scale_uncertainty", "zero_uncertainty"),
-    *("gravity_uncertainty", "delay_uncertainty", "friction_uncertainty"),
-)
-USUAL = {"excitation": "optimal"}
-"""What this command does where a user does not say otherwise."""
+NO_RESULT = ("keep", "links", "bundle", "report", "plots")
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -48,7 +48,7 @@ def build_parser(full: bool = True) -> Parser:
     add_model(parser)
     parser.add("model and output", ModelOptions, OutputOptions, leave_out=NO_RESULT)
     parser.add("trajectory", TrajectoryOptions)
-    parser.add("excitation", ExcitationOptions, usual=USUAL)
+    parser.add("excitation", ExcitationOptions, usual=PLANNED)
     parser.add("plan for a payload", PoseOptions)
     parser.add("limits", LimitOptions)
     parser.add("prediction", EstimationOptions, SimulatedArmOptions, only=PREDICTED)
@@ -61,8 +61,6 @@ def build_parser(full: bool = True) -> Parser:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parsed(build_parser, arguments)
-    rests = "static" in values or values.get("for_") == "friction"
-    usual = {} if "trajectory" in values or rests else USUAL
     wanted = record_from(PreviewOptions, values)
     for key in ("view", "video"):
         values.pop(key, None)
@@ -76,8 +74,7 @@ def main(arguments: Sequence[str]) -> int:
             shown = shown_plan(checked.problem, checked.plan)
             show_preview(checked.problem.robot, shown, wanted, console)
 
-    config = config_from(**{**usual, **values, "plan_only": True})
-    return carry_out(config, console, show)
+    return carry_out(plan_config_from(**values), console, show)
 
 
 def require_preview(wanted: PreviewOptions) -> None:

@@ -9,11 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.commands.arguments import PROGRAM, PYTHON_ONLY, Parser, parsed
+from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.config_file import text_of
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import (
+    PLANNED,
     Config,
     ModelOptions,
     MotorOptions,
@@ -122,14 +123,15 @@ def carry_out(
 def _repeatable(config: Config) -> None:
     """Write the file that repeats a run, but not over the one that it was asked with."""
     path, command = config.output.output_dir / RUN_NAME, PROGRAM
+    usual: Mapping[str, Any] = {}
     if isinstance(config, PayloadConfig):
         command += " payload"
     elif isinstance(config, SysidConfig) and config.trajectory.plan_only:
         assert config.plan_file is not None
-        path, command = config.plan_file.with_suffix(".toml"), f"{command} plan"
+        path, command, usual = config.plan_file.with_suffix(".toml"), f"{command} plan", PLANNED
     given = config.output.config
     if given is None or not (path.exists() and path.samefile(given)):
-        write_whole(path, text_of(command, config, path, PYTHON_ONLY))
+        write_whole(path, text_of(command, config, path, usual))
 
 
 def _answer(outcome: Any) -> Mapping[str, Any] | str:

@@ -9,7 +9,7 @@ from typing import get_type_hints
 import pytest
 
 from robot_sysid.commands import identify, payload, plan, run
-from robot_sysid.commands.arguments import PYTHON_ONLY, parsed
+from robot_sysid.commands.arguments import parsed
 from robot_sysid.commands.config_file import text_of
 from robot_sysid.config import ModelOptions, PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
@@ -27,7 +27,7 @@ def written(kind, sample):
     vars(held).update({name: default_of(record, name) for name in options_of(record)})
     vars(held)[sample.field] = sample.value
     config = SimpleNamespace(model=ModelOptions(path=MODEL), asked=held)
-    return text_of("robot-sysid", config, Path("run.toml"), PYTHON_ONLY)
+    return text_of("robot-sysid", config, Path("run.toml"), {})
 
 
 @pytest.mark.parametrize("name", MODULES)

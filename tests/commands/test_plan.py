@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from robot_sysid.commands import plan
+from robot_sysid.commands.arguments import parsed
+from robot_sysid.config import plan_config_from
 from robot_sysid.motion.trajectories import LineTrajectory, load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, witness
@@ -27,6 +30,9 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(command, arm_file):
     saved = load_trajectory(path.parent / "sysid_output" / "trajectory.json")
     assert isinstance(saved.plan, SineTrajectory)
     assert saved.joint_names == ("joint0", "joint1", "joint2")
+    file = path.parent / "sysid_output" / "trajectory.toml"
+    repeated = plan_config_from(**parsed(plan.build_parser, ["--config", str(file)])[0])
+    assert repeated.excitation.kind == "sines"
 
 
 @pytest.mark.slow
@@ -52,10 +58,10 @@ def test_poses_can_be_planned_saved_and_checked_again(command, arm_file):
     printed = command.run("plan", path, *static, "--seed", "1")
     assert "12 poses, each approached from both sides" in printed.out
     assert "Keeps all limits for " in printed.out
-    plan = path.parent / "sysid_output" / "trajectory.json"
-    assert isinstance(load_trajectory(plan).plan, LineTrajectory)
+    saved = path.parent / "sysid_output" / "trajectory.json"
+    assert isinstance(load_trajectory(saved).plan, LineTrajectory)
     folder = ("--output-dir", "again", "--sample-rate", "100")
-    assert "Trajectory saved" in command.run("plan", path, "--trajectory", plan, *folder).out
+    assert "Trajectory saved" in command.run("plan", path, "--trajectory", saved, *folder).out
 
 
 def export(joints):
