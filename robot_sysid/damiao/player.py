@@ -128,7 +128,8 @@ class Player:
         self._announce, self._on_progress = on_phase, on_progress
         _, velocity_step, torque_step = session.steps
         self._supervisor = supervision.Supervisor(session.joints, settings, velocity_step)
-        fades = settings.period * np.array(settings.kp) / np.array(settings.kd)
+        # Without stiffness there is next to none: 0 / 0 would tell nothing of any joint.
+        fades = settings.period * np.maximum(settings.kp, 1e-9) / np.array(settings.kd)
         self._velocity_check = supervision.VelocityScalingCheck(velocity_step, fades)
         self._torque_check = supervision.TorqueScalingCheck(torque_step, session.peak_torque)
         self._timer: CycleTimer

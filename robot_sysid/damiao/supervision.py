@@ -116,7 +116,7 @@ class Supervisor:
         self._speed_limit = settings.max_speed_error + _STEPS * velocity_step
         self._doubt = torque_doubt(joints)
         rated = np.array([j.spec.rated_torque * j.torque_ratio for j in joints])
-        stiffness = np.maximum(settings.kp, np.finfo(float).tiny)
+        stiffness = np.maximum(settings.kp, 1e-9)
         self._sag = np.minimum(_SAG * rated / stiffness, settings.max_tracking_error)
         self._torque_limit = np.array(settings.max_torque_error)
         self._last: tuple[Array, ...] | None = None

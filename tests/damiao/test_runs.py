@@ -559,9 +559,11 @@ def test_the_other_motors_come_to_rest_before_they_are_disabled(rig):
     assert recording.columns["j1_status"][-1] == 0xA
 
 
-def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig):
+@pytest.mark.parametrize("kp", [(), (0.0, 60.0)], ids=["usual", "a joint without stiffness"])
+def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig, kp):
     faults, motion = [fault("velocity_factor", 1, 0.8)], swing(2, 4.0)
-    rig(motion=motion, faults=faults, rate=250.0).run().assert_stopped("motor 2 moves 1.2")
+    run = rig(motion=motion, faults=faults, rate=250.0, kp=kp).run()
+    run.assert_stopped("motor 2 moves 1.2")
 
 
 @pytest.mark.parametrize("seed", range(1))
