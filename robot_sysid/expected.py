@@ -131,9 +131,7 @@ def expect(
     of, scaled, missing = robot.body_name, 0.0, ""
     if asked == "payload":
         of, theta, size = f"a payload of {WEIGHED:g} kg", _weighed(), size / robot.prior.mass
-        # All torques that read too much alike read its weight too large by as much.
-        each = LOADED_SCALE if options.scale_uncertainty is None else options.scale_uncertainty
-        scaled = 0.01 * float(np.sqrt(np.mean(np.square(each)) / len(problem.rows)))
+        scaled = _read_alike(problem, options)
     others: dict[str, float] = {}
     try:
         sought, found, causes = _posterior(problem, plan, sample_rate, options, asked)
@@ -152,6 +150,14 @@ def expect(
     remedies = _best_first(problem, plan, (sample_rate, options, asked))
     about = others, _never(problem, told), remedies, missing, scaled
     return Prediction(of, theta, size, covariance, causes, *about)
+
+
+def _read_alike(problem: ExcitationProblem, options: EstimationOptions) -> float:
+    """Return how far all torques may read too much alike (a share): a payload's weight is as far
+    off, and no motion tells it.
+    """
+    each = LOADED_SCALE if options.scale_uncertainty is None else options.scale_uncertainty
+    return 0.01 * float(np.sqrt(np.mean(np.square(each)) / len(problem.rows)))
 
 
 def _weighed() -> Array:
@@ -268,8 +274,10 @@ def _remedies(
     told, tell = criterion(problem, known), partial(_told, problem, plan, rate)
     here, quick = tell(known), tell(known, faster=FASTER)
 
-    def remedy(words: str, covariance: Array) -> Remedy:
-        return Remedy(words, *spread_of(theta, covariance))
+    def remedy(words: str, covariance: Array, loaded: bool = asked == "payload") -> Remedy:
+        mass, centre = spread_of(theta, covariance)
+        scaled = loaded * _read_alike(problem, options) * theta[0]
+        return Remedy(words, float(np.hypot(mass, scaled)), centre)
 
     yield remedy(f"a motion {LONGER:g} times as long", told.covariance(LONGER * here))
     yield remedy(f"a motion {FASTER:g} times as fast, over the same time", told.covariance(quick))
@@ -284,7 +292,8 @@ def _remedies(
     yield Remedy("its mass known, by weighing the part", 0.0, spread_of(theta, sure)[1])
     apart = known_of(problem, options, "payload")
     difference = criterion(problem, apart).covariance(tell(apart))
-    yield remedy("what is bolted to it as a payload by difference (plan --for payload)", difference)
+    bolted = "what is bolted to it as a payload by difference (plan --for payload)"
+    yield remedy(bolted, difference, loaded=True)
 
 
 def _best_first(

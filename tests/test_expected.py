@@ -116,6 +116,13 @@ def test_a_payload_is_told_by_the_difference_of_two_recordings():
     assert 0.01 < expected.scaled < 0.03
 
 
+def test_a_payload_weighs_as_surely_as_torques_are_scaled_at_best():
+    found = promised(EstimationOptions(scale_uncertainty=6.0)).remedies
+    weighed = next(each.mass for each in found if "by difference" in each.words)
+    mass, joints = robot(ARM).prior.mass, robot(ARM).n_joints
+    assert 0.06 / np.sqrt(joints) * mass < weighed < 0.1 * mass
+
+
 def test_where_no_motion_tells_the_mass_it_is_said_beforehand_with_what_would():
     tip = '<inertial pos=".02 .03 .06" mass=".08" diaginertia=".0005 .0006 .0003"/>'
     light = ARM.replace(arms.TIP, tip)
