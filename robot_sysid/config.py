@@ -414,6 +414,10 @@ class PayloadConfig(Config):
         yield from super()._written()
 
 
+NOT_OF_A_PAYLOAD = ("links", "append", "save_trajectory", "plant_model", "save_measurements")
+"""Keys of options that mean nothing for a payload."""
+
+
 def config_from(path: Path, **values: Any) -> SysidConfig:
     """Return the configuration of a run on one model file.
 

@@ -67,7 +67,6 @@ Log = Union[str, "os.PathLike[str]", Mapping[str, Any], Frame, Measurement, Meas
 """A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
 rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
 _ADDED = Path("added information")
-_NOT_ADDED = ("measurements", "append", "validation_measurements", "verify_rollout", "torque_from")
 
 
 def _log(log: Log) -> Any:
@@ -255,9 +254,6 @@ def information(
     Raises:
         InputError: an option, the model or the log cannot be used, or does not add.
     """
-    for name in _NOT_ADDED:
-        if name in options:
-            raise InputError(f"{name} is not for information, which holds one log or several alike")
     values = {**options, **_logs(measurements=log)}
     robot, logs = arm_of(model, values), record_from(LogOptions, values)
     chosen = settled_options(record_from(EstimationOptions, values))

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar, get_type_hints
 
-from robot_sysid.config import ModelOptions, PayloadConfig, SysidConfig
+from robot_sysid.config import NOT_OF_A_PAYLOAD, PREDICTED, ModelOptions, PayloadConfig, SysidConfig
 from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.preflight import Permissions
 from robot_sysid.damiao.protocol.frames import BusTiming
@@ -22,7 +22,8 @@ from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.records.options import Option, default_of, options_of, refuse_unknown
+from robot_sysid.records.options import Option, default_of, keys_of, options_of, refuse_unknown
+from robot_sysid.simulation.options import SimulatedArmOptions
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _ARM, _PAYLOAD = (tuple(get_type_hints(kind).values()) for kind in (SysidConfig, PayloadConfig))
@@ -50,16 +51,29 @@ ELSEWHERE = {
     **dict.fromkeys(("empty", "loaded"), "is an argument of its own"),
 }
 """Options of the commands that are no keywords, and what there is instead."""
+_ESTIMATED = keys_of(EstimationOptions, SimulatedArmOptions) - {*PREDICTED}
+_USELESS: Mapping[str, Mapping[str, str]] = {
+    "plan": dict.fromkeys(_ESTIMATED, "is about an estimate; a plan stops before it"),
+    "payload": dict.fromkeys(NOT_OF_A_PAYLOAD, "means nothing for a payload; leave it out"),
+    "read_log": dict.fromkeys(("append", "accept"), "is about an estimate; reading makes none"),
+    "information": {"append": "is not for information, which holds one log or several alike"},
+}
 _NAMED = {"measurements": "log", "validation_measurements": "validation"}
+
+
+def refused_by(function: str) -> Mapping[str, str]:
+    """Return key to why it is no keyword of a function of the face, as the end of a sentence."""
+    return {**_USELESS.get(function, {}), **ELSEWHERE}
 
 
 def keywords_of(function: str) -> dict[str, tuple[Option, Any]]:
     """Return keyword to its option and default, of a function of the face."""
+    refused = refused_by(function)
     return {
         each.key: (each, default_of(record, name))
         for record in RECORDS[function]
         for name, each in options_of(record).items()
-        if each.key not in ELSEWHERE
+        if each.key not in refused
     }
 
 
@@ -72,15 +86,15 @@ def with_keywords(**usual: Any) -> Callable[[Function], Function]:
 
     def decorated(function: Function) -> Function:
         own = inspect.signature(function)
-        known = keywords_of(function.__name__)
+        known, refused = keywords_of(function.__name__), refused_by(function.__name__)
 
         @functools.wraps(function)
         def call(*given: Any, **options: Any) -> Any:
             with in_python():
                 asked = [key for key in options if key not in own.parameters]
                 for key in asked:
-                    if key in ELSEWHERE:
-                        raise InputError(f"{key} {ELSEWHERE[key]}")
+                    if key in refused:
+                        raise InputError(f"{key} {refused[key]}")
                 refuse_unknown(asked, {*known, *own.parameters} - {"options"})
                 return function(*given, **options)
 

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.run import EXCITATION, add_model, carry_out
-from robot_sysid.config import ModelOptions, OutputOptions, PayloadOptions, payload_config_from
+from robot_sysid.config import (
+    NOT_OF_A_PAYLOAD,
+    ModelOptions,
+    OutputOptions,
+    PayloadOptions,
+    payload_config_from,
+)
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
@@ -22,10 +28,7 @@ ESTIMATION = (
     *("cutoff", "velocity_deadband", "friction_model", "link_uncertainty"),
     *("scale_uncertainty", "zero_uncertainty", "gravity_uncertainty", "delay_uncertainty"),
 )
-NOT_HERE = (
-    *("links", "measurements", "append", "validation_measurements", "verify_rollout"),
-    *("save_trajectory", "plant_model", "save_measurements"),
-)
+NOT_HERE = (*NOT_OF_A_PAYLOAD, *("measurements", "validation_measurements", "verify_rollout"))
 
 
 def build_parser(full: bool = True) -> Parser:

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 import robot_sysid as rs
-from robot_sysid.api.keywords import ELSEWHERE, RECORDS, python_words
+from robot_sysid.api.keywords import RECORDS, python_words, refused_by
 from robot_sysid.records.options import keys_of
 from tests.support import keyword_types
 from tests.support.places import ROOT
@@ -23,7 +23,8 @@ def test_the_types_are_what_the_generator_writes():
 @pytest.mark.parametrize("function", RECORDS)
 def test_a_signature_shows_every_keyword_with_its_default(function):
     shown = inspect.signature(getattr(rs, function)).parameters
-    assert keys_of(*RECORDS[function]) - set(ELSEWHERE) <= set(shown) and "options" not in shown
+    known = keys_of(*RECORDS[function]) - set(refused_by(function))
+    assert known <= set(shown) and "options" not in shown
     if "cutoff" in shown:
         assert shown["cutoff"].default is None and shown["delay"].default == "off"
     if function == "plan":
@@ -42,6 +43,9 @@ def test_a_signature_shows_every_keyword_with_its_default(function):
         (lambda: rs.payload("m"), "give empty=LOG... and loaded=LOG..., or empty_model and"),
         (lambda: rs.plan("m", for_="friction", seed=7), "seed has nothing to draw"),
         (lambda: rs.plan("m", static=True), 'static=True is about resting poses; add for_="pay'),
+        (lambda: rs.plan("m", cutoff=5.0), "cutoff is about an estimate; a plan stops before it"),
+        (lambda: rs.payload("m", plant_model="m"), "plant_model means nothing for a payload; lea"),
+        (lambda: rs.read_log("l", "m", accept="gravity"), "accept is about an estimate; reading "),
         (lambda: rs.read_log("l", 5), "a model is the path of an MJCF or URDF file, a mujoco"),
         (lambda: rs.identify_from("m", None), "a sum of rs.information is needed, not NoneType"),
     ],
