@@ -216,7 +216,7 @@ def together(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTraject
     files = first, second
     times = [each.time - each.time[0] for each in files]
     longer = int(times[1][-1] > times[0][-1])
-    time = np.union1d(*times)
+    time = _merged(times)
 
     def joined(name: str) -> Array:
         columns = [column for each in files for column in getattr(each, name).T]
@@ -227,6 +227,21 @@ def together(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTraject
     q, qd, tau = (joined(name) for name in ("q", "qd", "tau"))
     joints = first.joints + second.joints
     return DamiaoTrajectory(first.path, joints, line, time, q, qd, tau, both=True)
+
+
+def _merged(times: Sequence[Array]) -> Array:
+    """Return all moments, but those that are nearly the same only once.
+
+    Two that rounding keeps apart would make any slope of the ways between them, and any slack.
+    """
+    least = 0.5 * min(np.diff(each).min(initial=np.inf) for each in times)
+    kept = [0.0]
+    for moment in np.union1d(*times):
+        if moment - kept[-1] >= least:
+            kept.append(moment)
+    # The last one stays: files end at rest there.
+    kept[-1] = max(each[-1] for each in times)
+    return np.array(kept)
 
 
 def _with_rows(

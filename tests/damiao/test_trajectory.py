@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from robot_sysid.damiao.trajectory import (
     limit_excesses,
     read_damiao_trajectory,
     scan_trajectory,
+    together,
     velocity_mismatch,
 )
 from robot_sysid.errors import InputError
@@ -258,6 +260,23 @@ def test_velocities_of_a_joint_that_stands_are_found_with_their_row():
     qd[100:200] = 9.0
     found = mismatch(time, q, qd)
     assert (found.line, found.joint, found.stated, found.shown) == (100, 0, 9.0, 0.0)
+
+
+@pytest.mark.parametrize("start", [0.0, 0.5, 0.1233])
+def test_what_is_wrong_in_one_of_two_files_is_found_whenever_its_time_begins(start, tmp_path):
+    """Moments that only rounding keeps apart would allow any slope, and any acceleration."""
+    first = trajectory_file(tmp_path, swing(1))
+    second = replace(first, time=first.time + start, qd=1.3 * first.qd)
+    both = together(first, second)
+    np.testing.assert_allclose(both.time, first.time, atol=1e-12)
+    np.testing.assert_allclose(both.q, np.hstack([first.q] * 2), atol=1e-12)
+    assert scan_trajectory(both).mismatch.joint == 1
+    limits = replace(NO_LIMITS, max_acceleration=1.0)
+    assert len([*limit_excesses(both, 1.0, limits)]) == 2
+    slower = swing(1, 1.0, rate=110.0)
+    mixed = together(first, trajectory_file(tmp_path, slower))
+    assert np.diff(mixed.time).min() > 0.0019 and mixed.time[-1] == 2.0
+    assert scan_trajectory(mixed).mismatch is None
 
 
 def test_a_rate_the_bus_cannot_carry_comes_with_one_that_it_can():
