@@ -245,7 +245,7 @@ def _numeric(schema: Any) -> list[str]:
 
 def _arrow_table(path: Path, layout: str, columns: Any) -> table.LogTable:
     named = zip(columns.column_names, columns.columns)
-    return table.arrays_table(path, layout, {name: _array(column) for name, column in named})
+    return table.arrays_table(path, layout, {name: _array(name, column) for name, column in named})
 
 
 LEROBOT = "a LeRobot data set"
@@ -331,7 +331,7 @@ def _frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     for file in files:
         with table.as_input_errors(file, LEROBOT):
             read = parquet.read_table(file, columns=list(columns))
-            parts.append({name: _array(read.column(name)) for name in columns})
+            parts.append({name: _array(name, read.column(name)) for name in columns})
     with table.as_input_errors(path, LEROBOT):
         return {name: np.concatenate([part[name] for part in parts]) for name in columns}
 
@@ -350,11 +350,24 @@ def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
     return size
 
 
-def _array(column: Any) -> Array:
-    """Return a column (N,), or (N, k) of one with lists."""
+def _array(name: str, column: Any) -> Array:
+    """Return a column (N,), or (N, k) of one with lists; NaN for a list that is missing."""
     combined = column.combine_chunks()
-    is_list = "list" in str(combined.type)
-    flat = combined.flatten() if is_list else combined
-    values = flat.to_numpy(zero_copy_only=False)
-    values = values if values.dtype.kind in "Mm" else np.asarray(values, float)
-    return values.reshape(len(combined), -1) if is_list else values
+    if "list" not in str(combined.type):
+        return _numbers(combined)
+    there = combined.drop_null()
+    fixed = not hasattr(there, "offsets")
+    widths = [there.type.list_size] if fixed else np.unique(np.diff(there.offsets)).tolist()
+    if len(widths) > 1:
+        fault = f"column {name} holds lists of {widths[0]} to {widths[-1]} numbers"
+        raise ValueError(f"{fault}; write as many in each row, or leave the column out")
+    values = _numbers(there.flatten())
+    rows = np.full((len(combined), *widths), np.nan).astype(values.dtype)
+    is_there = combined.is_valid().to_numpy(zero_copy_only=False)
+    rows[is_there] = values.reshape(len(there), *widths)
+    return rows
+
+
+def _numbers(column: Any) -> Array:
+    values = column.to_numpy(zero_copy_only=False)
+    return values if values.dtype.kind in "Mm" else np.asarray(values, float)

@@ -19,7 +19,7 @@ from scipy.io import savemat
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import arrays, table
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.reader import content_lines
+from robot_sysid.logs.reader import content_lines, open_table
 from robot_sysid.records.progress import Progress
 from tests.support.log_files import JOINTS, motion, read_measurements
 
@@ -68,6 +68,22 @@ def parquet(table, path):
 
 def feather(table, path):
     pytest.importorskip("pyarrow.feather").write_feather(table, path, compression="zstd")
+
+
+@pytest.mark.parametrize("write", [parquet, feather])
+def test_lists_of_unequal_length_are_refused_and_missing_ones_are_missing(tmp_path, write):
+    """Their numbers are as many as those of equal lists, and would stand in wrong rows."""
+    pa = pytest.importorskip("pyarrow")
+    q = [[1.0, 2.0], [3.0], [4.0, 5.0, 6.0], [7.0, 8.0]]
+    time = [0.0, 0.1, 0.2, 0.3]
+    write(pa.table({"time": time, "q": q}), tmp_path / "log")
+    with pytest.raises(InputError, match="column q holds lists of 1 to 3 numbers; write as many"):
+        open_table(tmp_path / "log", JOINTS, LogOptions())
+    for kind in (pa.list_(pa.float64()), pa.list_(pa.float64(), 2)):
+        held = pa.array([q[0], None, None, q[3]], kind)
+        write(pa.table({"time": time, "q": held}), tmp_path / "log")
+        (block,) = open_table(tmp_path / "log", JOINTS, LogOptions()).blocks(range(3))
+        np.testing.assert_array_equal(block.cells[:, 1:], [q[0], [np.nan] * 2, [np.nan] * 2, q[3]])
 
 
 class Harmless:
