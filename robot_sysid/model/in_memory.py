@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
+from html import unescape
 from pathlib import Path
 from typing import Any, Union
 from weakref import WeakKeyDictionary
@@ -18,7 +19,10 @@ InMemory = Union["mujoco.MjSpec", "mujoco.MjModel"]
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
 """Those of the files that were written; they go with the process."""
 _WRITTEN: WeakKeyDictionary[Any, Path] = WeakKeyDictionary()
-_COMPARED = ("body_mass", "body_ipos", "body_inertia", "body_pos", "qpos0", "dof_damping")
+_COMPARED = (
+    *("body_mass", "body_ipos", "body_inertia", "body_pos", "qpos0", "jnt_axis", "jnt_range"),
+    *("dof_damping", "dof_armature", "dof_frictionloss", "body_jntadr"),
+)
 # MuJoCo writes six digits.
 _SAME = 1e-4
 
@@ -50,17 +54,19 @@ def file_of(model: Any) -> Path:
     with captured_warnings():
         try:
             mujoco.mj_saveLastXML(str(folder / "model.xml"), model)
-            _WRITTEN[model] = folder / "model.xml"
-            again = mujoco.MjModel.from_xml_path(str(_WRITTEN[model]))
+            path = _WRITTEN[model] = folder / "model.xml"
         except FAILURES:
-            again = None
-    known = _WRITTEN.get(model)
-    if known is None or (again is not None and not _alike(model, again)):
+            path = _WRITTEN.get(model, folder)
+        try:
+            same = _alike(model, mujoco.MjModel.from_xml_path(str(path)))
+        except FAILURES:
+            same = path.parent == folder  # its meshes are elsewhere, so that it cannot be compared
+    if not same or not _names(model) <= _names_in(path):
         raise ModelError(
             "a MjModel can be written only while it is the last that was loaded from XML; give its "
             "file, or the MjSpec that it was compiled from"
         )
-    return known
+    return path
 
 
 def _file_of_spec(spec: Any, folder: Path) -> Path:
@@ -95,3 +101,12 @@ def _alike(model: Any, other: Any) -> bool:
     """Tell whether two compiled models are the same arm to the digits that MuJoCo writes."""
     pairs = [(getattr(model, name), getattr(other, name)) for name in _COMPARED]
     return all(a.shape == b.shape and np.allclose(a, b, _SAME, 1e-9) for a, b in pairs)
+
+
+def _names(model: Any) -> set[str]:
+    bodies = (model.body(k).name for k in range(1, model.nbody))
+    return {*bodies, *(model.joint(k).name for k in range(model.njnt))} - {""}
+
+
+def _names_in(path: Path) -> set[str]:
+    return set(map(unescape, re.findall('\\bname="([^"]*)"', path.read_text(encoding="utf-8"))))

@@ -8,6 +8,7 @@ import pytest
 
 import robot_sysid as rs
 from robot_sysid.dynamics.kinematics import analysis_copy
+from robot_sysid.model.in_memory import file_of
 from tests.support import arms
 from tests.support.places import EXAMPLE, MODELS
 
@@ -107,3 +108,18 @@ def test_a_compiled_model_is_written_while_mujoco_still_knows_its_xml():
     mujoco.MjModel.from_xml_string(TEXT)
     with pytest.raises(rs.ModelError, match="give its file, or the MjSpec"):
         rs.identify(forgotten, **quick)
+
+
+def test_a_compiled_model_is_not_taken_for_another_one_nor_for_what_it_was():
+    model = mujoco.MjModel.from_xml_string(TEXT)
+    assert file_of(model).is_file()
+    renamed = mujoco.MjModel.from_xml_string(TEXT.replace("joint1", "elbow1"))
+    with pytest.raises(rs.ModelError, match="give its file, or the MjSpec"):
+        file_of(model)
+    assert "elbow" in file_of(renamed).read_text()
+    mujoco.MjModel.from_xml_string(arms.serial_arm((arms.Z, arms.Y)))
+    assert "elbow" in file_of(renamed).read_text()
+    mujoco.MjModel.from_xml_string(arms.serial_arm((arms.Z, arms.Y)))
+    renamed.dof_armature[1] *= 2.0
+    with pytest.raises(rs.ModelError, match="give its file, or the MjSpec"):
+        file_of(renamed)
