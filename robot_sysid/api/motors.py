@@ -204,12 +204,18 @@ class MotorRun:
                 raise InputError(f"{given.flag} is about a model; add --model")
             return own
         # Imported here so that playing on real motors does not wait for MuJoCo.
-        from robot_sysid.damiao.model_check import arms_apart, model_checks, torque_checks
+        from robot_sysid.damiao.model_check import (
+            arm_by_arm,
+            arms_apart,
+            model_checks,
+            torque_checks,
+        )
 
         played, settings, pose = plan.trajectory, plan.settings, plan.pose
-        files, speed = self._files if self._also else (played,), settings.speed
-        fits: list[Check] = []
-        for each, robot in zip(files, self.robots):
+        # Files have rows of their own; what is made from their joints has none.
+        parts = self._files if played.both else arm_by_arm(played, self.robots)
+        fits, speed = list[Check](), settings.speed
+        for each, robot in zip(parts, self.robots):
             left = None if pose is None else pose[: each.n_joints]
             pose = None if pose is None else pose[each.n_joints :]
             fits += model_checks(each, speed, robot, left, plan.limits)

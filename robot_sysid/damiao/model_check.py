@@ -95,14 +95,19 @@ def way_checks(plan: Plan, arms: Sequence[RobotModel], here: Array) -> Iterator[
                 yield Check(STOP, f"{said}; bring the arm nearer to the first point by hand")
 
 
+def arm_by_arm(played: DamiaoTrajectory, arms: Sequence[RobotModel]) -> Iterator[DamiaoTrajectory]:
+    """Yield what each of the arms does in a trajectory of all of them."""
+    begin = 0
+    for robot in arms:
+        own = slice(begin, begin := begin + robot.n_joints) if len(arms) > 1 else slice(None)
+        part = {name: getattr(played, name)[:, own] for name in ("q", "qd", "tau")}
+        yield replace(played, joints=played.joints[own], **part)
+
+
 def _touching(
     way: DamiaoTrajectory, arms: Sequence[RobotModel], limits: LimitOptions
 ) -> Iterator[str]:
-    begin = 0
-    for robot in arms:
-        own = slice(begin, begin := begin + robot.n_joints)
-        part = {name: getattr(way, name)[:, own] for name in ("q", "qd", "tau")}
-        alone = replace(way, joints=way.joints[own], **part)
+    for robot, alone in zip(arms, arm_by_arm(way, arms)):
         yield from (what for what, _ in _contact(robot, SampledTrajectory(alone, 1.0), limits))
     if len(arms) > 1 and BetweenArms(*arms).touch_at(SampledTrajectory(way, 1.0)) is not None:
         yield "arms"

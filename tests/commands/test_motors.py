@@ -446,16 +446,31 @@ def test_arms_that_would_touch_are_not_played_together(capsys, both_arms):
     assert run(capsys, "play", *alone, "--dry-run")[0] == 0
 
 
-def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(capsys, both_arms, bus):
-    """They stand bent towards each other: their own motions begin apart."""
+def stand_on_two_buses(bus, q):
+    """Put the two motors on a bus each, and their joints at a place [rad]."""
     for side, motor in enumerate(bus.motors):
         motor.joint = replace(motor.joint, can_id=1, master_id=0x11, bus=side)
         motor.registers.update({ESC_ID: 1.0, MST_ID: 17.0})
-    bus.arm.mechanism.q[:] = 0.4
+    bus.arm.mechanism.q[:] = q
+
+
+def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(capsys, both_arms, bus):
+    """They stand bent towards each other: their own motions begin apart."""
+    stand_on_two_buses(bus, 0.4)
     buses = ("--channel", "left", "--channel", "right", "--dry-run", "--accept-directions")
     code, out, err = run(capsys, "play", *both_arms(0.3)[1:-1], *buses)
     said = "on the way to the first point, straight from where it stands, the model's arms touch"
     assert code == 3 and said in err, out + err
+
+
+def test_the_small_motions_of_two_arms_are_checked_and_not_their_files(capsys, both_arms, bus):
+    """They stand at the end of their ranges, where their files never bring them."""
+    stand_on_two_buses(bus, 2.98)
+    buses = ("--channel", "left", "--channel", "right", "--verify")
+    code, out, err = run(capsys, "play", *both_arms(3.0)[1:-1], *buses)
+    assert code == 3 and "not moved (where there is no room for 0.1 rad" in err, out + err
+    assert "position 3.08 rad is beyond the model's limit 3" in err
+    assert only_asks(bus.wire.sent)
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")

@@ -41,6 +41,10 @@ class DirectionChoices(OptionRecord):
 # enough for the wrong way. Rows per second.
 _NUDGE, _THERE_AND_BACK, _ROW_RATE = 0.1, 4.0, 100.0
 
+_NO_ROOM = (
+    "not moved (where there is no room for 0.1 rad either way, bring the arm elsewhere by hand)"
+)
+
 
 def verify(asked: Asked, link: GuardedLink, plan: Plan) -> int:
     """Let each joint of a plan that nothing shows the direction of move, ask, and keep the answers.
@@ -93,7 +97,8 @@ def _move_a_little(
     ways = positive_ways(asked.robot, here, signs)
     little, mirrored = (_small_motion(asked, plan, here, numbers, s) for s in (signs, -signs))
     for each in (little, mirrored):
-        require_no_stop([*asked.checks(each), *asked.met_checks(each, inspection, False)], "still")
+        checks = [*asked.checks(each), *asked.met_checks(each, inspection, False)]
+        require_no_stop(checks, _NO_ROOM)
     for joint, j in zip(unseen, numbers):
         console.stage(f"{joint.label} is to turn so that {ways[j]}, and back")
     if not said_yes("They move one after the other, by 0.1 rad. Keep clear, and watch."):
@@ -124,6 +129,7 @@ def _small_motion(
     holding = asked.holding(plan)
     assert holding is not None
     tau = np.array([holding.torque(row) for row in q])
-    trajectory = replace(plan.trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau)
+    rows = {"line": np.arange(len(time)), "time": time, "q": q, "qd": qd, "tau": tau}
+    trajectory = replace(plan.trajectory, both=False, **rows)
     settings = replace(plan.settings, speed=1.0, park=None)
     return replace(plan, trajectory=trajectory, settings=settings, recording=RecordingOptions())
