@@ -140,7 +140,8 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     duration = sum(log.duration for log in logs)
     rate = sum(len(log.samples) - 1 for log in logs) / duration
     words = ", ".join(str(log.path) for log in logs)
-    files = tuple(str(log.path.absolute()) for log in logs if log.path != STANDARD_INPUT)
+    paths = (log.path for log in logs)
+    files = tuple(str(path if path == STANDARD_INPUT else path.absolute()) for path in paths)
     return DataOrigin(Source.LOG, words, duration, rate, files=files)
 
 
@@ -249,6 +250,8 @@ def earlier_logs(params: Path, robot: RobotModel) -> tuple[Path, ...]:
     if not isinstance(model, dict) or model.get("sha256") != robot.sha256:
         remedy = "give the same model file, or all logs at once"
         raise InputError(f"{params} was made with another model than {robot.path}; {remedy}")
+    if str(STANDARD_INPUT) in logs:
+        raise InputError(f"{params}: a log of it was piped in; give all its logs again, as files")
     missing = [log for log in logs if not os.path.exists(log)]
     if missing:
         raise InputError(f"{params}: its log {missing[0]} is no longer there; put it back")

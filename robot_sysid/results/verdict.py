@@ -25,8 +25,6 @@ UNKNOWN = 0.5
 LARGE = 0.02
 """Error of the mass, as a part of it, above which something is to be done about it: what
 friction and sensors leave of it at best."""
-PART = 0.3
-"""Share of the whole error from which a cause is worth a remedy: without it 5 % less is left."""
 WEAK = 0.1
 """Standard error, relative to a body of this mass and size, above which a parameter is weak: a
 tenth, as docs/measurements.md says."""
@@ -150,7 +148,8 @@ def _next(result: Result) -> str:
 
 
 def _command(result: Result, text: str) -> str:
-    log = result.data.detail if len(result.data.files) == 1 else "LOG"
+    is_file = len(result.data.files) == 1 and result.data.files != ("-",)
+    log = result.data.detail if is_file else "LOG"
     return text.format(model=shlex.quote(str(result.model_path)), log=shlex.quote(log))
 
 

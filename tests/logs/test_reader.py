@@ -204,8 +204,9 @@ def test_a_log_is_read_from_a_pipe(tmp_path, monkeypatch):
         else:
             whole = read_measurements(path, JOINTS)
             for _ in range(2):
-                assert_same(read_measurements("-", JOINTS).samples, whole.samples)
-    assert reader.origin_of([read_measurements(path, JOINTS)]).files == (str(path),)
+                piped = read_measurements("-", JOINTS)
+                assert_same(piped.samples, whole.samples)
+            assert reader.origin_of([whole, piped]).files == (str(path), "-")
 
 
 def test_a_failed_write_leaves_nothing_behind(tmp_path):
@@ -239,6 +240,7 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scal
     [
         ({}, None),
         ({"logs": []}, "no identification from logs"),
+        ({"logs": [__file__, "-"]}, "a log of it was piped in; give all its logs again"),
         ({"logs": ["/nowhere/log.csv"]}, "/nowhere/log.csv is no longer there"),
         ({"model": {"sha256": "00"}}, "was made with another model"),
         (None, "no identification from logs"),
