@@ -128,7 +128,11 @@ def _options() -> Mapping[str, Option]:
     return {each.flag: each for record in records for each in options_of(record).values()}
 
 
-_FLAG = re.compile(r"(--[a-z][a-z-]*[a-z])(?: ([\w.,·/#\"'-]*\w))?")
+_OF_RUNS = ("--model", "--joint-map", "--also", "--also-joint")
+"""Options of the commands of motors that are keywords by their names."""
+_FLAG = re.compile(
+    r"robot-sysid motors \w+ --[a-z-]+|(--[a-z][a-z-]*[a-z])(?: ([\w.,·/#\"'-]*\w))?"
+)
 _UNITS = re.compile(r"(deg|rad|s|ms|us|ns)(,(deg|rad|s|ms|us|ns))?")
 
 
@@ -139,10 +143,12 @@ def python_words(text: str) -> str:
 
 def _keyword(found: re.Match[str]) -> str:
     flag, word = found[1], found[2]
+    rest = f" {word}" if word else ""
+    if flag in _OF_RUNS:
+        return flag[2:].replace("-", "_") + rest
     stated = _options().get(flag)
     if stated is None or stated.key in ("verify_rollout", "torque_from", "output_dir"):
         return found[0]
-    rest = f" {word}" if word else ""
     key = _NAMED.get(stated.key, stated.key)
     if stated.parse is None:
         return f"{key}=True{rest}"

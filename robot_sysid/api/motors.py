@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.api.keywords import MOTOR_RECORDS, in_python
+from robot_sysid.api.models import Model, path_of
 from robot_sysid.api.results import PlanResult
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao import execution
@@ -67,8 +68,8 @@ from robot_sysid.records.atomic_files import DAMIAO_NAME, temporary_folder
 from robot_sysid.records.options import (
     OptionRecord,
     given_options,
+    keys_of,
     option,
-    options_of,
     record_from,
     refuse_unknown,
 )
@@ -268,6 +269,8 @@ class MotorRun:
         self, plan: Plan, watchdog: float = DEFAULT_WATCHDOG, *timestep: float
     ) -> SimulatedArm:
         """Return the model's arm at the plan's first point, driven by simulated motors."""
+        if self.robot is None:
+            raise InputError("a simulated arm needs a model; add --model")
         from robot_sysid.simulation.forward_dynamics import ArmStepper
 
         motors = [simulated_motor(each, watchdog) for each in plan.trajectory.joints]
@@ -304,7 +307,7 @@ def lasting(plan: Plan, seconds: float) -> Plan:
 def play(
     trajectory: Path | str | PlanResult,
     *,
-    model: Path | str | None = None,
+    model: Model | None = None,
     joint_map: Path | str | None = None,
     simulate: bool = False,
     say: Say = lambda sentence: None,
@@ -332,8 +335,9 @@ def play(
             may still be enabled.
     """
     with in_python(), _motor_file(trajectory) as (path, own):
-        chosen = {**own, **({} if model is None else {"model": model}), **options}
-        run = _run(say, trajectory=path, joint_map=joint_map, **chosen)
+        chosen = {**own, **({} if model is None else {"model": path_of(model)}), **options}
+        more = {"trajectory", *keys_of(SecondArm)}
+        run = _run(say, more, trajectory=path, joint_map=joint_map, **chosen)
         plan = run.plan()
         require_no_stop(run.checks(plan), "not played")
         plan.recording.require_free(*filter(None, (path, chosen.get("model"), chosen.get("also"))))
@@ -343,7 +347,7 @@ def play(
 
 
 def hold(
-    model: Path | str,
+    model: Model,
     seconds: float,
     *,
     joint_map: Path | str | None = None,
@@ -355,7 +359,7 @@ def hold(
     For the other arguments, what is returned and what is raised see ``play``.
     """
     with in_python():
-        run = _run(say, model=model, joint_map=joint_map, **options)
+        run = _run(say, set(), model=path_of(model), joint_map=joint_map, **options)
     with in_python(), run.bus() as link:
         plan = run.hold_plan(inspect_bus(link))
         require_no_stop(run.checks(plan), "not held")
@@ -363,10 +367,8 @@ def hold(
         return _played(run, link, lasting(plan, seconds), say, real=False)
 
 
-def _run(say: Say, **values: Any) -> MotorRun:
-    records = (*MOTOR_RECORDS, SecondArm)
-    keys = [each.key for record in records for each in options_of(record).values()]
-    refuse_unknown(values, [*keys, *LIMITS, "model", "joint_map", "trajectory"])
+def _run(say: Say, more: set[str], **values: Any) -> MotorRun:
+    refuse_unknown(values, keys_of(*MOTOR_RECORDS) | {*LIMITS, "model", "joint_map"} | more)
     return MotorRun(values, lambda words, last: say(words))
 
 

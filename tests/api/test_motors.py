@@ -60,11 +60,20 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
     [
         ({"sped": 0.5}, "unknown option 'sped'; did you mean 'speed'"),
         ({}, "this command needs channel, for"),
+        ({"simulate": True}, "a simulated arm needs a model; add model"),
+        ({"model": 5}, "a model is the path of an MJCF or URDF file, a mujoco.MjSpec or"),
     ],
 )
 def test_what_cannot_be_used_is_said(trajectory, options, words):
     with pytest.raises(rs.InputError, match=words):
         rs.motors.play(trajectory, **options)
+
+
+def test_an_arm_that_is_held_plays_nothing(model):
+    with pytest.raises(rs.InputError, match="unknown option 'trajectory'"):
+        rs.motors.hold(model, 0.5, channel="can0", trajectory="motion.csv")
+    with pytest.raises(rs.InputError, match="a model is the path of an MJCF or URDF file"):
+        rs.motors.hold(None, 0.5, channel="can0")
 
 
 def test_an_arm_is_held_from_any_thread(model, monkeypatch):
