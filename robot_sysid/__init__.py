@@ -11,11 +11,12 @@ import sys
 from types import ModuleType
 
 __version__ = "0.1.0"
-FACE = (
-    *("identify", "identify_arm", "identify_from", "information", "load_robot_model"),
-    *("payload", "plan", "read_log", "regressor"),
-)
-"""The functions for Python programs, in ``robot_sysid.api``; typed in ``__init__.pyi``."""
+_CALLS = ("identify", "identify_arm", "identify_from", "information", "payload", "plan", "read_log")
+FACE = {
+    **dict.fromkeys(_CALLS, "api.calls"),
+    **{"load_robot_model": "parser", "regressor": "api.equations"},
+}
+"""The functions for Python programs, and the module each is in; typed in ``__init__.pyi``."""
 ERRORS = (
     *("SysidError", "InputError", "ColumnsError", "ModelError", "AmbiguousJointError"),
     *("SimulationError", "ExportError", "HardwareAbort"),
@@ -27,7 +28,7 @@ def __getattr__(name: str) -> object:
     if name == "motors":
         return importlib.import_module("robot_sysid.api.motors")
     if name in FACE:
-        return getattr(importlib.import_module("robot_sysid.api"), name)
+        return getattr(importlib.import_module(f"robot_sysid.{FACE[name]}"), name)
     if name in ERRORS:
         return getattr(importlib.import_module("robot_sysid.errors"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -10,13 +10,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robot_sysid.api.keywords import MOTOR_RECORDS, in_python
-from robot_sysid.api.models import Model, path_of
-from robot_sysid.api.results import PlanResult
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import (
@@ -62,7 +60,6 @@ from robot_sysid.damiao.trajectory import (
 )
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.motion.options import LimitOptions
-from robot_sysid.pipeline import motor_writer
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import DAMIAO_NAME, temporary_folder
 from robot_sysid.records.options import (
@@ -73,6 +70,10 @@ from robot_sysid.records.options import (
     record_from,
     refuse_unknown,
 )
+
+if TYPE_CHECKING:
+    from robot_sysid.api.models import Model
+    from robot_sysid.api.results import PlanResult
 
 Say = Callable[[str], None]
 MODEL_LIMITS = "workspace", "keep_out", "clearance"
@@ -335,7 +336,7 @@ def play(
             may still be enabled.
     """
     with in_python(), _motor_file(trajectory) as (path, own):
-        chosen = {**own, **({} if model is None else {"model": path_of(model)}), **options}
+        chosen = {**own, **({} if model is None else {"model": _path_of(model)}), **options}
         more = {"trajectory", *keys_of(SecondArm)}
         run = _run(say, more, trajectory=path, joint_map=joint_map, **chosen)
         plan = run.plan()
@@ -359,12 +360,18 @@ def hold(
     For the other arguments, what is returned and what is raised see ``play``.
     """
     with in_python():
-        run = _run(say, set(), model=path_of(model), joint_map=joint_map, **options)
+        run = _run(say, set(), model=_path_of(model), joint_map=joint_map, **options)
     with in_python(), run.bus() as link:
         plan = run.hold_plan(inspect_bus(link))
         require_no_stop(run.checks(plan), "not held")
         plan.recording.require_free()
         return _played(run, link, lasting(plan, seconds), say, real=False)
+
+
+def _path_of(model: Model) -> Path:
+    from robot_sysid.api.models import path_of
+
+    return path_of(model)
 
 
 def _run(say: Say, more: set[str], **values: Any) -> MotorRun:
@@ -383,6 +390,9 @@ def _played(run: MotorRun, link: GuardedLink, plan: Plan, say: Say, real: bool) 
 @contextlib.contextmanager
 def _motor_file(trajectory: Path | str | PlanResult) -> Iterator[tuple[Path, Mapping[str, Any]]]:
     """Yield the file of a trajectory, and which arm it is for, where a plan tells."""
+    from robot_sysid.api.results import PlanResult
+    from robot_sysid.pipeline import motor_writer
+
     if not isinstance(trajectory, PlanResult):
         yield Path(trajectory), {}
         return

@@ -229,6 +229,7 @@ def test_what_cannot_be_used_is_one_clear_error(call, words, workshop):
 def test_the_package_is_light_and_its_functions_survive_imports_of_their_folders():
     code = (
         "import sys, robot_sysid as rs; light = 'numpy' not in sys.modules; "
+        "import robot_sysid.commands.motors; light &= 'mujoco' not in sys.modules; "
         "import robot_sysid.estimation.identify, robot_sysid.payload_pipeline; "
         "named = [callable(getattr(rs, name)) for name in (*rs.FACE, *rs.ERRORS) * 2]; "
         "sys.exit(0 if light and all(named) and {*rs.FACE, *rs.ERRORS} <= set(dir(rs)) else 1)"
