@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -115,13 +117,14 @@ def _recorder(
     link: GuardedLink, plan: Plan, motors: Sequence[asked.InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
     path, record, played = plan.recording.frames, plan.recording.record, plan.trajectory
-    with RawFrameLog(path, link) if path else contextlib.nullcontext() as frames:
-        if record is None:
-            yield None
-            return
-        registers = [motor.registers for motor in motors[: played.n_joints]]
-        head = head_lines(played.joints, registers, plan.settings, played.path.name)
-        names = [joint.name if played.both else f"j{j}" for j, joint in enumerate(played.joints)]
-        how = names, aside, frames, plan.recording.overwrite
-        with MeasurementRecorder(record, head, *how) as recorder:
-            yield recorder
+    if path is None:
+        yield None
+        return
+    registers = [motor.registers for motor in motors[: played.n_joints]]
+    head = head_lines(played.joints, registers, plan.settings, played.path.name)
+    names = [joint.name if played.both else f"j{j}" for j, joint in enumerate(played.joints)]
+    # Frames alone are written as the run goes on too: kept until its end, they fill the memory.
+    with contextlib.ExitStack() as stack:
+        frames = stack.enter_context(RawFrameLog(path, link))
+        how = names, aside, frames, plan.recording.overwrite or record is None
+        yield stack.enter_context(MeasurementRecorder(record or Path(os.devnull), head, *how))

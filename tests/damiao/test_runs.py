@@ -21,7 +21,7 @@ from robot_sysid.damiao.preflight import Permissions, stops
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, BusTiming, Frame, is_special
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
-from robot_sysid.damiao.recorder import MeasurementRecorder
+from robot_sysid.damiao.recorder import MeasurementRecorder, RecordingOptions
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.simulated import SimulatedArm
 from robot_sysid.errors import HardwareAbort, SysidError
@@ -557,6 +557,16 @@ def test_the_other_motors_come_to_rest_before_they_are_disabled(rig):
     recording = run.recording
     assert recording.ending.startswith("stopped: motor 2 reports status A")
     assert recording.columns["j1_status"][-1] == 0xA
+
+
+def test_frames_that_are_recorded_alone_are_written_as_the_run_goes_on(rig, tmp_path):
+    """An arm may be held for days: what is kept until the end fills the memory, and it falls."""
+    path, sizes = tmp_path / "frames.log", []
+    run = rig(1)
+    run.plan = replace(run.plan, recording=RecordingOptions(raw_log=path))
+    run.during("playing", 0.8, lambda rig: sizes.append(path.stat().st_size)).run()
+    assert run.error is None and 0.5 * path.stat().st_size < sizes[0] < path.stat().st_size
+    assert not run.record_path.exists()
 
 
 @pytest.mark.parametrize("kp", [(), (0.0, 60.0)], ids=["usual", "a joint without stiffness"])
