@@ -128,7 +128,7 @@ class MotorRun:
         """Return how the arm is held for a second where it stands, by torques of its model.
 
         The motors' types are those that their registers agree with. HardwareAbort where a motor
-        does not answer or is of no known type.
+        does not answer, does not tell its state or is of no known type.
         """
         from robot_sysid.damiao.model_check import gravity_check
 
@@ -137,8 +137,9 @@ class MotorRun:
         for joint in self._mounted(plain):
             motor = inspection.motors.get(joint.address)
             types = matching_types(motor.limits) if motor else ()
-            if motor is None or not types:
-                said = "does not answer" if motor is None else "is of no known type"
+            if motor is None or not types or motor.feedback is None:
+                lacks = "does not tell its state" if types else "is of no known type"
+                said = lacks if motor else "does not answer"
                 raise HardwareAbort(f"{joint.label} {said}; see robot-sysid motors check")
             master = joint.master_id or motor.master_id
             joints.append(replace(joint, motor_type=types[0], master_id=master))
@@ -235,6 +236,11 @@ class MotorRun:
 
                 checks += way_checks(plan, self.robots, here)
         return [*checks, *(direction_checks(plan, self.holding(plan)) if real else ())]
+
+    def require_free(self, plan: Plan) -> None:
+        """Raise InputError where a recording would replace a file, or be one that the run reads."""
+        keys = "trajectory", "model", "also", "joint_map", "park"
+        plan.recording.require_free(*filter(None, map(self.values.get, keys)))
 
     def holding(self, plan: Plan) -> HoldingCheck | None:
         """Return what compares the arm, held still, with the model's gravity; None without one."""
@@ -341,7 +347,7 @@ def play(
         run = _run(say, more, trajectory=path, joint_map=joint_map, **chosen)
         plan = run.plan()
         require_no_stop(run.checks(plan), "not played")
-        plan.recording.require_free(*filter(None, (path, chosen.get("model"), chosen.get("also"))))
+        run.require_free(plan)
         bus = run.simulated(run.simulated_arm(plan)) if simulate else run.bus()
         with bus as link:
             return _played(run, link, plan, say, real=not simulate)
@@ -364,7 +370,7 @@ def hold(
     with in_python(), run.bus() as link:
         plan = run.hold_plan(inspect_bus(link))
         require_no_stop(run.checks(plan), "not held")
-        plan.recording.require_free()
+        run.require_free(plan)
         return _played(run, link, lasting(plan, seconds), say, real=False)
 
 

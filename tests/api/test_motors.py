@@ -11,7 +11,7 @@ import pytest
 import robot_sysid as rs
 from robot_sysid.api import calls, motors
 from robot_sysid.config import MotorOptions
-from robot_sysid.damiao.protocol.frames import DISABLED
+from robot_sysid.damiao.protocol.frames import DISABLED, REFRESH, REGISTER_ID
 from tests.support import arms
 from tests.support.clocks import ScriptedClock
 from tests.support.damiao_rig import swing, trajectory_file, two_motor_arm, with_coarse_physics
@@ -76,17 +76,42 @@ def test_an_arm_that_is_held_plays_nothing(model):
         rs.motors.hold(None, 0.5, channel="can0")
 
 
-def test_an_arm_is_held_from_any_thread(model, monkeypatch):
-    """Signals are for the main thread; a run does not need them."""
-    arm, clock, reports = two_motor_arm(), ScriptedClock(), []
+@pytest.fixture
+def arm(monkeypatch):
+    """Two motors on a bus in simulated time."""
+    arm, clock = two_motor_arm(), ScriptedClock()
     monkeypatch.setattr(motors, "SystemClock", lambda: clock)
 
     def opened(address, timing, clock, tell):
         return RememberingLink(motors.SimulatedLink(clock, arm, timing, echo=True), clock)
 
     monkeypatch.setattr(motors, "open_bus", opened)
-    held = {"channel": "can0", "max_torque_error": 27.0, "rate": 100}
-    thread = threading.Thread(target=lambda: reports.append(rs.motors.hold(model, 0.5, **held)))
+    return arm
+
+
+HELD = {"channel": "can0", "max_torque_error": 27.0, "rate": 100}
+
+
+def test_an_arm_is_held_from_any_thread(model, arm):
+    """Signals are for the main thread; a run does not need them."""
+    reports = []
+    thread = threading.Thread(target=lambda: reports.append(rs.motors.hold(model, 0.5, **HELD)))
     thread.start()
     thread.join()
     assert reports[0].cycles == 51 and [m.status for m in arm.motors] == [DISABLED] * 2
+
+
+def test_what_cannot_be_held_is_said(model, arm, monkeypatch):
+    with pytest.raises(rs.InputError, match="unknown option 'also'"):
+        rs.motors.hold(model, 0.5, **HELD, also="other.csv", also_joint="joint0")
+    precious = model.read_bytes()
+    with pytest.raises(rs.InputError, match="is needed for something else"):
+        rs.motors.hold(model, 0.5, **HELD, record=model, overwrite=True)
+    assert model.read_bytes() == precious
+    answer = arm.motors[1].handle
+    asks = lambda frame: frame.id == REGISTER_ID and frame.data[2] == REFRESH  # noqa: E731
+    monkeypatch.setattr(
+        arm.motors[1], "handle", lambda frame, time: None if asks(frame) else answer(frame, time)
+    )
+    with pytest.raises(rs.HardwareAbort, match="motor 2 .* does not tell its state; see"):
+        rs.motors.hold(model, 0.5, **HELD)

@@ -281,8 +281,7 @@ def _play_on(
     if choices.dry_run:
         return _verdict(checks, console)
     preflight.require_no_stop(checks, "not played")
-    read = plan.trajectory.path, asked.values.get("model"), asked.values.get("also")
-    plan.recording.require_free(*filter(None, read))
+    asked.require_free(plan)
     if not choices.yes:
         if not said_yes(_WARNING, "; give --yes"):
             raise InputError("not confirmed; nothing was moved")
