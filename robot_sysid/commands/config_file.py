@@ -10,10 +10,13 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.options import default_of, options_of
+
+_TYPED_ONLY = ("config", "help", "help_all", "version")
 
 
 def words_in(path: Path, actions: Sequence[argparse.Action], command: str) -> list[str]:
@@ -22,12 +25,15 @@ def words_in(path: Path, actions: Sequence[argparse.Action], command: str) -> li
     Raises:
         InputError: it cannot be read, or holds something that is no option of the command.
     """
-    known = {action.dest: action for action in actions}
+    known = {action.dest: action for action in actions if action.dest not in _TYPED_ONLY}
     positional, flagged = list[str](), list[str]()
     for key, value in _content(path).items():
         action = known.get(key)
-        if action is None or key == "config":
+        if action is None:
             raise InputError(f"{path}: {command} has no option {key}; leave it out")
+        if isinstance(value, bool) != (action.nargs == 0):
+            takes = "true or false" if action.nargs == 0 else "a value"
+            raise InputError(f"{path}: {key} takes {takes} (got {value!r})")
         if action.option_strings:
             flagged += _flagged(action, value)
         else:
@@ -37,7 +43,7 @@ def words_in(path: Path, actions: Sequence[argparse.Action], command: str) -> li
 
 def _flagged(action: argparse.Action, value: Any) -> Iterator[str]:
     flag = action.option_strings[-1]
-    if isinstance(value, bool) or action.nargs == 0:
+    if action.nargs == 0:
         yield from [flag] if value else []
         return
     repeats = isinstance(action, argparse._AppendAction) and isinstance(value, list)
@@ -80,7 +86,7 @@ def text_of(command: str, config: Any, path: Path, usual: Mapping[str, Any]) -> 
             if getattr(record, name) != usual.get(each.key, default_of(record, name)):
                 given[each.key] = getattr(record, name)
     lines = [f"{key} = {_toml(value)}" for key, value in given.items()]
-    said = f"# In {Path.cwd()}: {command} --config {path}"
+    said = f"# In {Path.cwd()}: {command} --config {quote(str(path))}"
     return "\n".join([said, *lines, ""])
 
 

@@ -59,6 +59,9 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
     [
         ("cutoff = 'high'", "mine.toml: argument --cutoff: invalid float value: 'high'"),
         ("cutof = 8", "robot-sysid identify has no option cutof"),
+        ("links = 'false'", "mine.toml: links takes true or false (got 'false')"),
+        ("cutoff = true", "mine.toml: cutoff takes a value (got True)"),
+        ("help = true", "robot-sysid identify has no option help"),
         ("cutoff = ", "mine.toml is no TOML file: "),
         ("cutoff = 8", "the following arguments are required: MODEL, LOG"),
         (None, "mine.toml: No such file"),
