@@ -14,7 +14,7 @@ from robot_sysid.config import ModelOptions
 from robot_sysid.errors import InputError
 from robot_sysid.logs.options import CHECKS, LogOptions
 from robot_sysid.preview.options import PreviewOptions
-from robot_sysid.records.options import record_from
+from robot_sysid.records.options import given_options, record_from
 from robot_sysid.records.sampling import TrajectoryOptions
 
 if TYPE_CHECKING:
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 INTERRUPTED = "interrupted; nothing was written"
 LEFT_OUT = ("measurements", "append", "validation_measurements", "verify_rollout")
+
+READ_ALONE = ("topic", "episode")
+"""Keys of options that count without a model."""
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -52,8 +55,10 @@ def main(arguments: Sequence[str]) -> int:
     require_preview(preview)
     if values.get("path") is not None:
         return _checked(values, log, preview, console)
-    if preview.view or preview.video or "trajectory" in values:
-        raise InputError("--view, --video and --trajectory need the MODEL after the log")
+    others = (record_from(record, values) for record in (ModelOptions, TrajectoryOptions))
+    for each in (given for record in (preview, log, *others) for given in given_options(record)):
+        if each.key not in READ_ALONE:
+            raise InputError(f"{each.flag} needs the MODEL after the log")
     from robot_sysid.logs.reader import content_lines
 
     lines = content_lines(values["log"], log, console)
