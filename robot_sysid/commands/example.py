@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 import robot_sysid
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.config import config_from
 from robot_sysid.errors import InputError
-from robot_sysid.records.atomic_files import draft_folder
+from robot_sysid.records.atomic_files import draft_folder, temporary_folder
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
 EXAMPLES = ("kinova",)
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str]) -> int:
         raise InputError(f"{place} exists; choose another folder with --output-dir DIR")
     _copy(_home(values["name"]), place)
     console.stage(f"Example copied to {place}. What to do with it:")
-    named = {"model": place / "model", "log": place / LOG}
+    named = {"model": quote(str(place / "model")), "log": quote(str(place / LOG))}
     files = {"guess": GUESS, "truth": TRUTH, "empty": EMPTY}
     commands = {words: command.format(**named, **files) for words, command in NEXT}
     for words, line in commands.items():
@@ -112,5 +112,5 @@ def _record(model: Path, log: Path) -> None:
     from robot_sysid.pipeline import run
 
     arm = {"plant_model": model / TRUTH, "save_measurements": log}
-    with tempfile.TemporaryDirectory() as nowhere:
-        run(config_from(model / GUESS, **RECORDING, **arm, output_dir=Path(nowhere)))
+    with temporary_folder() as nowhere:
+        run(config_from(model / GUESS, **RECORDING, **arm, output_dir=nowhere))

@@ -25,13 +25,13 @@ def printed_commands(out: str) -> list[list[str]]:
 
 @pytest.mark.usefixtures("unrecorded")
 def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path):
-    out = command.run("example", "kinova", "--output-dir", "a/b").out
-    assert "robot-sysid a/b/model/kinova_fullinertia_guess.xml" in out
+    out = command.run("example", "kinova", "--output-dir", "a/b c").out
     commands = printed_commands(out)
+    assert commands[0] == ["robot-sysid", "a/b c/model/kinova_fullinertia_guess.xml"]
     assert [words[1] for words in commands[1:]] == ["identify", "payload"]
     named = [word for words in commands for word in words if re.search(r"\.(xml|csv)$", word)]
     assert len(named) == 6 and all((tmp_path / name).is_file() for name in named)
-    meshes = {path.name for path in (tmp_path / "a/b/model/meshes").iterdir()}
+    meshes = {path.name for path in (tmp_path / "a/b c/model/meshes").iterdir()}
     assert meshes == {path.name for path in (EXAMPLE / "model/meshes").iterdir()}
 
 
