@@ -138,9 +138,13 @@ class BusAddress(OptionRecord):
 
     @property
     def buses(self) -> Mapping[str, str]:
-        """What messages and joint maps call each bus, and where it is."""
+        """What messages and joint maps call each bus, and where it is; InputError for one twice."""
         named = [_NAMED.fullmatch(channel) for channel in self.channel]
-        pairs = ((found[1] or found[2], found[2]) for found in named if found)
+        pairs = [(found[1] or found[2], found[2]) for found in named if found]
+        # One that fell out would leave its arm to the other's trajectory.
+        for words in map(list, zip(*pairs)):
+            for word in (each for each in words if words.count(each) > 1):
+                raise InputError(f"--channel names {word} twice; give each bus once")
         return dict(pairs)
 
 

@@ -10,6 +10,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 
@@ -212,6 +213,19 @@ def test_a_driver_that_does_not_return_ends_the_program(capsys, monkeypatch):
     assert capsys.readouterr().err == "robot-sysid: note: it hangs\nrobot-sysid: error: it hangs\n"
 
 
+def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch):
+    """Held with Ctrl-S, or broken in a way that nobody thought of."""
+    ended, released = [], threading.Event()
+    monkeypatch.setattr(motors_asked.os, "_exit", ended.append)
+    monkeypatch.setattr(motors_asked, "_PATIENCE", 0.01)
+    for printing in (lambda *_: released.wait(20.0), lambda *_: 1 / 0):
+        monkeypatch.setattr(motors_asked, "print_line", printing)
+        motors_asked._hanging("it hangs", True)
+        assert not released.is_set()
+    released.set()
+    assert ended == [3, 3]
+
+
 # --- usage --------------------------------------------------------------------------------------
 
 
@@ -229,6 +243,8 @@ def test_a_driver_that_does_not_return_ends_the_program(capsys, monkeypatch):
         (["check", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
         (["check", *CAN0, "--model", "arm.xml"], "--model needs a TRAJECTORY to check"),
         (["simulate", "T"], "the following arguments are required: --model"),
+        (["play", "T", *CAN0, *CAN0], "--channel names can0 twice; give each bus once"),
+        (["check", "--channel", "a=can0", "--channel", "a=can1"], "--channel names a twice"),
         (["play", "T", *CAN0, "--also", "T"], "--also needs --also-joint"),
         (["play", "T", *CAN0, "--also-joint", "j"], "--also-joint is about a second arm"),
         (["simulate", "T", "--model", "M", "--interface", "pcan"], "--interface needs --channel"),

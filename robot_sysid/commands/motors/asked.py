@@ -6,12 +6,14 @@ import contextlib
 import os
 import sys
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from robot_sysid.api.motors import MotorRun, SecondArm
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
 from robot_sysid.config import ModelOptions
+from robot_sysid.damiao.recorder import Aside
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records.options import given_options, record_from
 
@@ -30,10 +32,16 @@ def said_yes(question: str, hint: str = "") -> bool:
     return answer(f"{question} Type yes: ").strip().lower() == "yes"
 
 
+# What printing a line may take [s].
+_PATIENCE = 1.0
+
+
 def _hanging(words: str, last: bool) -> None:
     """Say what hangs, and end the program: its main thread cannot any more."""
-    with contextlib.suppress(InputError):
-        print_line(f"robot-sysid: {'error' if last else 'note'}: {words}", sys.stderr)
+    # A terminal that takes nothing must not keep it from ending.
+    aside = Aside(threaded=True)
+    aside(partial(print_line, f"robot-sysid: {'error' if last else 'note'}: {words}", sys.stderr))
+    aside.finish(_PATIENCE)
     if last:
         os._exit(HardwareAbort.exit_code)
 
