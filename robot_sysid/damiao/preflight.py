@@ -84,7 +84,6 @@ class Permissions(OptionRecord):
         check=_watchdog_time,
         usual="as they are",
     )
-
     directions: bool = option(
         False,
         "play although nobody has verified which way the joints turn that gravity hardly loads",
@@ -140,7 +139,7 @@ class Plan:
     def ways(self, here: Array) -> Iterator[tuple[str, motion.DamiaoTrajectory]]:
         """Yield how the arm gets from ``here`` (n,) [rad] to the first point, and is parked."""
         settings = self.settings
-        rest = {"start": here, None: None, "rest": None}.get(settings.park, self.pose)
+        rest = here if settings.park == "start" else self.pose
         pace = settings.approach_speed, settings.approach_time
         yield "on the way to the first point", way_rows(self.trajectory, 0, here, *pace)
         if rest is not None:
@@ -168,9 +167,8 @@ def limit_checks(plan: Plan, here: Array | None = None) -> list[Check]:
     if here is None:
         said = [*motion.limit_excesses(plan.trajectory, plan.settings.speed, plan.limits)]
     else:
-        slow = (
-            f"; move it nearer by hand, or lower --approach-speed {plan.settings.approach_speed:g}"
-        )
+        speed = plan.settings.approach_speed
+        slow = f"; move it nearer by hand, or lower --approach-speed {speed:g}"
         said = [
             f"{words}, {excess}{slow}"
             for words, way in plan.ways(here)
@@ -419,6 +417,9 @@ def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) ->
 def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
     least = _LEAST_WATCHDOG_CYCLES * settings.period
     usual = f"--set-watchdog {max(0.1, np.ceil(10.0 * least) / 10.0):g}"
+    if least > _LONGEST_SET_WATCHDOG:
+        slowest = _LEAST_WATCHDOG_CYCLES / _LONGEST_SET_WATCHDOG
+        usual = f"--rate {slowest:g} and --set-watchdog {_LONGEST_SET_WATCHDOG:g}"
     held, remedy = f"{name}'s watchdog of {1e3 * timeout:g} ms", f"give {usual}"
     gone = f"{name} has no watchdog: it would go on for ever if this program died"
     none = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"

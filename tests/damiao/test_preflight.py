@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.preflight import NOTE, OK, STOP, plan_checks, stops
+from robot_sysid.damiao.preflight import NOTE, OK, STOP, Permissions, _watchdog, plan_checks, stops
 from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import TrajectoryScan
+from robot_sysid.records.options import record_from
 
 # Beside the limit, so that rounding does not decide.
 SHARES = st.floats(0.0, 0.999) | st.floats(1.001, 4.0)
@@ -104,6 +105,19 @@ def test_a_joint_that_its_motor_would_shake_is_noted():
     shaken = [c for c in checks_of(scan_of(2), types, inertia=inertia) if "will shake" in c.text]
     assert [c.severity for c in shaken] == [NOTE] and shaken[0].text.startswith("motor 1 moves")
     assert not any("shake" in c.text for c in checks_of(scan_of(2), types))
+
+
+@pytest.mark.parametrize("rate", [2.0, 9.0, 12.5, 250.0])
+@pytest.mark.parametrize("timeout", [0.0, 1e-3, 4.9, 20.0])
+def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, timeout):
+    found = _watchdog("motor 1", timeout, PlaySettings(rate=rate))
+    asked = {key: float(value) for key, value in re.findall(r"--(\S+) ([\d.]*\d)", found.text)}
+    if "set-watchdog" in asked:
+        # Refuses what cannot be given.
+        allowed = record_from(Permissions, {"set_watchdog": asked["set-watchdog"]})
+        settings = PlaySettings(rate=asked.get("rate", rate))
+        found = _watchdog("motor 1", allowed.watchdog, settings)
+    assert found.severity != STOP
 
 
 @given(place=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0))
