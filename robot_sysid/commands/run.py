@@ -155,7 +155,7 @@ def _outcome(config: Config, console: Console) -> Any:
         from robot_sysid.servo.run import run_servo
 
         robot, output = load(config, console), config.output.output_dir
-        return run_servo(robot, config.log, output, config.model.mesh_dir, console)
+        return run_servo(robot, config.log, output, config.model.mesh_dir, console, console.config)
     from robot_sysid.pipeline import run
 
     return run(config, console)

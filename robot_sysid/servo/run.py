@@ -224,14 +224,22 @@ class ServoOutcome:
 
 
 def run_servo(
-    robot: RobotModel, logs: LogOptions, folder: Path, mesh_dir: Path | None, progress: Progress
+    robot: RobotModel,
+    logs: LogOptions,
+    folder: Path,
+    mesh_dir: Path | None,
+    progress: Progress,
+    config: Path | None = None,
 ) -> ServoOutcome:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
+
+    Args:
+        config: the file that the options come from, which stays.
 
     Raises:
         SysidError: with the exit code that fits, see ``errors``.
     """
-    given = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns)
+    given = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns, config)
     read = [path for path in given if path is not None]
     names = (SERVO_NAME, *MODEL_NAMES.values())
     refuse_overwriting(read, (("--output-dir", folder / name) for name in names))

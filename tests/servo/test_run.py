@@ -106,5 +106,11 @@ def test_what_is_not_seen_is_said_to_be_the_models_and_its_error_is_stated(robot
 
 def test_what_an_earlier_run_left_does_not_stay_beside_the_result(robots, tmp_path, monkeypatch):
     (tmp_path / "params.json").write_text("{}")
-    assert any("earlier run" in note for note in run(robots["xml"], tmp_path, monkeypatch, old=1))
+    config = tmp_path / "run.toml"
+    config.write_text("# of the user's own")
+    told = run(robots["xml"], tmp_path, monkeypatch, old=1, config=config)
+    assert any("earlier run" in note for note in told)
     assert not (tmp_path / "params.json").exists()
+    assert config.exists()
+    run(robots["xml"], tmp_path, monkeypatch)
+    assert not config.exists()
