@@ -41,9 +41,9 @@ def check_printed() -> None:
 
 
 def check_files() -> None:
-    """Both files are there, nothing else is, and the model loads with the identified mass."""
+    """All files are there, nothing else is, and the model loads with the identified mass."""
     written = sorted(path.name for path in Path("sysid_output").iterdir())
-    assert written == ["params.json", "updated_model.xml"], written
+    assert written == ["params.json", "run.toml", "updated_model.xml"], written
     left = {path.name for path in Path().iterdir()} - {"printed.txt", "errors.txt", "examples"}
     assert left == {"sysid_output"}, left
     parameters = json.loads(Path("sysid_output/params.json").read_text(encoding="utf-8"))

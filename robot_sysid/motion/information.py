@@ -279,7 +279,9 @@ def spread_of(theta: Array, covariance: Array) -> tuple[float, float]:
     """
     slope = np.hstack((-theta[1:4, None] / theta[0], np.eye(3))) / theta[0]
     centre = slope @ covariance[:4, :4] @ slope.T
-    return float(np.sqrt(covariance[0, 0])), float(np.sqrt(np.trace(centre)))
+    # What is known exactly may be less than nothing by rounding.
+    mass, spread = np.sqrt(np.maximum((covariance[0, 0], np.trace(centre)), 0.0)).tolist()
+    return mass, spread
 
 
 def predicted_information(

@@ -74,7 +74,7 @@ def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_goo
     assert "look swapped" in printed.err
     folder = models[0].parent / "sysid_output"
     left = sorted(path.name for path in folder.iterdir())
-    assert left == ["params.json", "report_data.npz"]
+    assert left == ["params.json", "report_data.npz", "run.toml"]
     found = json.loads((folder / "params.json").read_text())
     assert found["status"] == "SWAPPED" and not found["valid"]["trustworthy"]
     assert found["payload"]["cards"] == {}

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -129,7 +130,7 @@ def _small_motion(
     holding = asked.holding(plan)
     assert holding is not None
     tau = np.array([holding.torque(row) for row in q])
-    rows = {"line": np.arange(len(time)), "time": time, "q": q, "qd": qd, "tau": tau}
+    rows: Any = {"line": np.arange(len(time)), "time": time, "q": q, "qd": qd, "tau": tau}
     trajectory = replace(plan.trajectory, both=False, **rows)
     settings = replace(plan.settings, speed=1.0, park=None)
     return replace(plan, trajectory=trajectory, settings=settings, recording=RecordingOptions())
