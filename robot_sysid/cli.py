@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -63,7 +64,8 @@ def _drafted(error: SysidError) -> str:
             file.write(error.draft)
     except OSError:
         return ""
-    return f"; complete {error.name}, which was written for it, and add --columns {error.name}"
+    name = shlex.quote(error.name)
+    return f"; complete {name}, which was written for it, and add --columns {name}"
 
 
 def _refuse_misspelt(word: str) -> None:

@@ -23,6 +23,7 @@ _COLOURS = {
     "Next": _BOLD,
 }
 """How a line begins to the colour of its beginning on a terminal."""
+_COMMANDS = ("robot-sysid ", "Next: robot-sysid ")
 
 
 def print_line(message: str, stream: Any) -> None:
@@ -48,13 +49,14 @@ def print_text(text: str, stream: Any) -> None:
 
 
 def _on_terminal(text: str) -> str:
-    """Return a line wrapped to the terminal's width, but for rows of a table, and in colour unless
-    NO_COLOR (https://no-color.org) or a terminal without any forbids it."""
+    """Return a line wrapped to the terminal's width, but for rows of a table and commands, and in
+    colour unless NO_COLOR (https://no-color.org) or a terminal without any forbids it."""
     import shutil
     import textwrap
 
     width, indent = shutil.get_terminal_size().columns, len(text) - len(text.lstrip())
-    if len(text) > width > 20 and "  " not in text.strip():
+    whole = "  " in text.strip() or text.startswith(_COMMANDS)
+    if len(text) > width > 20 and not whole:
         rest = " " * (indent + 2)
         lines = textwrap.wrap(text, width, subsequent_indent=rest, break_on_hyphens=False)
         text = "\n".join(lines)

@@ -51,10 +51,16 @@ def test_a_terminal_gets_lines_that_fit_in_colour_unless_it_is_forbidden(monkeyp
     assert max(map(len, plain.splitlines())) <= 60 and plain.split() == LONG.split()
 
 
-@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
-def test_a_pipe_and_the_row_of_a_table_get_what_is_said(monkeypatch, stream):
+@pytest.mark.parametrize(
+    ("stream", "line"),
+    [
+        (io.StringIO, LONG),
+        (Terminal, f"{LONG[8:]}  kg"),
+        (Terminal, f"robot-sysid identify {LONG[8:]}"),
+    ],
+)
+def test_a_pipe_a_command_and_the_row_of_a_table_get_what_is_said(monkeypatch, stream, line):
     monkeypatch.setenv("COLUMNS", "60")
-    line = LONG if stream is io.StringIO else f"{LONG[8:]}  kg"
     printed = stream()
     print_line(line, printed)
     assert printed.getvalue() == f"{line}\n"
