@@ -147,10 +147,11 @@ class Identified:
         Raises:
             InputError: the folder cannot be written to.
         """
-        with in_python(), one_thread(), locked_folder(Path(folder), Progress()):
-            files = self._write(Path(folder)).files
-        models = _models_in(files) if bundle else []
-        return (*files, *(write_bundle(model, Path(folder)) for model in models))
+        with in_python(), one_thread():
+            with locked_folder(Path(folder), Progress()):
+                files = self._write(Path(folder)).files
+            models = _models_in(files) if bundle else []
+            return (*files, *(write_bundle(model, Path(folder)) for model in models))
 
     def _write(self, folder: Path) -> Saved:
         there = replace(self.config, output=replace(self.config.output, output_dir=folder))
