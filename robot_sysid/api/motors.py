@@ -367,11 +367,11 @@ def hold(
     """
     with in_python():
         run = _run(say, set(), model=_path_of(model), joint_map=joint_map, **options)
-    with in_python(), run.bus() as link:
-        plan = run.hold_plan(inspect_bus(link))
-        require_no_stop(run.checks(plan), "not held")
-        run.require_free(plan)
-        return _played(run, link, lasting(plan, seconds), say, real=False)
+        with run.bus() as link:
+            plan = run.hold_plan(inspect_bus(link))
+            require_no_stop(run.checks(plan), "not held")
+            run.require_free(plan)
+            return _played(run, link, lasting(plan, seconds), say, real=False)
 
 
 def _path_of(model: Model) -> Path:

@@ -55,7 +55,6 @@ def run(
     session = MotorSession(link, joints, scaling)
     settings = _with_held(plan, held)
     park = settings.park if pose is None else np.concatenate([pose, places])
-    check = holding or plan.holding
     console, written = Aside(link.clock.live), Aside(link.clock.live)
     told = (
         lambda text: console(partial(on_phase, text)),
@@ -68,7 +67,7 @@ def run(
                 client, seconds = asked.RegisterClient(link), plan.allowed.watchdog
                 stack.enter_context(asked.watchdogs_set_to(client, motors, seconds, session.is_off))
             stack.enter_context(session)
-            player = Player(session, settings, stop, recorder, *told, park, check)
+            player = Player(session, settings, stop, recorder, *told, park, holding or plan.holding)
             own = sampled(plan.trajectory, settings.speed)
             report = player.play(_alongside(own, places), plan.duration)
     finally:

@@ -218,11 +218,8 @@ def arms_apart(
     if pose is not None:
         ways["on the straight way to where they are parked"] = straight_way(motion.q[-1], pose)
     for where, way in ways.items():
-        yield _apart(between, way, where)
-
-
-def _apart(between: BetweenArms, way: MotionPlan, where: str) -> Check:
-    at = between.touch_at(way)
-    if at is None:
-        return Check(OK, f"the arms do not touch {where}")
-    return Check(STOP, f"the arms touch {where}, at {at:.2f} s; play one after the other")
+        if (at := between.touch_at(way)) is None:
+            yield Check(OK, f"the arms do not touch {where}")
+        else:
+            said = f"the arms touch {where}, at {at:.2f} s; play one after the other"
+            yield Check(STOP, said)
