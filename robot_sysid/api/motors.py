@@ -365,6 +365,8 @@ def hold(
 
     For the other arguments, what is returned and what is raised see ``play``.
     """
+    if not seconds > 0.0:
+        raise InputError(f"seconds must be above 0, got {seconds}")
     with in_python():
         run = _run(say, set(), model=_path_of(model), joint_map=joint_map, **options)
         with run.bus() as link:

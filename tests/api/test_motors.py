@@ -104,6 +104,9 @@ def test_an_arm_is_held_from_any_thread(model, arm):
 def test_what_cannot_be_held_is_said(model, arm, monkeypatch):
     with pytest.raises(rs.InputError, match="unknown option 'also'"):
         rs.motors.hold(model, 0.5, **HELD, also="other.csv", also_joint="joint0")
+    for seconds in (0.0, -1.0, float("nan")):
+        with pytest.raises(rs.InputError, match="seconds must be above 0"):
+            rs.motors.hold(model, seconds, **HELD)
     precious = model.read_bytes()
     with pytest.raises(rs.InputError, match="is needed for something else"):
         rs.motors.hold(model, 0.5, **HELD, record=model, overwrite=True)
