@@ -89,7 +89,7 @@ class PlanOutcome:
         lines: what it promises, and what exporting it to motors had to say.
         failure: why it must not be run, or None; nothing is written then.
         files: what was written.
-        checked, model: the motion itself, and the arm's file.
+        checked, model, purpose: the motion itself, the arm's file, and what it was asked for.
     """
 
     lines: tuple[str, ...]
@@ -97,11 +97,12 @@ class PlanOutcome:
     files: tuple[Path, ...] = ()
     checked: CheckedPlan | None = None
     model: Path = Path("MODEL")
+    purpose: str = "link"
 
     @property
     def verdict(self) -> tuple[str, ...]:
         """Whether to use it and what to do next, in two lines, which come last."""
-        return plan_verdict(self.model, self.files, self.failure)
+        return plan_verdict(self.model, self.files, self.failure, self.purpose)
 
     def report_lines(self) -> list[str]:
         """Return what the command line prints at the end."""
@@ -264,7 +265,7 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
             paths = (*paths, config.output.output_dir / DAMIAO_NAME)
             with files.open(paths[-1]) as file:
                 lines += tuple(clamping_lines(motor_file(file), robot.joint_names))
-    return PlanOutcome(lines, None, paths, checked, robot.path)
+    return PlanOutcome(lines, None, paths, checked, robot.path, config.poses.purpose)
 
 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:

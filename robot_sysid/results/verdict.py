@@ -61,6 +61,11 @@ _USES = {
     Verdict.PARTLY_FROM_MODEL: "Usable (not seen, so kept from the model: {unseen})",
     Verdict.INERTIA_NOT_KNOWN: "Usable for mass and centre of mass (the inertia is not known)",
 }
+_RECORDED = "robot-sysid identify {model} LOG (the log that was recorded)"
+_AFTER_PLAN = {
+    "arm": "robot-sysid identify {model} LOG --links (the log that was recorded)",
+    "payload": "robot-sysid payload {model} --empty LOG --loaded LOG (without and with it)",
+}
 _CONFLICTS = {
     "links": "the model's numbers of other links do not fit this arm",
     "torque scale": "the scale of the torques does not fit the model",
@@ -89,11 +94,13 @@ def verdict_lines(result: Result, failure: str | None = None) -> tuple[str, ...]
     return f"{use}: {'; '.join(_gains(result))}", f"Next: {_next(result)}"
 
 
-def plan_verdict(model: Path, files: Sequence[Path], failure: str | None) -> tuple[str, ...]:
-    """Return whether to play a planned motion of a model, and what to do next."""
+def plan_verdict(
+    model: Path, files: Sequence[Path], failure: str | None, purpose: str = "link"
+) -> tuple[str, ...]:
+    """Return whether to play a motion planned for a purpose (``--for``), and what to do next."""
     if failure is not None:
         return (f"Not usable: {failure}",)
-    then = f"robot-sysid identify {shlex.quote(str(model))} LOG (the log that was recorded)"
+    then = _AFTER_PLAN.get(purpose, _RECORDED).format(model=shlex.quote(str(model)))
     for path in files:
         if path.name == DAMIAO_NAME:
             then = f"robot-sysid motors check {shlex.quote(str(path))} --channel CHANNEL"

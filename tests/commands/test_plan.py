@@ -58,6 +58,7 @@ def test_poses_can_be_planned_saved_and_checked_again(command, arm_file):
     printed = command.run("plan", path, *static, "--seed", "1")
     assert "12 poses, each approached from both sides" in printed.out
     assert "Keeps all limits for " in printed.out
+    assert " --empty LOG --loaded LOG (without" in printed.out.splitlines()[-1]
     saved = path.parent / "sysid_output" / "trajectory.json"
     assert isinstance(load_trajectory(saved).plan, LineTrajectory)
     folder = ("--output-dir", "again", "--sample-rate", "100")

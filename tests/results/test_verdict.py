@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +14,14 @@ from robot_sysid.records import PriorConflict
 from robot_sysid.records.figures import percent
 from robot_sysid.records.progress import Detail
 from robot_sysid.results.record import Figure, Verdict
-from robot_sysid.results.verdict import COLOURED, SURE, WORSE, limitations, verdict_lines
+from robot_sysid.results.verdict import (
+    COLOURED,
+    SURE,
+    WORSE,
+    limitations,
+    plan_verdict,
+    verdict_lines,
+)
 from tests.support.results import (
     NAMES,
     body,
@@ -33,6 +42,7 @@ TEST = (
     "tests the written model)"
 )
 CARD = "Next: copy payload_card.txt into the controller; it is in the frame of site 'flange'"
+PURPOSES = ("link", "payload", "friction", "arm")
 BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
 
 
@@ -90,6 +100,14 @@ def test_what_is_not_usable_says_so_why_and_nothing_else(verdict):
         (said,) = verdict_lines(result)
         assert said.startswith("Not usable: no model ") and verdict.value in said
     assert verdict_lines(found(), "the disk is gone") == ("Not usable: the disk is gone",)
+
+
+def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
+    after = {p: plan_verdict(Path("an arm.xml"), (), None, p)[1] for p in PURPOSES}
+    assert after.pop("payload").startswith("Next: robot-sysid payload 'an arm.xml' --empty LOG ")
+    assert after.pop("arm").startswith("Next: robot-sysid identify 'an arm.xml' LOG --links ")
+    (then,) = set(after.values())
+    assert then.startswith("Next: robot-sysid identify 'an arm.xml' LOG (")
 
 
 def test_what_contradicts_the_model_is_no_detail():
