@@ -141,7 +141,7 @@ def largest_cause(body: BodyEstimate) -> str:
 def _next(result: Result) -> str:
     body, payload, share = result.body, result.payload, result.known_to
     if payload is not None and payload.known_mass is not None:
-        return "give the saved scales to every later run with --torque-scale FILE"
+        return "give these scales to every later run with --torque-scale"
     cause = largest_cause(body)
     if cause in _REMEDIES and (share is None or share > LARGE):
         return _command(result, _REMEDIES[cause])

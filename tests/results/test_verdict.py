@@ -80,7 +80,7 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
         (
             payload(known_mass=1.2),
             "Usable: torque scales follow from the known mass",
-            "Next: give the saved scales to every later run with --torque-scale FILE",
+            "Next: give these scales to every later run with --torque-scale",
         ),
         (
             itself(),
