@@ -18,7 +18,7 @@ from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.unknowns import PLACEHOLDER, usual_bodies
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import Array, Estimate, InertialParameters, RobotModel, Validation
-from robot_sysid.records.figures import percent
+from robot_sysid.records.figures import percent, with_error
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 
 NOISE_EXPLAINS = 3.0
@@ -213,8 +213,9 @@ def of_payload(
     """
     # It was not moved yet by what makes bodies possible.
     moved = payload.budget.get(BODIES, np.zeros(10))[0]
-    mass, error = payload.inertial.mass, float(np.sqrt(payload.errors[0] ** 2 - moved**2))
-    said = f"the payload comes out as {mass:.4g} \u00b1 {error:.2g} kg"
+    mass, error = payload.inertial.mass, float(payload.errors[0])
+    error = float(np.sqrt(error**2 - moved**2)) if np.isfinite(error) else error
+    said = f"the payload comes out as {with_error(mass, error, 'kg')}"
     if contradicting:
         yield Verdict.DISAGREE, contradicting
     if mass < -_SURE * error:
