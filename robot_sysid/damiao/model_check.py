@@ -88,11 +88,15 @@ _THERE = 0.02
 
 def way_checks(plan: Plan, arms: Sequence[RobotModel], here: Array) -> Iterator[Check]:
     """Yield where arms that stand at ``here`` (n,) [rad] touch something on their ways."""
-    for words, way in plan.ways(here):
+    said = (
+        ("from where it stands", "bring the arm nearer to the first point by hand"),
+        ("from the last point", "choose another --park, or let it begin elsewhere"),
+    )
+    for (words, way), (begin, remedy) in zip(plan.ways(here), said):
         if np.max(np.abs(way.q[-1] - way.q[0])) > _THERE:
             for touching in _touching(way, arms, plan.limits):
-                said = f"{words}, straight from where it stands, the model's {touching} touch"
-                yield Check(STOP, f"{said}; bring the arm nearer to the first point by hand")
+                text = f"{words}, straight {begin}, the model's {touching} touch; {remedy}"
+                yield Check(STOP, text)
 
 
 def arm_by_arm(played: DamiaoTrajectory, arms: Sequence[RobotModel]) -> Iterator[DamiaoTrajectory]:

@@ -220,6 +220,8 @@ def test_the_way_to_the_first_point_and_back_is_compared_too(folder, angle):
         "on the way to the first point",
         "on the way to where it is parked",
     ][: len(said)]
+    ends = "to the first point by hand", "choose another --park, or let it begin elsewhere"
+    assert all(text.endswith(end) for text, end in zip(said, ends))
 
 
 def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
