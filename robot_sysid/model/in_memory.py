@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import tempfile
 from html import unescape
@@ -18,7 +19,8 @@ from robot_sysid.model.compilation import FAILURES, CompiledModel, captured_warn
 InMemory = Union["mujoco.MjSpec", "mujoco.MjModel"]
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
 """Those of the files that were written; they go with the process."""
-_WRITTEN: WeakKeyDictionary[Any, Path] = WeakKeyDictionary()
+_WRITTEN: WeakKeyDictionary[Any, tuple[Path, Any]] = WeakKeyDictionary()
+"""Model to its file, and to what MuJoCo makes of that."""
 _COMPARED = (
     *("body_mass", "body_ipos", "body_inertia", "body_pos", "qpos0", "jnt_axis", "jnt_range"),
     *("dof_damping", "dof_armature", "dof_frictionloss", "body_jntadr"),
@@ -51,22 +53,29 @@ def file_of(model: Any) -> Path:
     folder = Path(_FOLDERS[-1].name)
     if _is_spec(model):
         return _file_of_spec(model, folder)
-    with captured_warnings():
-        try:
-            mujoco.mj_saveLastXML(str(folder / "model.xml"), model)
-            path = _WRITTEN[model] = folder / "model.xml"
-        except FAILURES:
-            path = _WRITTEN.get(model, folder)
-        try:
-            same = _alike(model, mujoco.MjModel.from_xml_path(str(path)))
-        except FAILURES:
-            same = path.parent == folder  # its meshes are elsewhere, so that it cannot be compared
-    if not same or not _names(model) <= _names_in(path):
+    with captured_warnings(), contextlib.suppress(*FAILURES):
+        path = folder / "model.xml"
+        mujoco.mj_saveLastXML(str(path), model)
+        # MuJoCo's first releases write the last model that was loaded, whichever is asked for.
+        again = _loaded(path)
+        if (again is None or _alike(model, again)) and _names(model) <= _names_in(path):
+            _WRITTEN[model] = path, again
+            return path
+    path, again = _WRITTEN.get(model, (folder, None))
+    if again is None or not _alike(model, again):
         raise ModelError(
             "a MjModel can be written only while it is the last that was loaded from XML; give its "
             "file, or the MjSpec that it was compiled from"
         )
     return path
+
+
+def _loaded(path: Path) -> Any:
+    """Return the compiled model of a file; None of one whose meshes are elsewhere."""
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except FAILURES:
+        return None
 
 
 def _file_of_spec(spec: Any, folder: Path) -> Path:

@@ -81,7 +81,10 @@ def test_lists_of_unequal_length_are_refused_and_missing_ones_are_missing(tmp_pa
         open_table(tmp_path / "log", JOINTS, LogOptions())
     for kind in (pa.list_(pa.float64()), pa.list_(pa.float64(), 2)):
         held = pa.array([q[0], None, None, q[3]], kind)
-        write(pa.table({"time": time, "q": held}), tmp_path / "log")
+        try:
+            write(pa.table({"time": time, "q": held}), tmp_path / "log")
+        except pa.ArrowNotImplementedError:
+            continue  # earlier releases write no Parquet of missing lists of a fixed length
         (block,) = open_table(tmp_path / "log", JOINTS, LogOptions()).blocks(range(3))
         np.testing.assert_array_equal(block.cells[:, 1:], [q[0], [np.nan] * 2, [np.nan] * 2, q[3]])
 
