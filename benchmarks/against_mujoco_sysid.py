@@ -138,6 +138,8 @@ def joint_parameters(names=NAMES, bounds=BOUNDS):
     """The numbers of each joint that mujoco.sysid seeks."""
     from mujoco import sysid
 
+    if not hasattr(sysid, "ParameterDict"):
+        raise SystemExit("mujoco.sysid lacks what it imports; pip install -e '.[bench]'")
     params = sysid.ParameterDict()
     for number, (low, high) in bounds.items():
         for name in names:
