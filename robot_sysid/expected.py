@@ -30,10 +30,11 @@ from robot_sysid.estimation.identify import Piece, filtered
 from robot_sysid.estimation.unknowns import (
     DRIFTS,
     LINKS,
-    LOADED_SCALE,
     Choice,
     Question,
     Unknowns,
+    common_error,
+    scale_spread,
     unknowns,
 )
 from robot_sysid.logs.reader import join_measurements
@@ -156,8 +157,8 @@ def _read_alike(problem: ExcitationProblem, options: EstimationOptions) -> float
     """Return how far all torques may read too much alike (a share): a payload's weight is as far
     off, and no motion tells it.
     """
-    each = LOADED_SCALE if options.scale_uncertainty is None else options.scale_uncertainty
-    return 0.01 * float(np.sqrt(np.mean(np.square(each)) / len(problem.rows)))
+    columns = Columns(problem.robot, (), options.torques)
+    return common_error(scale_spread(columns, options, loaded=True))
 
 
 def _weighed() -> Array:

@@ -116,6 +116,12 @@ def test_a_payload_is_told_by_the_difference_of_two_recordings():
     assert 0.01 < expected.scaled < 0.03
 
 
+def test_scales_that_are_not_alike_are_averaged_as_the_estimate_does():
+    sure = EstimationOptions(scale_uncertainty=(1.0, 2.0, 4.0, 8.0))
+    found = expect(problem(ARM, noise_torque=SIGMA), PLAN, RATE, sure, "payload").scaled
+    assert found == pytest.approx(0.01 / np.linalg.norm([1.0, 0.5, 0.25, 0.125]))
+
+
 def test_a_payload_weighs_as_surely_as_torques_are_scaled_at_best():
     found = promised(EstimationOptions(scale_uncertainty=6.0)).remedies
     weighed = next(each.mass for each in found if "by difference" in each.words)

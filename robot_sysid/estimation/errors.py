@@ -24,7 +24,7 @@ from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space,
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit
-from robot_sysid.estimation.unknowns import COMMON, SCALES
+from robot_sysid.estimation.unknowns import COMMON, SCALES, common_error
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
 FILTERING, HELD, BODIES = "filtering", "friction at its bound", "possible bodies"
@@ -197,7 +197,7 @@ def _common(fit: Fit) -> float:
     if COMMON not in groups or SCALES not in groups:
         return 0.0
     scale = groups[SCALES]
-    return scale.widened / float(np.linalg.norm(1.0 / np.diag(scale.factor)))
+    return scale.widened * common_error(np.diag(scale.factor))
 
 
 def filtering_bias(

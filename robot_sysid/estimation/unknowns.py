@@ -323,12 +323,8 @@ def _groups(
             yield independent(TILT, tilts, ("the base",) * 2, FILE_TILT)
         return
     options, wide, joints = question.options, question.loaded, columns.joints
-    said = options.scale_uncertainty
-    if said is None:
-        said = LOADED_SCALE if question.loaded else USUAL_SCALE
-    scale = per_joint(said, columns.robot.n_joints, "--scale-uncertainty")[list(columns.rows_of)]
     sized = (
-        (SCALES, "scale", joints, PER_CENT * scale),
+        (SCALES, "scale", joints, scale_spread(columns, options, question.loaded)),
         (ZEROS, "zero", columns.robot.joint_names, MILLI * options.zero_uncertainty),
         (DRIFT, "drift", joints, DRIFTS if question.drifts else 0.0),
     )
@@ -393,6 +389,22 @@ def _link_group(columns: Columns, question: Question, choice: Choice) -> Nuisanc
     own = tuple(columns.names[k] for k in places)
     means, aspects = np.concatenate(usual), partial(link_aspects, usual, lengths)
     return NuisanceGroup(LINKS, own, means, factor, members, aspects=aspects)
+
+
+def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> Array:
+    """Return how far the torque scale of each row's joint may be off beforehand (joints,)."""
+    said = options.scale_uncertainty
+    if said is None:
+        said = LOADED_SCALE if loaded else USUAL_SCALE
+    scale = per_joint(said, columns.robot.n_joints, "--scale-uncertainty")
+    return PER_CENT * scale[list(columns.rows_of)]
+
+
+def common_error(spread: Array) -> float:
+    """Return how far scales (joints,) may be off together where nothing tells it: the error of
+    their mean, each weighted by 1 / its variance; zero where one is known exactly.
+    """
+    return 1.0 / float(np.linalg.norm(1.0 / spread)) if np.all(spread > 0.0) else 0.0
 
 
 def _no_common_scale(scales: NuisanceGroup) -> NuisanceGroup:
