@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.screws import exponential
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
 
@@ -47,13 +48,11 @@ def tilt_axes(vector: Array) -> Array:
 
 
 def turned(vector: Array, angles: Array) -> Array:
-    """Return gravity (3,) turned by two angles (2,) [rad] about ``tilt_axes``.
-
-    Rodrigues' formula of a rotation vector that is perpendicular to what it turns.
-    """
+    """Return gravity (3,) turned by two angles (2,) [rad] about ``tilt_axes``."""
     turn = angles @ tilt_axes(vector)
-    size = np.linalg.norm(turn)
-    return np.asarray(np.cos(size) * vector + np.sinc(size / np.pi) * np.cross(turn, vector))
+    size = float(np.linalg.norm(turn))
+    rotation, _ = exponential(np.append(turn / (size or 1.0), np.zeros(3)), np.array([size]))
+    return rotation[:, :, 0] @ vector
 
 
 def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
