@@ -270,14 +270,14 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
     """Yield what a motion promises, and what it does beside its limits."""
-    from robot_sysid.motion.prediction import motion_lines, plan_lines, verdict_lines
+    from robot_sysid.motion.prediction import kept_lines, motion_lines, plan_lines
     from robot_sysid.motion.static import pose_lines, sweep_lines
 
     assert checked.problem is not None and checked.check is not None
     made = checked.problem, checked.plan, checked.check
     how = config.trajectory.sample_rate, config.estimation
     if config.poses.sets_its_time:
-        yield from verdict_lines(*made)
+        yield from kept_lines(*made)
         yield from (pose_lines if config.poses.static else sweep_lines)(*made[:2])
         if not config.poses.static:
             yield from friction_lines(*made[:2], *how)

@@ -120,13 +120,13 @@ def plan_lines(
         problem, plan: the arm with its limits, and the motion.
         check, prediction: of this motion.
     """
-    yield from verdict_lines(problem, plan, check)
+    yield from kept_lines(problem, plan, check)
     yield from _promise_lines(prediction)
     yield from _advice_lines(prediction)
     yield from motion_lines(problem, plan, check)
 
 
-def verdict_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
+def kept_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
     """Say whether the motion may be played, and how near it comes; arguments as ``plan_lines``."""
     if check.holds:
         nearest = check.nearest

@@ -132,9 +132,8 @@ def _mass_line(result: Result) -> Iterator[str]:
 
 
 def _causes(body: BodyEstimate) -> Iterator[str]:
-    parts = {"noise": body.noise_errors[0], **{k: part[0] for k, part in body.budget.items()}}
-    least = _SMALL * float(body.errors[0])
-    named = sorted((item for item in parts.items() if item[1] > least), key=lambda i: -i[1])
+    parts, least = body.mass_causes.items(), _SMALL * float(body.errors[0])
+    named = sorted((item for item in parts if item[1] > least), key=lambda i: -i[1])
     if np.isfinite(least) and named:
         yield "Error of the mass by cause, kg: " + ", ".join(f"{k} {v:.2g}" for k, v in named)
 

@@ -124,6 +124,12 @@ class BodyEstimate:
         """Standard errors (10,), all causes together; infinite where nothing shows a parameter."""
         return np.where(self.shown, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf)
 
+    @property
+    def mass_causes(self) -> dict[str, float]:
+        """Cause, noise among them, to the part of the mass's standard error that it explains."""
+        parts = {"noise": self.noise_errors, **self.budget}
+        return {cause: float(part[0]) for cause, part in parts.items()}
+
 
 @dataclass(frozen=True)
 class JointEstimate:

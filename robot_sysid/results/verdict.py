@@ -49,7 +49,7 @@ _REMEDIES = {
     **dict.fromkeys(
         ("torque scale", "common torque scale"),
         "robot-sysid payload {model} --empty LOG --loaded LOG --known-mass KG "
-        "--save-torque-scale scales.csv (then identify with --torque-scale scales.csv)",
+        "--save-torque-scale scale.json (then identify with --torque-scale scale.json)",
     ),
     "joint offsets": "calibrate the joints' zero positions",
     "gravity": "level the base, and say how well with --gravity-uncertainty",
@@ -133,7 +133,7 @@ def _gains(result: Result) -> Iterator[str]:
 
 def largest_cause(body: BodyEstimate) -> str:
     """Return the cause of most of a mass's error, or "" where it is not known."""
-    causes = {"noise": body.noise_errors[0], **{k: part[0] for k, part in body.budget.items()}}
+    causes = body.mass_causes
     known = np.isfinite(body.errors[0]) and np.isfinite(list(causes.values())).all()
     return max(causes, key=lambda cause: causes[cause]) if known else ""
 

@@ -8,7 +8,7 @@ from robot_sysid import pipeline
 from robot_sysid.api import motors
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.errors import InputError
-from robot_sysid.motion.prediction import motion_lines, verdict_lines
+from robot_sysid.motion.prediction import kept_lines, motion_lines
 from tests.support.clocks import ScriptedClock, heard_signals
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.links import RememberingLink
@@ -20,7 +20,7 @@ def unpredicted(monkeypatch):
 
     def promise(config, robot, checked):
         made = checked.problem, checked.plan, checked.check
-        return (*verdict_lines(*made), *motion_lines(*made))
+        return (*kept_lines(*made), *motion_lines(*made))
 
     monkeypatch.setattr(pipeline, "promise", promise)
 

@@ -75,7 +75,7 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
             payload(body(0.3)),
             "Usable: the mass is known to 3.3 %, limited by torque scale",
             "Next: robot-sysid payload arm.xml --empty LOG --loaded LOG --known-mass KG "
-            "--save-torque-scale scales.csv (then identify with --torque-scale scales.csv)",
+            "--save-torque-scale scale.json (then identify with --torque-scale scale.json)",
         ),
         (
             payload(known_mass=1.2),
