@@ -49,6 +49,8 @@ LINEAR = tuple(term for term in TERMS if term not in ("load", *BENT))
 _DRIFTING = ("coulomb", "viscous", "sqrt", "load", *BENT, "quadratic", "cubic")
 _SMOOTH = ("viscous", "armature")
 _CHUNK = 2048
+# Up to which change, as a part of it, gravity's part of the rows is not filtered anew.
+_SMALL_TURN = 0.1
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class Point:
         speed: nonlinear friction term to (n,) its speed at each joint [rad/s].
         exact_load: whether columns of a gear's load have to pass the low-pass: where they are
             sought, and not only allowed for.
+        in_file: whether only what a model file holds, and gravity, has columns.
     """
 
     values: Array
@@ -69,6 +72,7 @@ class Point:
     delay: float = 0.0
     speed: Mapping[str, Array] | None = None
     exact_load: bool = False
+    in_file: bool = False
 
 
 class Columns:
@@ -173,17 +177,32 @@ class Columns:
         """Return the rows of each recording around a point."""
         arm = self._arm_at(point.gravity)
         delayed = [each.delayed(point.delay) for each in self.datasets]
-        same = self._base is not None and np.array_equal(self._base[0], point.gravity)
-        if self._base is None or not same or self._base[1] != point.delay:
-            equations = self._equations(arm)
-            motors = self._motors if self.couplings else None
-            base = [each.samples(equations, motors) for each in delayed]
-            self._base = point.gravity, point.delay, base
-        pairs = zip(delayed, self._base[2])
+        pairs = zip(delayed, self._under(point, delayed))
+        if point.in_file:
+            return tuple(self._held_by_file(each, base, arm, point) for each, base in pairs)
         return tuple(
             self._linearised(base, each, point, *self._by_links(number, arm, each, point))
             for number, (each, base) in enumerate(pairs)
         )
+
+    def _under(self, point: Point, delayed: Sequence[Dataset]) -> Sequence[DecimatedSamples]:
+        """Return the rows under a point's gravity that do not depend on what else is known.
+
+        They are linear in gravity. What a small turn of it adds is slow, as the positions are, so
+        that a row's own instant stands for all that its filter sees: within 1e-4 of the change.
+        """
+        base, down = self._base, point.gravity
+        turn = np.inf if base is None else np.linalg.norm(down - base[0])
+        if base is None or base[1] != point.delay or turn > _SMALL_TURN * np.linalg.norm(down):
+            equations = self._equations(self._arm_at(down))
+            motors = self._motors if self.couplings else None
+            base = down, point.delay, [each.samples(equations, motors) for each in delayed]
+            self._base = base
+        if np.array_equal(base[0], down):
+            return base[2]
+        arms = [self._equations(with_gravity(self.robot, g)) for g in (base[0], down)]
+        pairs = zip(base[2], delayed)
+        return [rows.changed(*(log.at_rest(arm) for arm in arms)) for rows, log in pairs]
 
     def _arm_at(self, down: Array) -> RobotModel:
         """Return the arm under some gravity (3,) [m/s^2]."""
@@ -251,6 +270,23 @@ class Columns:
             base, names=self.names, columns=tuple(columns), rows=tuple(blocks), tau=tuple(right)
         )
 
+    def _held_by_file(
+        self, dataset: Dataset, base: DecimatedSamples, arm: RobotModel, point: Point
+    ) -> DecimatedSamples:
+        """Return one recording's rows in what a model file holds, and in gravity."""
+        tilt = self._tilt(arm, self.thetas(point.values, dataset.is_loaded), dataset.motion.q)
+        places = self.at((*self._tilts, *PAYLOAD_NAMES))
+        blocks = (
+            np.hstack((block, tilt[:, joint], block[:, :N_INERTIAL] * dataset.is_loaded))
+            for block, joint in zip(base.rows, self.rows_of)
+        )
+        columns = tuple(np.append(each, places) for each in base.columns)
+        return replace(base, names=self.names, columns=columns, rows=tuple(blocks))
+
+    def _tilt(self, arm: RobotModel, thetas: Array, q: Array) -> Array:
+        """Return the columns of gravity's direction (K, n, 2); none (K, n, 0) without gravity."""
+        return tilt_columns(arm, thetas, q) if self._tilts else np.zeros((*q.shape, 0))
+
     def _by_links(
         self, number: int, arm: RobotModel, dataset: Dataset, point: Point
     ) -> tuple[Array, Array]:
@@ -270,8 +306,8 @@ class Columns:
             motion = dataset.motion
             # They are smooth and small, so that the motion at a row's own instant stands for all
             # that its filter sees.
-            tilt = (tilt_columns(arm, thetas, motion.q),) if self._tilts else ()
-            common = np.concatenate((zero_columns(arm, thetas, motion), *tilt), axis=-1)
+            tilt = self._tilt(arm, thetas, motion.q)
+            common = np.concatenate((zero_columns(arm, thetas, motion), tilt), axis=-1)
             self._known[number] = key, _filtered(dataset, point, load), common
         return self._known[number][1:]
 

@@ -88,7 +88,6 @@ def fit_file(
     choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
     after, level = fit.next_point, None
     if FILE_GRAVITY not in kept and fit.unknowns.settle:
-        # Before gravity turns: rows for each direction of it are made from the log anew.
         as_it_is = replace(question, kept_parts=(*kept, FILE_GRAVITY))
         level = fitter.fit(as_it_is, choice, replace(point, values=fit.values), _ROUNDS)
     fit = fitter.fit(question, choice, after, _ROUNDS)
@@ -117,7 +116,7 @@ def _friction(robot: RobotModel, question: Question, name: str) -> tuple[Frictio
 def _as_it_was(fitter: Fitter, question: Question, choice: Choice) -> Validation:
     """Return the held-out error of the model as it is, with sensor offsets of its own."""
     columns = fitter.columns
-    _, data = fitter.around(columns.start())
+    _, data = fitter.around(replace(columns.start(), in_file=True))
     sought = unknowns(columns, question, choice, data.torque, data.shown)
     offsets = [columns.place[f"offset[{joint}]"] for joint in columns.joints]
     kept = np.array([place for place in offsets if data.shown[place]], dtype=np.int64)

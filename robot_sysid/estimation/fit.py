@@ -226,7 +226,8 @@ class Fitter:
         # Columns that depend on what is sought: those of the load, and those with a speed.
         terms = {term for model in choice.friction for term in model.terms}
         exact = not terms.isdisjoint(("load", *BENT))
-        point = replace(point or self.columns.start(), exact_load=exact)
+        start = point or self.columns.start()
+        point = replace(start, exact_load=exact, in_file=question.in_file)
         options, noise = question.options, None
         sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
         rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds

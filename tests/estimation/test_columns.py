@@ -17,7 +17,7 @@ from robot_sysid.estimation import dataset as samples_module
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import neighbours
 from robot_sysid.records import DELAY_NAME
-from robot_sysid.signals.filters import LowPass
+from robot_sysid.signals.filters import LowPass, design_low_pass
 from tests.support import arms
 from tests.support.payload_logs import changed, exact_recording, four_joint_arm, wide_motion
 
@@ -152,6 +152,37 @@ def test_the_truth_solves_the_equations(seed):
         for rows, tau in zip(dense(samples), samples.tau):
             off = np.max(np.abs(rows @ values - tau))
             assert off < 1e-9 * max(np.max(np.abs(tau)), 1.0)
+
+
+@pytest.mark.parametrize("torques", ["chain", "terminal"])
+@pytest.mark.parametrize("angle", [0.02, 0.5])
+def test_rows_under_another_gravity_are_those_made_for_it(torques, angle):
+    """A small turn's part is not filtered anew, which leaves 1e-4 of it; a large one's is."""
+    bare = Columns(ARMS["four"], (), torques)
+    values = true_values(bare, 3)
+    low_pass = design_low_pass(20.0, RATE)
+    _, columns = recorded(bare, values, True, 3, low_pass, duration=2.0)
+    columns.samples(columns.start())
+    point = point_at(columns, values, gravity=turned(gravity(ARMS["four"]), np.full(2, angle)))
+    (found,) = columns.samples(point)
+    (anew,) = Columns(columns.robot, columns.datasets, torques).samples(point)
+    for mine, other in zip((*found.rows, *found.tau), (*anew.rows, *anew.tau)):
+        np.testing.assert_allclose(mine, other, rtol=0.0, atol=1e-3 * angle * (angle < 0.1))
+
+
+def test_a_file_has_the_same_columns_as_the_arm_that_they_are_of():
+    bare = Columns(ARMS["four"], ())
+    values = true_values(bare, 5)
+    for name in (*bare._scales, *bare._drifts):
+        values[bare.place[name]] = 0.0
+    for is_loaded in (False, True):
+        _, columns = recorded(bare, values, is_loaded, 5)
+        point = point_at(columns, values)
+        (every,), (some,) = (columns.samples(replace(point, in_file=f)) for f in (False, True))
+        pairs = zip(some.columns, some.rows, some.tau, dense(every), every.tau)
+        for places, rows, tau, whole, side in pairs:
+            np.testing.assert_array_equal(rows, whole[:, places])
+            np.testing.assert_array_equal(tau, side)
 
 
 def test_the_chunk_size_changes_nothing(monkeypatch):
