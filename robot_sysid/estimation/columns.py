@@ -201,8 +201,14 @@ class Columns:
         if np.array_equal(base[0], down):
             return base[2]
         arms = [self._equations(with_gravity(self.robot, g)) for g in (base[0], down)]
-        pairs = zip(base[2], delayed)
-        return [rows.changed(*(log.at_rest(arm) for arm in arms)) for rows, log in pairs]
+        found = []
+        for rows, log in zip(base[2], delayed):
+            # Right-hand sides do not feel gravity: all bodies that do have columns.
+            pair = (log.at_rest(arm).rows for arm in arms)
+            found.append(
+                replace(rows, rows=tuple(r + (b - a) for r, a, b in zip(rows.rows, *pair)))
+            )
+        return found
 
     def _arm_at(self, down: Array) -> RobotModel:
         """Return the arm under some gravity (3,) [m/s^2]."""

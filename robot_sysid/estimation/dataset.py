@@ -73,16 +73,6 @@ class DecimatedSamples:
         rows = tuple(row[:, each >= 0] for row, each in zip(self.rows, at))
         return replace(self, names=names, columns=tuple(a[a >= 0] for a in at), rows=rows)
 
-    def changed(self, before: DecimatedSamples, after: DecimatedSamples) -> DecimatedSamples:
-        """Return the samples with what two others of the same parameters differ by."""
-        rows = zip(self.rows, before.rows, after.rows)
-        sides = zip(self.tau, before.tau, after.tau)
-        return replace(
-            self,
-            rows=tuple(own + (b - a) for own, a, b in rows),
-            tau=tuple(own + (b - a) for own, a, b in sides),
-        )
-
     def squared_torque(self) -> Array:
         """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
         pairs = zip(self.tau, self.measured)
