@@ -82,20 +82,43 @@ def read_rows(
     """
     cleaner = _Cleaner(table, columns, is_slide)
     wanted = [source.index for source in columns.sources()]
-    thinning, kept = None, [np.empty((0, 1 + len(wanted) + (columns.time is None)))]
+    thinning, kept = None, _Kept([1, 1, *map(len, columns.groups())])
     for block in followed(table, wanted, progress or Progress()):
         rows = cleaner.clean(block)
+        expected = cleaner.n_read / max(block.done, 1e-9)
         if thinning is None and len(rows) > 1:
-            thinning = Thinning.of(rows[:, 1], cleaner.n_read / max(block.done, 1e-9))
-        kept.append(rows if thinning is None else thinning.push(rows))
-    cells = np.concatenate(kept)
-    kept.clear()
-    every = thinning.every if thinning else 1
+            thinning = Thinning.of(rows[:, 1], expected)
+        every = thinning.every if thinning else 1
+        kept.add(rows if thinning is None else thinning.push(rows), int(expected / every))
     titles = [source.title for source in columns.sources()]
     empty = {t: int(n) for t, n in zip(titles, cleaner.empty) if n}
     told = cleaner.n_read, cleaner.odd, empty, cleaner.foreign
-    lines, samples = _samples(columns, cells)
-    return LogRows(lines, samples, *told, every, table.word)
+    lines, samples = _samples(columns, kept.taken())
+    return LogRows(lines, samples, *told, thinning.every if thinning else 1, table.word)
+
+
+class _Kept:
+    """Rows of some groups of columns, each an array of its own that grows in its place."""
+
+    def __init__(self, widths: Sequence[int]) -> None:
+        self._parts = [np.empty((0, width)) for width in widths]
+        self._ends, self._count = np.cumsum(widths)[:-1], 0
+
+    def add(self, rows: Array, expected: int) -> None:
+        """Take the next rows (R, C) of about so many in all."""
+        start, self._count = self._count, self._count + len(rows)
+        for part, values in zip(self._parts, np.split(rows, self._ends, axis=1)):
+            if self._count > len(part):
+                # A hundredth more, as the lines of a file are not all of one length.
+                most = max(self._count, expected + expected // 100)
+                part.resize((most, part.shape[1]), refcheck=False)
+            part[start : self._count] = values
+
+    def taken(self) -> list[Array]:
+        """Return the groups (N, width)."""
+        for part in self._parts:
+            part.resize((self._count, part.shape[1]), refcheck=False)
+        return self._parts
 
 
 def followed(table: LogTable, columns: Sequence[int], progress: Progress) -> Iterator[Block]:
@@ -108,15 +131,13 @@ def followed(table: LogTable, columns: Sequence[int], progress: Progress) -> Ite
     progress.advance(label, 1.0, 1.0, "")
 
 
-def _samples(columns: ColumnMap, cells: Array) -> tuple[Lines, Measurement]:
-    """Return (lines, samples) of cleaned rows (N, 2 + C): line, time, then the columns' groups."""
-    ends = np.cumsum([1, 1, *(len(group) for group in columns.groups())])
-    lines, time, *parts = np.split(cells, ends[:-1], axis=1)
-    q, tau, *others = (np.ascontiguousarray(part) for part in parts)
+def _samples(columns: ColumnMap, parts: Sequence[Array]) -> tuple[Lines, Measurement]:
+    """Return (lines, samples) of cleaned rows: line, time, then the columns' groups."""
+    lines, time, q, tau, *others = parts
     qd, qdd, stamps = (values if values.shape[1] else None for values in others)
     numbers = np.round(lines[:, 0]).astype(np.int64)
     command, tau = (tau, tau - q) if columns.commanded else (None, tau)
-    return numbers, Measurement(time[:, 0].copy(), q, qd, tau, qdd, stamps, command)
+    return numbers, Measurement(time[:, 0], q, qd, tau, qdd, stamps, command)
 
 
 class _Cleaner:

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs import reader
-from robot_sysid.logs.formats import table as formats_table
+from robot_sysid.logs.formats import text as formats_text
 from robot_sysid.logs.reader import earlier_logs, write_measurement_csv
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS, TITLES, motion, read_measurements, table, write
@@ -65,7 +65,7 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path, names, optional, c
     assert_same(written, read_measurements(tmp_path / "log.csv", names).samples)
 
 
-@pytest.mark.parametrize("size", [1, 7, 400])
+@pytest.mark.parametrize("size", [1, 700, 40_000])
 def test_the_size_of_the_batches_changes_nothing(tmp_path, monkeypatch, size):
     cells = table(motion())
     cells[:, 1] = np.angle(np.exp(1j * (cells[:, 1] * 4.0)))
@@ -75,7 +75,7 @@ def test_the_size_of_the_batches_changes_nothing(tmp_path, monkeypatch, size):
     whole = read_measurements(path, JOINTS)
     said = " ".join(whole.notes)
     assert "line 401" in said and "full turn" in said and "empty" in said
-    monkeypatch.setattr(formats_table, "BLOCK", size)
+    monkeypatch.setattr(formats_text, "PIECE", size)
     pieces = read_measurements(path, JOINTS)
     assert_same(whole.samples, pieces.samples)
     assert whole.notes == pieces.notes

@@ -23,7 +23,6 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
-from robot_sysid.logs.formats import table
 from robot_sysid.logs.formats.table import DATE, Asked, Block, LogTable, nanoseconds
 from robot_sysid.records import Array
 
@@ -31,12 +30,13 @@ _MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "miss
 _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
 # Characters of a line beyond which it is no row of a table; csv refuses cells of 131072.
 _LONGEST_LINE = 100_000
+PIECE = 2_000_000
+"""Characters of a log that are in memory as lines at a time."""
+# How a line begins that may be empty or a comment.
+_NO_ROW = frozenset({"", *" \t\v\f#%"})
 # Control characters, and their share at the beginning of a file that makes it no text: a few may
 # be a serial port's noise.
 _CONTROL, _BINARY = bytes({*range(32)} - {*b"\t\n\v\f\r"}), 0.05
-
-Line = tuple[int, str, float]
-"""Number of a line in its file, its text, and how much of the file was read by then."""
 
 
 @dataclass(frozen=True)
@@ -139,29 +139,33 @@ def _start(cell: str) -> int:
     return nanoseconds(cell) if DATE.fullmatch(cell) else 0
 
 
-def _lines(path: Path, encoding: str) -> Iterator[Line]:
-    """Yield the lines that are not empty; of one that no table has, the beginning."""
-    size, number = max(1, path.stat().st_size), 0
+def _pieces(path: Path, encoding: str, most: int) -> Iterator[tuple[int, list[str], float]]:
+    """Yield (number of the first line, lines, share of the file read by then), so many characters
+    at a time, to the end of a line; of a line that no table has, the beginning.
+    """
+    size, number = max(1, path.stat().st_size), 1
     # Titles may hold a degree sign in any encoding; numbers never do, so replacing is harmless.
     with path.open("rb") as binary, TextIOWrapper(binary, encoding, errors="replace") as stream:
-        while line := stream.readline(_LONGEST_LINE):
-            rest, number = line, number + 1
+        while text := stream.read(most):
+            rest = "" if text.endswith("\n") else stream.readline(_LONGEST_LINE)
+            text += rest
             while len(rest) == _LONGEST_LINE and not rest.endswith("\n"):
                 rest = stream.readline(_LONGEST_LINE)
-            text = line.strip("\r\n")
-            if text and not text.isspace():
-                yield number, text, binary.tell() / size
+            lines = [line[:_LONGEST_LINE] for line in text.removesuffix("\n").split("\n")]
+            yield number, lines, binary.tell() / size
+            number += len(lines)
 
 
 def _beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
     """Return the line above the first row, and the first two rows with their line numbers."""
     above, rows = "", []
-    for number, text, _ in _lines(path, encoding):
+    pieces = _pieces(path, encoding, _LONGEST_LINE)
+    for number, text in (each for first, lines, _ in pieces for each in enumerate(lines, first)):
         if not _is_comment(text) and _is_text(text):
             rows.append((number, text))
             if len(rows) == 2:
                 break
-        elif not rows:
+        elif text.strip() and not rows:
             above = text.strip()
     return above, rows
 
@@ -171,8 +175,9 @@ def _is_comment(line: str) -> bool:
 
 
 def _is_text(line: str) -> bool:
+    """Return whether a line may be a row of a table; one without text is none."""
     plain = not any(mark < " " and mark != "\t" for mark in line) and "\ufffd" not in line[80:]
-    return len(line) < _LONGEST_LINE and plain
+    return len(line) < _LONGEST_LINE and plain and bool(line.strip())
 
 
 def _commented_header(above: str, width: int) -> tuple[str, ...]:
@@ -193,27 +198,35 @@ def _mostly_numbers(cells: Sequence[str]) -> bool:
 
 
 def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
-    rows = (
-        row
-        for row in _lines(dialect.path, dialect.encoding)
-        if row[0] != dialect.header_line and not _is_comment(row[1])
-    )
-    while batch := list(itertools.islice(rows, table.BLOCK)):
-        lines, texts = np.array([row[0] for row in batch]), [row[1] for row in batch]
-        done = batch[-1][2] if len(batch) == table.BLOCK else 1.0
+    for first, lines, done in _pieces(dialect.path, dialect.encoding, PIECE):
+        # A look at the first character tells of most lines that they are rows.
+        rows = [
+            (number, line)
+            for number, line in enumerate(lines, first)
+            if (line[:1] not in _NO_ROW or line.strip() and not _is_comment(line))
+            and number != dialect.header_line
+        ]
+        if not rows:
+            continue
+        numbers, texts = zip(*rows)
         cells, complaint = _fast(dialect, columns, texts), ""
         if cells is None:
             cells = np.full((len(texts), len(columns)), np.inf)
-            for number, text, row in zip(lines, texts, cells):
+            for number, text, row in zip(numbers, texts, cells):
                 wrong = _read_row(dialect, columns, text, row)
                 complaint = complaint or (wrong and f"line {number}{wrong}")
-        yield Block(lines, cells, complaint, done=done)
+        yield Block(np.array(numbers), cells, complaint, done=done)
 
 
-def _fast(dialect: Dialect, columns: Sequence[int], texts: list[str]) -> Array | None:
+def _fast(dialect: Dialect, columns: Sequence[int], texts: Sequence[str]) -> Array | None:
     """Parse rows with numpy; None where a row needs a closer look."""
-    mark = None if dialect.separator == " " else dialect.separator
-    if dialect.quoted or any(len(text.split(mark)) != len(dialect.titles) for text in texts):
+    mark, more = None if dialect.separator == " " else dialect.separator, len(dialect.titles) - 1
+    marks = (
+        map(str.count, texts, itertools.repeat(mark))
+        if mark
+        else (len(text.split()) - 1 for text in texts)
+    )
+    if dialect.quoted or {*marks} != {more}:
         return None
     if mark != ",":
         texts = [text.replace(",", ".") for text in texts]
