@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import mujoco
@@ -60,18 +60,28 @@ class Closest:
         distance: [m]; infinite where nothing is near.
         label: between what.
         time: when, along a motion [s].
-        normal, point: (3,) in which direction, and where.
-        bodies: the two; the world and one where it is a half-space that is near.
     """
 
     slack: float
     distance: float = np.inf
     label: str = ""
     time: float = 0.0
-    normal: Array = field(default_factory=lambda: np.zeros(3))
-    point: Array = field(default_factory=lambda: np.zeros(3))
-    bodies: tuple[int, int] = (0, 0)
-    space: HalfSpace | None = None
+
+
+class _Nearest:
+    """The tightest pair of each of N configurations, at most the horizon away.
+
+    Attributes:
+        slack, distance: (N,), see ``Closest``.
+        normal, point: (N, 3) in which direction, and where.
+        bodies: (N, 2); the world and one where it is a half-space that is near.
+        space: (N,) which one; -1 where none is.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.slack, self.distance = np.full(count, HORIZON), np.full(count, np.inf)
+        self.normal, self.point = np.zeros((2, count, 3))
+        self.bodies, self.space = np.zeros((count, 2), dtype=int), np.full(count, -1)
 
 
 class Slack(NamedTuple):
@@ -124,6 +134,7 @@ class Clearance:
         drop_pairs(model, part, np.isneginf(self._required))
         self._place(rest)
         self._spaces = HalfSpaces(model, half_spaces) if half_spaces else None
+        self._bound = [solid.body for solid in self._spaces.solids] if self._spaces else []
         self.left_at_rest = [] if self._spaces is None else self._settle_spaces(self._spaces)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -132,21 +143,17 @@ class Clearance:
 
     def slack(self, q: Array) -> Slack:
         """Return the slack at positions q (N, n)."""
-        nearest, (axes, anchors) = [], np.empty((2, *q.shape, 3))
-        for k, position in enumerate(q):
-            nearest.append(self._nearest_at(position))
-            axes[k], anchors[k] = self._data.xaxis[self._joints], self._data.xanchor[self._joints]
+        axes, anchors = np.empty((2, *q.shape, 3))
+        near = self._nearest(q, axes=axes, anchors=anchors)
         # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
         axes, anchors = axes.transpose(2, 0, 1), anchors.transpose(2, 0, 1)
-        normal = np.array([near.normal for near in nearest]).T[:, :, None]
-        point = np.array([near.point for near in nearest]).T[:, :, None]
+        normal, point = near.normal.T[:, :, None], near.point.T[:, :, None]
         lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
         rates = np.sum(axes * lever, axis=0)
         # A joint changes the distance only if it moves one body and not the other.
-        part = self._part[np.array([near.bodies for near in nearest])]
-        joint = np.arange(q.shape[1])
+        part, joint = self._part[near.bodies], np.arange(q.shape[1])
         side = (joint < part[:, 1:]).astype(float) - (joint < part[:, :1])
-        return Slack(np.array([near.slack for near in nearest]), side * rates)
+        return Slack(near.slack, side * rates)
 
     def slack_at(self, q: Array) -> tuple[float, Array]:
         """Return the slack at one configuration q (n,) [m], and what each pair of parts has.
@@ -155,16 +162,18 @@ class Clearance:
         where a row has no pair within the horizon.
         """
         budget = self._free.copy()
-        return self._nearest_at(q, budget).slack, budget
+        return float(self._nearest(q[None], budget).slack[0]), budget
 
     def closest(self, q: Array) -> Closest:
         """Return the tightest distance at one configuration q (n,)."""
-        near = self._nearest_at(q)
-        if near.space is not None:
-            near.label = f"{body_label(self._model, near.bodies[1])} and {near.space.label}"
-        elif np.isfinite(near.distance):
-            near.label = self._label(*near.bodies)
-        return near
+        near, label = self._nearest(q[None]), ""
+        first, second = near.bodies[0].tolist()
+        if near.space[0] >= 0 and self._spaces is not None:
+            space = self._spaces.spaces[near.space[0]]
+            label = f"{body_label(self._model, second)} and {space.label}"
+        elif np.isfinite(near.distance[0]):
+            label = self._label(first, second)
+        return Closest(float(near.slack[0]), float(near.distance[0]), label)
 
     @property
     def distances(self) -> Clearance:
@@ -219,7 +228,9 @@ class Clearance:
     def _settle_spaces(self, spaces: HalfSpaces) -> list[tuple[HalfSpace, str, float]]:
         """Let what is near a boundary at rest keep half that distance; return what is beyond."""
         left = []
-        for each, height, _ in spaces.heights(self._data):
+        data = self._data
+        frames = data.xpos[self._bound][None], data.xmat[self._bound].reshape(1, -1, 3, 3)
+        for each, _, (height,), _ in spaces.heights(*frames):
             required, body = spaces.required[each], spaces.solids[each].body
             for k in np.flatnonzero((height <= 0.0) & np.isfinite(required)).tolist():
                 left.append((spaces.spaces[k], body_label(self._model, body), -float(height[k])))
@@ -261,40 +272,64 @@ class Clearance:
             nearest, at = (here, float(q[joint])) if here < nearest else (nearest, at)
         return at
 
-    def _nearest_at(self, q: Array, budget: Array | None = None) -> Closest:
-        """Return what is nearest, among contacts and half-spaces, at one configuration.
+    def _nearest(
+        self,
+        q: Array,
+        budget: Array | None = None,
+        axes: Array | None = None,
+        anchors: Array | None = None,
+    ) -> _Nearest:
+        """Return what is nearest, among contacts and half-spaces, at configurations q (N, n).
 
-        Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs.
+        Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs, and tells
+        the joints' axes and anchors (N, n, 3) where there is room for them.
         """
-        self._place(q)
-        near = Closest(HORIZON)
-        if self._data.ncon:
-            distance, bodies = self._contact_bodies()
-            first, second = bodies.T
-            slack = distance - self._required[first, second]
-            if budget is not None:
-                np.minimum.at(budget, self._rows[first, second], slack)
-            k = int(slack.argmin())
-            if slack[k] < near.slack:
-                contact, pair = self._data.contact[k], (int(first[k]), int(second[k]))
-                normal, point = contact.frame[:3].copy(), contact.pos.copy()
-                here = float(slack[k]), float(distance[k])
-                near = Closest(*here, normal=normal, point=point, bodies=pair)
-        return near if self._spaces is None else self._above(self._spaces, near, budget)
-
-    def _above(self, spaces: HalfSpaces, near: Closest, budget: Array | None) -> Closest:
-        """Return what is nearest, where it is a half-space that is."""
-        for each, height, lowest in spaces.heights(self._data, HORIZON):
-            body, slack = spaces.solids[each].body, height - spaces.required[each]
-            k = int(np.argmin(slack))
-            if budget is not None:
-                budget[self._rows[0, body]] = min(budget[self._rows[0, body]], slack[k])
-            if slack[k] < near.slack:
-                space, here = spaces.spaces[k], (float(slack[k]), float(height[k]))
-                near = Closest(
-                    *here, normal=space.normal, point=lowest[k], bodies=(0, body), space=space
-                )
+        near, spaces, data = _Nearest(len(q)), self._spaces, self._data
+        frames = None if spaces is None else np.empty((len(q), len(spaces.solids), 12))
+        for k, position in enumerate(q):
+            self._place(position)
+            if data.ncon:
+                self._note_contact(near, k, budget)
+            if frames is not None:
+                frames[k, :, :3] = data.xpos[self._bound]
+                frames[k, :, 3:] = data.xmat[self._bound]
+            if axes is not None and anchors is not None:
+                axes[k], anchors[k] = data.xaxis[self._joints], data.xanchor[self._joints]
+        if spaces is not None and frames is not None:
+            self._note_spaces(spaces, frames, near, budget)
         return near
+
+    def _note_contact(self, near: _Nearest, at: int, budget: Array | None) -> None:
+        """Note the tightest contact of MuJoCo's present configuration, which is number ``at``."""
+        distance, bodies = self._contact_bodies()
+        first, second = bodies.T
+        slack = distance - self._required[first, second]
+        if budget is not None:
+            np.minimum.at(budget, self._rows[first, second], slack)
+        k = int(slack.argmin())
+        if slack[k] < near.slack[at]:
+            contact = self._data.contact[k]
+            near.slack[at], near.distance[at], near.bodies[at] = slack[k], distance[k], bodies[k]
+            near.normal[at], near.point[at] = contact.frame[:3], contact.pos
+
+    def _note_spaces(
+        self, spaces: HalfSpaces, frames: Array, near: _Nearest, budget: Array | None
+    ) -> None:
+        """Note the half-spaces that are nearest, where one is; frames (N, B, 12) of the bodies."""
+        found = spaces.heights(
+            frames[..., :3], frames[..., 3:].reshape(*frames.shape[:2], 3, 3), HORIZON
+        )
+        for each, at, height, lowest in found:
+            body, slack = spaces.solids[each].body, height - spaces.required[each]
+            which = np.argmin(slack, axis=1)
+            least = slack[np.arange(len(at)), which]
+            if budget is not None:
+                budget[self._rows[0, body]] = min(budget[self._rows[0, body]], np.min(least))
+            own = np.flatnonzero(least < near.slack[at])
+            to, by = at[own], which[own]
+            near.slack[to], near.distance[to], near.space[to] = least[own], height[own, by], by
+            near.normal[to], near.point[to] = spaces.normals[by], lowest[own, by]
+            near.bodies[to] = 0, body
 
 
 def _with_margin(mj_model: Any, margin: float) -> Any:

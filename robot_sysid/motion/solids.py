@@ -13,6 +13,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.kinematics import posed, subtree
 from robot_sysid.model.chain import body_label
@@ -58,6 +59,8 @@ class Solid:
         kept = _on_the_hull(self.points, self.radius)
         self.points, self.spread = self.points[kept], self.spread[kept]
         self.radius = self.radius[kept]
+        self._round = np.flatnonzero(self.radius)
+        self._spreads = self.spread[self._round].transpose(1, 0, 2).reshape(3, -1)
         empty = len(self.points) == 0
         ends = (np.zeros(3),) if empty else (np.min(self.points, 0), np.max(self.points, 0))
         self.center = np.mean(ends, axis=0)
@@ -66,15 +69,18 @@ class Solid:
 
     def farthest(self, directions: Array) -> Array:
         """Return the points (K, 3) farthest along unit directions (K, 3), in the body's frame."""
-        heights = directions @ self.points.T
-        round_ones = np.flatnonzero(self.radius)
-        turned = np.einsum("pab,ka->kpb", self.spread[round_ones], directions)
-        heights[:, round_ones] += np.linalg.norm(turned, axis=2)
+        heights, round_ones = directions @ self.points.T, self._round
+        if len(round_ones):
+            turned = (directions @ self._spreads).reshape(len(directions), -1, 3)
+            heights[:, round_ones] += np.sqrt(np.einsum("kpb,kpb->kp", turned, turned))
         best = np.argmax(heights, axis=1)
-        around = np.einsum("kab,ka->kb", self.spread[best], directions)
-        length = np.linalg.norm(around, axis=1, keepdims=True)
-        around = around / np.where(length > 0.0, length, 1.0)
-        return np.asarray(self.points[best] + np.einsum("kab,kb->ka", self.spread[best], around))
+        if not len(round_ones):
+            return np.asarray(self.points[best])
+        spread = self.spread[best]
+        around = np.einsum("ka,kab->kb", directions, spread)
+        length = np.sqrt(np.einsum("kb,kb->k", around, around))[:, None]
+        around /= np.where(length > 0.0, length, 1.0)
+        return np.asarray(self.points[best] + np.einsum("kab,kb->ka", spread, around))
 
 
 def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
@@ -119,13 +125,15 @@ class HalfSpaces:
     Attributes:
         required: (B, K) distance that each body has to keep from each boundary [m]; minus infinite
             where a half-space does not bind it.
-        solids: the B bodies.
+        solids, normals: the B bodies, and the boundaries' (K, 3).
     """
 
     def __init__(self, mj_model: Any, spaces: Sequence[HalfSpace]) -> None:
         self.spaces = tuple(spaces)
         self.solids = solids_of(mj_model, sorted({body for s in spaces for body in s.bodies}))
-        self._normals = np.array([space.normal for space in spaces]).reshape(-1, 3)
+        self.normals = np.array([space.normal for space in spaces]).reshape(-1, 3)
+        self._centers = np.array([solid.center for solid in self.solids]).reshape(-1, 3)
+        self._bounds = np.array([[solid.bound] for solid in self.solids])
         self._offsets = np.array([space.offset for space in spaces])
         self.required = np.array(
             [
@@ -134,17 +142,26 @@ class HalfSpaces:
             ]
         )
 
-    def heights(self, data: Any, near: float = np.inf) -> Iterator[tuple[int, Array, Array]]:
-        """Yield (index of a body, heights (K,), lowest points (K, 3)) above the boundaries.
+    def heights(
+        self, places: Array, turns: Array, near: float = np.inf
+    ) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
+        """Yield (index of a body, of M postures, heights (M, K), lowest points (M, K, 3)) above the
+        boundaries.
 
-        Bodies that surely have so much more height than they need are left out: ``near`` [m].
+        Args:
+            places, turns: (N, B, 3) [m], (N, B, 3, 3) frames of the bodies in N postures.
+            near: those are left out that surely have so much more height than they need [m].
         """
-        for k, solid in enumerate(self.solids):
-            place, turn = data.xpos[solid.body], data.xmat[solid.body].reshape(3, 3)
-            surely = self._normals @ (place + turn @ solid.center) - self._offsets - solid.bound
-            if np.min(surely - self.required[k]) < near:
-                lowest = place + solid.farthest(-self._normals @ turn) @ turn.T
-                yield k, np.sum(lowest * self._normals, axis=1) - self._offsets, lowest
+        middle = places + (turns @ self._centers[:, :, None])[..., 0]
+        surely = middle @ self.normals.T - self._offsets - self._bounds
+        is_near = np.any(surely - self.required < near, axis=2)
+        for k in np.flatnonzero(np.any(is_near, axis=0)).tolist():
+            at = np.flatnonzero(is_near[:, k])
+            turn = turns[at, k]
+            directions = (-self.normals @ turn).reshape(-1, 3)
+            corner = self.solids[k].farthest(directions).reshape(len(at), -1, 3)
+            lowest = places[at, k, None] + corner @ turn.transpose(0, 2, 1)
+            yield k, at, np.sum(lowest * self.normals, axis=2) - self._offsets, lowest
 
 
 def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:

@@ -94,11 +94,13 @@ def test_each_half_space_binds_its_own_bodies():
     sides = (-np.inf, np.inf, -np.inf, np.inf, -np.inf, 4.0)
     limits = LimitOptions(keep_out=((0.0, 0.0, 1.0, 0.5),), workspace=sides)
     spaces = HalfSpaces(model, limits.half_spaces([1, 2], [2]))
-    (ball, block) = spaces.heights(data)
-    assert np.allclose(ball[1], [0.4, 2.9]) and np.allclose(block[1], [1.2, 1.7])
+    frames = data.xpos[None, 1:], data.xmat[None, 1:].reshape(1, -1, 3, 3)
+    (ball, block) = spaces.heights(*frames)
+    assert np.allclose(ball[2], [0.4, 2.9]) and np.allclose(block[2], [1.2, 1.7])
     assert np.array_equal(spaces.required, [[0.01, -np.inf], [0.01, 0.0]])
-    assert np.allclose(ball[2][:, 2], [0.9, 1.1]) and np.allclose(block[2][:, 2], [1.7, 2.3])
-    assert [body for body, _, _ in spaces.heights(data, near=0.5)] == [0]
+    assert np.allclose(ball[3][0, :, 2], [0.9, 1.1])
+    assert np.allclose(block[3][0, :, 2], [1.7, 2.3])
+    assert [body for body, *_ in spaces.heights(*frames, near=0.5)] == [0]
 
 
 @given(SEEDS)
