@@ -14,6 +14,7 @@ from typing import Any, TypeVar, get_type_hints
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records.atomic_files import (
     CARD_NAME,
@@ -41,25 +42,6 @@ from robot_sysid.simulation.options import SimulatedArmOptions
 AnyConfig = TypeVar("AnyConfig", bound="Config")
 EMPTY, LOADED = "A", "B"
 """Letters of ``--order``."""
-
-
-@dataclass(frozen=True)
-class ModelOptions(OptionRecord):
-    """Which arm, and which of its joints is the terminal one.
-
-    Attributes:
-        path: MJCF or URDF file.
-    """
-
-    path: Path = Path()
-    mesh_dir: Path | None = option(None, "folder of the mesh files", usual="what the model says")
-    joint: str | None = option(None, "terminal joint", "NAME", usual="found automatically")
-    keyframe: str | None = option(
-        None,
-        "keyframe in which the arm is at rest, where motions start",
-        "NAME",
-        usual="home, or the only one",
-    )
 
 
 @dataclass(frozen=True)

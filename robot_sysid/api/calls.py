@@ -22,7 +22,6 @@ from robot_sysid.api.results import Identified, PlanResult, one_thread
 from robot_sysid.config import (
     PLANNED,
     Config,
-    ModelOptions,
     SysidConfig,
     config_from,
     payload_config_from,
@@ -41,6 +40,7 @@ from robot_sysid.logs.formats.table import LogTable, arrays_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.pipeline import Analysis, analysed, checked, designed, load, promise
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.records.data import Traces

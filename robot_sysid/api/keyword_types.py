@@ -20,6 +20,10 @@ Accept = Literal[
 Keep = Literal[
     "friction", "rotors", "gravity", "links"
 ]  # fmt: skip
+Interface = Literal[
+    "socketcan", "slcan", "gs_usb", "pcan", "kvaser", "vector", "ixxat", "canalystii",
+    "cantact", "seeedstudio", "damiao", "virtual"
+]  # fmt: skip
 
 
 class ModelOptions(TypedDict, total=False):
@@ -142,6 +146,62 @@ class PayloadOptions(TypedDict, total=False):
     static: bool
 
 
+class BusAddress(TypedDict, total=False):
+    """Of a record."""
+
+    interface: Interface
+    channel: str | Sequence[str]
+    bus_option: str | Sequence[str]
+
+
+class BusTiming(TypedDict, total=False):
+    """Of a record."""
+
+    fd: bool
+    bitrate: float
+    data_bitrate: float
+
+
+class PlaySettings(TypedDict, total=False):
+    """Of a record."""
+
+    kp: float | Sequence[float]
+    kd: float | Sequence[float]
+    rate: float | None
+    speed: float
+    approach_speed: float
+    start_tolerance: float
+    max_tracking_error: float
+    max_speed_error: float
+    max_torque_error: float | Sequence[float]
+    max_temperature: float
+    park: str | None
+    others: Literal["limp", "hold"]
+
+
+class Permissions(TypedDict, total=False):
+    """Of a record."""
+
+    accept_register_limits: bool
+    set_watchdog: float | None
+    accept_directions: bool
+
+
+class RecordingOptions(TypedDict, total=False):
+    """Of a record."""
+
+    record: File | None
+    raw_log: File | None
+    overwrite: bool
+
+
+class SecondArm(TypedDict, total=False):
+    """Of a record."""
+
+    also: File | None
+    also_joint: str | None
+
+
 class IdentifyKeywords(
     ModelOptions, LogOptions, EstimationOptions, OutputOptions, TrajectoryOptions,
     ExcitationOptions, LimitOptions, SimulatedArmOptions, MotorOptions
@@ -185,3 +245,17 @@ class RegressorKeywords(
     ModelOptions
 ):  # fmt: skip
     """Of ``regressor``."""
+
+
+class PlayKeywords(
+    BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions,
+    SecondArm, LimitOptions
+):  # fmt: skip
+    """Of ``play``."""
+
+
+class HoldKeywords(
+    BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions,
+    SecondArm
+):  # fmt: skip
+    """Of ``hold``."""

@@ -13,15 +13,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar, get_type_hints
 
-from robot_sysid.config import NOT_OF_A_PAYLOAD, PREDICTED, ModelOptions, PayloadConfig, SysidConfig
+from robot_sysid.config import NOT_OF_A_PAYLOAD, PREDICTED, PayloadConfig, SysidConfig
 from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.preflight import Permissions
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.recorder import RecordingOptions
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import PlaySettings, SecondArm
+from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.model.options import ModelOptions
+from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records.options import Option, default_of, keys_of, options_of, refuse_unknown
 from robot_sysid.simulation.options import SimulatedArmOptions
 
@@ -36,10 +39,18 @@ RECORDS: Mapping[str, Sequence[Any]] = {
     "identify_from": (ModelOptions,),
     "regressor": (ModelOptions,),
 }
+_MOTORS = (
+    BusAddress,
+    BusTiming,
+    PlaySettings,
+    Permissions,
+    RecordingOptions,
+    ModelOptions,
+    SecondArm,
+)
+RECORDS = {**RECORDS, "play": (*_MOTORS, LimitOptions), "hold": _MOTORS}
 RECORDS = {**RECORDS, "identify_arm": RECORDS["identify"]}
-"""Function to the records whose options are its keywords."""
-MOTOR_RECORDS = (BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions)
-"""Records whose options are keywords of ``motors.play`` and ``motors.hold``."""
+"""Function to the records whose options are its keywords; ``play`` and ``hold`` are of motors."""
 _COMMAND = "plays models; it needs the command robot-sysid identify"
 _SAVE = "is for the command; the result's save(folder) writes files"
 ELSEWHERE = {
@@ -56,6 +67,8 @@ _USELESS: Mapping[str, Mapping[str, str]] = {
     "plan": dict.fromkeys(_ESTIMATED, "is about an estimate; a plan stops before it"),
     "payload": dict.fromkeys(NOT_OF_A_PAYLOAD, "means nothing for a payload; leave it out"),
     "read_log": dict.fromkeys(("append", "accept"), "is about an estimate; reading makes none"),
+    "play": dict.fromkeys(keys_of(LimitOptions) - {*LIMITS}, "is for designing a motion; see plan"),
+    "hold": {"also": "is a motion; an arm that is held has none"},
     "information": {"append": "is not for information, which holds one log or several alike"},
 }
 _NAMED = {"measurements": "log", "validation_measurements": "validation"}
@@ -124,11 +137,11 @@ def in_python() -> Iterator[None]:
 
 @functools.cache
 def _options() -> Mapping[str, Option]:
-    records = {*_ARM, *_PAYLOAD, *MOTOR_RECORDS}
+    records = {*_ARM, *_PAYLOAD, *_MOTORS}
     return {each.flag: each for record in records for each in options_of(record).values()}
 
 
-_OF_RUNS = ("--model", "--joint-map", "--also", "--also-joint")
+_OF_RUNS = ("--model", "--joint-map")
 """Options of the commands of motors that are keywords by their names."""
 _FLAG = re.compile(
     r"robot-sysid motors \w+ --[a-z-]+|(--[a-z][a-z-]*[a-z])(?: ([\w.,·/#\"'-]*\w))?"

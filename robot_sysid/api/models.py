@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Union
 
-from robot_sysid.config import ModelOptions
 from robot_sysid.errors import InputError
 from robot_sysid.model.in_memory import InMemory, compiled_in_memory, file_of, is_in_memory
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import RobotModel
 from robot_sysid.records.options import record_from

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.run import add_model, carry_out
-from robot_sysid.config import ModelOptions, OutputOptions, config_from
+from robot_sysid.config import OutputOptions, config_from
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.model.options import ModelOptions
 
 MAIN = (
     *("mesh_dir", "joint", "output_dir", "columns", "units", "torque_scale", "delay", "cutoff"),

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.plan import require_preview, show_preview
-from robot_sysid.config import ModelOptions
 from robot_sysid.errors import InputError
 from robot_sysid.logs.options import CHECKS, LogOptions
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.preview.options import PreviewOptions
 from robot_sysid.records.options import given_options, record_from
 from robot_sysid.records.sampling import TrajectoryOptions

@@ -6,15 +6,10 @@ from collections.abc import Sequence
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.run import EXCITATION, add_model, carry_out
-from robot_sysid.config import (
-    NOT_OF_A_PAYLOAD,
-    ModelOptions,
-    OutputOptions,
-    PayloadOptions,
-    payload_config_from,
-)
+from robot_sysid.config import NOT_OF_A_PAYLOAD, OutputOptions, PayloadOptions, payload_config_from
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
 from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.simulation.options import SimulatedArmOptions

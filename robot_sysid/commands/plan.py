@@ -8,15 +8,9 @@ from typing import TYPE_CHECKING
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.run import add_model, carry_out
-from robot_sysid.config import (
-    PLANNED,
-    PREDICTED,
-    ModelOptions,
-    MotorOptions,
-    OutputOptions,
-    plan_config_from,
-)
+from robot_sysid.config import PLANNED, PREDICTED, MotorOptions, OutputOptions, plan_config_from
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.preview.options import PreviewOptions
 from robot_sysid.records.options import record_from

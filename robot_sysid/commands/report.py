@@ -9,8 +9,9 @@ from typing import Any
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.config import ModelOptions, OutputOptions
+from robot_sysid.config import OutputOptions
 from robot_sysid.errors import SysidError
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
 

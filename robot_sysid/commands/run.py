@@ -16,7 +16,6 @@ from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import (
     PLANNED,
     Config,
-    ModelOptions,
     MotorOptions,
     OutputOptions,
     PayloadConfig,
@@ -26,6 +25,7 @@ from robot_sysid.config import (
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
 from robot_sysid.records.atomic_files import (
     MODEL_NAMES,

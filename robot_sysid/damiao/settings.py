@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from robot_sysid.damiao.protocol.codec import KD_MAX, KD_STEP, KP_MAX
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.protocol.motors import MotorSpec
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option, per_joint, speed_factor
 
@@ -138,3 +140,21 @@ class PlaySettings(OptionRecord):
     def start_temperature(self) -> float:
         """How warm a motor may be before playing [deg C]."""
         return min(_START_TEMPERATURE, self.max_temperature)
+
+
+@dataclass(frozen=True)
+class SecondArm(OptionRecord):
+    """Another arm of the same model that moves at the same time."""
+
+    also: Path | None = option(
+        None, "trajectory of the model's other arm, played at the same time", "FILE"
+    )
+    also_joint: str | None = option(None, "terminal joint of that arm", "NAME")
+
+    def of_model(self, model: object) -> Path | None:
+        """Return the trajectory of that arm; InputError where nothing says which arm it is."""
+        if self.also is None and self.also_joint is not None:
+            raise InputError("--also-joint is about a second arm; add --also")
+        if self.also and not (self.also_joint and model):
+            raise InputError("--also needs --also-joint, --joint and --model: which arms they are")
+        return self.also

@@ -335,6 +335,9 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
 
 NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
 """What a run obeys where nothing else is asked for: 1e6 rad/s is none."""
+MODEL_LIMITS = "workspace", "keep_out", "clearance"
+LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
+"""Which of a motion's limits hold for all that a run moves."""
 
 
 def limit_excesses(

@@ -22,13 +22,16 @@ def test_the_types_are_what_the_generator_writes():
 
 @pytest.mark.parametrize("function", RECORDS)
 def test_a_signature_shows_every_keyword_with_its_default(function):
-    shown = inspect.signature(getattr(rs, function)).parameters
+    face = rs if hasattr(rs, function) else rs.motors
+    shown = inspect.signature(getattr(face, function)).parameters
     known = keys_of(*RECORDS[function]) - set(refused_by(function))
     assert known <= set(shown) and "options" not in shown
     if "cutoff" in shown:
         assert shown["cutoff"].default is None and shown["delay"].default == "off"
     if function == "plan":
         assert shown["excitation"].default == "optimal"
+    if function == "play":
+        assert shown["max_velocity"].default is None and "below_base" not in shown
 
 
 @pytest.mark.parametrize(
@@ -87,6 +90,8 @@ else:
     print(result.mass, result.center_of_mass[0])
 motion = rs.plan("arm.xml", for_="friction")
 matrix, torque = rs.regressor("arm.xml", [0.0], [0.0], [0.0], joint="elbow")
+report = rs.motors.play("motion.csv", model="arm.xml", channel="can0", speed=0.3)
+print(report.cycles, rs.motors.hold("arm.xml", 2.0, others="hold").worst_tracking)
 """
 
 
@@ -98,6 +103,8 @@ matrix, torque = rs.regressor("arm.xml", [0.0], [0.0], [0.0], joint="elbow")
         (("cutoff", "cutof"), 'Unexpected keyword argument "cutof" for "identify"'),
         (("8.0", '"8"'), 'Argument "cutoff" to "identify" has incompatible type "str"'),
         (('"friction"', '"speed"'), 'Argument "for_" to "plan" has incompatible type'),
+        (("speed=", "sped="), 'Unexpected keyword argument "sped" for "play"'),
+        (("others=", "other="), 'Unexpected keyword argument "other" for "hold"'),
     ],
 )
 def test_a_checker_knows_the_keywords_of_a_users_script(tmp_path, monkeypatch, wrong, said):

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import robot_sysid as rs
-from robot_sysid.api import calls, motors
+from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
+from robot_sysid.damiao import execution
 from robot_sysid.damiao.protocol.frames import DISABLED, REFRESH, REGISTER_ID
 from tests.support import arms
 from tests.support.clocks import ScriptedClock
@@ -59,6 +60,7 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
     ("options", "words"),
     [
         ({"sped": 0.5}, "unknown option 'sped'; did you mean 'speed'"),
+        ({"below_base": True}, "below_base is for designing a motion; see plan"),
         ({}, "this command needs channel, for"),
         ({"simulate": True}, "a simulated arm needs a model; add model"),
         ({"model": 5}, "a model is the path of an MJCF or URDF file, a mujoco.MjSpec or"),
@@ -80,12 +82,12 @@ def test_an_arm_that_is_held_plays_nothing(model):
 def arm(monkeypatch):
     """Two motors on a bus in simulated time."""
     arm, clock = two_motor_arm(), ScriptedClock()
-    monkeypatch.setattr(motors, "SystemClock", lambda: clock)
+    monkeypatch.setattr(execution, "SystemClock", lambda: clock)
 
     def opened(address, timing, clock, tell):
-        return RememberingLink(motors.SimulatedLink(clock, arm, timing, echo=True), clock)
+        return RememberingLink(execution.SimulatedLink(clock, arm, timing, echo=True), clock)
 
-    monkeypatch.setattr(motors, "open_bus", opened)
+    monkeypatch.setattr(execution, "open_bus", opened)
     return arm
 
 
@@ -102,8 +104,8 @@ def test_an_arm_is_held_from_any_thread(model, arm):
 
 
 def test_what_cannot_be_held_is_said(model, arm, monkeypatch):
-    with pytest.raises(rs.InputError, match="unknown option 'also'"):
-        rs.motors.hold(model, 0.5, **HELD, also="other.csv", also_joint="joint0")
+    with pytest.raises(rs.InputError, match="also is a motion; an arm that is held has none"):
+        rs.motors.hold(model, 0.5, **HELD, also="other.csv")
     for seconds in (0.0, -1.0, float("nan")):
         with pytest.raises(rs.InputError, match="seconds must be above 0"):
             rs.motors.hold(model, seconds, **HELD)

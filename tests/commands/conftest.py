@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid import pipeline
-from robot_sysid.api import motors
+from robot_sysid.damiao import execution
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.errors import InputError
 from robot_sysid.motion.prediction import kept_lines, motion_lines
@@ -56,7 +56,7 @@ class SimulatedBus:
 @pytest.fixture
 def bus(monkeypatch):
     simulated = SimulatedBus()
-    monkeypatch.setattr(motors, "SystemClock", lambda: simulated.clock)
-    monkeypatch.setattr(motors, "open_bus", simulated.open)
+    monkeypatch.setattr(execution, "SystemClock", lambda: simulated.clock)
+    monkeypatch.setattr(execution, "open_bus", simulated.open)
     with heard_signals():
         yield simulated

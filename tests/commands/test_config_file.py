@@ -11,8 +11,9 @@ import pytest
 from robot_sysid.commands import identify, payload, plan, run
 from robot_sysid.commands.arguments import parsed
 from robot_sysid.commands.config_file import text_of
-from robot_sysid.config import ModelOptions, PayloadConfig, SysidConfig
+from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.records.options import default_of, options_of
 from tests.support import option_samples
 

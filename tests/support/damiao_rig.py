@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.api.motors import MotorRun
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.execution import run
+from robot_sysid.damiao.execution import MotorRun, run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.preflight import Permissions, Plan, bus_checks
 from robot_sysid.damiao.protocol import frames

@@ -46,15 +46,19 @@ def type_of(option: Option, default: Any) -> str:
         one = f"Literal[{', '.join(map(_quoted, option.choices))}]"
     if isinstance(option.metavar, tuple):
         one = "Numbers"
-    if option.choices and option.repeats:
+    if _has_alias(option):
         one = option.key.capitalize()
     if option.repeats or option.several:
         one = f"{one} | Sequence[{one}]"
     return f"{one} | None" if default is None else one
 
 
+def _has_alias(option: Option) -> bool:
+    """Tell whether choices are too many for a line: an option that repeats says them twice."""
+    return len(option.choices) * (1 + option.repeats) > 6
+
+
 def _alias(option: Option) -> str:
-    """Return a name for the choices of an option that repeats, which its type says twice."""
     words = textwrap.fill(", ".join(map(_quoted, option.choices)), 90)
     listed = textwrap.indent(words, "    ")
     return f"{option.key.capitalize()} = Literal[\n{listed}\n]  # fmt: skip\n"
@@ -68,7 +72,7 @@ def text() -> str:
     """Return the module: a class per record, and one per function that puts them together."""
     records = list(dict.fromkeys(each for records in RECORDS.values() for each in records))
     options = (each for record in records for each in options_of(record).values())
-    aliases = (_alias(each) for each in options if each.choices and each.repeats)
+    aliases = (_alias(each) for each in options if _has_alias(each))
     parts = [HEAD + "".join(aliases)]
     for record in records:
         lines = [

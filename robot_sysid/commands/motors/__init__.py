@@ -10,25 +10,25 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from robot_sysid.api.motors import LIMITS, SecondArm, lasting
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.directions import DirectionChoices, verify
 from robot_sysid.commands.motors.tables import check_lines, load_line, motor_table, run_lines
-from robot_sysid.config import ModelOptions
 from robot_sysid.damiao import bus, preflight, simulated
 from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
-from robot_sysid.damiao.execution import run
+from robot_sysid.damiao.execution import lasting, run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.serial_adapter import slcan_terminal
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import PlaySettings, SecondArm
 from robot_sysid.damiao.simulated import serve
 from robot_sysid.damiao.supervision import StopRequest
+from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records.options import OptionRecord, option, options_of, record_from
 

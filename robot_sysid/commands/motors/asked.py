@@ -9,12 +9,13 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from robot_sysid.api.motors import MotorRun, SecondArm
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
-from robot_sysid.config import ModelOptions
+from robot_sysid.damiao.execution import MotorRun
 from robot_sysid.damiao.recorder import Aside
+from robot_sysid.damiao.settings import SecondArm
 from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.records.options import given_options, record_from
 
 
