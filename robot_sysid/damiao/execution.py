@@ -41,7 +41,7 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, 
 from robot_sysid.damiao.protocol.lerobot import read_lerobot_map
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
-from robot_sysid.damiao.references import Reference, ReferenceFunction, sampled
+from robot_sysid.damiao.references import STRAIGHT, Reference, ReferenceFunction, sampled
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings, SecondArm
 from robot_sysid.damiao.simulated import (
@@ -76,20 +76,28 @@ class MotorRun:
         self.values, self._tell, self.clock = values, tell, SystemClock()
         self.address = record_from(BusAddress, values)
         self.timing = record_from(BusTiming, values)
+        self._known: dict[tuple[bytes, bytes], tuple[str, str]] = {}
 
     def plan(self) -> Plan:
         """Return the trajectory and how to play it."""
-        trajectory = together(*self._files) if self._also else self._files[0]
+        paths = filter(None, (self.values["trajectory"], self.values.get("also")))
+        files = [read_damiao_trajectory(path) for path in paths]
+        for file, robot in zip(files, self.robots):
+            if file.n_joints != robot.n_joints:
+                raise InputError(
+                    f"{file.path} has {file.n_joints} joints but the chain of {robot.path} has "
+                    f"{robot.n_joints}: {', '.join(robot.joint_names)}"
+                )
+        trajectory = together(*files) if self._two else files[0]
         return self._planned(replace(trajectory, joints=self._mounted(trajectory.joints)))
 
     @cached_property
-    def _files(self) -> tuple[DamiaoTrajectory, ...]:
-        paths = filter(None, (self.values["trajectory"], self._also))
-        return tuple(map(read_damiao_trajectory, paths))
-
-    @cached_property
-    def _also(self) -> Path | None:
-        return record_from(SecondArm, self.values).of_model(self.values.get("model"))
+    def _two(self) -> bool:
+        """Whether both arms of the model are meant."""
+        second, values = record_from(SecondArm, self.values), self.values
+        plays = values.get("trajectory") is not None
+        second.require_named(values.get("model"), values.get("joint"), plays)
+        return second.also_joint is not None
 
     def hold_plan(self, inspection: asked.Inspection) -> Plan:
         """Return how the arm is held for a second where it stands, by torques of its model.
@@ -114,7 +122,8 @@ class MotorRun:
         q = JointSpace.of(joints).joint_position(np.array(places))
         still, torque = np.zeros((2, len(q))), gravity_check(self.robot, tuple(joints)).torque(q)
         rows = np.arange(2), np.array([0.0, 1.0]), still + q, still, still + torque
-        return self._planned(DamiaoTrajectory(Path("holding"), tuple(joints), *rows))
+        still_there = DamiaoTrajectory(Path("holding"), tuple(joints), *rows, both=self._two)
+        return self._planned(still_there)
 
     def _planned(self, trajectory: DamiaoTrajectory) -> Plan:
         return Plan(
@@ -138,7 +147,7 @@ class MotorRun:
 
     def _inertia(self, trajectory: DamiaoTrajectory) -> Array | None:
         """Return what each joint moves at the first point, where a model is known [kg m^2]."""
-        if self.robot is None or self.robot.n_joints != trajectory.n_joints:
+        if self.robot is None:
             return None
         from robot_sysid.simulation.forward_dynamics import ArmStepper
 
@@ -148,7 +157,7 @@ class MotorRun:
         names = self.robot.joint_names if self.robot else ()
         if self.rows:
             return mapped(joints, self.rows, self.channels, names)
-        if len(names) != len(joints):
+        if not names:
             return tuple(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
 
@@ -173,25 +182,33 @@ class MotorRun:
             for given in given_options(record_from(ModelOptions, self.values)):
                 raise InputError(f"{given.flag} is about a model; add --model")
             return own
-        # Imported here so that playing on real motors does not wait for MuJoCo.
-        from robot_sysid.damiao.model_check import (
-            arm_by_arm,
-            arms_apart,
-            model_checks,
-            torque_checks,
-        )
+        from robot_sysid.damiao.model_check import model_checks, torque_checks, way_check
 
-        played, settings, pose = plan.trajectory, plan.settings, plan.pose
-        # Files have rows of their own; what is made from their joints has none.
-        parts = self._files if played.both else arm_by_arm(played, self.robots)
-        fits, speed = list[Check](), settings.speed
-        for each, robot in zip(parts, self.robots):
-            left = None if pose is None else pose[: each.n_joints]
-            pose = None if pose is None else pose[each.n_joints :]
-            fits += model_checks(each, speed, robot, left, plan.limits)
-        if self._also:
-            fits += arms_apart(self.robots, played, speed, plan.pose)
-        return [*own, *fits, *torque_checks(played, settings, self.robot)]
+        fits = [*model_checks(plan, self._contacts)]
+        if plan.pose is not None:
+            *_, (words, begin, end) = plan.ways(plan.scan.first)
+            fits += way_check(words, *self._order(begin, end))
+        return [*own, *fits, *torque_checks(plan.trajectory, plan.settings, self.robot)]
+
+    def orders(self, plan: Plan, here: Array) -> tuple[str, ...]:
+        """Return in which order joints go on each way of an arm at ``here`` (n,) [rad]."""
+        return tuple(self._order(begin, end)[0] for _, begin, end in plan.ways(here))
+
+    def _order(self, begin: Array, end: Array) -> tuple[str, str]:
+        """Return ``Contacts.order``, which is asked for by the checks and by the run."""
+        if self.robot is None:
+            return STRAIGHT, ""
+        key = begin.tobytes(), end.tobytes()
+        if key not in self._known:
+            self._known[key] = self._contacts.order(begin, end)
+        return self._known[key]
+
+    @cached_property
+    def _contacts(self) -> Any:
+        # Imported here so that playing on real motors does not wait for MuJoCo.
+        from robot_sysid.damiao.model_check import Contacts
+
+        return Contacts(self.robots, self._limits())
 
     def met_checks(
         self, plan: Plan, inspection: asked.Inspection, real: bool = True
@@ -199,12 +216,27 @@ class MotorRun:
         """Return what motors that were met say, and whether ``real`` ones turn as they should."""
         checks, here = bus_checks(plan, inspection), plan.places(inspection)
         if np.all(np.isfinite(here)):
-            checks += limit_checks(plan, here)
-            if self.robot is not None:
-                from robot_sysid.damiao.model_check import way_checks
+            checks += limit_checks(plan, here, self.orders(plan, here))
+            for words, begin, end in plan.ways(here) if self.robot is not None else ():
+                from robot_sysid.damiao.model_check import way_check
 
-                checks += way_checks(plan, self.robots, here)
+                # The way to a pose begins where the trajectory ends, and was checked without a bus.
+                if begin is here or end is here:
+                    checks += way_check(words, *self._order(begin, end))
         return [*checks, *(direction_checks(plan, self.holding(plan)) if real else ())]
+
+    def run(
+        self,
+        link: GuardedLink,
+        plan: Plan,
+        inspection: asked.Inspection,
+        stop: StopRequest,
+        on_phase: Callable[[str], None],
+        on_progress: Callable[[float], None],
+    ) -> PlayReport:
+        """Play the plan as ``run`` does, with what the model says of it."""
+        how = self.holding(plan), self.orders(plan, plan.places(inspection))
+        return run(link, plan, inspection, stop, on_phase, on_progress, *how)
 
     def require_free(self, plan: Plan) -> None:
         """Raise InputError where a recording would replace a file, or be one that the run reads."""
@@ -222,7 +254,7 @@ class MotorRun:
     @cached_property
     def robot(self) -> Any:
         """The arm of the model file, or both as one; None without a model."""
-        if not self._also:
+        if not self._two:
             return self.robots[0] if self.robots else None
         from robot_sysid.motion.two_arms import as_one
 
@@ -235,11 +267,15 @@ class MotorRun:
             return ()
         from robot_sysid.parser import load_robot_model
 
-        chosen, second = record_from(ModelOptions, self.values), record_from(SecondArm, self.values)
-        terminals = (chosen.joint, second.also_joint) if self._also else (chosen.joint,)
+        chosen, other = record_from(ModelOptions, self.values), self.values.get("also_joint")
+        terminals = (chosen.joint, other) if self._two else (chosen.joint,)
         rest = float("inf"), chosen.keyframe
         load = partial(load_robot_model, self.values["model"], chosen.mesh_dir)
-        return tuple(load(joint, *rest) for joint in terminals)
+        arms = tuple(load(joint, *rest) for joint in terminals)
+        names = [name for arm in arms for name in arm.joint_names]
+        for name in (name for name in names if names.count(name) > 1):
+            raise InputError(f"--joint and --also-joint are of one arm: both move {name}")
+        return arms
 
     def simulated_arm(
         self, plan: Plan, watchdog: float = DEFAULT_WATCHDOG, *timestep: float
@@ -288,10 +324,12 @@ def run(
     on_phase: Callable[[str], None],
     on_progress: Callable[[float], None],
     holding: HoldingCheck | None = None,
+    orders: Sequence[str] = (STRAIGHT, STRAIGHT),
 ) -> PlayReport:
     """Play the plan on inspected motors.
 
-    For ``stop``, ``holding`` (by default what the trajectory says) and what is told see ``Player``.
+    For ``stop``, ``holding`` (by default what the trajectory says), ``orders`` and what is told see
+    ``Player``.
 
     Raises:
         HardwareAbort: a check forbids it, or the run was stopped; says why.
@@ -319,7 +357,8 @@ def run(
                 client, seconds = asked.RegisterClient(link), plan.allowed.watchdog
                 stack.enter_context(asked.watchdogs_set_to(client, motors, seconds, session.is_off))
             stack.enter_context(session)
-            player = Player(session, settings, stop, recorder, *told, park, holding or plan.holding)
+            carried = holding or plan.holding
+            player = Player(session, settings, stop, recorder, *told, park, carried, orders)
             own = sampled(plan.trajectory, settings.speed)
             report = player.play(_alongside(own, places), plan.duration)
     finally:

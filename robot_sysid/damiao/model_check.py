@@ -15,12 +15,12 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.damiao.holding import HoldingCheck, torque_doubt
-from robot_sysid.damiao.preflight import OK, STOP, Check, Plan
+from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check, Plan
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.references import ORDERS, STRAIGHT, passed
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
-from robot_sysid.errors import InputError
-from robot_sysid.motion.limit_check import first_contact
+from robot_sysid.motion.limit_check import Closest, first_contact
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
@@ -51,83 +51,95 @@ class SampledTrajectory:
         return Motion(time, q, qd, np.zeros_like(q))
 
 
-def model_checks(
-    trajectory: DamiaoTrajectory,
-    speed: float,
-    robot: RobotModel,
-    pose: Array | None = None,
-    limits: LimitOptions = NO_LIMITS,
-) -> Iterator[Check]:
-    """Yield what a model of the arm says to a motor trajectory.
+class Contacts:
+    """Where the arms of a model touch themselves, each other, what is around them, or planes."""
 
-    It is played at a share of its speed. The arm is loaded without a speed limit, so that only its
-    own holds, and left in a pose (n,) afterwards [rad]; None where it ends. Of ``limits`` those
-    count that only a model can tell. InputError where the trajectory is for another number of
-    joints.
-    """
-    if robot.n_joints != trajectory.n_joints:
-        raise InputError(
-            f"{trajectory.path} has {trajectory.n_joints} joints but the chain of {robot.path} has "
-            f"{robot.n_joints}: {', '.join(robot.joint_names)}"
-        )
-    motion = SampledTrajectory(trajectory, speed)
-    touches = [
-        f"the model's {what} touch at {at:.2f} s" for what, at in _contact(robot, motion, limits)
-    ]
-    excesses = [*_joint_excesses(robot, motion), *touches]
-    yield from (Check(STOP, f"{e}; export a smaller trajectory for this arm") for e in excesses)
-    parking = [] if pose is None else [*_parking(robot, motion.q[-1], pose, limits)]
-    yield from (Check(STOP, f"{excess}; choose another --park pose") for excess in parking)
-    if not excesses and not parking:
-        yield Check(OK, f"the trajectory stays within the limits of {robot.path.name}")
+    def __init__(self, arms: Sequence[RobotModel], limits: LimitOptions = NO_LIMITS) -> None:
+        self.arms, self._between = arms, BetweenArms(*arms) if len(arms) > 1 else None
+        self._problems = [build_problem(robot, limits) for robot in arms]
+        ends = np.cumsum([0, *(robot.n_joints for robot in arms)]).tolist()
+        self.own = [slice(*each) for each in zip(ends, ends[1:])]
+        """Which of all joints are those of each arm."""
+
+    def of_arm(self, k: int, motion: MotionPlan) -> Closest | None:
+        """Return what touches first along a motion of one arm, or None."""
+        return first_contact(self._problems[k], motion)
+
+    def between(self, motion: MotionPlan) -> float | None:
+        """Return when the arms touch each other along a motion of both [s], or None."""
+        return None if self._between is None else self._between.touch_at(motion)
+
+    def order(self, begin: Array, end: Array) -> tuple[str, str]:
+        """Return in which of ``ORDERS`` the arms touch nothing between two poses (n,) [rad].
+
+        "" where in none; and what touches on the straight way, "" where nothing does.
+        """
+        found = [self._on_the_way(passed(begin, end, STRAIGHT))]
+        if found[0] and np.max(np.abs(end - begin)) > _THERE:
+            found += (self._on_the_way(passed(begin, end, order)) for order in ORDERS[1:])
+            return next((o for o, touching in zip(ORDERS, found) if not touching), ""), found[0]
+        return STRAIGHT, ""
+
+    def _on_the_way(self, poses: Sequence[Array]) -> str:
+        for begin, end in zip(poses, poses[1:]):
+            for k, own in enumerate(self.own):
+                touched = self.of_arm(k, straight_way(begin[own], end[own]))
+                if touched is not None:
+                    return touched.label
+            if self.between(straight_way(begin, end)) is not None:
+                return "arms"
+        return ""
 
 
 # So near the arm is there: a contact on so short a way is the model's error [rad].
 _THERE = 0.02
 
 
-def way_checks(plan: Plan, arms: Sequence[RobotModel], here: Array) -> Iterator[Check]:
-    """Yield where arms that stand at ``here`` (n,) [rad] touch something on their ways."""
-    said = (
-        ("from where it stands", "bring the arm nearer to the first point by hand"),
-        ("from the last point", "choose another --park, or let it begin elsewhere"),
-    )
-    for (words, way), (begin, remedy) in zip(plan.ways(here), said):
-        if np.max(np.abs(way.q[-1] - way.q[0])) > _THERE:
-            for touching in _touching(way, arms, plan.limits):
-                text = f"{words}, straight {begin}, the model's {touching} touch; {remedy}"
-                yield Check(STOP, text)
+def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
+    """Yield what a model of an arm, or of two, says to a plan and where it leaves the arm.
 
-
-def arm_by_arm(played: DamiaoTrajectory, arms: Sequence[RobotModel]) -> Iterator[DamiaoTrajectory]:
-    """Yield what each of the arms does in a trajectory of all of them."""
-    begin = 0
-    for robot in arms:
-        own = slice(begin, begin := begin + robot.n_joints) if len(arms) > 1 else slice(None)
+    Models are loaded without a speed limit, so that only their own hold.
+    """
+    played, speed, pose = plan.trajectory, plan.settings.speed, plan.pose
+    remedy, excesses = "export a smaller trajectory for this arm", []
+    if not np.any(np.ptp(played.q, axis=0)):
+        remedy = "bring the arm elsewhere by hand"
+    for k, (robot, own) in enumerate(zip(contacts.arms, contacts.own)):
         part = {name: getattr(played, name)[:, own] for name in ("q", "qd", "tau")}
-        yield replace(played, joints=played.joints[own], **part)
+        motion = SampledTrajectory(replace(played, joints=played.joints[own], **part), speed)
+        excesses += [f"{each}; {remedy}" for each in _joint_excesses(robot, motion)]
+        if (touched := contacts.of_arm(k, motion)) is not None:
+            said = f"the model's {touched.label} touch at {touched.time:.2f} s"
+            excesses.append(f"{said}; {remedy}")
+        if pose is not None:
+            excesses += _beyond(robot, pose[own])
+    if (at := contacts.between(SampledTrajectory(played, speed))) is not None:
+        excesses.append(f"the arms touch while both move, at {at:.2f} s; play one after the other")
+    yield from (Check(STOP, excess) for excess in excesses)
+    if not excesses:
+        apart = ", and the arms apart" if len(contacts.arms) > 1 else ""
+        name = contacts.arms[0].path.name
+        yield Check(OK, f"the trajectory stays within the limits of {name}{apart}")
 
 
-def _touching(
-    way: DamiaoTrajectory, arms: Sequence[RobotModel], limits: LimitOptions
-) -> Iterator[str]:
-    for robot, alone in zip(arms, arm_by_arm(way, arms)):
-        yield from (what for what, _ in _contact(robot, SampledTrajectory(alone, 1.0), limits))
-    if len(arms) > 1 and BetweenArms(*arms).touch_at(SampledTrajectory(way, 1.0)) is not None:
-        yield "arms"
+def way_check(words: str, order: str, touching: str) -> Iterator[Check]:
+    """Yield where arms touch something on a straight way, and how they go instead, if they can."""
+    if not touching:
+        return
+    said = f"{words} the model's {touching} touch if it goes straight"
+    remedy = "choose another --park" if "parked" in words else "bring the arm nearer by hand"
+    stop = f"{said}, and joint by joint something touches too; {remedy}"
+    yield Check(NOTE, f"{said}: it goes {order}") if order else Check(STOP, stop)
 
 
-def _parking(robot: RobotModel, last: Array, pose: Array, asked: LimitOptions) -> Iterator[str]:
-    """Yield a sentence for each limit that a pose is beyond, and on a contact on the way there."""
+def _beyond(robot: RobotModel, pose: Array) -> Iterator[str]:
     limits = zip(robot.joint_names, pose, robot.limits.lower, robot.limits.upper)
     for j, (name, q, lower, upper) in enumerate(limits):
         if not lower - _ROUNDING <= q <= upper + _ROUNDING:
             yield (
                 f"joint {name} is to be parked at {q:.4g} {_unit('position', robot, j)}, outside "
-                f"the model's {lower:g} to {upper:g}"
+                f"the model's {lower:g} to {upper:g}; choose another --park"
             )
-    for touching, _ in _contact(robot, straight_way(last, pose), asked):
-        yield f"on the straight way to where the arm is parked, the model's {touching} touch"
 
 
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
@@ -152,14 +164,6 @@ def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[st
 def _unit(what: str, robot: RobotModel, joint: int) -> str:
     length, force = ("m", "N") if robot.is_slide[joint] else ("rad", "N m")
     return {"position": length, "velocity": f"{length}/s", "torque": force}[what]
-
-
-def _contact(
-    robot: RobotModel, motion: MotionPlan, limits: LimitOptions
-) -> Iterator[tuple[str, float]]:
-    touched = first_contact(build_problem(robot, limits), motion)
-    if touched is not None:
-        yield touched.label, touched.time
 
 
 # How far feed-forward torque is off, of what its motion needs (rms): 1 where there is none, 2 with
@@ -211,19 +215,3 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
 
     needs = f"the model {robot.path.name} needs"
     return HoldingCheck(joints, holding, robot.friction.coulomb, needs)
-
-
-def arms_apart(
-    arms: Sequence[RobotModel], both: DamiaoTrajectory, speed: float, pose: Array | None
-) -> Iterator[Check]:
-    """Yield whether two arms of a model touch while both move, or on the way to a pose (n,)."""
-    motion, between = SampledTrajectory(both, speed), BetweenArms(*arms)
-    ways: dict[str, MotionPlan] = {"while both move": motion}
-    if pose is not None:
-        ways["on the straight way to where they are parked"] = straight_way(motion.q[-1], pose)
-    for where, way in ways.items():
-        if (at := between.touch_at(way)) is None:
-            yield Check(OK, f"the arms do not touch {where}")
-        else:
-            said = f"the arms touch {where}, at {at:.2f} s; play one after the other"
-            yield Check(STOP, said)

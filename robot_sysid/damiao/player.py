@@ -10,7 +10,7 @@ import contextlib
 import gc
 import sys
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,6 +110,7 @@ class Player:
         park: where to leave the arm: "rest", "start", or (n,) positions [rad]; None where it ends.
         holding: says what holds the arm where it stands, and is called with positions and torques
             (n,) of the arm held still there and at the first point; may raise HardwareAbort.
+        orders: in which of ``references.ORDERS`` joints go to the first point and are parked.
     """
 
     def __init__(
@@ -122,6 +123,7 @@ class Player:
         on_progress: Callable[[float], None],
         park: str | Array | None,
         holding: HoldingCheck,
+        orders: Sequence[str],
     ) -> None:
         self._session, self._clock, self._settings = session, session.clock, settings
         self._stop, self._recorder = stop, recorder
@@ -141,7 +143,7 @@ class Player:
         self._heard_at = 0.0
         self._cycles = self._played = 0
         self._told_at = -np.inf
-        self._park, self._holding = park, holding
+        self._park, self._holding, self._orders = park, holding, orders
         self._lowering: paths.Lowering | None = None
         self._still: list[Array] = []
 
@@ -171,7 +173,8 @@ class Player:
         start = self._session.enable()
         here = Reference(start, np.zeros_like(start), self._holding.torque(start))
         speed, shortest = settings.approach_speed, settings.approach_time
-        way, way_time = paths.approach(start, first, speed, shortest, here.torque)
+        order, carries = self._orders[0], self._holding.torque
+        way, way_time = paths.approach(here, first, speed, shortest, order, carries)
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._phase(hold(here), settings.ramp_time, standing=True)
@@ -179,7 +182,7 @@ class Player:
         # What held the arm lately, or else what was fed forward.
         still = [torque for _, torque in self._still] or [here.torque]
         held = np.asarray(np.mean(still, axis=0))
-        self._announce(f"moving to the first point ({way_time:.1f} s)")
+        self._announce(f"moving to the first point, {order} ({way_time:.1f} s)")
         self._phase(way, way_time)
         self._hold_and_compare(first)
         self._announce(f"playing ({duration:.1f} s)")
@@ -202,12 +205,13 @@ class Player:
             self._announce("lowering the arm")
             self._phase(self._lower_from(last), paths.LONGEST)
             return
-        target = stood
+        target, carries = stood, self._holding.torque
         if not isinstance(self._park, str):
-            target = Reference(self._park, np.zeros_like(self._park), last.torque)
-        speed = self._settings.approach_speed
-        way, time = paths.approach(last.position, target, speed, 1.0, last.torque)
-        self._announce(f"parking ({time:.1f} s)")
+            beyond = last.torque - carries(last.position)
+            target = Reference(self._park, np.zeros_like(self._park), carries(self._park) + beyond)
+        speed, order = self._settings.approach_speed, self._orders[-1]
+        way, time = paths.approach(last, target, speed, 1.0, order, carries)
+        self._announce(f"parking, {order} ({time:.1f} s)")
         self._phase(way, time)
         self._phase(hold(target), self._settings.rest_time)
 

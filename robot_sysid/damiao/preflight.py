@@ -136,14 +136,12 @@ class Plan:
             raise InputError(f"{where} has to hold {n} positions in one line, separated by commas")
         return pose
 
-    def ways(self, here: Array) -> Iterator[tuple[str, motion.DamiaoTrajectory]]:
-        """Yield how the arm gets from ``here`` (n,) [rad] to the first point, and is parked."""
-        settings = self.settings
-        rest = here if settings.park == "start" else self.pose
-        pace = settings.approach_speed, settings.approach_time
-        yield "on the way to the first point", way_rows(self.trajectory, 0, here, *pace)
+    def ways(self, here: Array) -> Iterator[tuple[str, Array, Array]]:
+        """Yield from where to where (n,) an arm at ``here`` goes to begin and to park [rad]."""
+        rest = here if self.settings.park == "start" else self.pose
+        yield "on the way to the first point", here, self.scan.first
         if rest is not None:
-            yield "on the way to where it is parked", way_rows(self.trajectory, -1, rest, *pace)
+            yield "on the way to where it is parked", self.trajectory.q[-1], rest
 
     @property
     def holding(self) -> HoldingCheck:
@@ -162,19 +160,23 @@ class Plan:
         return tuple(m for address, m in sorted(inspection.motors.items()) if address not in known)
 
 
-def limit_checks(plan: Plan, here: Array | None = None) -> list[Check]:
-    """Return where the trajectory, or else the ways from ``here`` (n,), break limits asked for."""
+def limit_checks(plan: Plan, here: Array | None = None, orders: Sequence[str] = ()) -> list[Check]:
+    """Return where the trajectory, or else the ways from ``here`` (n,), break limits asked for.
+
+    ``orders`` are those of the joints on each way.
+    """
+    played, settings = plan.trajectory, plan.settings
     if here is None:
-        said = [*motion.limit_excesses(plan.trajectory, plan.settings.speed, plan.limits)]
-    else:
-        speed = plan.settings.approach_speed
-        slow = f"; move it nearer by hand, or lower --approach-speed {speed:g}"
-        said = [
-            f"{words}, {excess}{slow}"
-            for words, way in plan.ways(here)
-            for excess in motion.limit_excesses(way, 1.0, plan.limits)
-        ]
-    return [_stop(text) for text in said]
+        return list(map(_stop, motion.limit_excesses(played, settings.speed, plan.limits)))
+    pace = settings.approach_speed, settings.approach_time
+    slow = f"; move it nearer by hand, or lower --approach-speed {settings.approach_speed:g}"
+    return [
+        _stop(f"{words}, {excess}{slow}")
+        for (words, begin, end), order in zip(plan.ways(here), orders)
+        for excess in motion.limit_excesses(
+            way_rows(played, begin, end, pace, order), 1.0, plan.limits
+        )
+    ]
 
 
 def stops(checks: Sequence[Check]) -> list[str]:
@@ -197,7 +199,6 @@ def plan_checks(plan: Plan) -> list[Check]:
         *_motors(plan),
         _load(plan),
         *_within_limits(plan, limits, "its type's"),
-        *_parked(plan),
     ]
 
 
@@ -260,35 +261,26 @@ def _within_limits(
 ) -> Sequence[Check]:
     joints, scan, speed = plan.trajectory.joints, plan.scan, plan.settings.speed
     space = JointSpace.of(joints)
-    ends = space.motor_position(scan.lowest), space.motor_position(scan.highest)
+    # Where it is parked counts as well.
+    reach = [scan.lowest, scan.highest]
+    remedy = "export a smaller trajectory"
+    if plan.pose is not None:
+        reach, remedy = [*reach, plan.pose], f"{remedy}, or choose another --park"
     asked = (
-        ("position", "rad", np.max(np.abs(ends), axis=0)),
+        ("position", "rad", np.max(np.abs([*map(space.motor_position, reach)]), axis=0)),
         ("velocity", "rad/s", scan.peak_velocity * speed),
         ("torque", "N m", np.abs(space.motor_torque(scan.peak_torque))),
         ("position step", "rad/s", scan.peak_step * speed),
     )
     beyond = [
         _stop(
-            f"{joint.label}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g}; "
-            "export a smaller trajectory"
+            f"{joint.label}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g}; {remedy}"
         )
         for j, (joint, limit) in enumerate(zip(joints, limits))
         for (what, unit, peaks), top in zip(asked, (*limit, limit[1]))
         if peaks[j] > top * (1.0 + _FLOAT32_SLACK)
     ]
     return beyond or [Check(OK, f"the trajectory stays within {whose} limits")]
-
-
-def _parked(plan: Plan) -> Iterator[Check]:
-    """Yield what the motors' types say to the pose in which the arm is to be left."""
-    joints, pose = plan.trajectory.joints, plan.pose
-    turned = () if pose is None else JointSpace.of(joints).motor_position(pose)
-    for joint, place in zip(joints, turned):
-        if abs(place) > joint.spec.limits[0]:
-            yield _stop(
-                f"{joint.label}: to be parked it would turn to {place:.4g} rad, beyond its type's "
-                f"limit {joint.spec.limits[0]:g}; choose another --park pose"
-            )
 
 
 # --- what the motors say ------------------------------------------------------------------------

@@ -46,25 +46,53 @@ def sampled(trajectory: DamiaoTrajectory, speed: float) -> ReferenceFunction:
     return reference
 
 
+STRAIGHT = "straight"
+ORDERS = (STRAIGHT, "joint by joint from the base", "joint by joint from the tip")
+"""In which order joints may go from one pose to another: all together, or one after the other."""
+
+
+def passed(begin: Array, end: Array, order: str) -> list[Array]:
+    """Return the poses (n,) between which an order of ``ORDERS`` goes in straight lines."""
+    poses = [begin]
+    if order != STRAIGHT:
+        joints = np.flatnonzero(begin != end)[:: 1 if order == ORDERS[1] else -1]
+        for moved in (joints[: k + 1] for k in range(len(joints) - 1)):
+            poses.append(begin.copy())
+            poses[-1][moved] = end[moved]
+    return [*poses, end]
+
+
 def approach(
-    start: Array, target: Reference, speed: float, shortest: float, torque: Array | None = None
+    start: Reference,
+    target: Reference,
+    speed: float,
+    shortest: float,
+    order: str = STRAIGHT,
+    carries: Callable[[Array], Array] = np.zeros_like,
 ) -> tuple[ReferenceFunction, float]:
     """Return a motion from rest at ``start`` to rest at the target, and its duration [s].
 
-    The path is the quintic 10 s^3 - 15 s^4 + 6 s^5, whose peak speed is 15/8 of the mean. No joint
-    goes faster than ``speed`` [rad/s], and it takes no less than ``shortest`` [s]. The target's
-    torque is fed forward all the way, or comes in for ``torque`` (n,) [N m] at the start.
+    Each straight line is the quintic 10 s^3 - 15 s^4 + 6 s^5, whose peak speed is 15/8 of the mean.
+    No joint goes faster than ``speed`` [rad/s], and no line takes less than ``shortest`` [s]. What
+    is fed forward is what ``carries`` the arm in each pose (n,) [N m], and besides what start and
+    target have beyond it.
     """
-    distance = target.position - start
-    fed = target.torque if torque is None else torque
-    duration = max(shortest, 1.875 * float(np.max(np.abs(distance))) / speed)
+    poses = passed(start.position, target.position, order)
+    lines = np.diff(poses, axis=0)
+    times = np.maximum(shortest, 1.875 * np.max(np.abs(lines), axis=1) / speed)
+    begins = np.append(0.0, np.cumsum(times))
+    duration = float(begins[-1])
+    extra = [each.torque - carries(each.position) for each in (start, target)]
 
     def reference(time: float) -> Reference:
-        s = min(max(time / duration, 0.0), 1.0)
+        k = int(np.clip(np.searchsorted(begins, time) - 1, 0, len(times) - 1))
+        s = min(max((time - begins[k]) / times[k], 0.0), 1.0)
         share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-        rate = 30.0 * s * s * (1.0 - s) ** 2 / duration
-        carried = fed + share * (target.torque - fed)
-        return Reference(start + share * distance, rate * distance, carried)
+        rate = 30.0 * s * s * (1.0 - s) ** 2 / times[k]
+        done = (begins[k] + share * times[k]) / duration
+        place = poses[k] + share * lines[k]
+        fed = carries(place) + (1.0 - done) * extra[0] + done * extra[1]
+        return Reference(place, rate * lines[k], fed)
 
     return reference, duration
 
@@ -74,18 +102,17 @@ _WAY_RATE = 100.0
 
 
 def way_rows(
-    trajectory: DamiaoTrajectory, row: int, place: Array, speed: float, shortest: float
+    trajectory: DamiaoTrajectory, begin: Array, end: Array, pace: tuple[float, float], order: str
 ) -> DamiaoTrajectory:
-    """Return the way between a place (n,) [rad] and a row of a trajectory, as rows.
+    """Return the way between two poses (n,) [rad] as rows, without torque.
 
-    For ``speed`` and ``shortest`` see ``approach``.
+    For ``pace``, speed and shortest time, and ``order`` see ``approach``.
     """
-    end = Reference(trajectory.q[row], np.zeros_like(place), trajectory.tau[row])
-    reference, duration = approach(place, end, speed, shortest)
+    still = np.zeros_like(begin)
+    start, target = (Reference(place, still, still) for place in (begin, end))
+    reference, duration = approach(start, target, *pace, order)
     time = np.linspace(0.0, duration, int(np.ceil(duration * _WAY_RATE)) + 1)
     q, qd, tau = (np.array(part) for part in zip(*map(reference, time)))
-    if row:
-        q, qd, tau = q[::-1], -qd[::-1], tau[::-1]
     return replace(trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau)
 
 

@@ -144,17 +144,16 @@ class PlaySettings(OptionRecord):
 
 @dataclass(frozen=True)
 class SecondArm(OptionRecord):
-    """Another arm of the same model that moves at the same time."""
+    """Another arm of the same model that moves, or is held, at the same time."""
 
     also: Path | None = option(
         None, "trajectory of the model's other arm, played at the same time", "FILE"
     )
-    also_joint: str | None = option(None, "terminal joint of that arm", "NAME")
+    also_joint: str | None = option(None, "terminal joint of the model's other arm", "NAME")
 
-    def of_model(self, model: object) -> Path | None:
-        """Return the trajectory of that arm; InputError where nothing says which arm it is."""
-        if self.also is None and self.also_joint is not None:
+    def require_named(self, model: object, joint: str | None, plays: bool) -> None:
+        """Raise InputError where it is not clear which two arms are meant, or what one plays."""
+        if self.also is None and self.also_joint and plays:
             raise InputError("--also-joint is about a second arm; add --also")
-        if self.also and not (self.also_joint and model):
-            raise InputError("--also needs --also-joint, --joint and --model: which arms they are")
-        return self.also
+        if (self.also or self.also_joint) and not (self.also_joint and model and joint):
+            raise InputError("two arms need --model, --joint and --also-joint: which they are")

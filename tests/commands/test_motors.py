@@ -32,6 +32,7 @@ from robot_sysid.damiao.protocol.frames import (
     enable_frame,
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints, write_joint_map
+from robot_sysid.motion.two_arms import as_one
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.forward_dynamics import ArmStepper
 from tests.support import arms
@@ -245,7 +246,7 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
         (["simulate", "T"], "the following arguments are required: --model"),
         (["play", "T", *CAN0, *CAN0], "--channel names can0 twice; give each bus once"),
         (["check", "--channel", "a=can0", "--channel", "a=can1"], "--channel names a twice"),
-        (["play", "T", *CAN0, "--also", "T"], "--also needs --also-joint"),
+        (["play", "T", *CAN0, "--also", "T"], "two arms need --model, --joint and --also-joint"),
         (["play", "T", *CAN0, "--also-joint", "j"], "--also-joint is about a second arm"),
         (["simulate", "T", "--model", "M", "--interface", "pcan"], "--interface needs --channel"),
     ],
@@ -446,7 +447,7 @@ def both_arms(tmp_path):
 def test_both_arms_of_a_model_are_played_in_one_run(capsys, both_arms, tmp_path, quickly):
     record = tmp_path / "measured.csv"
     code, out, err = run(capsys, *both_arms(0.4), "--record", record)
-    assert (code, err) == (0, "") and "the arms do not touch while both move" in out
+    assert (code, err) == (0, "") and "the limits of two.xml, and the arms apart" in out
     columns = read_recording(record).columns
     left, right = columns["left_j_pos"], columns["right_j_pos"]
     assert len(left) == 126 and np.max(left) > 0.045 and np.max(right) > 0.045
@@ -475,8 +476,29 @@ def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(caps
     stand_on_two_buses(bus, 0.4)
     buses = ("--channel", "left", "--channel", "right", "--dry-run", "--accept-directions")
     code, out, err = run(capsys, "play", *both_arms(0.3)[1:-1], *buses)
-    said = "on the way to the first point, straight from where it stands, the model's arms touch"
+    said = "on the way to the first point the model's arms touch if it goes straight, and joint by"
     assert code == 3 and said in err, out + err
+
+
+def test_both_arms_are_held_in_one_run(capsys, both_arms, bus, tmp_path):
+    """Each bends by another angle, and its weight is carried: stiffness alone sinks by 0.1 rad."""
+    *_, model, _, table = both_arms(1.0)[:-1]
+    both = ("--joint", "left_j", "--also-joint", "right_j", "--model", model, "--joint-map", table)
+    arms, start = [load_robot_model(model, None, f"{s}_j") for s in ("left", "right")], [0.5, -0.3]
+    stand_on_two_buses(bus, 0.0)
+    bus.arm.mechanism = ArmStepper(as_one(*arms), np.array(start), 4e-3)
+    buses = ("--channel", "left", "--channel", "right", *SOFT, "--yes", "--for", "0.5")
+    record = tmp_path / "held.csv"
+    code, _, err = run(capsys, "hold", *both, *buses, "--record", record)
+    assert (code, err) == (0, "")
+    columns = read_recording(record).columns
+    for side, place in zip(("left", "right"), start):
+        assert np.max(np.abs(columns[f"{side}_j_pos"] - place)) < 5e-3
+    assert [m.status for m in bus.motors] == [DISABLED] * 2
+    code, _, err = run(capsys, "hold", *both[:3], "left_j", *both[4:], *buses)
+    assert code == 2 and "--joint and --also-joint are of one arm: both move left_j" in err
+    code, _, err = run(capsys, "hold", *both[2:], *buses)
+    assert code == 2 and "two arms need --model, --joint and --also-joint" in err
 
 
 def test_the_small_motions_of_two_arms_are_checked_and_not_their_files(capsys, both_arms, bus):

@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.model_check import model_checks, torque_checks, way_checks
-from robot_sysid.damiao.preflight import OK, STOP, Plan
+from robot_sysid.damiao.model_check import Contacts, model_checks, torque_checks, way_check
+from robot_sysid.damiao.preflight import NOTE, OK, STOP, Plan
 from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.references import ORDERS, STRAIGHT
 from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
@@ -50,6 +52,12 @@ def limited(arm, share, peaks):
     return replace(arm, limits=JointLimits(-position, position, velocity, torque))
 
 
+def checked(played, speed, robot, park=None, limits=NO_LIMITS):
+    """What a model says to a motion played at a share of its speed."""
+    plan = Plan(played, PlaySettings(speed=speed, park=park and str(park)), limits=limits)
+    return list(model_checks(plan, Contacts([robot], limits)))
+
+
 def exceeded(checks):
     """(joint, limit) of each stop; one ok and nothing else where there is none."""
     checks = list(checks)
@@ -82,7 +90,7 @@ def test_every_row_counts_however_short_its_peak(arm, folder, rows, rate, speed,
     position, velocity, torque = peaks_of(motion)
     robot = limited(arm, share, (position, speed * velocity, torque))
     expected = {(JOINTS[j], WHAT[i]) for i, j in np.argwhere(share > 1.0)}
-    assert exceeded(model_checks(written(folder, motion), speed, robot)) == expected
+    assert exceeded(checked(written(folder, motion), speed, robot)) == expected
 
 
 @given(speed=SPEEDS, share=SHARES, rate=st.sampled_from([100.0, 250.0, 1000.0]))
@@ -94,7 +102,7 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     steepest = (np.abs(np.diff(q, axis=0)).max(axis=0) - 1e-4) * rate * speed
     free = np.full(3, np.inf)
     robot = replace(arm, limits=JointLimits(-free, free, steepest / share, free))
-    found = exceeded(model_checks(written(folder, (time, q, 0 * qd, tau)), speed, robot))
+    found = exceeded(checked(written(folder, (time, q, 0 * qd, tau)), speed, robot))
     assert found == ({(joint, "velocity") for joint in JOINTS} if share > 1.0 else set())
 
 
@@ -105,14 +113,14 @@ def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, rate=100
     free = np.full(3, np.inf)
     robot = replace(arm, limits=JointLimits(-free, free, np.full(3, velocity + 1e-4), free))
     motion = time, q, np.full_like(q, velocity), 0 * q
-    assert exceeded(model_checks(written(folder, motion), 1.0, robot)) == set()
+    assert exceeded(checked(written(folder, motion), 1.0, robot)) == set()
 
 
 def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
     time, q, qd, tau = swing(3, duration=1.0, amplitude=0.98)
     free, narrow = np.full(3, np.inf), np.array([0.3, 2.0, 2.0])
     robot = replace(arm, limits=JointLimits(-narrow, narrow, free, free))
-    (check,) = model_checks(written(folder, (time, -q, -qd, tau)), 0.5, robot)
+    (check,) = checked(written(folder, (time, -q, -qd, tau)), 0.5, robot)
     assert check.severity == STOP
     assert check.text == (
         "joint joint0: position -0.98 rad is beyond the model's limit -0.3, at 1.00 s; export a "
@@ -190,7 +198,7 @@ def turn(angle):
 def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(folder, angle, speed):
     """The wall stands at a right angle; ball and box touch within 0.1 rad of it."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
-    (check,) = model_checks(written(folder, turn(angle)), speed, robot)
+    (check,) = checked(written(folder, turn(angle)), speed, robot)
     if angle > np.pi / 2:
         assert check.severity == STOP and "wall" in check.text and "arm" in check.text
     else:
@@ -198,46 +206,53 @@ def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(folde
 
 
 @given(angle=st.floats(-2.9, 1.4) | st.floats(1.7, 2.9) | st.floats(3.1, 3.5))
-def test_where_the_arm_is_parked_and_the_way_there_are_compared_too(folder, angle):
+def test_where_the_arm_is_parked_and_each_way_are_compared_too(folder, angle):
+    """The one joint has no order that avoids the wall between zero and an angle."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
-    trajectory = written(folder, turn(0.5))
-    said = [c.text for c in model_checks(trajectory, 1.0, robot, np.array([angle]))]
-    assert any("wall" in text and "where the arm is parked" in text for text in said) == (
-        angle > 1.5
+    (folder / "pose").write_text(f"{angle}")
+    said = [c.text for c in checked(written(folder, turn(0.5)), 1.0, robot, folder / "pose")]
+    assert any("outside the model's -3 to 3; choose another" in text for text in said) == (
+        angle > 3.0
     )
-    assert any("outside the model's -3 to 3" in text for text in said) == (angle > 3.0)
-    assert all(text.endswith("choose another --park pose") for text in said) == (angle > 1.5)
-
-
-@given(angle=st.floats(-2.9, 1.4) | st.floats(1.7, 2.9))
-def test_the_way_to_the_first_point_and_back_is_compared_too(folder, angle):
-    """The arm stands at an angle and is to begin at zero, beyond the wall or not."""
-    robot, here = arms.robot_of(WALL, max_velocity=np.inf), np.array([angle])
-    plan = Plan(written(folder, turn(0.5)), PlaySettings(park="start"))
-    said = [check.text for check in way_checks(plan, [robot], here)]
-    assert len(said) == (2 if angle > 1.5 else 0) and all("wall touch" in text for text in said)
-    assert [text.split(",")[0] for text in said] == [
-        "on the way to the first point",
-        "on the way to where it is parked",
-    ][: len(said)]
-    ends = "to the first point by hand", "choose another --park, or let it begin elsewhere"
-    assert all(text.endswith(end) for text, end in zip(said, ends))
+    order, touching = Contacts([robot]).order(np.zeros(1), np.array([angle]))
+    assert (order, "wall" in touching) == (("", True) if angle > 1.5 else (STRAIGHT, False))
+    for words, ends in (("the first point", "nearer by hand"), ("parked", "choose another --park")):
+        found = [c.text for c in way_check(f"on the way to {words}", order, touching)]
+        assert [words in text and text.endswith(ends) for text in found] == [True] * (angle > 1.5)
 
 
 def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
     """The ball of 0.02 m goes round at 0.5 m; it may not come above y = 0.3 m."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
-    low, high, pose = turn(0.5), turn(1.0), np.array([1.0])
+    low, high = turn(0.5), turn(1.0)
     for limits in (
         LimitOptions(keep_out=((0.0, -1.0, 0.0, -0.3),), clearance=0.0, below_base=True),
         LimitOptions(workspace=(-1.0, 1.0, -1.0, 0.3, -1.0, 1.0), clearance=0.0, below_base=True),
     ):
-        (fits,) = model_checks(written(folder, low), 1.0, robot, None, limits)
+        (fits,) = checked(written(folder, low), 1.0, robot, None, limits)
         assert fits.severity == OK
-        (beyond,) = model_checks(written(folder, high), 1.0, robot, None, limits)
+        (beyond,) = checked(written(folder, high), 1.0, robot, None, limits)
         assert beyond.severity == STOP and "0.3 m" in beyond.text
-        (parked,) = model_checks(written(folder, low), 1.0, robot, pose, limits)
-        assert parked.severity == STOP and "where the arm is parked" in parked.text
-        plan = Plan(written(folder, low), limits=limits)
-        (way,) = way_checks(plan, [robot], pose)
-        assert "on the way to the first point" in way.text and "0.3 m" in way.text
+        order, touching = Contacts([robot], limits).order(np.zeros(1), np.ones(1))
+        assert order == "" and "0.3 m" in touching
+
+
+ELBOW = arms.world(
+    '<body name="upper"><inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/>'
+    '<joint name="a" axis="0 0 1" range="-3 3"/><geom size=".02" pos=".3 0 0"/>'
+    '<body name="fore" pos=".4 0 0"><inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/>'
+    '<joint name="b" axis="0 0 1" range="-3 3"/><geom size=".02" pos=".4 0 0"/></body></body>'
+    '<body name="post"><geom type="box" size=".02 .02 .02" pos="{x} {y} 0"/></body>'
+)
+
+
+@pytest.mark.parametrize(
+    ("post", "order"), [((0.6, -0.3), 0), ((0.154, 0.72), 1), ((0.55, 0.55), 2), ((0.8, 0.0), None)]
+)
+def test_an_arm_goes_joint_by_joint_where_the_straight_way_touches(post, order):
+    """Folding first passes inside of a post, turning first outside of it; not one at the start."""
+    robot = arms.robot_of(ELBOW.format(x=post[0], y=post[1]), joint="b", max_velocity=np.inf)
+    found, touching = Contacts([robot]).order(np.zeros(2), np.array([1.2, 1.0]))
+    assert (found, bool(touching)) == ("" if order is None else ORDERS[order], order != 0)
+    (said,) = [*way_check("on the way", found, touching)] or [None]
+    assert (said and said.severity) == {0: None, None: STOP}.get(order, NOTE)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.references import Reference, approach, come_to_rest, sampled
+from robot_sysid.damiao.references import ORDERS, Reference, approach, come_to_rest, sampled
 from tests.support.damiao_rig import swing, trajectory_file
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
@@ -24,23 +24,32 @@ def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed
             np.testing.assert_allclose(got, expected, rtol=0, atol=6e-5)
 
 
-@given(start=ANGLES, data=st.data(), speed=st.floats(0.05, 2.0), shortest=st.floats(0.1, 3.0))
-def test_an_approach_goes_from_rest_to_rest_within_its_speed(start, data, speed, shortest):
+@given(
+    start=ANGLES,
+    data=st.data(),
+    speed=st.floats(0.05, 2.0),
+    shortest=st.floats(0.1, 3.0),
+    order=st.sampled_from(ORDERS),
+)
+def test_an_approach_goes_from_rest_to_rest_within_its_speed(start, data, speed, shortest, order):
+    """And carries the arm on its way, with what start and target ask for besides."""
     start = np.array(start)
     target = np.array([data.draw(st.floats(-3.0, 3.0)) for _ in start])
-    tau = np.ones_like(start)
-    path, duration = approach(start, Reference(target, 0 * start, tau), speed, shortest)
+    ends = Reference(start, 0 * start, 2.0 + np.sin(start)), Reference(target, 0 * start, 0 * start)
+    path, duration = approach(*ends, speed, shortest, order, np.sin)
     assert duration >= shortest
-    for moment, q in ((-1.0, start), (0.0, start), (duration, target), (duration + 1.0, target)):
-        np.testing.assert_allclose(path(moment).position, q, atol=1e-12)
-        np.testing.assert_allclose(path(moment).velocity, 0.0, atol=1e-12)
-    times = np.linspace(0.0, duration, 201)
-    q = np.array([path(t).position for t in times])
-    qd = np.array([path(t).velocity for t in times])
+    for moment, end in ((-1.0, 0), (0.0, 0), (duration, 1), (duration + 1.0, 1)):
+        for said, wanted in zip(path(moment), ends[end]):
+            np.testing.assert_allclose(said, wanted, atol=1e-9)
+    times = np.linspace(0.0, duration, 401)
+    q, qd, tau = (np.array(part) for part in zip(*map(path, times)))
     assert np.max(np.abs(qd)) <= speed * (1 + 1e-9)
-    middle = 0.5 * (qd[1:] + qd[:-1])
-    step = duration / 200
-    np.testing.assert_allclose(np.diff(q, axis=0), middle * step, atol=1e-3 * speed * step + 1e-9)
+    if order != ORDERS[0]:
+        assert np.max(np.count_nonzero(qd, axis=1)) <= 1
+    ahead = np.array([path(moment + 1e-6).position for moment in times[:-1]])
+    np.testing.assert_allclose((ahead - q[:-1]) / 1e-6, qd[:-1], atol=1e-3 * speed + 1e-6)
+    extra = (tau - np.sin(q) - 2.0) / (-np.sin(target) - 2.0)
+    assert np.all(np.diff(extra, axis=0) >= -1e-9)
 
 
 @given(q=ANGLES, data=st.data(), deceleration=st.floats(0.5, 50.0))

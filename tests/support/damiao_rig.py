@@ -13,6 +13,7 @@ from robot_sysid.damiao.preflight import Permissions, Plan, bus_checks
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.references import STRAIGHT
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import (
     DEFAULT_WATCHDOG,
@@ -166,6 +167,7 @@ class Rig:
         adapter=None,
         console=lambda sentence: None,
         holding=None,
+        orders=(STRAIGHT, STRAIGHT),
         **settings,
     ):
         trajectory = trajectory_file(folder, motion or swing(n_joints, duration=1.0))
@@ -177,7 +179,7 @@ class Rig:
         self.clock = ScriptedClock()
         self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
         self.adapter = SlowAdapter(self.bus, self.clock, adapter)
-        self.console, self.holding = console, holding
+        self.console, self.how = console, (holding, orders)
         self.wire = RememberingLink(self.adapter, self.clock)
         self.link = GuardedLink(self.wire, self.clock, timing.fd)
         self.record_path = folder / f"{name}.csv"
@@ -241,11 +243,11 @@ class Rig:
     def run(self, settle=0.5):
         """Inspect, play, record; keep error or report; then let the arm be for a while."""
         inspection = inspect_bus(self.link)
-        self.checks = bus_checks(self.plan, inspection)
         told = self._phase, lambda time: None
         try:
+            self.checks = bus_checks(self.plan, inspection)
             self.plan.recording.require_free()
-            self.report = run(self.link, self.plan, inspection, self.stop, *told, self.holding)
+            self.report = run(self.link, self.plan, inspection, self.stop, *told, *self.how)
         except Exception as error:
             self.error = error
         self.arm.advance(self.clock.now() + settle)

@@ -18,7 +18,7 @@ from robot_sysid.commands.motors.directions import DirectionChoices, verify
 from robot_sysid.commands.motors.tables import check_lines, load_line, motor_table, run_lines
 from robot_sysid.damiao import bus, preflight, simulated
 from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
-from robot_sysid.damiao.execution import lasting, run
+from robot_sysid.damiao.execution import lasting
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.recorder import RecordingOptions
@@ -220,8 +220,9 @@ def build_parser(command: str, full: bool = True) -> Parser:
             "trajectory", metavar="TRAJECTORY", type=Path, help="damiao_trajectory.csv", nargs=nargs
         )
     if command in (*_PLAYED, "hold", "map"):
-        arms = (ModelOptions, SecondArm) if command in _PLAYED else (ModelOptions,)
-        group, help_model = parser.add("arm", *arms), "of the arm"
+        arms = (ModelOptions,) if command == "map" else (ModelOptions, SecondArm)
+        none = () if command in _PLAYED else ("also",)
+        group, help_model = parser.add("arm", *arms, leave_out=none), "of the arm"
         if command != "map":
             help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
             help_map = "how each joint's motor is mounted (see: motors map), or LeRobot's file"
@@ -300,7 +301,7 @@ def _play_on(
 
     try:
         with stop.on_signals():
-            report = run(link, plan, inspection, stop, say, tell, asked.holding(plan))
+            report = asked.run(link, plan, inspection, stop, say, tell)
         console.lines(run_lines(report))
     except HardwareAbort as error:
         # That it has to end is no fault of holding, if all else went well.

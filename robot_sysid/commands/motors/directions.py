@@ -16,7 +16,6 @@ import numpy as np
 from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.setup import positive_ways
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.preflight import Plan, require_no_stop
 from robot_sysid.damiao.protocol.joints import BY_MOTION, DamiaoJoint, write_joint_map
@@ -111,7 +110,7 @@ def _move_a_little(
             console.stage(f"now {waiting.pop(0).label}")
 
     with stop.on_signals():
-        run(link, little, inspect_bus(link), stop, console.stage, tell, asked.holding(little))
+        asked.run(link, little, inspect_bus(link), stop, console.stage, tell)
     console.stage("all motors are disabled")
     return [ways[j] for j in numbers]
 
