@@ -1,7 +1,7 @@
 """The linear equations of every joint: regressor, friction and known torques of a chunk.
 
-The parameters are the terminal link's ten, each joint's friction terms, what all joints share, and
-last, where they are sought, the ten of other links (``link_names``).
+The parameters are the terminal link's ten, each joint's friction terms, those of motors that turn
+with several joints, and last, where they are sought, the ten of other links (``link_names``).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.dynamics.friction import Coupling, FrictionModel
 from robot_sysid.dynamics.kinematics import ChainKinematics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
@@ -49,7 +49,7 @@ class Equations:
         torques: "chain" for every joint that carries the link, "terminal" for the last one only.
         friction: terms to estimate, one model per chain joint; where a joint has none, the model's
             own friction is taken as known.
-        shared: names of parameters that enter every joint's equations; ``rows`` gets their columns.
+        motors: those that turn with several joints.
         links: numbers of other links whose parameters are sought too.
     """
 
@@ -58,7 +58,7 @@ class Equations:
         robot: RobotModel,
         torques: str,
         friction: Sequence[FrictionModel],
-        shared: Sequence[str] = (),
+        motors: Sequence[Coupling] = (),
         links: Sequence[int] = (),
     ) -> None:
         self._robot = robot
@@ -70,19 +70,21 @@ class Equations:
         last = robot.n_joints - 1
         self.rows_of = tuple(range(robot.n_joints)) if torques == "chain" else (last,)
         self.joints = tuple(robot.joint_names[j] for j in self.rows_of)
-        self.shared = tuple(shared)
+        self._motors = tuple(motors)
         names = zip(self._friction, robot.joint_names)
         own = [model.parameter_names(name) for model, name in names]
         others = {link: link_names(robot, link) for link in self._links}
         of_rows = (name for j in self.rows_of for name in own[j])
+        of_motors = (name for each in self._motors for name in each.parameter_names)
         of_links = (name for each in others.values() for name in each)
-        self.names = (*PARAMETER_NAMES, *of_rows, *self.shared, *of_links)
+        self.names = (*PARAMETER_NAMES, *of_rows, *of_motors, *of_links)
         place = {name: index for index, name in enumerate(self.names)}
         # Which parameters (k,) each joint's equations contain: of links those that it carries.
         self.columns: tuple[NDArray[np.int64], ...] = ()
         for j in self.rows_of:
             beyond = (name for link, each in others.items() if link >= j for name in each)
-            mine = (*PARAMETER_NAMES, *own[j], *self.shared, *beyond)
+            turned = (n for each in self._motors if each.ratios[j] for n in each.parameter_names)
+            mine = (*PARAMETER_NAMES, *own[j], *turned, *beyond)
             self.columns += (np.array([place[name] for name in mine]),)
         thetas = [robot.links[link].theta for link in self._links]
         self._known_links = np.concatenate([np.zeros(0), *thetas])
@@ -100,14 +102,8 @@ class Equations:
             values.update(zip(link_names(self._robot, link), self._robot.links[link].theta))
         return np.array([float(values.get(name, 0.0)) for name in self.names])
 
-    def rows(
-        self, measurement: Measurement, shared: Array | None = None
-    ) -> Iterator[tuple[Array, Array]]:
-        """Yield (rows (N, k), right-hand side (N,)) per joint of ``joints``.
-
-        Args:
-            shared: (N, n, s) columns of the shared parameters, where there are any.
-        """
+    def rows(self, measurement: Measurement) -> Iterator[tuple[Array, Array]]:
+        """Yield (rows (N, k), right-hand side (N,)) per joint of ``joints``."""
         qd, qdd = measurement.qd, measurement.qdd
         if qd is None or qdd is None:
             raise InputError("a log without velocities or accelerations; differentiate it first")
@@ -115,14 +111,16 @@ class Equations:
         friction = np.where(self._friction_known, self._robot.friction.torque(qd), 0.0)
         known = rest + friction
         known -= np.where(self._armature_sought, self._kinematics.armature * qdd, 0.0)
+        shared = [(each.ratios, each.columns(qd, qdd).T) for each in self._motors]
         for block, j in zip(inertial, self.rows_of):
             # The model's own: the measured torque has friction in it already.
             carried = rest[:, j] + others[:, j] @ self._known_links
             carried += block @ self._robot.prior.theta
             own = self._friction[j].columns(qd[:, j], qdd[:, j], carried)
             beyond = others[:, j, N_INERTIAL * sum(link < j for link in self._links) :]
-            common = () if shared is None else (shared[:, j],)
-            yield np.hstack((block, own, *common, beyond)), measurement.tau[:, j] - known[:, j]
+            turned = [ratios[j] * torque for ratios, torque in shared if ratios[j]]
+            rows = np.concatenate((block.T, own.T, *turned, beyond.T)).T
+            yield rows, measurement.tau[:, j] - known[:, j]
 
     def _bodies(self, q: Array, qd: Array, qdd: Array) -> tuple[Sequence[Array], Array, Array]:
         """Return columns of the terminal link per row (N, 10), and of all joints' other links

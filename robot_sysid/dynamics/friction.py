@@ -139,7 +139,7 @@ class FrictionModel:
         that its gear transmits (N,) [rad/s, rad/s^2, N m].
         """
         columns = [TERMS[term](qd, qdd, load) for term in self.terms]
-        return np.column_stack(columns) if columns else np.empty((len(qd), 0))
+        return np.stack(columns).T if columns else np.empty((len(qd), 0))
 
 
 def speed_name(term: str, joint: str) -> str:
@@ -160,3 +160,33 @@ def friction_model(name: str) -> FrictionModel:
         known = f"join any of {', '.join(TERMS)} with '-', as in {DEFAULT_MEASURED}, or use none"
         raise InputError(f"unknown friction term {unknown[0]!r} in {name!r}; {known}")
     return FrictionModel(terms)
+
+
+COUPLED_TERMS = ("coulomb", "viscous", "armature", "sqrt", "stribeck")
+"""Friction terms of a motor's own speed; offset and load stay with the joints."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """One motor that turns with several joints.
+
+    Attributes:
+        ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
+        name: the combination in words, such as ``joint_5+joint_6``.
+    """
+
+    ratios: Array
+    name: str
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of its parameters, such as ``coulomb[joint_5+joint_6]``."""
+        return FrictionModel(COUPLED_TERMS).parameter_names(self.name)
+
+    def columns(self, qd: Array, qdd: Array) -> Array:
+        """Return its torque (N, terms) per unit of each parameter, of the joints' velocities and
+        accelerations (N, n); each joint feels it times its ratio.
+        """
+        speed = qd @ self.ratios
+        model = FrictionModel(COUPLED_TERMS)
+        return model.columns(speed, qdd @ self.ratios, np.zeros_like(speed))

@@ -15,12 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import BENT, FrictionModel, friction_model
+from robot_sysid.dynamics.friction import BENT, Coupling, FrictionModel, friction_model
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks
 from robot_sysid.estimation.algebra.information import restricted, sample_counts, update_triangle
 from robot_sysid.estimation.algebra.nuisances import WithPriors
 from robot_sysid.estimation.columns import Point
-from robot_sysid.estimation.couplings import Coupling
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
 from robot_sysid.estimation.unknowns import (
     COMMON_SCALE,

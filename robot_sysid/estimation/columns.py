@@ -28,7 +28,7 @@ from robot_sysid.dynamics.equations import (
     link_names,
     other_links,
 )
-from robot_sysid.dynamics.friction import BENT, TERMS, FrictionModel, speed_name
+from robot_sysid.dynamics.friction import BENT, TERMS, Coupling, FrictionModel, speed_name
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import (
     TILT_NAMES,
@@ -39,7 +39,6 @@ from robot_sysid.dynamics.nuisances import (
     zero_columns,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.couplings import Coupling
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
 
@@ -195,8 +194,7 @@ class Columns:
         turn = np.inf if base is None else np.linalg.norm(down - base[0])
         if base is None or base[1] != point.delay or turn > _SMALL_TURN * np.linalg.norm(down):
             equations = self._equations(self._arm_at(down))
-            motors = self._motors if self.couplings else None
-            base = down, point.delay, [each.samples(equations, motors) for each in delayed]
+            base = down, point.delay, [each.samples(equations) for each in delayed]
             self._base = base
         if np.array_equal(base[0], down):
             return base[2]
@@ -216,15 +214,11 @@ class Columns:
             self._arm = down, with_gravity(self.robot, down)
         return self._arm[1]
 
-    def _motors(self, motion: Motion) -> Array:
-        return np.concatenate([each.columns(motion) for each in self.couplings], axis=-1)
-
     def _equations(self, arm: RobotModel) -> Equations:
         """Return those of all columns that do not depend on what is sought."""
-        shared = [name for each in self.couplings for name in each.parameter_names]
         friction = friction_per_joint(arm, self.torques, FrictionModel(LINEAR))
         links = other_links(arm) if self.torques == "chain" else ()
-        return Equations(arm, self.torques, friction, shared, links)
+        return Equations(arm, self.torques, friction, self.couplings, links)
 
     def arm_torque(self, point: Point, is_loaded: bool) -> tuple[Equations, Array]:
         """Return equations of the motion alone and the arm's values (q,) in them."""

@@ -9,45 +9,16 @@ the usual case: r = 1 on the last two joints.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import TERMS
+from robot_sysid.dynamics.friction import Coupling
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.json_files import read_json
-from robot_sysid.records import Array, Motion, RobotModel
-
-COUPLED_TERMS = ("coulomb", "viscous", "armature", "sqrt", "stribeck")
-"""Friction terms of a motor's own speed; offset and load stay with the joints."""
-
-
-@dataclass(frozen=True)
-class Coupling:
-    """One motor that turns with several joints.
-
-    Attributes:
-        ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
-        name: the combination in words, such as ``joint_5+joint_6``.
-    """
-
-    ratios: Array
-    name: str
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of its parameters, such as ``coulomb[joint_5+joint_6]``."""
-        return tuple(f"{term}[{self.name}]" for term in COUPLED_TERMS)
-
-    def columns(self, motion: Motion) -> Array:
-        """Return (N, n, terms) torque on each joint per unit of each parameter."""
-        speed, acceleration = motion.qd @ self.ratios, motion.qdd @ self.ratios
-        nothing = np.zeros_like(speed)
-        own = [TERMS[term](speed, acceleration, nothing) for term in COUPLED_TERMS]
-        return np.stack(own, axis=-1)[:, None, :] * self.ratios[None, :, None]
+from robot_sysid.records import Array, RobotModel
 
 
 def coupling(robot: RobotModel, ratios: Array) -> Coupling:

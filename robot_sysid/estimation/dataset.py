@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +14,6 @@ from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.records import Array, Measurement, Motion, SquareRootInformation
 from robot_sysid.signals.process import ProcessedSignals, with_delay
 
-SharedColumns = Callable[[Motion], Array]
-"""Columns (m, n, s) of the shared parameters for a motion."""
 Mask = NDArray[np.bool_]
 BLOCKS, LONGEST_STRETCH = 5, 10.0
 """How many parts recordings are predicted in, each from the others. A part is every fifth stretch
@@ -92,20 +90,13 @@ def _samples_of(equations: Equations, time: Array, tables: Sequence[Array]) -> D
     )
 
 
-def _tables(
-    equations: Equations, measurement: Measurement, shared: Array | None
-) -> Iterator[Array]:
-    for joint, (rows, right) in zip(equations.rows_of, equations.rows(measurement, shared)):
-        yield np.column_stack((rows, right, measurement.tau[:, joint]))
+def _tables(equations: Equations, measurement: Measurement) -> Iterator[Array]:
+    for joint, (rows, right) in zip(equations.rows_of, equations.rows(measurement)):
+        yield np.vstack((rows.T, right, measurement.tau[:, joint])).T
 
 
-def decimated_equations(
-    equations: Equations, signals: ProcessedSignals, shared: SharedColumns | None = None
-) -> DecimatedSamples:
+def decimated_equations(equations: Equations, signals: ProcessedSignals) -> DecimatedSamples:
     """Build the equations at the full rate, then pass both sides through the same low-pass.
-
-    Args:
-        shared: makes the columns of the shared parameters, where the equations have any.
 
     Raises:
         InputError: no joint ever moves fast enough for its equations to be used.
@@ -115,8 +106,7 @@ def decimated_equations(
     width = sum(len(each) for each in equations.columns)
     for motion, tau in signals.chunks(min(_CHUNK, max(1, _NUMBERS // width))):
         measurement = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
-        common = None if shared is None else shared(motion)
-        for joint, table in enumerate(_tables(equations, measurement, common)):
+        for joint, table in enumerate(_tables(equations, measurement)):
             parts[joint].append(decimators[joint].push(table))
     usable = signals.usable()[:, list(equations.rows_of)]
     if not np.any(usable):
@@ -128,11 +118,9 @@ def decimated_equations(
     return _samples_of(equations, signals.decimated_time(), tables).where(usable)
 
 
-def equations_at(
-    equations: Equations, measurement: Measurement, shared: Array | None = None
-) -> DecimatedSamples:
-    """Return the equations at every sample of a measurement; ``shared`` as ``Equations.rows``."""
-    return _samples_of(equations, measurement.time, list(_tables(equations, measurement, shared)))
+def equations_at(equations: Equations, measurement: Measurement) -> DecimatedSamples:
+    """Return the equations at every sample of a measurement."""
+    return _samples_of(equations, measurement.time, list(_tables(equations, measurement)))
 
 
 @dataclass(frozen=True)
@@ -196,18 +184,15 @@ class Dataset:
         motion = self.motion
         still = np.zeros_like(motion.q)
         poses = Measurement(motion.time, motion.q, still, still, still)
-        return equations_at(equations, poses, np.zeros((*still.shape, len(equations.shared))))
+        return equations_at(equations, poses)
 
-    def samples(
-        self, equations: Equations, shared: SharedColumns | None = None
-    ) -> DecimatedSamples:
+    def samples(self, equations: Equations) -> DecimatedSamples:
         """Return the rows of some equations, those in use."""
         if isinstance(self.source, RestingPoses):
-            common = None if shared is None else shared(self.motion)
-            found = equations_at(equations, self.source.poses, common)
+            found = equations_at(equations, self.source.poses)
             found = found.where(self.source.used[:, list(equations.rows_of)])
         else:
-            found = decimated_equations(equations, self.source, shared)
+            found = decimated_equations(equations, self.source)
         # A delay shortens recordings at their ends; what is used then ends earlier.
         return found if self.used is None else found.where(self.used[: len(found)])
 

@@ -228,8 +228,5 @@ def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]
     """Return the torque (K,) of each joint by the equations' own parameters (p,) [N m]."""
     still = np.zeros_like(motion.q)
     measurement = Measurement(motion.time, motion.q, motion.qd, still, motion.qdd)
-    shared = np.zeros((*motion.q.shape, len(equations.shared)))
-    rows = equations.rows(measurement, shared)
-    return [
-        block @ values[columns] - right for (block, right), columns in zip(rows, equations.columns)
-    ]
+    pairs = zip(equations.rows(measurement), equations.columns)
+    return [block @ values[columns] - right for (block, right), columns in pairs]

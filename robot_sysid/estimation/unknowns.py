@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.friction import FrictionModel, speed_name
+from robot_sysid.dynamics.friction import Coupling, FrictionModel, speed_name
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, link_aspects, link_factor
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
-from robot_sysid.estimation.couplings import Coupling
 from robot_sysid.records import DELAY_NAME, Array, RobotModel
 from robot_sysid.records.options import per_joint
 

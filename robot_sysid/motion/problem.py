@@ -294,7 +294,7 @@ def link_chains(robot: RobotModel) -> dict[int, ScrewChain]:
     moves = LinkDynamics(robot).motion(robot.reference[None], still, still)
     found, twists = {}, list[Array]()
     for link, step in enumerate(moves.steps):
-        twists = [*map(step.into, twists), moves.screws[link][:, None]]
+        twists = [*(step[:, :, 0] @ twist for twist in twists), moves.screws[link][:, None]]
         # At rest the only acceleration is the missing fall: minus gravity.
         falling, home = -moves.acceleration[link][3:, 0], robot.reference[: link + 1]
         found[link] = ScrewChain(np.hstack(twists), home, falling)

@@ -131,7 +131,7 @@ class Decimator:
             # Not by BLAS: a column is alike beside whatever others, with any number of threads.
             out = np.einsum("t,k...t->k...", self._kernel, seen)
         self._skip += max(0, span - len(waiting))
-        self._waiting = waiting[span:].copy()
+        self._waiting = waiting[span:].copy(order="K")
         return out
 
 

@@ -66,7 +66,8 @@ def torque_of(columns, motion, values, is_loaded):
         found[:, row] += known[f"armature[{name}]"] * qdd + known[f"offset[{name}]"]
     for motor in columns.couplings:
         own = np.array([known[name] for name in motor.parameter_names])
-        found += motor.columns(motion)[:, list(columns.rows_of)] @ own
+        torque = motor.columns(motion.qd, motion.qdd) @ own
+        found += np.outer(torque, motor.ratios[list(columns.rows_of)])
     return found
 
 

@@ -7,9 +7,10 @@ import json
 import numpy as np
 import pytest
 
+from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.couplings import COUPLED_TERMS, coupling, read_couplings
-from robot_sysid.records import Motion
+from robot_sysid.estimation.couplings import coupling, read_couplings
+from robot_sysid.records import Measurement
 from tests.support import arms
 
 
@@ -26,15 +27,18 @@ def written(tmp_path, content):
 
 def test_power_is_the_same_on_both_sides(robot):
     """tau^T qd = tau_motor s, whatever the ratios."""
-    rng = np.random.default_rng(0)
-    motion = Motion(np.arange(5.0), *rng.normal(size=(3, 5, 3)))
+    qd, qdd, q, tau = np.random.default_rng(0).normal(size=(4, 5, 3))
     each = coupling(robot, np.array([0.5, 0.0, -2.0]))
-    columns = each.columns(motion)
-    speed = motion.qd @ each.ratios
-    power = np.einsum("njt,nj->nt", columns, motion.qd)
-    place = {term: index for index, term in enumerate(COUPLED_TERMS)}
-    assert power[:, place["viscous"]] == pytest.approx(speed**2)
-    assert power[:, place["coulomb"]] == pytest.approx(np.abs(speed))
+    equations = Equations(robot, "chain", (NO_FRICTION,) * 3, (each,))
+    rows = equations.rows(Measurement(np.arange(5.0), q, qd, tau, qdd))
+    power = dict.fromkeys(each.parameter_names, 0.0)
+    for joint, ((block, _), columns) in enumerate(zip(rows, equations.columns)):
+        for column, place in zip(block.T, columns):
+            if equations.names[place] in power:
+                power[equations.names[place]] += column * qd[:, joint]
+    speed = qd @ each.ratios
+    assert power[f"viscous[{each.name}]"] == pytest.approx(speed**2)
+    assert power[f"coulomb[{each.name}]"] == pytest.approx(np.abs(speed))
 
 
 def test_a_file_may_name_motors_or_hold_a_matrix(robot, tmp_path):

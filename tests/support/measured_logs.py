@@ -51,9 +51,9 @@ def log_of(plant, plan=None, seed=1, simulation="inverse", rate=RATE, **sensors)
     return join_measurements(PlantSimulation(plant, plan or plan_of(plant), options, rate, rng))
 
 
-def equations_of(robot, torques="chain", shared=()):
+def equations_of(robot, torques="chain"):
     """Equations with Coulomb, viscous friction and offset in every joint."""
-    return Equations(robot, torques, (DEFAULT,) * robot.n_joints, shared)
+    return Equations(robot, torques, (DEFAULT,) * robot.n_joints)
 
 
 def true_values(plant, names):
