@@ -8,9 +8,10 @@ is clearly better on its own held-out torques.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
@@ -75,66 +76,100 @@ class HeldOut:
 
     data: Evidence
     noise: Array
+    _known: dict[tuple[bytes, bytes], Sequence[Array]] = field(default_factory=dict)
 
     @cached_property
     def counts(self) -> Array:
         """How many rows each block has of each joint (blocks, joints)."""
         return np.array([sample_counts(part) for part in self.data.blocks])
 
-    def _whitened(self) -> list[Array]:
-        return [np.column_stack(part.stacked(1.0 / self.noise)) for part in self.data.blocks]
-
     @cached_property
-    def _grams(self) -> tuple[Array, ...]:
-        """Gram matrix (p+1, p+1) of all whitened equations without each block in turn."""
-        each = [block.T @ block for block in self._whitened()]
-        return tuple(sum(each[:k] + each[k + 1 :]) for k in range(len(each)))
-
-    @cached_property
-    def _rests(self) -> tuple[Array, ...]:
-        """Triangle (p+1, p+1) of all whitened equations without each block in turn."""
-        rows = self._whitened()
-        nothing = np.zeros((rows[0].shape[1],) * 2)
-        each = [update_triangle(nothing, block) for block in rows]
-        others = (each[:k] + each[k + 1 :] for k in range(len(each)))
-        return tuple(update_triangle(nothing, np.vstack(parts)) for parts in others)
+    def _grams(self) -> Array:
+        """Gram matrices (blocks, p+1, p+1) of all whitened equations without each block in turn."""
+        size = len(self.data.whole.names) + 1
+        each = np.zeros((len(self.data.blocks), size, size))
+        for joint, rows, noise in zip(self.data.whole.joints, self.data.triangles, self.noise):
+            at = np.append(joint.columns, -1)
+            each[:, at[:, None], at] += rows.swapaxes(1, 2) @ rows / noise**2
+        return np.array(_others(list(each), np.add))
 
     def squared(self, sought: Unknowns) -> Array:
         """Return (blocks, joints) squared error of each block, predicted from the others."""
-        pairs = zip(self._predicted(sought), self.data.blocks)
-        return np.array([part.squared_residuals(values) for values, part in pairs])
+        return self.data.squared_residuals(self._predicted(sought)[..., None])[..., 0]
 
-    def _predicted(self, sought: Unknowns) -> Iterator[Array]:
-        """Yield for each block the values (p,) that all others ask for.
+    def _normal(self, sought: Unknowns) -> tuple[Array, Array, Array]:
+        """Return normal equations (blocks, k, k), right sides (blocks, k) and their scale.
 
-        What they do not show stays near zero; priors and friction terms leave nothing else.
+        What the other blocks do not show stays near zero; priors and friction terms leave nothing
+        else.
         """
         kept, held = sought.kept, sought.held.copy()
         held[kept] = 0.0
         prior = _prior_rows(sought)
-        for gram in self._grams:
-            right = gram[kept, -1] - gram[kept, :-1] @ held + prior[:, :-1].T @ prior[:, -1]
-            normal = gram[np.ix_(kept, kept)] + prior[:, :-1].T @ prior[:, :-1]
-            size = np.sqrt(np.diag(normal))
-            scale = 1.0 / np.where(size > 0.0, size, 1.0)
-            scaled = scale[:, None] * normal * scale
-            scaled[np.diag_indices_from(scaled)] += _RIDGE
-            yield sought.full(scale * np.linalg.solve(scaled, scale * right))
+        known, rows = prior.T @ prior, self._grams[:, kept]
+        right = rows[:, :, -1] - rows[:, :, :-1] @ held + known[:-1, -1]
+        normal = rows[:, :, kept] + known[:-1, :-1]
+        size = np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
+        scale = 1.0 / np.where(size > 0.0, size, 1.0)
+        scaled = scale[:, :, None] * normal * scale[:, None] + _RIDGE * np.eye(len(kept))
+        return scaled, scale * right, scale
+
+    def _predicted(self, sought: Unknowns) -> Array:
+        """Return the values (blocks, p) that all other blocks ask for."""
+        scaled, right, scale = self._normal(sought)
+        values = np.tile(sought.held, (len(scaled), 1))
+        values[:, sought.kept] = scale * np.linalg.solve(scaled, right[..., None])[..., 0]
+        return values
+
+    def with_each(self, sought: Unknowns, motors: Sequence[Coupling]) -> Array:
+        """Return (motors, blocks, joints) squared errors as of ``squared``, each with one of some
+        motors that are sought alone: all others are eliminated once.
+        """
+        scaled, right, scale = self._normal(sought)
+        names = sought.kept_names
+        own = [[names.index(n) for n in each.parameter_names if n in names] for each in motors]
+        new = np.array([place for each in own for place in each], dtype=np.int64)
+        base = np.delete(np.arange(len(names)), new)
+        crossed, goal = scaled[:, base][:, :, new], right[:, base, None]
+        solved = np.linalg.solve(
+            scaled[:, base][:, :, base], np.concatenate((goal, crossed), axis=-1)
+        )
+        left = scaled[:, new][:, :, new] - crossed.swapaxes(1, 2) @ solved[:, :, 1:]
+        goal = right[:, new, None] - crossed.swapaxes(1, 2) @ solved[:, :, :1]
+        values = np.tile(sought.held[:, None], (len(scaled), 1, len(motors)))
+        values[:, sought.kept[new]] = 0.0
+        ends = np.cumsum([0, *map(len, own)])
+        for number, some in enumerate(map(slice, ends[:-1], ends[1:])):
+            found = np.linalg.solve(left[:, some, some], goal[:, some])[..., 0]
+            rest = solved[:, :, 0] - (solved[:, :, 1:][:, :, some] @ found[..., None])[..., 0]
+            values[:, sought.kept[base], number] = scale[:, base] * rest
+            values[:, sought.kept[new[some]], number] = scale[:, new[some]] * found
+        return np.moveaxis(self.data.squared_residuals(values), -1, 0)
 
     def of(self, fit: Fit) -> Array:
         """Return the same of a fit, with bodies that are possible."""
-        sought, errors = fit.unknowns, []
-        problem = links_problem(sought)
+        sought, values = fit.unknowns, self._predicted(fit.unknowns)
+        problem, known = links_problem(sought), _prior_rows(sought)
         places = [at for at, _ in sought.bodies.values()]
-        for number, values in enumerate(self._predicted(sought)):
-            if places and not all(spatial.is_consistent(values[at]) for at in places):
-                rest, kept = self._rests[number], sought.kept
-                held = np.delete(rest[:, :-1], kept, 1) @ np.delete(sought.held, kept)
-                own = np.column_stack((rest[:, kept], rest[:, -1] - held))
-                rows = np.vstack((own, _prior_rows(sought)))
-                values = sought.full(ConsistentLinks(rows[:, :-1], rows[:, -1], problem).best())
-            errors.append(self.data.blocks[number].squared_residuals(values))
-        return np.array(errors)
+        for number, found in enumerate(values):
+            if places and not all(spatial.is_consistent(found[at]) for at in places):
+                rows = np.vstack((self._rests(sought)[number], known))
+                values[number] = sought.full(
+                    ConsistentLinks(rows[:, :-1], rows[:, -1], problem).best()
+                )
+        return self.data.squared_residuals(values[..., None])[..., 0]
+
+    def _rests(self, sought: Unknowns) -> Sequence[Array]:
+        """Return triangles (k+1, k+1) of all equations of what is sought without each block."""
+        key = sought.kept.tobytes(), sought.held.tobytes()
+        if key not in self._known:
+            wanted = sought.kept_names, sought.held
+            parts = (restricted(part, *wanted) for part in self.data.blocks)
+            rows = (np.column_stack(part.stacked(1.0 / self.noise)) for part in parts)
+            nothing = np.zeros((len(sought.kept) + 1,) * 2)
+            each = [update_triangle(nothing, block) for block in rows]
+            self._known[key] = _others(each, update_triangle)
+        return self._known[key]
 
     def score(self, squared: Array) -> Array:
         """Return (blocks,) mean of squared errors (blocks, joints) over their variance."""
@@ -151,6 +186,15 @@ class HeldOut:
 def held_out(fit: Fit) -> HeldOut:
     """Return what judges choices around a fit."""
     return HeldOut(fit.evidence, 1.0 / fit.weights)
+
+
+def _others(each: Sequence[Array], add: Callable[[Array, Array], Array]) -> list[Array]:
+    """Return the sum of all others for each of some, two at least, with an addition that counts
+    their number: differences would leave rounding where nothing is.
+    """
+    before = list(accumulate(each[:-1], add))
+    after = list(accumulate(each[:0:-1], add))[::-1]
+    return [after[0], *map(add, before[:-1], after[1:]), before[-1]]
 
 
 def _prior_rows(sought: Unknowns) -> Array:
@@ -216,13 +260,14 @@ def coupled(
     judge, left, choice = held_out(fit), list(offered), fit.choice
     best = judge.score(squared_errors(judge, fit, question, choice))
     while left:
-        trials = [replace(choice, couplings=(*choice.couplings, each)) for each in left]
-        scores = [judge.score(squared_errors(judge, fit, question, each)) for each in trials]
+        wider = replace(choice, couplings=(*choice.couplings, *left))
+        squared = judge.with_each(_sought(fit, question, wider), left)
+        scores = [judge.score(each) for each in squared]
         found = int(np.argmin([float(np.mean(score)) for score in scores]))
         if not is_clearly_lower(scores[found], best):
             break
-        best, choice = scores[found], trials[found]
-        del left[found]
+        best = scores[found]
+        choice = replace(choice, couplings=(*choice.couplings, left.pop(found)))
     return choice.couplings
 
 

@@ -58,6 +58,21 @@ class Evidence:
         return combined(self.blocks)
 
     @cached_property
+    def triangles(self) -> tuple[Array, ...]:
+        """Each joint's triangles (blocks, k+1, k+1)."""
+        same = zip(*(block.joints for block in self.blocks))
+        return tuple(np.stack([joint.triangle for joint in each]) for each in same)
+
+    def squared_residuals(self, values: Array) -> Array:
+        """Return (blocks, joints, m) squared residuals of each block at values (blocks, p, m) of
+        its own [N^2 m^2].
+        """
+        ones = np.ones((len(values), 1, values.shape[-1]))
+        pairs = zip(self.blocks[0].joints, self.triangles)
+        each = [t @ np.concatenate((values[:, j.columns], -ones), axis=1) for j, t in pairs]
+        return np.stack([np.sum(left**2, axis=1) for left in each], axis=1)
+
+    @cached_property
     def shown(self) -> np.ndarray:
         """Which parameters (p,) have a column that is not zero."""
         found = np.zeros(len(self.whole.names), dtype=bool)

@@ -25,7 +25,7 @@ from robot_sysid.estimation.choices import (
 from robot_sysid.estimation.couplings import neighbours
 from robot_sysid.estimation.dataset import block_masks
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.unknowns import Question
+from robot_sysid.estimation.unknowns import Choice, Question, unknowns
 from tests.support import arms
 from tests.support.core_fits import BASIC, KNOWN, datasets_of, fitted, fitter_of
 from tests.support.measured_logs import JOINT, RATE, log_of, plan_of
@@ -200,6 +200,22 @@ def test_each_block_is_predicted_from_the_others(robot, noisy):
         parts = equations(samples.where(mask), sought, np.ones(3))
         left = [np.sum((rows @ values - tau) ** 2) for rows, tau in parts]
         np.testing.assert_allclose(squared, left, rtol=1e-4)
+
+
+def test_a_motor_among_others_is_judged_as_if_it_were_offered_alone(robot, noisy):
+    (log,), options = datasets_of(robot, noisy)
+    motors = tuple(neighbours(robot))
+    fitter, question = fitter_of(robot, [log], couplings=motors), Question(options)
+    choice = Choice((friction_model(BASIC),) * 3)
+    fit = fitter.fit(question, choice, rounds=1)
+    judge = held_out(fit)
+
+    def sought(*couplings):
+        given = fit.columns, question, replace(choice, couplings=couplings)
+        return unknowns(*given, fit.evidence.torque, fit.evidence.shown)
+
+    for motor, squared in zip(motors, judge.with_each(sought(*motors), motors)):
+        np.testing.assert_allclose(squared, judge.squared(sought(motor)), rtol=1e-6)
 
 
 def test_the_error_is_that_of_the_noise(payload_fit):
