@@ -69,7 +69,7 @@ LONGER, FASTER, BETTER = 4.0, 1.5, 0.5
 """By how much longer and faster, and to which part of the error of the links, remedies are told."""
 _INSTANTS, _FEWEST, _MOST = 20.0, 100, 4000
 """Instants of a motion per second that a remedy is worked out from, and at least and at most."""
-_NOISELESS = 1e-6
+_NOISELESS = 1e-4
 """Torque noise that hides nothing [N m]."""
 _NOTHING = 100.0
 """How many times its size a parameter may be off where all that is told is rounding."""

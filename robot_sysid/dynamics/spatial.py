@@ -31,9 +31,10 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def skew(vector: Array) -> Array:
-    """Return [v]x (3, 3), for which [v]x b = v x b."""
+    """Return [v]x (3, 3, ...) of v (3, ...), for which [v]x b = v x b."""
     x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    none = np.zeros_like(x)
+    return np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
 
 
 def symmetric_from_six(six: Array) -> Array:

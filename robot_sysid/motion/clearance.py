@@ -134,7 +134,6 @@ class Clearance:
         drop_pairs(model, part, np.isneginf(self._required))
         self._place(rest)
         self._spaces = HalfSpaces(model, half_spaces) if half_spaces else None
-        self._bound = [solid.body for solid in self._spaces.solids] if self._spaces else []
         self.left_at_rest = [] if self._spaces is None else self._settle_spaces(self._spaces)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -143,10 +142,10 @@ class Clearance:
 
     def slack(self, q: Array) -> Slack:
         """Return the slack at positions q (N, n)."""
-        axes, anchors = np.empty((2, *q.shape, 3))
+        axes, anchors = np.empty((2, len(q), self._model.njnt, 3))
         near = self._nearest(q, axes=axes, anchors=anchors)
         # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
-        axes, anchors = axes.transpose(2, 0, 1), anchors.transpose(2, 0, 1)
+        axes, anchors = (each[:, self._joints].transpose(2, 0, 1) for each in (axes, anchors))
         normal, point = near.normal.T[:, :, None], near.point.T[:, :, None]
         lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
         rates = np.sum(axes * lever, axis=0)
@@ -228,9 +227,7 @@ class Clearance:
     def _settle_spaces(self, spaces: HalfSpaces) -> list[tuple[HalfSpace, str, float]]:
         """Let what is near a boundary at rest keep half that distance; return what is beyond."""
         left = []
-        data = self._data
-        frames = data.xpos[self._bound][None], data.xmat[self._bound].reshape(1, -1, 3, 3)
-        for each, _, (height,), _ in spaces.heights(*frames):
+        for each, _, (height,), _ in spaces.heights(self._data.xpos[None], self._data.xmat[None]):
             required, body = spaces.required[each], spaces.solids[each].body
             for k in np.flatnonzero((height <= 0.0) & np.isfinite(required)).tolist():
                 left.append((spaces.spaces[k], body_label(self._model, body), -float(height[k])))
@@ -282,21 +279,21 @@ class Clearance:
         """Return what is nearest, among contacts and half-spaces, at configurations q (N, n).
 
         Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs, and tells
-        the joints' axes and anchors (N, n, 3) where there is room for them.
+        the axes and anchors (N, joints of the model, 3) where there is room for them.
         """
         near, spaces, data = _Nearest(len(q)), self._spaces, self._data
-        frames = None if spaces is None else np.empty((len(q), len(spaces.solids), 12))
+        places, turns = (np.empty((len(q), self._model.nbody, width)) for width in (3, 9))
         for k, position in enumerate(q):
             self._place(position)
             if data.ncon:
                 self._note_contact(near, k, budget)
-            if frames is not None:
-                frames[k, :, :3] = data.xpos[self._bound]
-                frames[k, :, 3:] = data.xmat[self._bound]
+            # Whole arrays: choosing from each posture's takes ten times as long.
+            if spaces is not None:
+                places[k], turns[k] = data.xpos, data.xmat
             if axes is not None and anchors is not None:
-                axes[k], anchors[k] = data.xaxis[self._joints], data.xanchor[self._joints]
-        if spaces is not None and frames is not None:
-            self._note_spaces(spaces, frames, near, budget)
+                axes[k], anchors[k] = data.xaxis, data.xanchor
+        if spaces is not None:
+            self._note_spaces(spaces, places, turns, near, budget)
         return near
 
     def _note_contact(self, near: _Nearest, at: int, budget: Array | None) -> None:
@@ -313,13 +310,10 @@ class Clearance:
             near.normal[at], near.point[at] = contact.frame[:3], contact.pos
 
     def _note_spaces(
-        self, spaces: HalfSpaces, frames: Array, near: _Nearest, budget: Array | None
+        self, spaces: HalfSpaces, places: Array, turns: Array, near: _Nearest, budget: Array | None
     ) -> None:
-        """Note the half-spaces that are nearest, where one is; frames (N, B, 12) of the bodies."""
-        found = spaces.heights(
-            frames[..., :3], frames[..., 3:].reshape(*frames.shape[:2], 3, 3), HORIZON
-        )
-        for each, at, height, lowest in found:
+        """Note the half-spaces that are nearest, where one is; frames of all bodies as MuJoCo's."""
+        for each, at, height, lowest in spaces.heights(places, turns, HORIZON):
             body, slack = spaces.solids[each].body, height - spaces.required[each]
             which = np.argmin(slack, axis=1)
             least = slack[np.arange(len(at)), which]

@@ -16,7 +16,7 @@ less than a twentieth of any variance.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -36,6 +36,8 @@ _HIDDEN = 1e-9
 """Share of the largest information below which a direction is not seen."""
 OWN = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
 """What only one joint's equations contain."""
+_MOST_ROWS = 400_000
+"""Rows of random motion times joints: as much of 60 joints as fits into 50 MB."""
 
 Gradient = tuple[Array, Array, Array]
 """Of a scalar, with respect to q, qd and qdd (N, n)."""
@@ -71,7 +73,8 @@ class Information(NamedTuple):
 
     Attributes:
         information: (10 L, 10 L) about all links with mass, the terminal one first.
-        vjp: gives the gradient, from the symmetric derivative of a scalar with respect to it.
+        vjp: gives the gradient of a scalar whose derivative with respect to it is -G G^T, from
+            G (10 L, r).
     """
 
     information: Array
@@ -83,7 +86,7 @@ class PredictedInformation:
     """Maps motions to information about all links with mass.
 
     Attributes:
-        chains: number of a link to the screws of the joints that carry it, the terminal one first.
+        chains: screws of the joints that carry each of these L links, the terminal one first.
         theta: (L, 10) of these links in the model.
         joints: chain joints whose torque is used.
         sigma: (len(joints),) standard deviation of their torque noise [N m].
@@ -91,7 +94,7 @@ class PredictedInformation:
         own: see ``Known``.
     """
 
-    chains: Mapping[int, ScrewChain]
+    chains: ScrewChain
     theta: Array
     joints: tuple[int, ...]
     sigma: Array
@@ -100,33 +103,26 @@ class PredictedInformation:
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Information:
         """Return the information of one sample per row of q, qd, qdd (N, n)."""
-        moves, wrenches = [], []
-        rows = np.zeros((len(self.joints), len(q), self.theta.size))
-        for place, (link, chain) in enumerate(self.chains.items()):
-            upto = slice(link + 1)
-            moves.append(chain.evaluate(q[:, upto], qd[:, upto], qdd[:, upto]))
-            wrenches.append(body_wrench(moves[-1].velocity, moves[-1].acceleration))
-            at, joints = self._carrying(link)
-            jacobian, block = moves[-1].jacobian[:, joints], slice(10 * place, 10 * place + 10)
-            rows[at, :, block] = np.einsum("ijn,ikn->jnk", jacobian, wrenches[-1], optimize=True)
-        used = list(self.joints)
+        move, used = self.chains.evaluate(q, qd, qdd), list(self.joints)
+        # Link and sample first: products of many small matrices.
+        wrench = body_wrench(move.velocity, move.acceleration).transpose(2, 3, 0, 1)
+        jacobian = move.jacobian[:, used].transpose(2, 3, 1, 0)
+        rows = (jacobian @ wrench).transpose(2, 1, 0, 3).reshape(len(used), len(q), -1)
         own, slopes = self._own(qd[:, used].T, qdd[:, used].T, rows @ self.theta.ravel())
         weight = 1.0 / self.sigma[:, None, None]
-        rows, own = weight * rows, weight * own
+        rows *= weight
+        own *= weight
         # The regression of each joint's rows on what only it has.
         transposed = own.transpose(0, 2, 1)
         normal = transposed @ own
         ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None] + self._precision
         gain = np.linalg.solve(normal + ridge[:, None] * np.eye(len(OWN)), transposed @ rows)
         residual = rows - own @ gain
-        information = np.einsum("jnk,jnl->kl", rows, residual, optimize=True)
-        vjp = partial(self._vjp, moves, wrenches, slopes, gain, weight * residual)
+        flat = (-1, self.theta.size)
+        information = rows.reshape(flat).T @ residual.reshape(flat)
+        residual *= weight
+        vjp = partial(self._vjp, move, jacobian, wrench, slopes, gain, residual)
         return Information(0.5 * (information + information.T), vjp)
-
-    def _carrying(self, link: int) -> tuple[list[int], list[int]]:
-        """Return (places among the rows, joints) of what carries a link."""
-        pairs = [(k, joint) for k, joint in enumerate(self.joints) if joint <= link]
-        return [k for k, _ in pairs], [joint for _, joint in pairs]
 
     @property
     def _precision(self) -> Array:
@@ -155,33 +151,30 @@ class PredictedInformation:
 
     def _vjp(
         self,
-        moves: list[ChainMotion],
-        wrenches: list[Array],
+        move: ChainMotion,
+        jacobian: Array,
+        wrench: Array,
         slopes: list[Array],
         gain: Array,
         residual: Array,
-        adjoint: Array,
+        factor: Array,
     ) -> Gradient:
         """Reverse mode. C needs no derivative: it minimises what is left."""
-        rows_adjoint = 2.0 * residual @ adjoint
+        rows_adjoint = (-2.0 * residual @ factor) @ factor.T
         own_adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
         by_speed, by_acceleration, by_torque = (
             np.sum(own_adjoint * slope, axis=2) for slope in slopes
         )
         rows_adjoint += by_torque[:, :, None] * self.theta.ravel()
-        total = np.zeros((3, residual.shape[1], len(self.smoothing)))
-        total[1][:, list(self.joints)] = by_speed.T
-        total[2][:, list(self.joints)] = by_acceleration.T
-        for place, (link, move, wrench) in enumerate(zip(self.chains, moves, wrenches)):
-            at, joints = self._carrying(link)
-            block = rows_adjoint[at, :, 10 * place : 10 * place + 10]
-            turned = np.zeros_like(move.jacobian)
-            turned[:, joints] = np.einsum("jnk,ikn->ijn", block, wrench, optimize=True)
-            jacobian = move.jacobian[:, joints]
-            felt = np.einsum("ijn,jnk->ikn", jacobian, block, optimize=True)
-            for part, own in zip(total, move.vjp(turned, *_wrench_vjp(move.velocity, felt))):
-                part[:, : link + 1] += own
-        return total[0], total[1], total[2]
+        used, links = list(self.joints), len(self.theta)
+        blocks = rows_adjoint.reshape(*rows_adjoint.shape[:2], links, 10).transpose(2, 1, 0, 3)
+        turned = np.zeros_like(move.jacobian)
+        turned[:, used] = (blocks @ wrench.transpose(0, 1, 3, 2)).transpose(3, 2, 0, 1)
+        felt = (jacobian.transpose(0, 1, 3, 2) @ blocks).transpose(2, 3, 0, 1)
+        total = move.vjp(turned, *_wrench_vjp(move.velocity, felt))
+        total[1][:, used] += by_speed.T
+        total[2][:, used] += by_acceleration.T
+        return total
 
 
 @lru_cache(maxsize=1)
@@ -199,22 +192,24 @@ def _coefficients() -> tuple[Array, Array]:
 
 
 def body_wrench(velocity: Array, acceleration: Array) -> Array:
-    """Return Y6 (6, 10, N) for twists and accelerations (6, N)."""
+    """Return Y6 (6, 10, ...) for twists and accelerations (6, ...)."""
     linear, quadratic = _coefficients()
     products = (velocity[:, None] * velocity[None, :]).reshape(36, -1)
-    return (linear @ acceleration + quadratic.reshape(60, 36) @ products).reshape(6, 10, -1)
+    wrench = linear @ acceleration.reshape(6, -1) + quadratic.reshape(60, 36) @ products
+    return wrench.reshape(6, 10, *velocity.shape[1:])
 
 
 def _wrench_vjp(velocity: Array, wrench_adjoint: Array) -> tuple[Array, Array]:
-    """Return the gradient (6, N) with respect to the twist and the acceleration."""
+    """Return the gradient (6, ...) with respect to the twist and the acceleration."""
     linear, quadratic = _coefficients()
     adjoint = wrench_adjoint.reshape(60, -1)
-    products_adjoint = (quadratic.reshape(60, 36).T @ adjoint).reshape(6, 6, -1)
-    return 2.0 * np.einsum("kmn,mn->kn", products_adjoint, velocity), linear.T @ adjoint
+    products_adjoint = (quadratic.reshape(60, 36).T @ adjoint).reshape(6, 6, *velocity.shape[1:])
+    turned = 2.0 * np.sum(products_adjoint * velocity, axis=1)
+    return turned, (linear.T @ adjoint).reshape(velocity.shape)
 
 
 _SINGULAR = 1e-14
-"""Smallest eigenvalue, of L with a unit diagonal, that an inverse in double precision survives."""
+"""Smallest eigenvalue, of a precision with a unit diagonal, that is more than rounding."""
 
 
 @dataclass(frozen=True)
@@ -230,47 +225,50 @@ class Criterion:
     factor: Array
     asked: str
 
-    def _posterior(self, information: Array) -> tuple[Array, Array]:
-        """Return (T, M): theta = T x, with M the precision of x, priors included."""
-        count, others = self.seen.shape[1], len(self.factor)
-        change = np.zeros((len(information), count + others))
-        change[:10, :count] = self.seen
-        change[10 : 10 + others, count:] = self.factor
-        known = np.diag(np.repeat((0.0, 1.0), (count, others)))
+    def eliminated(self, information: Array, count: int) -> tuple[Array, Array]:
+        """Return (T, S): theta = T x for the first ``count`` unknowns x, with all others at their
+        best, and S the precision of x, priors included.
+        """
+        seen, others = self.seen.shape[1], len(self.factor)
+        change = np.zeros((len(information), seen + others))
+        change[:10, :seen] = self.seen
+        change[10 : 10 + others, seen:] = self.factor
         # The difference of two recordings has twice the noise.
         told = 0.5 * information if self.asked == "payload" else information
-        return change, change.T @ told @ change + known
+        precision = change.T @ told @ change
+        precision[range(seen, seen + others), range(seen, seen + others)] += 1.0
+        cross = precision[:count, count:]
+        best = np.linalg.solve(precision[count:, count:], cross.T)
+        return change[:, :count] - change[:, count:] @ best, precision[
+            :count, :count
+        ] - cross @ best
 
     def evaluate(self, information: Array) -> tuple[float, Array]:
-        """Return (ln det C / 2r, gradient) of information (10 L, 10 L); infinite if singular.
+        """Return (ln det C / 2r, G) of information (10 L, 10 L); infinite if singular.
 
         C (r, r) is the covariance of what is asked for, all others eliminated. That is the
         logarithm of the geometric mean of the standard deviations along the axes of its confidence
         ellipsoid: a change of 0.01 is one of about 1 % (Bayesian D-optimality; Chaloner,
-        Verdinelli, "Bayesian experimental design: a review", Statistical Science 10(3), 1995).
+        Verdinelli, "Bayesian experimental design: a review", Statistical Science 10(3), 1995). Its
+        derivative with respect to the information is -G G^T.
         """
-        nothing = np.inf, np.zeros_like(information)
+        nothing = np.inf, np.zeros((len(information), 0))
         if not np.all(np.isfinite(information)):
             return nothing
-        change, precision = self._posterior(information)
-        diagonal = np.diag(precision)
-        if np.any(diagonal <= 0.0):
+        count = self.seen.shape[1] + (len(self.factor) if self.asked == "arm" else 0)
+        change, precision = self.eliminated(information, count)
+        root = np.sqrt(np.maximum(np.diag(precision), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(precision / np.outer(root, root))
+        if values[0] <= _SINGULAR:
             return nothing
-        root = np.sqrt(diagonal)
-        if np.linalg.eigvalsh(precision / np.outer(root, root))[0] <= _SINGULAR:
-            return nothing
-        count = len(precision) if self.asked == "arm" else self.seen.shape[1]
-        slope, rest = np.linalg.inv(precision), precision[count:, count:]
-        value = float(np.linalg.slogdet(precision)[1] - np.linalg.slogdet(rest)[1])
-        slope[count:, count:] -= np.linalg.inv(rest)
         told = 0.5 if self.asked == "payload" else 1.0
-        return -0.5 * value / count, -0.5 * told / count * (change @ slope @ change.T)
+        factor = np.sqrt(0.5 * told / count) * (change / root) @ (vectors / np.sqrt(values))
+        return -0.5 * float(np.sum(np.log(values * root**2))) / count, factor
 
     def covariance(self, information: Array) -> Array:
         """Return the covariance (10, 10) of what is seen of the terminal link."""
-        count = self.seen.shape[1]
-        own = np.linalg.inv(self._posterior(information)[1])[:count, :count]
-        return np.asarray(self.seen @ own @ self.seen.T)
+        change, precision = self.eliminated(information, self.seen.shape[1])
+        return np.asarray(change[:10] @ np.linalg.solve(precision, change[:10].T))
 
 
 def spread_of(theta: Array, covariance: Array) -> tuple[float, float]:
@@ -292,7 +290,7 @@ def predicted_information(
     From torques with noise sigma (rows,) [N m]; Coulomb friction's jump is rounded off below a
     share of the speed limits.
     """
-    theta = np.array([problem.robot.links[link].theta for link in problem.chains])
+    theta = np.array([problem.robot.links[link].theta for link in problem.links])
     smooth = smoothing * problem.limits.velocity
     return PredictedInformation(problem.chains, theta, problem.rows, sigma, smooth, known.own)
 
@@ -304,9 +302,8 @@ def criterion(problem: ExcitationProblem, known: Known) -> Criterion:
     numbers. What such data cannot see, no trajectory of these joints can.
     """
     scale, information = np.diag(problem.scale), random_information(problem, known)
-    own = Criterion(scale, known.factor, known.asked)._posterior(information)[1]
-    block, cross, rest = own[:10, :10], own[:10, 10:], own[10:, 10:]
-    values, vectors = np.linalg.eigh(block - cross @ np.linalg.solve(rest, cross.T))
+    told = Criterion(scale, known.factor, known.asked).eliminated(information, 10)[1]
+    values, vectors = np.linalg.eigh(told)
     seen = scale @ vectors[:, values > _HIDDEN * values[-1]]
     return Criterion(seen, known.factor, known.asked)
 
@@ -314,7 +311,8 @@ def criterion(problem: ExcitationProblem, known: Known) -> Criterion:
 def random_information(problem: ExcitationProblem, known: Known, noise: float = 1.0) -> Array:
     """Return the information of unrelated random motion with some torque noise [N m]."""
     rng = np.random.default_rng(0)
-    q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
+    count = min(400, _MOST_ROWS // problem.n_joints**2)
+    q, qd, qdd = rng.normal(size=(3, count, problem.n_joints))
     q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
     sigma = np.full(len(problem.rows), noise)
     return predicted_information(problem, sigma, known).evaluate(q, qd, qdd).information

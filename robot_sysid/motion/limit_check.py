@@ -247,6 +247,12 @@ def _tightest(
     of the tests.
     """
     best, when, at_q = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0]
+    # What is known to be tight lets the search pass quickly by all that is not.
+    for motion in _motions(plan, FEW_RATE_HZ, _spans(plan)) if resolution < np.inf else ():
+        slacks = obstacles.slack(motion.q).value
+        at = int(np.argmin(slacks))
+        if slacks[at] < best:
+            best, when, at_q = float(slacks[at]), float(motion.time[at]), motion.q[at]
     budget, known_until = np.full(len(obstacles.rates), -np.inf), 0.0
     for motion in _motions(plan, FINEST_RATE_HZ, _spans(plan)):
         path = _path(motion, obstacles.rates)

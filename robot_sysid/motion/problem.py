@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,7 +133,7 @@ class ExcitationProblem:
 
     Attributes:
         rest: (n,) where the motion starts and ends [rad].
-        chains: see ``link_chains``.
+        links, chains: see ``link_chains``.
         tool: the outermost points of the terminal link and all it carries.
         arm_torque: joint torques (N, n) along a motion, friction included, without any load.
         reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
@@ -146,7 +147,8 @@ class ExcitationProblem:
     robot: RobotModel
     rest: Array
     limits: MotionLimits
-    chains: Mapping[int, ScrewChain]
+    links: tuple[int, ...]
+    chains: ScrewChain
     tool: Tool
     arm_torque: TorqueFunction
     reserve: float
@@ -157,10 +159,10 @@ class ExcitationProblem:
     notes: tuple[str, ...] = ()
     has_floor: bool = True
 
-    @property
+    @cached_property
     def chain(self) -> ScrewChain:
         """Screws of all joints, as seen from the terminal body."""
-        return self.chains[self.n_joints - 1]
+        return ScrewChain(self.chains.screws[..., 0], self.chains.home, self.chains.gravity[:, 0])
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -270,12 +272,14 @@ def build_problem(
     notes = _moved_rest_note(robot, rest)
     base = _above_base(robot, limits, rest)
     obstacles, more = _obstacles(robot, limits, rest, base)
+    links, chains = link_chains(robot)
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
         robot=robot,
         rest=rest,
         limits=motion_limits,
-        chains=link_chains(robot),
+        links=links,
+        chains=chains,
         tool=Tool(*outermost_points(robot)),
         arm_torque=ArmTorque(robot),
         reserve=limits.payload_reserve,
@@ -288,17 +292,18 @@ def build_problem(
     )
 
 
-def link_chains(robot: RobotModel) -> dict[int, ScrewChain]:
-    """Return number of a link with mass to the screws that carry it, the terminal one first."""
+def link_chains(robot: RobotModel) -> tuple[tuple[int, ...], ScrewChain]:
+    """Return the numbers (L,) of links with mass, the terminal one first, and their screws."""
     still = np.zeros((1, robot.n_joints))
     moves = LinkDynamics(robot).motion(robot.reference[None], still, still)
-    found, twists = {}, list[Array]()
+    screws, twists = np.zeros((6, robot.n_joints, robot.n_joints)), list[Array]()
     for link, step in enumerate(moves.steps):
         twists = [*(step[:, :, 0] @ twist for twist in twists), moves.screws[link][:, None]]
-        # At rest the only acceleration is the missing fall: minus gravity.
-        falling, home = -moves.acceleration[link][3:, 0], robot.reference[: link + 1]
-        found[link] = ScrewChain(np.hstack(twists), home, falling)
-    return {link: found[link] for link in (robot.n_joints - 1, *other_links(robot))}
+        screws[:, : link + 1, link] = np.hstack(twists)
+    # At rest the only acceleration is the missing fall: minus gravity.
+    falling = -np.hstack([each[3:] for each in moves.acceleration])
+    links = (robot.n_joints - 1, *other_links(robot))
+    return links, ScrewChain(screws[..., links], robot.reference, falling[:, links])
 
 
 def _position_limits(robot: RobotModel) -> tuple[Array, Array]:

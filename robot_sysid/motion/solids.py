@@ -132,6 +132,7 @@ class HalfSpaces:
         self.spaces = tuple(spaces)
         self.solids = solids_of(mj_model, sorted({body for s in spaces for body in s.bodies}))
         self.normals = np.array([space.normal for space in spaces]).reshape(-1, 3)
+        self._bodies = np.array([solid.body for solid in self.solids], dtype=int)
         self._centers = np.array([solid.center for solid in self.solids]).reshape(-1, 3)
         self._bounds = np.array([[solid.bound] for solid in self.solids])
         self._offsets = np.array([space.offset for space in spaces])
@@ -149,9 +150,11 @@ class HalfSpaces:
         boundaries.
 
         Args:
-            places, turns: (N, B, 3) [m], (N, B, 3, 3) frames of the bodies in N postures.
+            places, turns: (N, nbody, 3) [m], (N, nbody, 9) MuJoCo's frames in N postures.
             near: those are left out that surely have so much more height than they need [m].
         """
+        places = places[:, self._bodies]
+        turns = turns[:, self._bodies].reshape(*places.shape, 3)
         middle = places + (turns @ self._centers[:, :, None])[..., 0]
         surely = middle @ self.normals.T - self._offsets - self._bounds
         is_near = np.any(surely - self.required < near, axis=2)

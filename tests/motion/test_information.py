@@ -22,9 +22,9 @@ SAMPLES = 60
 
 
 def predicted(robot, own, smoothing=0.0, rows=None):
-    n, chains = robot.n_joints, link_chains(robot)
+    n, (links, chains) = robot.n_joints, link_chains(robot)
     rows = tuple(range(n)) if rows is None else rows
-    theta = np.array([robot.links[link].theta for link in chains])
+    theta = np.array([robot.links[link].theta for link in links])
     own = np.tile(np.array(own)[:, None], len(rows))
     sigma = np.linspace(0.5, 2.0, len(rows))
     return PredictedInformation(chains, theta, rows, sigma, np.full(n, smoothing), own)
@@ -116,7 +116,7 @@ def test_what_is_asked_for_is_the_volume_of_its_posterior_covariance():
 def test_information_that_is_singular_is_infinitely_bad(size):
     matrix = np.full((10, 10), size)
     value, gradient = Criterion(np.eye(10), np.zeros((0, 0)), "link").evaluate(matrix)
-    assert value == np.inf and np.array_equal(gradient, np.zeros((10, 10)))
+    assert value == np.inf and gradient.shape == (10, 0)
 
 
 def arm_or_none(xml):
@@ -133,11 +133,11 @@ def test_equals_mujoco(xml, seed):
     if robot is None:
         return
     q, qd, qdd = random_motion(np.random.default_rng(seed), robot.n_joints, 5)
-    ours = link_chains(robot)[robot.n_joints - 1].evaluate(q, qd, qdd)
+    ours = link_chains(robot)[1].evaluate(q, qd, qdd)
     theirs = ChainKinematics(robot).evaluate(q, qd, qdd)
     for mine, yours in (
-        (ours.jacobian.transpose(2, 0, 1), theirs.jacobian),
-        (ours.velocity.T, theirs.velocity),
-        (ours.acceleration.T, theirs.acceleration),
+        (ours.jacobian[:, :, 0].transpose(2, 0, 1), theirs.jacobian),
+        (ours.velocity[:, 0].T, theirs.velocity),
+        (ours.acceleration[:, 0].T, theirs.acceleration),
     ):
         assert np.max(np.abs(mine - yours)) < 1e-10 * max(1.0, np.max(np.abs(yours)))

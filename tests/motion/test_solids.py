@@ -94,7 +94,7 @@ def test_each_half_space_binds_its_own_bodies():
     sides = (-np.inf, np.inf, -np.inf, np.inf, -np.inf, 4.0)
     limits = LimitOptions(keep_out=((0.0, 0.0, 1.0, 0.5),), workspace=sides)
     spaces = HalfSpaces(model, limits.half_spaces([1, 2], [2]))
-    frames = data.xpos[None, 1:], data.xmat[None, 1:].reshape(1, -1, 3, 3)
+    frames = data.xpos[None], data.xmat[None]
     (ball, block) = spaces.heights(*frames)
     assert np.allclose(ball[2], [0.4, 2.9]) and np.allclose(block[2], [1.2, 1.7])
     assert np.array_equal(spaces.required, [[0.01, -np.inf], [0.01, 0.0]])
