@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from robot_sysid.commands.streams import print_line, print_text
 from robot_sysid.records.progress import Detail, Progress
+
+TOLD_EVERY = 10.0
+"""Time between two lines of progress where there is no terminal [s]."""
 
 
 class Console(Progress):
@@ -34,6 +38,7 @@ class Console(Progress):
         self.verbose, self.quiet, self.debug, self.json = verbose, quiet, debug, json
         self.config = config
         self._bar: Any = None
+        self._told_at = 0.0
         self.said: list[str] = []
 
     @property
@@ -71,8 +76,13 @@ class Console(Progress):
         self.stage(f"{label}: 100%")
 
     def advance(self, label: str, done: float, total: float, text: str) -> None:
-        """Move the bar of something long, on a terminal; it is gone once that is done."""
+        """Move the bar of something long, on a terminal; it is gone once that is done.
+
+        Elsewhere what has a text is told now and then, so that a log file shows that it lives.
+        """
         if not self._shows_bars:
+            if text and not self.quiet:
+                self._tell(f"{label}: {100.0 * done / total:.0f} %, {text}")
             return
         if self._bar is None or self._bar.desc != label:
             self.close()
@@ -81,6 +91,14 @@ class Console(Progress):
         self._bar.update(done - self._bar.n)
         if done >= total:
             self.close()
+
+    def _tell(self, line: str) -> None:
+        """Print a line, unless one was printed, or might have been for the first time, just now."""
+        now = time.monotonic()
+        self._told_at = self._told_at or now
+        if now - self._told_at >= TOLD_EVERY:
+            self._told_at = now
+            print_line(line, sys.stderr)
 
     def close(self) -> None:
         """Take away a bar that an early end left behind."""

@@ -91,3 +91,16 @@ def test_a_bar_tells_the_time_left_until_a_line_takes_its_place(monkeypatch):
     assert re.search(r"Identifying: +30%.*\[00:0\d<00:0\d\]", sys.stderr.getvalue())
     console.stage("a line")
     assert sys.stdout.getvalue() == "a line\n" and console._bar is None
+
+
+@pytest.mark.parametrize(("quiet", "told"), [(False, ["Designing: 50 %, mass ± 1 kg"]), (True, [])])
+def test_a_log_file_is_told_now_and_then_that_something_long_lives(
+    monkeypatch, capsys, quiet, told
+):
+    console = Console(quiet=quiet)
+    for done, now in enumerate((1.0, 10.9, 11.1, 12.0)):
+        monkeypatch.setattr("time.monotonic", lambda now=now: now)
+        console.advance("Designing", done, 4, "mass ± 1 kg")
+        console.advance("Playing", done, 4, "")
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err.splitlines()) == ("", told)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from robot_sysid.commands import plan
 from robot_sysid.commands.arguments import parsed
+from robot_sysid.commands.console import Console
 from robot_sysid.config import plan_config_from
 from robot_sysid.motion.trajectories import LineTrajectory, load_trajectory
 from robot_sysid.trajectory import SineTrajectory
@@ -49,6 +52,21 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(command,
     command.run("plan", path, "--trajectory", "plan.json", "--speed", "0.5", *export(3))
     rows = (path.parent / "sysid_output" / "damiao_trajectory.csv").read_text().splitlines()
     assert rows[-1].startswith("6.0")
+
+
+@pytest.mark.usefixtures("unpredicted")
+def test_ctrl_c_without_a_terminal_keeps_the_best_motion(command, arm_file, monkeypatch):
+    path, told = arm_file(arms.THREE), []
+
+    def interrupt(console, line):
+        told.append(line)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Console, "_tell", interrupt)
+    printed = command.run("plan", path, *SINES[2:])
+    assert len(told) == 1 and re.match("Designing the trajectory: .* %, mass ± .* kg", told[0])
+    assert "interrupted; this is the best trajectory" in printed.err
+    assert load_trajectory(path.parent / "sysid_output" / "trajectory.json")
 
 
 @pytest.mark.slow
