@@ -27,6 +27,7 @@ from robot_sysid.records.atomic_files import (
 from robot_sysid.records.options import (
     Option,
     OptionRecord,
+    command_words,
     folder,
     given_options,
     keys_of,
@@ -158,6 +159,16 @@ class Config:
         if self.estimation.scale_uncertainty is not None or not all(map(isfinite, own)):
             return self
         return replace(self, estimation=replace(self.estimation, scale_uncertainty=own))
+
+    @property
+    def words(self) -> tuple[list[str], list[str]]:
+        """Words of a command line: which arm it is, and limits that its motors have to keep."""
+        from robot_sysid.damiao.trajectory import LIMITS
+
+        model, limits = self.model, self.limits
+        given = {each.key for each in given_options(limits)}.intersection(LIMITS)
+        kept = {key: getattr(limits, key) for key in given}
+        return [str(model.path), *command_words(vars(model), model)], command_words(kept, limits)
 
     def seeded(self: AnyConfig) -> AnyConfig:
         """Return the configuration with a seed, where something is random."""

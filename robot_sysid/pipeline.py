@@ -89,20 +89,20 @@ class PlanOutcome:
         lines: what it promises, and what exporting it to motors had to say.
         failure: why it must not be run, or None; nothing is written then.
         files: what was written.
-        checked, model, purpose: the motion itself, the arm's file, and what it was asked for.
+        config, checked: what was asked for, and the motion itself.
     """
 
     lines: tuple[str, ...]
     failure: str | None
+    config: SysidConfig
     files: tuple[Path, ...] = ()
     checked: CheckedPlan | None = None
-    model: Path = Path("MODEL")
-    purpose: str = "link"
 
     @property
     def verdict(self) -> tuple[str, ...]:
         """Whether to use it and what to do next, in two lines, which come last."""
-        return plan_verdict(self.model, self.files, self.failure, self.purpose)
+        arm, limits = self.config.words
+        return plan_verdict(arm, self.files, self.failure, self.config.poses.purpose, limits)
 
     def report_lines(self) -> list[str]:
         """Return what the command line prints at the end."""
@@ -257,7 +257,7 @@ def save_plan(
 def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> PlanOutcome:
     lines = tuple(promise(config, robot, checked))
     if checked.failure:
-        return PlanOutcome(lines, f"{checked.failure}; nothing was written", checked=checked)
+        return PlanOutcome(lines, f"{checked.failure}; nothing was written", config, (), checked)
     motor_file = motor_writer(config, robot, checked.plan)
     with whole_files() as files:
         paths = save_plan(files, config, robot, checked.plan)
@@ -265,7 +265,7 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
             paths = (*paths, config.output.output_dir / DAMIAO_NAME)
             with files.open(paths[-1]) as file:
                 lines += tuple(clamping_lines(motor_file(file), robot.joint_names))
-    return PlanOutcome(lines, None, paths, checked, robot.path, config.poses.purpose)
+    return PlanOutcome(lines, None, config, paths, checked)
 
 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:

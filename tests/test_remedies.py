@@ -64,9 +64,9 @@ NEVER = {
     "motors map": places(
         *("damiao.preflight", "plan_checks", "bus_checks", "direction_checks", "limit_checks")
     )
-    + places(
-        "damiao.model_check", "model_checks", "torque_checks", "way_checks"
-    ),  # nothing is played
+    + places("damiao.model_check", "model_checks", "torque_checks", "way_check")
+    + SECOND
+    + places("damiao.execution", "MotorRun"),  # nothing is played
     # No model.
     **dict.fromkeys(("motors monitor", "motors setup"), places("commands.motors.asked", "Asked")),
 }

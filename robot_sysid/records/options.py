@@ -128,6 +128,25 @@ def given_options(record: Any) -> Iterator[Option]:
             yield each
 
 
+def command_words(values: Mapping[str, Any], *records: Any) -> list[str]:
+    """Return the words of a command line that give records' options the values of their keys."""
+    words = []
+    for each in (stated for record in records for stated in options_of(record).values()):
+        given = values.get(each.key)
+        if given is None or given is False:
+            continue
+        for one in given if each.repeats else (given,):
+            apart = each.several or isinstance(each.metavar, tuple)
+            parts = [_word(part) for part in (one if isinstance(one, tuple) else (one,))]
+            said = [] if each.parse is None else parts if apart else [",".join(parts)]
+            words += [each.flag, *said]
+    return words
+
+
+def _word(value: Any) -> str:
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
 def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:
     """Return a record whose options have the values of their keys, where there are any.
 

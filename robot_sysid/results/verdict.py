@@ -75,6 +75,11 @@ _CONFLICTS = {
 }
 
 
+def two_lines(use: str, then: str) -> tuple[str, ...]:
+    """Return the two lines: what comes of it, and what to do next."""
+    return use, f"Next: {then}"
+
+
 def verdict_lines(result: Result, failure: str | None = None) -> tuple[str, ...]:
     """Return one or two lines: whether to use a result, and what to do next.
 
@@ -88,23 +93,33 @@ def verdict_lines(result: Result, failure: str | None = None) -> tuple[str, ...]
     use = _USES.get(result.verdict, "Usable").format(unseen=unseen)
     if result.data.source is Source.ITSELF:
         came = "the model's own numbers came back from its own simulation"
-        said = f"Self-test passed: {came}, which says nothing of the real arm"
-        said += f" (not seen: {unseen})" if unseen else ""
-        return said, f"Next: {_command(result, 'robot-sysid plan {model}')} (a motion to record)"
-    return f"{use}: {'; '.join(_gains(result))}", f"Next: {_next(result)}"
+        passed = f"Self-test passed: {came}, which says nothing of the real arm"
+        passed += f" (not seen: {unseen})" if unseen else ""
+        return two_lines(
+            passed, f"{_command(result, 'robot-sysid plan {model}')} (a motion to record)"
+        )
+    return two_lines(f"{use}: {'; '.join(_gains(result))}", _next(result))
 
 
 def plan_verdict(
-    model: Path, files: Sequence[Path], failure: str | None, purpose: str = "link"
+    arm: Sequence[str],
+    files: Sequence[Path],
+    failure: str | None,
+    purpose: str = "link",
+    limits: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Return whether to play a motion planned for a purpose (``--for``), and what to do next."""
+    """Return whether to play a motion planned for a purpose (``--for``), and what to do next.
+
+    Words of the command line say which ``arm`` it is, and which ``limits`` motors are to keep.
+    """
     if failure is not None:
         return (f"Not usable: {failure}",)
-    then = _AFTER_PLAN.get(purpose, _RECORDED).format(model=shlex.quote(str(model)))
+    then = _AFTER_PLAN.get(purpose, _RECORDED).format(model=shlex.join(arm))
     for path in files:
         if path.name == DAMIAO_NAME:
-            then = f"robot-sysid motors check {shlex.quote(str(path))} --channel CHANNEL"
-    return "Usable: play it on the arm, slowly at first, and record it", f"Next: {then}"
+            words = (str(path), "--channel", "CHANNEL", "--model", *arm, *limits)
+            then = f"robot-sysid motors check {shlex.join(words)}"
+    return two_lines("Usable: play it on the arm, slowly at first, and record it", then)
 
 
 def refusal(result: Result) -> str | None:

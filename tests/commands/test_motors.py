@@ -97,11 +97,26 @@ def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
 
 
 def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
-    assert main(["motors", "check", str(trajectory), *CAN0, "--json"]) == 0
+    limits = ["--max-velocity", "9", "--max-torque", "20,27"]
+    assert main(["motors", "check", str(trajectory), *CAN0, "--json", *limits]) == 0
     printed = capsys.readouterr()
     told = json.loads(printed.out)
-    assert (told["command"], told["exit_code"], told["lines"][-1]) == ("check", 0, "ready to play")
-    assert told["lines"] == printed.err.splitlines()
+    assert (told["command"], told["exit_code"]) == ("check", 0)
+    assert told["lines"] == printed.err.splitlines() and told["lines"][-2:] == told["verdict"]
+    words = ["--interface", "socketcan", *CAN0] * 0 + [
+        *CAN0,
+        "--speed",
+        "0.3",
+        "--record",
+        "slow.csv",
+    ]
+    following = ["Next:", "robot-sysid", "motors", "play", str(trajectory), *words]
+    assert told["verdict"][0] == "Usable: ready to play"
+    assert shlex.split(told["verdict"][1]) == following
+    fault("mode", 0, 2)(bus)
+    assert main(["motors", "play", str(trajectory), *CAN0, "--yes", "--json"]) == 3
+    told = json.loads(capsys.readouterr().out)
+    assert told["verdict"][0].startswith("Not usable: not played: motor 1 is in mode 2")
 
 
 def test_check_says_what_has_to_change(capsys, bus, trajectory):
@@ -351,7 +366,7 @@ def test_holding_ends_well_when_it_is_asked_to_and_badly_when_a_motor_fails(caps
     words = ("hold", "--model", leaning[0], *CAN0, *SOFT, "--yes")
     bus.clock.at(4.0, lambda: signal.raise_signal(signal.SIGINT))
     code, out, err = run(capsys, *words)
-    assert (code, err) == (0, "") and out.endswith("all motors are disabled\n")
+    assert (code, err) == (0, "") and out.endswith("Done: held, and all motors are disabled\n")
     bus.clock.at(bus.clock.now() + 4.0, lambda: fault("status", 1, 0xA)(bus))
     code, _, err = run(capsys, *words)
     assert code == 3 and "motor 2 (joint joint1) reports status A" in err

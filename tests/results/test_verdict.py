@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
 from robot_sysid.records import PriorConflict
+from robot_sysid.records.atomic_files import DAMIAO_NAME
 from robot_sysid.records.figures import percent
 from robot_sysid.records.progress import Detail
 from robot_sysid.results.record import Figure, Verdict
@@ -103,11 +104,15 @@ def test_what_is_not_usable_says_so_why_and_nothing_else(verdict):
 
 
 def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
-    after = {p: plan_verdict(Path("an arm.xml"), (), None, p)[1] for p in PURPOSES}
+    after = {p: plan_verdict(["an arm.xml"], (), None, p)[1] for p in PURPOSES}
     assert after.pop("payload").startswith("Next: robot-sysid payload 'an arm.xml' --empty LOG ")
     assert after.pop("arm").startswith("Next: robot-sysid identify 'an arm.xml' LOG --links ")
     (then,) = set(after.values())
     assert then.startswith("Next: robot-sysid identify 'an arm.xml' LOG (")
+    keep = ["--keep-out", "0", "0", "1", "0"]
+    check = plan_verdict(["m.xml", "--joint", "j"], [Path(DAMIAO_NAME)], None, "link", keep)[1]
+    words = f"{DAMIAO_NAME} --channel CHANNEL --model m.xml --joint j --keep-out 0 0 1 0"
+    assert check == f"Next: robot-sysid motors check {words}"
 
 
 def test_what_contradicts_the_model_is_no_detail():

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
-from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.directions import DirectionChoices, verify
@@ -27,10 +26,10 @@ from robot_sysid.damiao.settings import PlaySettings, SecondArm
 from robot_sysid.damiao.simulated import serve
 from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.damiao.trajectory import LIMITS
-from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
-from robot_sysid.records.options import OptionRecord, option, options_of, record_from
+from robot_sysid.records.options import OptionRecord, command_words, option, options_of, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
@@ -71,7 +70,8 @@ def check(asked: Asked) -> int:
         inspection = inspect_bus(link)
     motors = len(inspection.motors)
     if not motors:
-        console.lines([*check_lines(checks), "no motor answers: check power, wiring and bit rate"])
+        console.lines(check_lines(checks))
+        asked.verdict = (f"Not usable: {motors_setup.SILENT}",)
         return 1
     rate = record_from(PlaySettings, asked.values).rate or default_rate(motors, asked.timing)
     if plan:
@@ -81,7 +81,14 @@ def check(asked: Asked) -> int:
     console.lines(motor_table(inspection, plan.trajectory.joints if plan else ()))
     console.lines(["", load_line(motors, rate, asked.timing), *check_lines(checks)])
     to_change = len(preflight.stops(checks))
-    console.lines(["", f"{to_change} to change before playing" if to_change else "ready to play"])
+    if to_change:
+        asked.verdict = (f"Not usable: {to_change} to change before playing",)
+    elif plan:
+        asked.conclude("Usable: ready to play", asked.play_words())
+    else:
+        asked.conclude(
+            "Usable: the motors are in order", asked.command("check", trajectory="TRAJECTORY")
+        )
     return 1 if to_change else 0
 
 
@@ -97,7 +104,7 @@ def play(asked: Asked) -> int:
     if not choices.dry_run:
         raise InputError("play needs --channel, for instance --channel can0 (or --dry-run)")
     asked.console.lines(check_lines(checks))
-    return _verdict(checks, asked.console)
+    return _rehearsed(checks, asked)
 
 
 def simulate(asked: Asked) -> int:
@@ -246,8 +253,16 @@ def main(arguments: Sequence[str]) -> int:
         _overview().parse_args(arguments or ["--help"])
         raise InputError(f"unknown command {name!r}; valid: {', '.join(COMMANDS)}")
     asked = Asked(*parsed(partial(build_parser, name), arguments[1:]))
-    code = COMMANDS[name].run(asked)
-    asked.console.result({"command": name, "exit_code": code, "lines": asked.console.said})
+    failure: SysidError | None = None
+    try:
+        code = COMMANDS[name].run(asked)
+        asked.console.lines(asked.verdict)
+    except SysidError as error:
+        code, failure, asked.verdict = error.exit_code, error, (f"Not usable: {error}",)
+    told = {"verdict": asked.verdict, "lines": asked.console.said}
+    asked.console.result({"command": name, "exit_code": code, **told})
+    if failure is not None:
+        raise failure
     return code
 
 
@@ -280,7 +295,7 @@ def _play_on(
     checks = [*checks, *asked.met_checks(plan, inspection, real)]
     console.lines([*motor_table(inspection, plan.trajectory.joints), *check_lines(checks)])
     if choices.dry_run:
-        return _verdict(checks, console)
+        return _rehearsed(checks, asked)
     preflight.require_no_stop(checks, "not played")
     asked.require_free(plan)
     if not choices.yes:
@@ -307,10 +322,25 @@ def _play_on(
         # That it has to end is no fault of holding, if all else went well.
         if not holds or str(error) != stop.reason:
             raise
-    if plan.recording.record:
-        console.stage(f"recorded to {plan.recording.record}")
-    console.stage("all motors are disabled")
+    _conclude(asked, plan, holds)
     return 0
+
+
+def _conclude(asked: Asked, plan: preflight.Plan, held: bool) -> None:
+    """Say what came of a run, and what to do with it."""
+    record = plan.recording.record
+    done = f"{'held' if held else 'played'}, and all motors are disabled"
+    done = f"{'Done' if record is None else 'Usable'}: {done}"
+    done += "" if record is None else f"; recorded to {record}"
+    if held:
+        asked.verdict = (done,)
+    elif record is None or plan.settings.speed < 1.0:
+        again = asked.command("play", "speed", record="measured.csv")
+        asked.conclude(done, again, " (a recording at full speed, to identify from)")
+    else:
+        model, arm = str(asked.values.get("model") or "MODEL"), asked.values
+        identify = [PROGRAM, "identify", model, str(record), *command_words(arm, ModelOptions)]
+        asked.conclude(done, identify)
 
 
 def _simulated_end(asked: Asked) -> bus.Link:
@@ -327,14 +357,12 @@ def _simulated_end(asked: Asked) -> bus.Link:
         devices = [device for _, device in ends]
         channels = tuple(map("=".join, zip(names, devices))) if len(names) > 1 else tuple(devices)
         link, interface = BusLink([terminal for terminal, _ in ends], asked.clock), "slcan"
-    buses = [word for channel in channels for word in ("--channel", channel)]
-    words = ["play", str(asked.values["trajectory"]), "--interface", interface, *buses]
     # A simulated arm turns as its model does.
-    words += [*(["--fd"] if asked.timing.fd else []), *asked.arm_words(), "--accept-directions"]
+    there = {"interface": interface, "channel": channels, "accept_directions": True}
+    words = asked.command("play", **{"record": "measured.csv", **there})
     told = "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
     told += "ends it. To play on it, in another terminal:"
-    line = f"{PROGRAM} motors {shlex.join(words)} --record measured.csv"
-    asked.console.lines([told, line])
+    asked.console.lines([told, shlex.join(words)])
     return link
 
 
@@ -344,7 +372,9 @@ _WARNING = (
 )
 
 
-def _verdict(checks: Sequence[preflight.Check], console: Console) -> int:
+def _rehearsed(checks: Sequence[preflight.Check], asked: Asked) -> int:
     preflight.require_no_stop(checks, "would not be played")
-    console.stage("nothing speaks against playing (dry run: nothing was enabled)")
+    asked.conclude(
+        "Usable: nothing speaks against playing (nothing was enabled)", asked.play_words()
+    )
     return 0

@@ -60,10 +60,11 @@ def verify(asked: Asked, link: GuardedLink, plan: Plan) -> int:
     path = path if kept else Path("joint_map.csv")
     if not kept and path.exists():
         raise InputError(f"{path} is there already; give it with --joint-map")
-    console, holding = asked.console, asked.holding(plan)
+    holding = asked.holding(plan)
     unseen = [] if holding is None else holding.unjudged(plan.scan.first)
     if not unseen:
-        console.stage("gravity shows which way each joint turns, or somebody has verified it")
+        shown = "gravity shows which way each joint turns, or somebody has verified it"
+        asked.conclude(f"Done: {shown}", asked.play_words())
         return 0
     ways = _move_a_little(asked, link, plan, unseen)
     for joint, way in zip(unseen, ways):
@@ -78,7 +79,8 @@ def verify(asked: Asked, link: GuardedLink, plan: Plan) -> int:
     write_joint_map(
         path, [replace(r, verified=BY_MOTION) if (r.can_id, r.name) in met else r for r in rows]
     )
-    console.stage(f"kept in {path}; play with --joint-map {path}")
+    asked.values = {**asked.values, "joint_map": path}
+    asked.conclude(f"Done: kept in {path}, and all motors are disabled", asked.play_words())
     return 0
 
 
@@ -111,7 +113,6 @@ def _move_a_little(
 
     with stop.on_signals():
         asked.run(link, little, inspect_bus(link), stop, console.stage, tell)
-    console.stage("all motors are disabled")
     return [ways[j] for j in numbers]
 
 

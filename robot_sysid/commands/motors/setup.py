@@ -300,7 +300,18 @@ def setup(asked: Asked) -> int:
         if changes:
             for line in MotorSetup(link, _only(inspection, options)).apply(options):
                 asked.console.stage(line)
-        return 0 if inspection.motors else 1
+        return _found(asked, len(inspection.motors))
+
+
+SILENT = "no motor answers: check power, wiring and bit rate"
+
+
+def _found(asked: Asked, motors: int) -> int:
+    """Say how many motors there are and what to do next; return the exit code."""
+    asked.verdict = (f"Not usable: {SILENT}",)
+    if motors:
+        asked.conclude(f"Done: {motors} motors answer", asked.command("check"))
+    return 0 if motors else 1
 
 
 def _scan(asked: Asked) -> int:
@@ -324,7 +335,7 @@ def _scan(asked: Asked) -> int:
         asked.console.lines(motor_table(inspection) if found else [])
     if len(refused) == len(rates):
         raise refused[0]
-    return 0 if heard else 1
+    return _found(asked, heard)
 
 
 def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
@@ -361,8 +372,7 @@ def monitor(asked: Asked) -> int:
     with asked.bus(refuse_motion) as link:
         motors = list(inspect_bus(link).motors.values())
         if not motors:
-            console.stage("no motor answers: check power, wiring and bit rate")
-            return 1
+            return _found(asked, 0)
         with contextlib.suppress(KeyboardInterrupt):
             _watch(link, motors, options, console)
     return 0
@@ -390,5 +400,6 @@ def map_joints(asked: Asked) -> int:
     with asked.bus(refuse_motion) as link:
         rows = map_by_hand(link, robot)
     write_joint_map(options.output, rows)
-    asked.console.stage(f"written to {options.output}; give it to motors play with --joint-map")
+    play = asked.command("play", trajectory="TRAJECTORY", joint_map=options.output)
+    asked.conclude(f"Done: written to {options.output}", play)
     return 0
