@@ -25,7 +25,7 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.servo.commands import commanded_pieces
 from robot_sysid.servo.run import UNITS, run_servo
 from robot_sysid.servo.search import parted, play_servos
-from robot_sysid.simulation.servos import model_servos
+from robot_sysid.simulation.servos import ServoRollouts, model_servos
 from tests.support.places import MODELS
 
 ARMS = {
@@ -70,7 +70,7 @@ def report(name, arm, robot, outcome, held, spent) -> None:
         print(f"  {term} [{unit}]: model {before}\n    true {values}")
         print(f"    found {after}\n    error {errors}")
     pair = model_servos(robot), servos
-    without = play_servos(robot, held, pair, "").errors
+    without = play_servos(ServoRollouts(robot), held, pair, "").errors
     for error, bare in zip(found.rollout.errors, without):
         (late, new), (old, _) = error.overall, bare.overall
         print(

@@ -151,11 +151,13 @@ def _outcome(config: Config, console: Console) -> Any:
     """Run the stages that a question takes; return their ``files``, ``failure`` and lines."""
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     if isinstance(config, SysidConfig) and config.estimation.torque_from is not None:
+        from robot_sysid.model.compilation import meshes_not_kept
         from robot_sysid.pipeline import load
         from robot_sysid.servo.run import run_servo
 
-        robot, output = load(config, console), config.output.output_dir
-        return run_servo(robot, config.log, output, config.model.mesh_dir, console, console.config)
+        with meshes_not_kept():
+            robot, rest = load(config, console), (config.model.mesh_dir, console, console.config)
+            return run_servo(robot, config.log, config.output.output_dir, *rest)
     from robot_sysid.pipeline import run
 
     return run(config, console)

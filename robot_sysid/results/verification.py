@@ -269,14 +269,14 @@ def require_reproduction(
     Args:
         thetas: (n, 10) links that were identified, in their bodies' frames.
     """
-    model = copy.copy(robot.mj_model)
+    asked = replace(robot, mj_model=copy.copy(robot.mj_model))
     for each in _asked(robot.mj_model, change):
-        each.put(model)
-    asked = replace(robot, mj_model=model)
+        each.put(asked.mj_model)
     samples = motion.q, motion.qd, motion.qdd
     # What is no rigid body (springs, armature) does not depend on the links' inertia.
     predicted = LinkDynamics(asked).motion(*samples).torque(thetas)
     predicted += ArmDynamics(asked).beyond_rigid_bodies(*samples)
+    del asked  # with its meshes
     actual = ArmDynamics(robot, written_model).torque(*samples)
     peak = np.max(np.abs(predicted), axis=0)
     scale = np.maximum(peak, _LEAST_SHARE * np.max(peak, initial=0.0))

@@ -33,7 +33,7 @@ from robot_sysid.servo import search
 from robot_sysid.servo.commands import MOST_PERIODS, commanded_pieces, moving
 from robot_sysid.servo.search import ServoFit
 from robot_sysid.signals.resampling import usual_period
-from robot_sysid.simulation.servos import actuators_of, model_servos
+from robot_sysid.simulation.servos import ServoRollouts, actuators_of, model_servos
 
 SERVO_SCHEMA = "robot-sysid servo 1"
 WITHOUT_TORQUE = (
@@ -276,21 +276,25 @@ def identify_servos(
     period = float(np.median([usual_period(piece.time) for piece in pieces]))
     q = np.concatenate([piece.q for piece in pieces])
     q = q[np.linspace(0, len(q) - 1, _POSITIONS).astype(int)]
-    start = search.first_servos(robot, q, period, moves)
+    whole = search.first_servos(robot, q, period, moves)
     progress.stage("Searching for servos, friction and rotor inertia...")
-    problem = search.problem_of(robot, fitted)
-    fit = search.fit_servos(problem, search.better_start(problem, start), progress)
-    if not np.all(fit.seen[start.free]):
-        start = replace(start, start=search.as_in_model(robot, fit.servos, ~fit.seen))
-        fit = search.fit_servos(problem, start, progress, fit.seen)
-    before = search.as_in_model(robot, fit.servos)
-    rollout = search.play_servos(robot, held, (before, fit.servos), words)
+    rollouts = ServoRollouts(robot)
+    slopes = search.Slopes(search.problem_of(rollouts, fitted))
+    servos = search.searched(slopes, search.better_start(slopes.problem, whole), progress)
+    seen = search.judged(slopes, whole, servos).seen
+    sought = replace(whole, free=whole.free & seen)
+    if not np.array_equal(sought.free, whole.free):
+        sought = replace(sought, start=search.as_in_model(robot, servos, ~seen))
+        servos = search.searched(slopes, sought, progress)
+    before = search.as_in_model(robot, servos)
+    rollout = search.play_servos(rollouts, held, (before, servos), words)
     if other is None:
         # What was held out has done its work; the numbers come from all that was recorded.
-        problem = search.problem_of(robot, pieces)
-        fit = search.fit_servos(problem, replace(start, start=fit.servos), progress, fit.seen)
+        slopes = search.Slopes(search.problem_of(rollouts, pieces))
+        servos = search.searched(slopes, replace(sought, start=servos), progress)
+    fit = replace(search.judged(slopes, whole, servos), seen=seen)
     fit = search.with_links_error(fit, search.links_share(robot, pieces, fit.servos))
-    limited = search.at_limit(problem, fit.servos)
+    limited = search.at_limit(slopes.problem, fit.servos)
     found = ServoIdentification(robot, fit, moves, limited, origin_of(opened), rollout)
     notes = [note for log in opened for note in log.notes]
     notes += servo_notes(found, period)

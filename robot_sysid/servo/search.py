@@ -8,7 +8,7 @@ links and gravity are small beside them, and in logarithms that is a straight li
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,14 +25,7 @@ from robot_sysid.results.rollout import HELD_OUT_SHARE, HORIZONS
 from robot_sysid.servo.commands import MOST_PERIODS
 from robot_sysid.signals.resampling import part_of, usual_period
 from robot_sysid.simulation.playback import MOST_WINDOWS
-from robot_sysid.simulation.servos import (
-    Servos,
-    Window,
-    actuators_of,
-    model_servos,
-    played_servos,
-    servo_copy,
-)
+from robot_sysid.simulation.servos import ServoRollouts, Servos, Window, actuators_of, model_servos
 
 SERVO_WORDS = "the log's commands through the model's servos, both late by the delay that was found"
 # Windows: time step of rollouts, at most, length, what does not count at the beginning, where the
@@ -64,13 +57,11 @@ class Problem:
     Attributes:
         windows: where rollouts start, with times after it (m,) and positions (m, n) that count.
         edges: (S + 1,) ends of the steps of each window, from its start [s].
-        model: what is rolled out, see ``servos.servo_copy``.
     """
 
-    robot: RobotModel
+    rollouts: ServoRollouts
     windows: tuple[tuple[Window, Array, Array], ...]
     edges: Array
-    model: Any
 
     def some(self, most: int) -> Problem:
         """Return the problem with at most so many of its windows, spread evenly."""
@@ -82,25 +73,26 @@ class Problem:
         speed = np.concatenate([np.gradient(q, time, axis=0) for _, time, q in self.windows])
         return np.asarray(np.abs(speed) > 0.1 * np.sqrt(np.mean(speed**2, axis=0)))
 
-    def played(self, choices: Sequence[Servos]) -> Array:
-        """Return positions (C, W, S + 1, n) of each choice in every window."""
-        windows = [own[0] for own in self.windows]
-        return played_servos(self.robot, choices, windows, self.edges, self.model)
+    def played(self, choices: Sequence[Servos]) -> Iterator[Array]:
+        """Yield positions (W, S + 1, n) of each choice in every window."""
+        return self.rollouts.played(choices, [own[0] for own in self.windows], self.edges)
 
     def errors(self, choices: Sequence[Servos]) -> Array:
         """Return position errors (C, M, n) of all windows [rad]; pi where a rollout diverges."""
-
-        def error(q: Array, time: Array, measured: Array) -> Array:
-            found = np.stack([np.interp(time, self.edges, column) for column in q.T], axis=1)
-            return np.nan_to_num(found - measured, nan=np.pi)
-
-        every = self.played(choices)
-        pairs = [[error(q, *own[1:]) for q, own in zip(each, self.windows)] for each in every]
-        return np.stack([np.concatenate(each) for each in pairs])
+        _, times, measured = zip(*self.windows)
+        window = np.repeat(np.arange(len(times)), [len(time) for time in times])
+        at = np.concatenate(times) / (self.edges[1] - self.edges[0])
+        step = np.minimum(at.astype(int), len(self.edges) - 2)
+        beyond, target = (at - step)[:, None], np.concatenate(measured)
+        found = (
+            (1.0 - beyond) * q[window, step] + beyond * q[window, step + 1] - target
+            for q in self.played(choices)
+        )
+        return np.stack([np.nan_to_num(error, nan=np.pi) for error in found])
 
 
 def problem_of(
-    robot: RobotModel,
+    rollouts: ServoRollouts,
     pieces: Sequence[Measurement],
     most: int = FITTED,
     length: float = LENGTH,
@@ -126,7 +118,7 @@ def problem_of(
     if not windows:
         raise InputError(f"no piece of the log is as long as {length:g} s; record longer")
     edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
-    return Problem(robot, tuple(windows), edges, servo_copy(robot, STEP)).some(most)
+    return Problem(rollouts, tuple(windows), edges).some(most)
 
 
 def smoothed(piece: Measurement) -> tuple[Array, Array]:
@@ -148,19 +140,20 @@ def parted(pieces: Sequence[Measurement]) -> tuple[list[Measurement], list[Measu
 
 
 def play_servos(
-    robot: RobotModel, pieces: Sequence[Measurement], pair: tuple[Servos, Servos], held_out: str
+    rollouts: ServoRollouts, pieces: Sequence[Measurement], pair: Sequence[Servos], held_out: str
 ) -> RolloutTest:
     """Play two models (before, after) on held-out pieces, over every horizon that is there."""
     errors, notes = [], ["open loop was not played: no torque was measured"]
     for horizon in HORIZONS:
         try:
-            problem = problem_of(robot, pieces, MOST_WINDOWS, horizon, 0.0)
+            problem = problem_of(rollouts, pieces, MOST_WINDOWS, horizon, 0.0)
         except InputError:
             notes.append(f"no held-out piece is as long as {horizon:g} s")
             continue
         old, new = np.sqrt(np.mean(problem.errors(pair) ** 2, axis=1))
         errors.append(RolloutError(CLOSED, horizon, len(problem.windows), old, new))
-    return RolloutTest(robot.joint_names, held_out, SERVO_WORDS, tuple(errors), tuple(notes))
+    names = rollouts.robot.joint_names
+    return RolloutTest(names, held_out, SERVO_WORDS, tuple(errors), tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -276,18 +269,14 @@ class ServoFit:
     sigma: Array
 
 
-def fit_servos(
-    problem: Problem, whole: Scale, progress: Progress, seen: NDArray[np.bool_] | None = None
-) -> ServoFit:
+def searched(slopes_of: Slopes, scale: Scale, progress: Progress) -> Servos:
     """Search for the servos whose rollouts come nearest to the measured positions.
 
-    Twice: all joints' errors count alike at first, then each in units of its own error. Of all that
-    is free, only what is ``seen`` is sought where that is known; errors are stated of all.
+    Twice: all joints' errors count alike at first, then each in units of its own error.
     """
     from scipy.optimize import least_squares
 
-    scale = whole if seen is None else replace(whole, free=whole.free & seen)
-    bounds, slopes_of = scale.bounds(), _Slopes(problem)
+    problem, bounds = slopes_of.problem, scale.bounds()
     origin = x = np.clip(scale.unknowns(scale.start), *bounds)
     done = 0.0
 
@@ -309,8 +298,7 @@ def fit_servos(
         done, sigma = 0.0, _sigma(problem.errors([scale.servos(x)])[0])
         x = least_squares(residuals, x, jacobian, bounds, args=(sigma, stage), **settled).x
         progress.advance(stage, 1.0, 1.0, "")
-    fit = judged(problem, whole, scale.servos(x), slopes_of)
-    return fit if seen is None else replace(fit, seen=seen)
+    return scale.servos(x)
 
 
 def as_in_model(robot: RobotModel, found: Servos, which: Any = True) -> Servos:
@@ -329,33 +317,31 @@ def _sigma(errors: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)) + 1e-9)
 
 
-class _Slopes:
-    """Derivatives of a problem's errors; the last are kept, as the next search begins there."""
+class Slopes:
+    """Derivatives of a problem's errors; those for the last servos are kept, number by number."""
 
     def __init__(self, problem: Problem) -> None:
-        self._problem, self._key, self._last = problem, (b"", b""), np.zeros(0)
+        self.problem, self._at = problem, b""
+        self._known: dict[int, Array] = {}
 
     def __call__(self, scale: Scale, servos: Servos) -> Array:
-        """Return the derivative (M, n, p) of the errors in each number that is sought."""
-        key = servos.vector().tobytes(), scale.free.tobytes()
-        if self._key != key:
-            self._key, self._last = key, _slopes(self._problem, scale, servos)
-        return self._last
+        """Return the derivative (M, n, p) of the errors in each number that is sought.
 
-
-def _slopes(problem: Problem, scale: Scale, servos: Servos) -> Array:
-    """Return the derivative (M, n, p) of the errors in each number, by central differences.
-
-    Differences to one side would hide the directions in which hardly anything changes. Friction
-    changes by as much as is usual: behind a stiff servo luck makes more than a little friction.
-    """
-    x, unit = servos.vector(), _unit(scale, servos)
-    is_friction = np.arange(len(x)) // len(servos.stiffness) == _FRICTION
-    step = np.where(is_friction, 1.0, _STEP) * unit
-    low, high = np.maximum(x - step, 0.0), x + step
-    moved = [np.where(np.eye(len(x), dtype=bool), end, x)[scale.free] for end in (low, high)]
-    errors = problem.errors([Servos.of(each) for each in np.concatenate(moved)])
-    return np.moveaxis(np.diff(np.split(errors, 2), axis=0)[0], 0, -1) / (high - low)[scale.free]
+        By central differences: those to one side would hide the directions in which hardly anything
+        changes. Friction changes by as much as is usual: behind a stiff servo luck makes more than
+        a little friction.
+        """
+        x, free = servos.vector(), np.flatnonzero(scale.free)
+        if self._at != x.tobytes():
+            self._at, self._known = x.tobytes(), {}
+        step = np.where(np.arange(len(x)) // len(servos.stiffness) == _FRICTION, 1.0, _STEP)
+        step *= _unit(scale, servos)
+        new = [k for k in free.tolist() if k not in self._known]
+        for k, one in zip(new, np.eye(len(x))[new]):
+            low, high = np.maximum(x - step * one, 0.0), x + step * one
+            errors = self.problem.errors([Servos.of(low), Servos.of(high)])
+            self._known[k] = (errors[1] - errors[0]) / (high - low)[k]
+        return np.stack([self._known[k] for k in free.tolist()], axis=-1)
 
 
 def _unit(scale: Scale, servos: Servos) -> Array:
@@ -363,16 +349,14 @@ def _unit(scale: Scale, servos: Servos) -> Array:
     return np.maximum(scale.derivative(servos), scale.size.vector())
 
 
-def judged(
-    problem: Problem, scale: Scale, servos: Servos, slopes_of: _Slopes | None = None
-) -> ServoFit:
+def judged(slopes_of: Slopes, scale: Scale, servos: Servos) -> ServoFit:
     """Return the result with its errors.
 
     They hold noise as long-lived as the residuals' own, and what rollouts of steps without length
     would change, which is twice what half a step changes. What is known beforehand of each number
     is its unit, as far as the search pulls.
     """
-    free, joints = np.flatnonzero(scale.free), len(servos.stiffness)
+    problem, free, joints = slopes_of.problem, np.flatnonzero(scale.free), len(servos.stiffness)
     unit = _unit(scale, servos)[free]
     residuals = problem.errors([servos])[0]
     halves = np.linspace(0.0, problem.edges[-1], 2 * len(problem.edges) - 1)
@@ -380,7 +364,7 @@ def judged(
     sigma = _sigma(residuals)
     normal, bias = np.eye(len(free)) / PULL**2, np.zeros(len(free))
     score = normal.copy()
-    slopes, moves = (slopes_of or _Slopes(problem))(scale, servos) * unit, problem.moves()
+    slopes, moves = slopes_of(scale, servos) * unit, problem.moves()
     for joint in range(joints):
         rows = slopes[:, joint] / sigma[joint]
         own = (free % joints == joint) & (free < 4 * joints)
@@ -446,8 +430,8 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
 
 def at_limit(problem: Problem, servos: Servos) -> Array:
     """Return (n,) the share of time in which each servo asks for more than its limit."""
-    over, limit = [], actuators_of(problem.robot).limit
-    for (window, _, _), q in zip(problem.windows, problem.played([servos])[0]):
+    over, limit = [], actuators_of(problem.rollouts.robot).limit
+    for (window, _, _), q in zip(problem.windows, next(problem.played([servos]))):
         asked = window.controls(servos.delay, problem.edges) - q[:-1]
         over.append(np.abs(servos.stiffness * asked) > limit)
     return np.mean(np.concatenate(over), axis=0)

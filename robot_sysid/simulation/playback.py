@@ -65,27 +65,74 @@ def rollout_copy(robot: RobotModel, timestep: float) -> Any:
     model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     model.opt.timestep = timestep
     model.opt.tolerance = 1e-8
-    # A rollout that diverges must not go on from the start.
-    model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, "mjDSBL_AUTORESET", 0))
+    # A rollout that diverges must not go on from the start; a chain has no islands to be found.
+    for name in ("AUTORESET", "ISLAND"):
+        model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0))
     return model
 
 
-def roll(robot: RobotModel, models: Sequence[Any], inputs: Inputs) -> Array:
-    """Return chain positions (B, S, n) after each step; NaN from where a rollout diverged.
+class Roller:
+    """Rolls a model out, on all processors where MuJoCo can, from many starts at a time.
 
     Args:
-        models: one for each rollout.
-        inputs: B rollouts.
+        model: a ``rollout_copy``; its numbers may change from call to call.
     """
-    count, steps, _ = inputs.torque.shape
-    size = mujoco.mj_stateSize(models[0], _FULL) + mujoco.mj_stateSize(models[0], _INPUTS)
-    most = max(1, MOST_NUMBERS // max(1, size * steps))
-    played = _threaded if _has_threads() else _stepped
-    parts = [slice(first, first + most) for first in range(0, count, most)]
-    with captured_warnings():
-        q = np.concatenate([played(robot, models[rows], inputs.part(rows)) for rows in parts])
-    q[np.logical_or.accumulate(~np.all(np.isfinite(q), axis=2), axis=1)] = np.nan
-    return q
+
+    def __init__(self, robot: RobotModel, model: Any) -> None:
+        self._robot, self.model = robot, model
+        self._pool: Any = None
+        threads = processors() if _has_threads() else 1
+        self._data = [mujoco.MjData(model) for _ in range(threads)]
+        if _has_threads():
+            from mujoco import rollout
+
+            self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
+
+    def __call__(self, inputs: Inputs) -> Array:
+        """Return chain positions (B, S, n) after each step; NaN from where a rollout diverged."""
+        count, steps, _ = inputs.torque.shape
+        size = mujoco.mj_stateSize(self.model, _FULL) + mujoco.mj_stateSize(self.model, _INPUTS)
+        most = max(1, MOST_NUMBERS // max(1, size * steps))
+        played = self._stepped if self._pool is None else self._threaded
+        parts = [slice(first, first + most) for first in range(0, count, most)]
+        with captured_warnings():
+            q = np.concatenate([played(inputs.part(rows)) for rows in parts])
+        q[np.logical_or.accumulate(~np.all(np.isfinite(q), axis=2), axis=1)] = np.nan
+        return q
+
+    def _threaded(self, inputs: Inputs) -> Array:
+        robot, model, data = self._robot, self.model, self._data
+        starts = np.empty((len(inputs.q), mujoco.mj_stateSize(model, _FULL)))
+        for start, q, qd in zip(starts, inputs.q, inputs.qd):
+            placed(robot, model, data[0], q, qd)
+            mujoco.mj_getState(model, data[0], start, _FULL)
+        given = np.zeros((*inputs.torque.shape[:2], mujoco.mj_stateSize(model, _INPUTS)))
+        given[:, :, model.nu + robot.dof_index] = inputs.torque
+        if inputs.control is not None:
+            given[:, :, : model.nu] = inputs.control
+        models = [model] * len(starts)
+        states, _ = self._pool.rollout(models, data, starts, given, control_spec=_INPUTS)
+        q = np.array(states[:, :, 1 + robot.qpos_index])
+        # A rollout that diverges stands still from there, its clock too.
+        expected = model.opt.timestep * np.arange(1, q.shape[1] + 1)
+        q[states[:, :, 0] < expected - 0.5 * model.opt.timestep] = np.nan
+        return q
+
+    def _stepped(self, inputs: Inputs) -> Array:
+        """Do what ``mujoco.rollout`` does, step by step."""
+        robot, model, data = self._robot, self.model, self._data[0]
+        q: Array = np.full(inputs.torque.shape, math.nan)
+        for row, steps in enumerate(inputs.torque):
+            placed(robot, model, data, inputs.q[row], inputs.qd[row])
+            for step, torque in enumerate(steps):
+                data.qfrc_applied[robot.dof_index] = torque
+                if inputs.control is not None:
+                    data.ctrl[:] = inputs.control[row, step]
+                mujoco.mj_step(model, data)
+                if any(warning.number for warning in data.warning):
+                    break
+                q[row, step] = data.qpos[robot.qpos_index]
+        return q
 
 
 def _has_threads() -> bool:
@@ -94,45 +141,6 @@ def _has_threads() -> bool:
     except ImportError:
         return False
     return hasattr(rollout, "Rollout")
-
-
-def _threaded(robot: RobotModel, models: Sequence[Any], inputs: Inputs) -> Array:
-    from mujoco import rollout
-
-    threads = min(processors(), len(models))
-    data = [mujoco.MjData(models[0]) for _ in range(threads)]
-    starts = np.empty((len(models), mujoco.mj_stateSize(models[0], _FULL)))
-    for start, q, qd in zip(starts, inputs.q, inputs.qd):
-        placed(robot, models[0], data[0], q, qd)
-        mujoco.mj_getState(models[0], data[0], start, _FULL)
-    given = np.zeros((*inputs.torque.shape[:2], mujoco.mj_stateSize(models[0], _INPUTS)))
-    given[:, :, models[0].nu + robot.dof_index] = inputs.torque
-    if inputs.control is not None:
-        given[:, :, : models[0].nu] = inputs.control
-    with rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
-        states, _ = pool.rollout(list(models), data, starts, given, control_spec=_INPUTS)
-    q = np.array(states[:, :, 1 + robot.qpos_index])
-    # A rollout that diverges stands still from there, its clock too.
-    expected = models[0].opt.timestep * np.arange(1, q.shape[1] + 1)
-    q[states[:, :, 0] < expected - 0.5 * models[0].opt.timestep] = np.nan
-    return q
-
-
-def _stepped(robot: RobotModel, models: Sequence[Any], inputs: Inputs) -> Array:
-    """Do what ``mujoco.rollout`` does, step by step."""
-    q: Array = np.full(inputs.torque.shape, math.nan)
-    for row, model in enumerate(models):
-        data = mujoco.MjData(model)
-        placed(robot, model, data, inputs.q[row], inputs.qd[row])
-        for step in range(inputs.torque.shape[1]):
-            data.qfrc_applied[robot.dof_index] = inputs.torque[row, step]
-            if inputs.control is not None:
-                data.ctrl[:] = inputs.control[row, step]
-            mujoco.mj_step(model, data)
-            if any(warning.number for warning in data.warning):
-                break
-            q[row, step] = data.qpos[robot.qpos_index]
-    return q
 
 
 STEP = 0.002
@@ -227,7 +235,7 @@ def played(
         model.dof_damping[robot.dof_index] += servo.damping
         rest = np.array(model.qpos_spring[robot.qpos_index])
         torque = torque + servo.stiffness * (q[:, :-1] - rest) + servo.damping * qd[:, 1:]
-    found = roll(robot, [model] * len(windows), Inputs(q[:, 0], qd[:, 0], torque))
+    found = Roller(robot, model)(Inputs(q[:, 0], qd[:, 0], torque))
     most = np.array([RAN_AWAY[bool(slide)] for slide in robot.is_slide])
     error = np.abs(found - q[:, 1:])
     away = ~np.all(error < most, axis=(1, 2))

@@ -11,7 +11,7 @@ its own, is pulled by a spring, and has no limit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.model.chain import actuators_on
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.simulation.playback import Inputs, interpolated, roll, rollout_copy
+from robot_sysid.simulation.playback import Inputs, Roller, interpolated, rollout_copy
 
 NONE = -1
 
@@ -189,37 +189,35 @@ class Window:
         return np.asarray(np.diff(values, axis=0) / np.diff(edges)[:, None])
 
 
-def played_servos(
-    robot: RobotModel,
-    choices: Sequence[Servos],
-    windows: Sequence[Window],
-    edges: Array,
-    model: Any = None,
-) -> Array:
-    """Return positions (C, W, S + 1, n) of every choice of servos in every window.
+class ServoRollouts:
+    """Rollouts of an arm behind servos; one copy of its model, which meshes make large, for all."""
 
-    Args:
-        choices: C servos and joints.
-        windows: W of them, all of one length.
-        edges: (S + 1,) ends of the steps, from the start of a window [s].
-        model: a ``servo_copy`` that serves all choices and calls, as meshes make it large and slow
-            to copy; None makes one.
-    """
-    step = float(edges[1] - edges[0])
-    model = model or servo_copy(robot, step)
-    model.opt.timestep = step
-    q, qd = (np.stack([getattr(w, name) for w in windows]) for name in ("q", "qd"))
-    index = actuators_of(robot).index
-    driven = index != NONE
-    rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
-    found = []
-    for servos in choices:
-        set_servos(model, robot, servos)
-        control = np.stack([window.controls(servos.delay, edges) for window in windows])
-        given = np.zeros((*control.shape[:2], robot.mj_model.nu))
-        given[:, :, index[driven]] = control[:, :, driven]
-        torque = servos.stiffness * ~driven * (control - rest)
-        inputs = Inputs(q, qd, torque, given)
-        played = roll(robot, [model] * len(windows), inputs)
-        found.append(np.concatenate((q[:, None], played), axis=1))
-    return np.stack(found)
+    def __init__(self, robot: RobotModel, timestep: float = 0.002) -> None:
+        self.robot = robot
+        self._roller = Roller(robot, servo_copy(robot, timestep))
+
+    def played(
+        self, choices: Sequence[Servos], windows: Sequence[Window], edges: Array
+    ) -> Iterator[Array]:
+        """Yield positions (W, S + 1, n) of each choice of servos in every window.
+
+        Args:
+            choices: servos and joints.
+            windows: W of them, all of one length.
+            edges: (S + 1,) ends of the steps, from the start of a window [s].
+        """
+        robot, model = self.robot, self._roller.model
+        model.opt.timestep = edges[1] - edges[0]
+        q, qd = (np.stack([getattr(w, name) for w in windows]) for name in ("q", "qd"))
+        delays = {servos.delay for servos in choices}
+        commanded = {d: np.stack([w.controls(d, edges) for w in windows]) for d in delays}
+        index = actuators_of(robot).index
+        driven = index != NONE
+        rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
+        for servos in choices:
+            set_servos(model, robot, servos)
+            control = commanded[servos.delay]
+            given = np.zeros((*control.shape[:2], model.nu))
+            given[:, :, index[driven]] = control[:, :, driven]
+            torque = servos.stiffness * ~driven * (control - rest)
+            yield np.concatenate((q[:, None], self._roller(Inputs(q, qd, torque, given))), axis=1)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import mjcf_inertial
-from robot_sysid.model.compilation import compile_model, restore_exact_inertias
+from robot_sysid.model.compilation import compile_model, meshes_not_kept, restore_exact_inertias
 from robot_sysid.model.inertia import body_theta, inertia_about_com, subtree_bodies
 from tests.support.model_files import (
     ARM,
@@ -158,6 +158,18 @@ def test_a_decimal_comma_is_refused_before_meshes_are_read_wrongly(tmp_path, mon
     path = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON})
     with pytest.raises(ModelError, match=r"has ',' for a decimal point.*LC_NUMERIC, 'C'"):
         compile_model(path)
+
+
+@pytest.mark.skipif(not hasattr(mujoco, "mj_getCache"), reason="this MuJoCo keeps no meshes")
+def test_nothing_of_meshes_is_kept_where_memory_matters(tmp_path):
+    cache = mujoco.mj_getCache()
+    path, usual = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON}), 123456789
+    mujoco.mj_setCacheCapacity(cache, usual)
+    with pytest.raises(KeyError), meshes_not_kept():
+        compile_model(path)
+        assert mujoco.mj_getCacheSize(cache) == 0
+        raise KeyError
+    assert mujoco.mj_getCacheCapacity(cache) == usual
 
 
 def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():

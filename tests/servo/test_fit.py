@@ -1,6 +1,6 @@
 """What the errors of servos hold, and what a search leaves alone."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from robot_sysid.servo.search import (
     LINKS_WRONG,
     STEP,
     ServoFit,
+    Slopes,
     as_in_model,
     first_servos,
     judged,
@@ -21,7 +22,7 @@ from robot_sysid.servo.search import (
     usual_share,
     with_links_error,
 )
-from robot_sysid.simulation.servos import Servos, model_servos
+from robot_sysid.simulation.servos import ServoRollouts, Servos, model_servos
 from tests.support.arms import robot_of
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded, positions
 
@@ -106,7 +107,8 @@ def of_small(kp, friction, stated):
     q = positions(robot, time, command, replace(own, frictionloss=friction), steps=20)
     log = Measurement(time, q, None, command - q, command=command)
     sought = first_servos(robot, q[::10], 0.02, np.array([True, True]))
-    return judged(problem_of(robot, [log]), sought, replace(own, frictionloss=stated))
+    problem = problem_of(ServoRollouts(robot), [log])
+    return judged(Slopes(problem), sought, replace(own, frictionloss=stated))
 
 
 def test_friction_behind_a_stiff_servo_is_not_seen_and_its_error_holds_what_could_be():
@@ -144,26 +146,42 @@ class Linear:
     slopes: np.ndarray
     noise: np.ndarray
     drift: float = 0.0
+    played: list = field(default_factory=list)
 
     def moves(self):
         return np.ones((ROWS, 2), dtype=bool)
 
     def errors(self, choices):
+        self.played.extend(choices)
         step = self.drift * (STEPS / (len(self.edges) - 1) - 1.0) * self.slopes[:, :, 0]
         off = [choice.vector() - SCALE.size.vector() for choice in choices]
         return np.array([self.noise + step + self.slopes @ each for each in off])
 
 
-def linear(drift=0.0, wild=0.0):
+def problem_of_slopes(drift=0.0, wild=0.0):
     """A problem in which each number shows in its own joint alone, the delay in both."""
     rng = np.random.default_rng(0)
     own = np.append(np.tile(np.eye(2), 4), np.ones((2, 1)), axis=1)
     slopes = 1e-3 * rng.normal(size=(ROWS, 2, 9)) * own / SCALE.size.vector()
     slopes[ROWS // 2] *= 1.0 + wild
-    zero = replace(SCALE, start=SCALE.size)
     noise = 1e-4 * rng.normal(size=(ROWS, 2))
-    problem = Linear(np.linspace(0.0, 1.0, STEPS + 1), slopes, noise, drift)
-    return judged(problem, zero, Servos.of(SCALE.size.vector()))
+    return Linear(np.linspace(0.0, 1.0, STEPS + 1), slopes, noise, drift)
+
+
+def linear(drift=0.0, wild=0.0):
+    """What is found of such a problem at the usual sizes."""
+    zero, problem = replace(SCALE, start=SCALE.size), problem_of_slopes(drift, wild)
+    return judged(Slopes(problem), zero, Servos.of(SCALE.size.vector()))
+
+
+def test_slopes_that_are_known_are_not_played_again():
+    problem, servos = problem_of_slopes(), Servos.of(SCALE.size.vector())
+    slopes, sought = Slopes(problem), replace(SCALE, free=np.arange(9) % 2 == 0)
+    some = slopes(sought, servos)
+    np.testing.assert_array_equal(slopes(SCALE, servos)[..., ::2], some)
+    assert len(problem.played) == 2 * 9
+    moved = Servos.of(1.1 * SCALE.size.vector())
+    np.testing.assert_array_equal(slopes(sought, moved), Slopes(problem)(sought, moved))
 
 
 def test_errors_hold_what_shorter_steps_would_change():

@@ -8,8 +8,8 @@ from robot_sysid.simulation import playback
 from robot_sysid.simulation.playback import (
     STEP,
     Inputs,
+    Roller,
     played,
-    roll,
     rollout_copy,
     starts,
     stated_servo,
@@ -30,7 +30,7 @@ def recording(robot):
     time = STEP * np.arange(steps + 1)
     torque = 6.0 * np.sin(np.outer(time[:-1] + 0.5 * STEP, [3.0, 4.0, 5.0]))
     start = np.array([[0.1, -0.2, 0.3]])
-    q = roll(robot, [rollout_copy(robot, STEP)], Inputs(start, 0.0 * start, torque[None]))[0]
+    q = Roller(robot, rollout_copy(robot, STEP))(Inputs(start, 0.0 * start, torque[None]))[0]
     q = np.vstack((start, q))
     qd = np.vstack((0.0 * start, np.diff(q, axis=0) / STEP))
     return Measurement(time, q, qd, np.vstack((torque, torque[-1:])))
@@ -72,32 +72,33 @@ def inputs(robot, seed=0):
 
 def test_rollouts_on_threads_are_the_same_as_single_steps(monkeypatch):
     robot = robot_of(SEVEN)
-    models = [rollout_copy(robot, 0.002) for _ in range(COUNT)]
-    for number, model in enumerate(models):
-        model.dof_armature[:] = 0.1 * number
-    threads = roll(robot, models, inputs(robot))
+    model = rollout_copy(robot, 0.002)
+    threads = Roller(robot, model)
     monkeypatch.setattr(playback, "_has_threads", lambda: False)
-    np.testing.assert_array_equal(threads, roll(robot, models, inputs(robot)))
+    steps = Roller(robot, model)
+    for armature in (0.0, 0.3):
+        # Its numbers may change between calls.
+        model.dof_armature[:] = armature
+        np.testing.assert_array_equal(threads(inputs(robot)), steps(inputs(robot)))
 
 
 def test_few_at_a_time_are_the_same_as_all_at_once(monkeypatch):
     robot = robot_of(SEVEN)
-    models = [rollout_copy(robot, 0.002)] * COUNT
-    whole = roll(robot, models, inputs(robot))
+    roller = Roller(robot, rollout_copy(robot, 0.002))
+    whole = roller(inputs(robot))
     monkeypatch.setattr(playback, "MOST_NUMBERS", 1)
-    np.testing.assert_array_equal(roll(robot, models, inputs(robot)), whole)
+    np.testing.assert_array_equal(roller(inputs(robot)), whole)
 
 
 def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(monkeypatch):
     robot = robot_of(SEVEN)
-    models = [rollout_copy(robot, 0.002)] * COUNT
-    usual = inputs(robot)
-    whole = roll(robot, models, usual)
+    model, usual = rollout_copy(robot, 0.002), inputs(robot)
+    whole = Roller(robot, model)(usual)
     torque = usual.torque.copy()
     torque[1, 10:] = 1e15
     for has_threads in (playback._has_threads(), False):
         monkeypatch.setattr(playback, "_has_threads", lambda has=has_threads: has)
-        found = roll(robot, models, Inputs(usual.q, usual.qd, torque))
+        found = Roller(robot, model)(Inputs(usual.q, usual.qd, torque))
         np.testing.assert_array_equal(found[[0, 2, 3]], whole[[0, 2, 3]])
         np.testing.assert_array_equal(found[1, :10], whole[1, :10])
         assert np.all(np.isnan(found[1, 13:]))

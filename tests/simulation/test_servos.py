@@ -8,10 +8,10 @@ import pytest
 
 from robot_sysid.simulation.servos import (
     NONE,
+    ServoRollouts,
     Window,
     actuators_of,
     model_servos,
-    played_servos,
     servo_copy,
     set_servos,
 )
@@ -26,9 +26,14 @@ def window(seed=0):
     return Window(1.0, command[50], np.zeros(2), time, command)
 
 
+def played(robot, choice, start=None):
+    """Positions of one choice of servos in one window."""
+    return next(ServoRollouts(robot).played([choice], [start or window()], EDGES))[0]
+
+
 def test_the_models_own_servos_move_it_as_mujoco_does():
     robot, start = robot_of(XML), window()
-    played = played_servos(robot, [model_servos(robot)], [start], EDGES)[0, 0]
+    found = played(robot, model_servos(robot), start)
     model = mujoco.MjModel.from_xml_string(XML)
     model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 0.002
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -37,7 +42,7 @@ def test_the_models_own_servos_move_it_as_mujoco_does():
     for control in start.controls(0.0, EDGES):
         data.ctrl[:] = control
         mujoco.mj_step(model, data)
-    np.testing.assert_allclose(played[-1], data.qpos, atol=1e-7)
+    np.testing.assert_allclose(found[-1], data.qpos, atol=1e-7)
 
 
 @pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])
@@ -57,16 +62,22 @@ def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
     bare = robot_of(XML.replace(SERVOS, ""))
     assert actuators_of(bare).index.tolist() == [NONE, NONE]
     both = [model_servos(whole), TRUTH]
-    found = [played_servos(robot, both, [window()], EDGES)[1, 0] for robot in (whole, bare)]
+    rollouts = [ServoRollouts(robot).played(both, [window()], EDGES) for robot in (whole, bare)]
+    found = [[*each][1] for each in rollouts]
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+
+
+def test_choices_played_together_do_not_disturb_each_other():
+    robot, late = robot_of(XML), replace(TRUTH, delay=0.05)
+    choices = [TRUTH, late, replace(late, armature=2.0 * late.armature), TRUTH]
+    together = [each[0] for each in ServoRollouts(robot).played(choices, [window()], EDGES)]
+    np.testing.assert_array_equal(together, [played(robot, each) for each in choices])
 
 
 def test_a_servo_pulls_no_harder_than_its_limit():
     robot = robot_of(XML.replace("-60 60", "-1 1"))
     assert actuators_of(robot).limit.tolist() == [1.0, np.inf]
-    strong, weak = (
-        played_servos(r, [TRUTH], [window()], EDGES)[0, 0] for r in (robot_of(XML), robot)
-    )
+    strong, weak = (played(r, TRUTH) for r in (robot_of(XML), robot))
     assert np.ptp(weak[:, 0]) < 0.7 * np.ptp(strong[:, 0])
 
 
@@ -88,8 +99,6 @@ def test_commands_act_late_and_hold_until_the_next(delay):
 )
 def test_a_delay_of_the_models_own_does_not_act_a_second_time():
     delayed = XML.replace(' kp="100"', ' kp="100" delay="0.04" nsample="50"')
-    played = [
-        played_servos(robot, [replace(model_servos(robot), delay=0.04)], [window()], EDGES)
-        for robot in map(robot_of, (XML, delayed))
-    ]
-    np.testing.assert_array_equal(*played)
+    robots = [robot_of(each) for each in (XML, delayed)]
+    found = [played(robot, replace(model_servos(robot), delay=0.04)) for robot in robots]
+    np.testing.assert_array_equal(*found)

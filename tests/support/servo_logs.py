@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.simulation.servos import Servos, Window, played_servos
+from robot_sysid.simulation.servos import ServoRollouts, Servos, Window
 from tests.support.arms import Y, Z, serial_arm
 
 RATE = 50.0
@@ -37,7 +37,7 @@ def positions(robot, time, command, servos=TRUTH, steps=10):
     """What an encoder of 1 mrad reads of an arm played in so many time steps a sample."""
     start = Window(float(time[0]), command[0], 0.0 * command[0], time, command)
     edges = np.linspace(0.0, time[-1] - time[0], steps * (len(time) - 1) + 1)
-    q = played_servos(robot, [servos], [start], edges)[0, 0]
+    q = next(ServoRollouts(robot).played([servos], [start], edges))[0]
     return np.round(q[::steps], 3)
 
 
