@@ -122,6 +122,19 @@ class Equations:
             rows = np.concatenate((block.T, own.T, *turned, beyond.T)).T
             yield rows, measurement.tau[:, j] - known[:, j]
 
+    def rows_of_gravity(self, q: Array, gravity: Array) -> Iterator[Array]:
+        """Yield the part (N, k) of the rows of each joint of ``joints`` that is made by a gravity
+        (3,) [m/s^2] at positions (N, n), which is linear in it.
+        """
+        still, links = np.zeros_like(q), (*self._links, q.shape[1] - 1)
+        columns = LinkDynamics(self._robot, gravity).motion(q, still, still).columns(links)
+        for j, places in zip(self.rows_of, self.columns):
+            rows = np.zeros((len(q), len(places)))
+            beyond = columns[:, j, N_INERTIAL * sum(link < j for link in self._links) : -N_INERTIAL]
+            rows[:, :N_INERTIAL] = columns[:, j, -N_INERTIAL:]
+            rows[:, len(places) - beyond.shape[1] :] = beyond
+            yield rows
+
     def _bodies(self, q: Array, qd: Array, qdd: Array) -> tuple[Sequence[Array], Array, Array]:
         """Return columns of the terminal link per row (N, 10), and of all joints' other links
         (N, n, 10 links), and the torque of the rest of the arm (N, n).

@@ -78,9 +78,9 @@ class LinksMotion:
 
 
 class LinkDynamics:
-    """Recursive Newton-Euler of one arm."""
+    """Recursive Newton-Euler of one arm; another gravity (3,) may stand for its own [m/s^2]."""
 
-    def __init__(self, robot: RobotModel) -> None:
+    def __init__(self, robot: RobotModel, gravity: Array | None = None) -> None:
         self._home, self._slides = robot.reference, robot.is_slide
         self._screws = tuple(link.screw for link in robot.links)
         self._brackets = [_bracket(screw) for screw in self._screws]
@@ -91,7 +91,8 @@ class LinkDynamics:
         ]
         options = robot.mj_model.opt
         weightless = options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        self._gravity = np.zeros(3) if weightless else np.array(options.gravity)
+        there = np.array(options.gravity) if gravity is None else gravity
+        self._gravity = np.zeros(3) if weightless else there
 
     def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
         """Return the motion of all links for chain motions (N, n) [rad, rad/s, rad/s^2]."""

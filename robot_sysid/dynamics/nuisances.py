@@ -60,7 +60,7 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
     known as theta (n, 10), at positions q (N, n).
     """
     here, still = gravity(robot), np.zeros_like(q)
-    arms = [LinkDynamics(with_gravity(robot, np.cross(axis, here))) for axis in tilt_axes(here)]
+    arms = [LinkDynamics(robot, np.cross(axis, here)) for axis in tilt_axes(here)]
     return np.stack([arm.motion(q, still, still).torque(thetas) for arm in arms], axis=-1)
 
 

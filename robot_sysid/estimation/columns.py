@@ -94,9 +94,8 @@ class Columns:
         self._base: tuple[Array, float, list[DecimatedSamples]] | None = None
         self._arm: tuple[Array, RobotModel] | None = None
         self._known: dict[int, tuple[Any, Array, Array]] = {}
-        arm = self._equations(robot)
+        self._bare = arm = self._equations(robot)
         self.rows_of, self.joints = arm.rows_of, arm.joints
-        self._arm_names = arm.names
         later = ("load", *(name for term in BENT for name in (term, f"{term}_speed")))
         self._later = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
         self._scales = tuple(f"scale[{joint}]" for joint in self.joints)
@@ -118,7 +117,7 @@ class Columns:
         """Return the same with some of the couplings; rows that are there are used again."""
         found = Columns(self.robot, self.datasets, self.torques, couplings)
         if self._base is not None:
-            names = found._arm_names
+            names = found._bare.names
             found._base = *self._base[:2], [each.only(names) for each in self._base[2]]
         return found
 
@@ -198,14 +197,10 @@ class Columns:
             self._base = base
         if np.array_equal(base[0], down):
             return base[2]
-        arms = [self._equations(with_gravity(self.robot, g)) for g in (base[0], down)]
-        found = []
+        found, change = [], down - base[0]
         for rows, log in zip(base[2], delayed):
-            # Right-hand sides do not feel gravity: all bodies that do have columns.
-            pair = (log.at_rest(arm).rows for arm in arms)
-            found.append(
-                replace(rows, rows=tuple(r + (b - a) for r, a, b in zip(rows.rows, *pair)))
-            )
+            more = self._bare.rows_of_gravity(log.motion.q, change)
+            found.append(replace(rows, rows=tuple(map(np.add, rows.rows, more))))
         return found
 
     def _arm_at(self, down: Array) -> RobotModel:
@@ -225,7 +220,7 @@ class Columns:
         return self._equations(self._arm_at(point.gravity)), self._arm_values(point, is_loaded)
 
     def _arm_values(self, point: Point, is_loaded: bool) -> Array:
-        values = point.values[: len(self._arm_names)].copy()
+        values = point.values[: len(self._bare.names)].copy()
         if is_loaded:
             values[:N_INERTIAL] += point.values[self.at(PAYLOAD_NAMES)]
         return values

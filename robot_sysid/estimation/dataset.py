@@ -179,13 +179,6 @@ class Dataset:
             return self
         return replace(self, source=with_delay(self.source, delay))
 
-    def at_rest(self, equations: Equations) -> DecimatedSamples:
-        """Return some equations of the arm at rest where each row is, without torque."""
-        motion = self.motion
-        still = np.zeros_like(motion.q)
-        poses = Measurement(motion.time, motion.q, still, still, still)
-        return equations_at(equations, poses)
-
     def samples(self, equations: Equations) -> DecimatedSamples:
         """Return the rows of some equations, those in use."""
         if isinstance(self.source, RestingPoses):

@@ -20,6 +20,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.identifiability import visible_space
+from robot_sysid.estimation.algebra.least_squares import inverse_root
 from robot_sysid.records import Array, PriorConflict, SquareRootInformation
 
 ROD = float(np.sqrt(3.0))
@@ -187,15 +188,20 @@ class WithPriors:
     def __init__(self, information: SquareRootInformation, noise: Array) -> None:
         matrix, right = replace(information, prior=None).stacked(1.0 / noise)
         self.names = information.names
-        self._triangle = np.linalg.qr(np.column_stack((matrix, right)), mode="r")
+        self._triangle = np.asarray(np.linalg.qr(np.column_stack((matrix, right)), mode="r"))
+        self._gram = self._triangle.T @ self._triangle
 
     def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
         """Return (values (p,), covariance (p, p), misfit of data and priors)."""
-        rows = np.vstack([self._triangle, *(group.rows(self.names) for group in groups)])
-        space = visible_space(rows[:, :-1])
-        values = space.solve(rows[:, -1])
+        known = np.vstack([group.rows(self.names) for group in groups])
+        normal = self._gram + known.T @ known
+        rows = np.vstack((self._triangle, known))
+        root = inverse_root(normal[:-1, :-1])
+        if root is None:
+            root = visible_space(rows[:, :-1]).inverse_root()
+        values = root @ (root.T @ normal[:-1, -1])
         misfit = float(np.sum((rows[:, :-1] @ values - rows[:, -1]) ** 2))
-        return values, space.inverse(), misfit
+        return values, root @ root.T, misfit
 
 
 def _asked(
