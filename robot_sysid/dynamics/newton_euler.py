@@ -113,18 +113,26 @@ class LinkDynamics:
 
 def _into(rotation: Array, translation: Array) -> Array:
     """Return Ad(T^-1) (6, 6) of a pose: rotation (3, 3), translation (3,)."""
-    back = rotation.T
-    return np.block([[back, np.zeros((3, 3))], [-back @ skew(translation), back]])
+    return _lower(rotation.T, -rotation.T @ skew(translation))
 
 
 def _bracket(twist: Array) -> Array:
     """Return ad(V) (6, 6) of a twist (6,)."""
-    turning = skew(twist[:3])
-    return np.block([[turning, np.zeros((3, 3))], [skew(twist[3:]), turning]])
+    return _lower(skew(twist[:3]), skew(twist[3:]))
+
+
+def _lower(turn: Array, shift: Array) -> Array:
+    """Return [[turn, 0], [shift, turn]] (6, 6)."""
+    found = np.zeros((6, 6))
+    found[:3, :3] = found[3:, 3:] = turn
+    found[3:, :3] = shift
+    return found
 
 
 def _wrench(theta: Array, velocity: Array, acceleration: Array) -> Array:
     """Return G A - ad(V)^T G V (6, N) with G = [[I, [h]x], [-[h]x, m 1]]."""
-    hat = skew(theta[1:4])
-    inertia = np.block([[symmetric_from_six(theta[4:]), hat], [-hat, theta[0] * np.eye(3)]])
+    inertia = np.diag(np.repeat((0.0, theta[0]), 3))
+    inertia[:3, :3] = symmetric_from_six(theta[4:])
+    inertia[:3, 3:] = skew(theta[1:4])
+    inertia[3:, :3] = -inertia[:3, 3:]
     return inertia @ acceleration - bracket_transposed(velocity, inertia @ velocity)

@@ -116,6 +116,7 @@ class Columns:
     def coupled(self, couplings: tuple[Coupling, ...]) -> Columns:
         """Return the same with some of the couplings; rows that are there are used again."""
         found = Columns(self.robot, self.datasets, self.torques, couplings)
+        found._known = self._known
         if self._base is not None:
             names = found._bare.names
             found._base = *self._base[:2], [each.only(names) for each in self._base[2]]

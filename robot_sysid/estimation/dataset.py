@@ -53,11 +53,7 @@ class DecimatedSamples:
 
     def information(self) -> SquareRootInformation:
         """Return the square-root information of the samples in use."""
-        accumulator = InformationAccumulator(self.names, self.joints, self.columns)
-        for index, rows, tau in self:
-            used = np.isfinite(tau)
-            accumulator.add(index, rows[used], tau[used])
-        return accumulator.result()
+        return information_of([self])
 
     def where(self, used: Mask) -> DecimatedSamples:
         """Return the samples without those for which ``used``, (K,) or (K, joints), is false."""
@@ -75,6 +71,17 @@ class DecimatedSamples:
         """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
         pairs = zip(self.tau, self.measured)
         return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
+
+
+def information_of(parts: Sequence[DecimatedSamples]) -> SquareRootInformation:
+    """Return the square-root information of all samples in use of several recordings."""
+    first = parts[0]
+    accumulator = InformationAccumulator(first.names, first.joints, first.columns)
+    for index, same in enumerate(zip(*(zip(part.rows, part.tau) for part in parts))):
+        used = [np.isfinite(tau) for _, tau in same]
+        rows, tau = (np.concatenate([s[k][u] for s, u in zip(same, used)]) for k in (0, 1))
+        accumulator.add(index, rows, tau)
+    return accumulator.result()
 
 
 def _samples_of(equations: Equations, time: Array, tables: Sequence[Array]) -> DecimatedSamples:

@@ -22,7 +22,7 @@ from robot_sysid.estimation.choices import (
     prior_scale,
     squared_errors,
 )
-from robot_sysid.estimation.columns import PAYLOAD_NAMES
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.unknowns import (
@@ -76,20 +76,20 @@ def fit_file(
     """
     question = Question(options, in_file=True, kept_parts=kept, carried=carried)
     choice = Choice(_friction(fitter.columns.robot, question, IN_FILE))
-    before = _as_it_was(fitter, question, choice)
     # What a file cannot hold is the model's again.
     known, beyond = start.copy(), ("scale", "drift", "zero", "load")
     for name, place in fitter.columns.place.items():
         if name.partition("[")[0] in beyond or "[" not in name:
             known[place] = fitter.columns.prior[place]
-    point = replace(fitter.columns.start(), values=known)
+    point = replace(fitter.columns.start(), values=known, in_file=True)
+    before = _as_it_was(fitter, question, choice, point)
     fit = fitter.fit(question, choice, point, rounds=1)
     choice = replace(choice, friction=_polynomials(fit, question, choice))
     choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
     after, level = fit.next_point, None
     if FILE_GRAVITY not in kept and fit.unknowns.settle:
         as_it_is = replace(question, kept_parts=(*kept, FILE_GRAVITY))
-        level = fitter.fit(as_it_is, choice, replace(point, values=fit.values), _ROUNDS)
+        level = fitter.fit(as_it_is, choice, point, rounds=1)
     fit = fitter.fit(question, choice, after, _ROUNDS)
     squared = held_out(fit).of(fit)
     if level is not None:
@@ -113,10 +113,13 @@ def _friction(robot: RobotModel, question: Question, name: str) -> tuple[Frictio
     return (FrictionModel(terms),) * robot.n_joints
 
 
-def _as_it_was(fitter: Fitter, question: Question, choice: Choice) -> Validation:
-    """Return the held-out error of the model as it is, with sensor offsets of its own."""
+def _as_it_was(fitter: Fitter, question: Question, choice: Choice, point: Point) -> Validation:
+    """Return the held-out error of the model as it is, with sensor offsets of its own.
+
+    The point of the rows has the model's gravity; nothing else of it counts.
+    """
     columns = fitter.columns
-    _, data = fitter.around(replace(columns.start(), in_file=True))
+    _, data = fitter.around(point)
     sought = unknowns(columns, question, choice, data.torque, data.shown)
     offsets = [columns.place[f"offset[{joint}]"] for joint in columns.joints]
     kept = np.array([place for place in offsets if data.shown[place]], dtype=np.int64)

@@ -21,7 +21,7 @@ from robot_sysid.estimation.algebra.least_squares import (
 )
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.dataset import DecimatedSamples, block_masks
+from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
 from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
@@ -89,7 +89,7 @@ def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
 
 def evidence_of(parts: Collection[Sequence[DecimatedSamples]], torque: Array) -> Evidence:
     """Return what rows say, each part of them in a block of its own."""
-    blocks = tuple(combined([each.information() for each in part]) for part in parts)
+    blocks = tuple(information_of(part) for part in parts)
     squares = [np.sum([each.squared_torque() for each in part], axis=0) for part in parts]
     return Evidence(blocks, np.array(squares), torque)
 
@@ -241,8 +241,9 @@ class Fitter:
         # Columns that depend on what is sought: those of the load, and those with a speed.
         terms = {term for model in choice.friction for term in model.terms}
         exact = not terms.isdisjoint(("load", *BENT))
-        start = point or self.columns.start()
-        point = replace(start, exact_load=exact, in_file=question.in_file)
+        point = point or self.columns.start()
+        if (point.exact_load, point.in_file) != (exact, question.in_file):
+            point = replace(point, exact_load=exact, in_file=question.in_file)
         options, noise = question.options, None
         sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
         rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds
