@@ -36,12 +36,14 @@ from robot_sysid.estimation.sums import (
     log_information,
     settled_options,
 )
+from robot_sysid.log_pipeline import checked
 from robot_sysid.logs.formats.table import LogTable, arrays_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.model.options import ModelOptions
-from robot_sysid.pipeline import Analysis, analysed, checked, designed, load, promise
+from robot_sysid.outcome import Analysis
+from robot_sysid.pipeline import analysed, designed, load, promise
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.records.data import Traces
 from robot_sysid.records.options import record_from

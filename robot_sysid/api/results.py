@@ -19,7 +19,8 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Saved, locked_folder
 from robot_sysid.motion.plan import CheckedPlan
-from robot_sysid.pipeline import Analysis, save_plan, written
+from robot_sysid.outcome import Analysis
+from robot_sysid.pipeline import save_plan, written
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
 from robot_sysid.records.figures import with_error

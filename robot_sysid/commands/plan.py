@@ -18,7 +18,7 @@ from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.simulation.options import SimulatedArmOptions
 
 if TYPE_CHECKING:
-    from robot_sysid.pipeline import PlanOutcome
+    from robot_sysid.outcome import PlanOutcome
     from robot_sysid.preview.motion import Shown
     from robot_sysid.records import RobotModel
 

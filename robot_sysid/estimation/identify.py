@@ -3,47 +3,31 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import (
-    N_INERTIAL,
-    NO_FRICTION,
-    TERMINAL_FRICTION,
-    Equations,
-    friction_per_joint,
-)
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.nuisances import gravity, tilt_axes
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.answer import Answer, traced, written_payload
+from robot_sysid.estimation.answer import Answer, written_payload
 from robot_sysid.estimation.choices import choose, coupled
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import couplings_of
-from robot_sysid.estimation.dataset import Dataset, Mask, equations_at, mean_torque
+from robot_sysid.estimation.dataset import Dataset, Mask, mean_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import logs_compared
-from robot_sysid.estimation.result import about
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.estimation.verdict import of_own_simulation
-from robot_sysid.records import DataOrigin, Measurement, MotionPlan, RobotModel, Source, Validation
-from robot_sysid.records.data import Traces
+from robot_sysid.records import Measurement, RobotModel, Validation
 from robot_sysid.records.progress import Detail, Progress
-from robot_sysid.records.results import Estimate, validation_of
-from robot_sysid.results.record import LINK, JointEstimate, Result
+from robot_sysid.records.results import validation_of
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.repetition import visits
-from robot_sysid.simulator import collect_sysid_data, simulate_inverse
-from robot_sysid.solver import identify_parameters
-from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion
 
 AT_REST = FrictionModel(("offset",))
 """What is left of friction at rest, approached from both sides."""
@@ -244,57 +228,3 @@ def predicted(fit: Fit, data: Evidence, source: str) -> Validation:
     wrong = data.whole.squared_residuals(fit.values)
     joints = [joint.joint for joint in data.whole.joints]
     return validation_of(joints, wrong, squares, counts, source)
-
-
-# Samples that a report draws of a simulation.
-_DRAWN = 2000
-
-
-def identify_itself(
-    robot: RobotModel,
-    plan: MotionPlan,
-    rate: float,
-    seed: int,
-    options: EstimationOptions,
-    progress: Progress,
-) -> tuple[Result, Callable[[], Traces]]:
-    """Simulate the model at a rate [Hz] along a trajectory that was drawn with a seed; identify it.
-
-    Returns:
-        (the result, what makes its traces).
-    """
-    progress.stage("Running MuJoCo simulation...")
-    model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
-    equations = Equations(robot, options.torques, friction_per_joint(robot, "terminal", model))
-    simulated = simulate_inverse(robot, motion_chunks(plan, rate))
-    count = math.ceil(sample_count(plan.duration, rate) / CHUNK)
-    tracked = progress.track(simulated, "Collecting regressor data", count)
-    information = collect_sysid_data(equations, tracked)
-    progress.stage("Solving for parameters...")
-    estimate = identify_parameters(information, equations.prior, possible=True)
-    own = zip(equations.names[N_INERTIAL:], equations.prior[N_INERTIAL:].tolist())
-    before = {name.partition("[")[0]: value for name, value in own}
-    result = Result(
-        **about(robot),
-        question=LINK,
-        estimate=estimate,
-        verdict=of_own_simulation(estimate),
-        torques=options.torques,
-        data=DataOrigin(Source.ITSELF, "", plan.duration, rate, seed),
-        joints={robot.terminal_joint: JointEstimate(model.name, {}, before)},
-        notes=robot.notes,
-    )
-
-    return result, partial(_traces_of_itself, robot, plan, options.torques, model, estimate)
-
-
-def _traces_of_itself(
-    robot: RobotModel, plan: MotionPlan, torques: str, model: FrictionModel, estimate: Estimate
-) -> Traces:
-    """Return what a report draws, of records alone: MuJoCo's data is not safely pickled."""
-    equations = Equations(robot, torques, friction_per_joint(robot, "terminal", model))
-    motion = spread_motion(plan, _DRAWN)
-    (measurement,) = simulate_inverse(robot, [motion])
-    samples = equations_at(equations, measurement)
-    after, prior = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
-    return traced(robot, [samples], [motion], after, prior)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -31,10 +30,9 @@ from robot_sysid.estimation.verdict import (
     of_payload,
     unexplained,
 )
-from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, RobotModel
 from robot_sysid.records.progress import Detail
-from robot_sysid.results.model import versions
+from robot_sysid.results.model import about
 from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
@@ -89,21 +87,6 @@ def _file_verdict(answer: Answer) -> Judged | None:
     if answer.file is None:
         return None
     return of_file(answer.file.before, answer.file.after, noise_share(answer.fit))
-
-
-def about(robot: RobotModel) -> dict[str, Any]:
-    """Return what a result says of the arm itself, whatever was asked of it."""
-    return {
-        "model_path": robot.path,
-        "model_sha256": robot.sha256,
-        "joint_name": robot.terminal_joint,
-        "body_name": robot.body_name,
-        "joint_names": robot.joint_names,
-        "prior": robot.prior,
-        "versions": versions(),
-        "slides": robot.slides,
-        "bodies": subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id),
-    }
 
 
 def _common(answer: Answer, data: DataOrigin) -> Result:

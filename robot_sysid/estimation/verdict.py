@@ -17,7 +17,7 @@ from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.unknowns import PLACEHOLDER, usual_bodies
 from robot_sysid.model.inertia import link_reach
-from robot_sysid.records import Array, Estimate, InertialParameters, RobotModel, Validation
+from robot_sysid.records import Array, InertialParameters, RobotModel, Validation
 from robot_sysid.records.figures import percent, with_error
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 
@@ -53,8 +53,8 @@ MOST_FACTOR = 2.0
 """How far a known mass and its weighing may be apart, as a factor: gears lose a third at most."""
 # Standard errors that a mass has to be away from zero, and a size beyond its bound (95 %).
 _SURE = 2.0
-# Standard error of a mass that is never too large [kg]; a link's smallest size [m].
-_KNOWN_MASS, _LEAST_SIZE = 1e-6, 0.02
+# A link's smallest size [m].
+_LEAST_SIZE = 0.02
 
 Judged = tuple[Verdict, str]
 """A verdict and its reason in words."""
@@ -253,13 +253,3 @@ def of_known_mass(found: Sequence[Judged], weighed: float, known: float) -> Iter
     if not known / MOST_FACTOR < weighed < known * MOST_FACTOR:
         said = f"weighed with torques as they are, {known:g} kg come out as {weighed:.4g} kg"
         yield Verdict.WRONG_WEIGHT, said
-
-
-def of_own_simulation(estimate: Estimate) -> Verdict:
-    """Return how the identification of a model's own simulation ended."""
-    errors = estimate.standard_errors
-    weak = np.inf if errors is None else errors[0]
-    if np.isfinite(weak) and weak > max(_KNOWN_MASS, 0.5 * estimate.inertial.mass):
-        return Verdict.TOO_WEAK
-    seen = estimate.identifiability
-    return Verdict.OK if seen.rank >= seen.n_parameters else Verdict.PARTLY_FROM_MODEL

@@ -15,9 +15,9 @@ from robot_sysid.mjcf.write_back import plan_write_back
 from robot_sysid.records import DELAY_NAME, Array, Validation
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.records.progress import Detail
+from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.cards import NOT_KNOWN, load_errors
 from robot_sysid.results.record import BaseParameters, BodyEstimate, Payload, Result
-from robot_sysid.results.rollout import rollout_lines
 from robot_sysid.results.tables import asked_rows, friction_text, link_rows, shown, table_lines
 from robot_sysid.results.verdict import limitations, verdict_lines
 
@@ -264,3 +264,27 @@ def folder_text(folder: Path) -> str:
     text = folder.as_posix()
     prefix = "" if folder.is_absolute() or text.startswith(".") else "./"
     return f"{prefix}{text}/" if text != "." else "./"
+
+
+def rollout_lines(test: RolloutTest) -> Iterator[str]:
+    """Yield the lines of the result block, those of every joint as details."""
+    yield (
+        f"Played on {test.held_out}: root mean square position error [rad or m], model before -> "
+        "new model"
+    )
+    for error in test.errors:
+        ratio = "" if error.ratio is None else f", {error.ratio:.3g} times"
+        old, new = error.overall
+        yield (
+            f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {old:.3g} -> "
+            f"{new:.3g}{ratio}"
+        )
+        for name, one, other in zip(test.joint_names, error.before, error.after):
+            yield Detail(f"    {name}: {one:.3g} -> {other:.3g}")
+    yield from (f"  {note}" for note in test.notes)
+    worse = []
+    for last in test.errors[-1:]:
+        pairs = zip(test.joint_names, last.before, last.after)
+        worse = [f"{n} ({last.loop}, {new / old:.2g} times)" for n, old, new in pairs if new > old]
+    if worse:
+        yield f"  worse than before over the longest horizon: {', '.join(worse)}"

@@ -28,6 +28,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import InertialParameters
 from robot_sysid.records.atomic_files import write_whole
+from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.cards import ERROR_NAMES, INERTIA, Card, load_errors
 from robot_sysid.results.record import (
     BodyEstimate,
@@ -37,7 +38,6 @@ from robot_sysid.results.record import (
     Payload,
     Result,
 )
-from robot_sysid.results.rollout import rollout_entry
 from robot_sysid.results.verdict import PRIOR_SHARE, limitations, verdict_lines
 
 SCHEMA_VERSION = 4
@@ -298,3 +298,29 @@ def _strict(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_strict(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
+    """Return the entry of params.json; None where nothing was played."""
+    if test is None:
+        return None
+
+    def figures(before: float, after: float) -> dict[str, float | None]:
+        ratio = after / before if before > 0.0 else None
+        return {"before": before, "after": after, "ratio": ratio}
+
+    return {
+        "held_out": test.held_out,
+        "closed_loop_is": test.servo,
+        **{name: getattr(test, name) for name in ("is_better", "score")},
+        "errors": [
+            {
+                **{name: getattr(error, name) for name in ("loop", "horizon", "windows")},
+                "diverged": dict(zip(("before", "after"), error.diverged)),
+                "overall": figures(*error.overall),
+                "joints": dict(zip(test.joint_names, map(figures, error.before, error.after))),
+            }
+            for error in test.errors
+        ],
+        "notes": list(test.notes),
+    }

@@ -10,6 +10,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from robot_sysid.mjcf.write_back import (
 )
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.flange import place_in_carrier
-from robot_sysid.model.inertia import body_theta, link_bodies
+from robot_sysid.model.inertia import body_theta, link_bodies, subtree_bodies
 from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
 from robot_sysid.records.atomic_files import WholeFiles
 from robot_sysid.records.figures import with_error
@@ -260,4 +261,19 @@ def versions() -> dict[str, str]:
         "mujoco": MUJOCO_VERSION,
         "numpy": np.__version__,
         "python": platform.python_version(),
+    }
+
+
+def about(robot: RobotModel) -> dict[str, Any]:
+    """Return what a result says of the arm itself, whatever was asked of it."""
+    return {
+        "model_path": robot.path,
+        "model_sha256": robot.sha256,
+        "joint_name": robot.terminal_joint,
+        "body_name": robot.body_name,
+        "joint_names": robot.joint_names,
+        "prior": robot.prior,
+        "versions": versions(),
+        "slides": robot.slides,
+        "bodies": subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id),
     }

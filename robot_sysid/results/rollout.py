@@ -6,7 +6,7 @@ torques that a file predicts are told beside it, judged as a file too: compiled,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel, Validation
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
-from robot_sysid.records.progress import Detail
 from robot_sysid.records.results import CLOSED, OPEN, RolloutError, RolloutTest, validation_of
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget
 from robot_sysid.signals.process import ProcessedSignals
@@ -105,56 +104,6 @@ def fitted_rows(signals: ProcessedSignals) -> NDArray[np.bool_]:
     """Return which decimated rows (K,) share no sample with what is held out."""
     reach = signals.low_pass.half_width / signals.rate
     return np.asarray(signals.decimated_time() < split_time(signals) - 2.0 * reach)
-
-
-def rollout_lines(test: RolloutTest) -> Iterator[str]:
-    """Yield the lines of the result block, those of every joint as details."""
-    yield (
-        f"Played on {test.held_out}: root mean square position error [rad or m], model before -> "
-        "new model"
-    )
-    for error in test.errors:
-        ratio = "" if error.ratio is None else f", {error.ratio:.3g} times"
-        old, new = error.overall
-        yield (
-            f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {old:.3g} -> "
-            f"{new:.3g}{ratio}"
-        )
-        for name, one, other in zip(test.joint_names, error.before, error.after):
-            yield Detail(f"    {name}: {one:.3g} -> {other:.3g}")
-    yield from (f"  {note}" for note in test.notes)
-    worse = []
-    for last in test.errors[-1:]:
-        pairs = zip(test.joint_names, last.before, last.after)
-        worse = [f"{n} ({last.loop}, {new / old:.2g} times)" for n, old, new in pairs if new > old]
-    if worse:
-        yield f"  worse than before over the longest horizon: {', '.join(worse)}"
-
-
-def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
-    """Return the entry of params.json; None where nothing was played."""
-    if test is None:
-        return None
-
-    def figures(before: float, after: float) -> dict[str, float | None]:
-        ratio = after / before if before > 0.0 else None
-        return {"before": before, "after": after, "ratio": ratio}
-
-    return {
-        "held_out": test.held_out,
-        "closed_loop_is": test.servo,
-        **{name: getattr(test, name) for name in ("is_better", "score")},
-        "errors": [
-            {
-                **{name: getattr(error, name) for name in ("loop", "horizon", "windows")},
-                "diverged": dict(zip(("before", "after"), error.diverged)),
-                "overall": figures(*error.overall),
-                "joints": dict(zip(test.joint_names, map(figures, error.before, error.after))),
-            }
-            for error in test.errors
-        ],
-        "notes": list(test.notes),
-    }
 
 
 _CHUNK = 2048

@@ -25,10 +25,10 @@ from robot_sysid.records.atomic_files import (
 )
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import RolloutTest
-from robot_sysid.results.console import folder_text
-from robot_sysid.results.json import json_text
+from robot_sysid.results.console import folder_text, rollout_lines
+from robot_sysid.results.json import json_text, rollout_entry
 from robot_sysid.results.model import ModelTarget, versions, write_joints
-from robot_sysid.results.rollout import LAST_FIFTH, refusal, rollout_entry, rollout_lines
+from robot_sysid.results.rollout import LAST_FIFTH, refusal
 from robot_sysid.servo import search
 from robot_sysid.servo.commands import MOST_PERIODS, commanded_pieces, moving
 from robot_sysid.servo.search import ServoFit

@@ -12,8 +12,9 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import base_parameters, structural_base, traces_of
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.identify import Piece, answer_link, filtered, identify_itself, refit
+from robot_sysid.estimation.identify import Piece, answer_link, filtered, refit
 from robot_sysid.estimation.identify import tested as validated
+from robot_sysid.estimation.itself import identify_itself
 from robot_sysid.estimation.result import result_of
 from robot_sysid.records import Source
 from robot_sysid.records.progress import Progress

@@ -1,0 +1,185 @@
+"""The stages of a recorded motion, of a real arm or of another model that plays it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.config import SysidConfig
+from robot_sysid.diagnosis.run import look_at
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.answer import traces_of
+from robot_sysid.estimation.identify import Piece, answer_link, filtered, refit, shared_notes
+from robot_sysid.estimation.result import result_of
+from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
+from robot_sysid.logs.reader import (
+    MeasurementLog,
+    earlier_logs,
+    open_log,
+    origin_of,
+    write_measurement_csv,
+)
+from robot_sysid.outcome import Analysis
+from robot_sysid.records import DataOrigin, MotionPlan, RobotModel, Source
+from robot_sysid.records.arm import InertialParameters
+from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
+from robot_sysid.records.data import Traces
+from robot_sysid.records.progress import Progress
+from robot_sysid.records.results import RolloutTest
+from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
+from robot_sysid.results.record import Result
+from robot_sysid.results.rollout import LAST_FIFTH, fitted_rows, play, split_time, torque_error
+from robot_sysid.signals.resampling import MOST_KEPT, bounded
+from robot_sysid.simulation.closed_loop import PlantSimulation
+from robot_sysid.simulation.loading import load_plant
+from robot_sysid.trajectory import CHUNK, sample_count
+
+_NOISE_STREAM = 1
+
+
+def of_logs(config: SysidConfig, robot: RobotModel, progress: Progress) -> Analysis:
+    """Read logs, look at them and identify the arm from them."""
+    options, tests = config.log, []
+    earlier = () if options.append is None else earlier_logs(options.append, robot)
+    logs = []
+    for path in (*earlier, *options.measurements):
+        progress.stage(f"Reading measurements from {path}...")
+        logs.append(open_log(robot, path, options, progress))
+    if config.arm.save_measurements is not None:
+        write_measurement_csv(config.arm.save_measurements, robot.joint_names, [logs[0].samples])
+    if options.validation_measurements is not None:
+        tests.append(open_log(robot, options.validation_measurements, options, progress))
+        for note in tests[0].notes:
+            progress.note(type(note)(f"validation log: {note}"))
+    checked(config, robot, [*logs, *tests], progress)
+    pieces = [Piece(str(log.path), part) for log in logs for part in log.pieces]
+    notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
+    return _identified(config, robot, pieces, origin_of(logs), notes, tests, progress)
+
+
+def of_plant(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
+) -> Analysis:
+    """Let another model play the real arm, and identify from what its sensors say."""
+    arm, rate = config.arm, config.trajectory.sample_rate
+    assert arm.plant_model is not None
+    plant = load_plant(robot, arm.plant_model, config.model.mesh_dir)
+    progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")
+    rng = np.random.default_rng([seed, _NOISE_STREAM])
+    simulation = PlantSimulation(plant, plan, arm, rate, rng)
+    count = sample_count(plan.duration, rate)
+    label, chunks = "Collecting measurements", math.ceil(count / CHUNK)
+    parts, cut = bounded(progress.track(iter(simulation), label, chunks), count)
+    least, ramp = _past_the_ramp(config.estimation, simulation)
+    if arm.save_measurements is not None:
+        whole = simulation if count > MOST_KEPT else parts
+        write_measurement_csv(arm.save_measurements, robot.joint_names, whole, ramp)
+    notes = (*plant.notes, *simulation.notes(), *ramp, *cut)
+    detail = f"{arm.plant_model}, {arm.simulation}"
+    origin = DataOrigin(Source.SIMULATED_ARM, detail, plan.duration, rate, seed)
+    pieces = [Piece(str(arm.plant_model), part, least_deadband=least) for part in parts]
+    found = _identified(config, robot, pieces, origin, notes, (), progress)
+    truth = plant.prior
+    return replace(found, traces=partial(_with_truth, found.traces, truth))
+
+
+def _with_truth(traces: Callable[[], Traces], truth: InertialParameters) -> Traces:
+    return replace(traces(), truth=truth)
+
+
+def _past_the_ramp(
+    options: EstimationOptions, simulation: PlantSimulation
+) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Return (speeds (n,) below which MuJoCo's dry friction is a ramp, a sentence); () if none."""
+    # A little above the ramp, so that three digits say all.
+    speeds = tuple(float(f"{1.005 * speed:.3g}") for speed in simulation.least_deadband())
+    if not any(speeds) or options.velocity_deadband is not None:
+        return (), ()
+    listed = ",".join(f"{speed:g}" for speed in speeds)
+    return speeds, (
+        "MuJoCo's dry friction builds up over a range of speeds; moments in which a joint is "
+        "still in that range are left out. With the saved log --velocity-deadband "
+        f"{listed} does the same",
+    )
+
+
+def checked(
+    config: SysidConfig, robot: RobotModel, logs: Sequence[MeasurementLog], progress: Progress
+) -> None:
+    """Look at each log against the model; stop at what must not become a number."""
+    late = ("delay",) if config.estimation.delay == "auto" else ()
+    for done, log in enumerate(logs):
+        progress.advance("Looking for what is wrong with the logs", done, len(logs), "")
+        look_at(robot, log, (*config.log.accept, *late), progress, config.estimation.cutoff)
+
+
+def _identified(
+    config: SysidConfig,
+    robot: RobotModel,
+    pieces: Sequence[Piece],
+    origin: DataOrigin,
+    notes: Sequence[str],
+    tests: Sequence[MeasurementLog],
+    progress: Progress,
+) -> Analysis:
+    options = config.estimation
+    datasets, said = filtered(robot, pieces, options)
+    for note in (*notes, *said):
+        progress.note(note)
+    cutoff = datasets[0].signals.cutoff if datasets[0].signals else options.cutoff
+    same, others = replace(options, cutoff=cutoff), {}
+    for log in tests:
+        parts = [Piece(str(log.path), part) for part in log.pieces]
+        others[str(log.path)] = filtered(robot, parts, same)[0]
+    kept = config.output.keep + ((FILE_FRICTION, FILE_ROTORS) if options.no_friction else ())
+    answer = answer_link(robot, datasets, options, progress, kept, others)
+    answer = replace(answer, notes=(*notes, *said, *answer.notes))
+    result = result_of(answer, origin)
+    for note in result.notes:
+        if note not in (*robot.notes, *notes, *said):
+            progress.note(note)
+    assert (first := datasets[0].signals) is not None
+    checkpoints = first.motion(first.spread(CHECKPOINTS))
+    held_out = tuple(each for parts in others.values() for each in parts)
+    found = Analysis(result, checkpoints, partial(traces_of, answer), answer, held_out)
+    return replace(found, result=_file_tested(robot, found, config.model.mesh_dir))
+
+
+def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> Result:
+    """Return the result with the written file's own error on other logs, by inverse dynamics."""
+    result = found.result
+    if result.file is None or not found.tests or not result.verdict.is_trustworthy:
+        return result
+    pairs = []
+    with temporary_folder() as folder:
+        path = folder / MODEL_NAMES[robot.kind]
+        with whole_files() as files:
+            target = ModelTarget(files, path, found.checkpoints, result.estimate.rmse, mesh_dir)
+            write_model(result, robot, target)
+        for each in found.tests:
+            assert each.signals is not None
+            old, new = (torque_error(m, robot, each.signals, each.name) for m in (robot.path, path))
+            pairs.append((old, new))
+    return replace(result, file=replace(result.file, others=tuple(pairs)))
+
+
+def played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> RolloutTest:
+    """Return how the model before and the one to be written move beside the arm."""
+    answer, mesh_dir = analysis.answer, config.model.mesh_dir
+    assert answer is not None
+    datasets = analysis.tests or answer.fit.columns.datasets
+    signals = [each.signals for each in datasets if each.signals is not None]
+    if analysis.tests:
+        return play(robot, signals, partial(write_model, analysis.result, robot), mesh_dir)
+
+    def again(target: ModelTarget) -> None:
+        """Choose everything anew from the beginning of every log alone, and write that."""
+        found = refit(answer, [fitted_rows(log) for log in signals], config.output.keep)
+        write_model(result_of(found, analysis.result.data), robot, target)
+
+    return play(robot, signals, again, mesh_dir, split_time, LAST_FIFTH)
