@@ -229,7 +229,8 @@ def parsed(
     Args:
         build_parser: makes the parser; told whether its help shows all options.
     """
-    parser, asked = build_parser("--help-all" in arguments), argparse.ArgumentParser(add_help=False)
+    parser = build_parser("--help-all" in arguments)
+    asked = argparse.ArgumentParser(add_help=False, formatter_class=_Formatter)
     asked.add_argument("--config", nargs="?", type=Path)
     file = asked.parse_known_args(arguments)[0].config
     given = parser.with_config(file, arguments) if file else vars(parser.parse_args(arguments))

@@ -6,7 +6,6 @@ What stands in it is typed for the user: the same parser reads it, and says the 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -95,4 +94,6 @@ def _toml(value: Any) -> str:
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, (bool, int, float)):
         return str(value).lower()
+    import json
+
     return json.dumps(str(value), ensure_ascii=False)

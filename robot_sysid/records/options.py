@@ -11,7 +11,6 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
-from difflib import get_close_matches
 from functools import cache
 from keyword import iskeyword
 from numbers import Integral, Real
@@ -210,6 +209,8 @@ def keys_of(*records: Any) -> set[str]:
 def refuse_unknown(values: Collection[str], known: Collection[str]) -> None:
     """Raise InputError naming a key that is none of the known ones, and the one that is nearest."""
     for key in sorted({*values} - {*known}):
+        from difflib import get_close_matches
+
         near = get_close_matches(key, known, 1, 0.7)
         said = f"did you mean {near[0]!r}?" if near else f"valid: {', '.join(sorted(known))}"
         raise InputError(f"unknown option {key!r}; {said}")
