@@ -11,7 +11,7 @@ Of a motion that repeats itself one period and both ends are all there is to che
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -253,31 +253,47 @@ def _tightest(
         at = int(np.argmin(slacks))
         if slacks[at] < best:
             best, when, at_q = float(slacks[at]), float(motion.time[at]), motion.q[at]
-    budget, known_until = np.full(len(obstacles.rates), -np.inf), 0.0
+    budget, known_until = {-1: -np.inf}, 0.0
     for motion in _motions(plan, FINEST_RATE_HZ, _spans(plan)):
-        path = _path(motion, obstacles.rates)
+        approach = _Approach(np.abs(motion.qd), obstacles.rates)
         has_jumped = motion.time[0] > known_until + 2.0 / FINEST_RATE_HZ
-        at = 0 if has_jumped else _used_up(path, budget)
-        while at < len(path) and best >= stop_below:
+        at = 0 if has_jumped else approach.used_up(budget)
+        while at < len(motion.time) and best >= stop_below:
             slack, room = obstacles.slack_at(motion.q[at])
             if slack < best:
                 best, when, at_q = slack, float(motion.time[at]), motion.q[at]
             # What can neither be missed nor lower than the lowest need not be looked at.
             floor = best - resolution if best < -TOUCH else max(-TOUCH, best - resolution)
-            budget = path[at] + np.maximum(0.0, room - floor)
-            at = max(at + 1, _used_up(path, budget))
-        budget, known_until = budget - path[-1], motion.time[-1]
+            near = np.flatnonzero(np.isfinite(room))
+            left = zip(near.tolist(), np.maximum(0.0, room[near] - floor).tolist())
+            budget = {row: float(approach.path(row)[at]) + more for row, more in left}
+            at = max(at + 1, approach.used_up(budget))
+        budget = {row: left - float(approach.path(row)[-1]) for row, left in budget.items()}
+        known_until = motion.time[-1]
     return replace(obstacles.closest(at_q), time=when)
 
 
-def _used_up(path: Array, budget: Array) -> int:
-    """Return the first index at which some pair may have used up its slack; len(path) if none."""
-    rows = np.flatnonzero(path[-1] >= budget)
-    return min((int(np.searchsorted(path[:, r], budget[r])) for r in rows), default=len(path))
+class _Approach:
+    """How far pairs may approach along some samples; worked out for those that are near alone.
 
+    Args:
+        speed: (N, n) of the joints [rad/s].
+        rates: (P, n), see ``Clearance.rates``.
+    """
 
-def _path(motion: Motion, rates: Array) -> Array:
-    """Return how much each row's pairs may have approached (N, P) [m] since just before."""
-    speed = np.abs(motion.qd) @ rates.T
-    before = np.concatenate((speed[:1], speed[:-1]))
-    return np.cumsum(np.maximum(speed, before), axis=0) / FINEST_RATE_HZ
+    def __init__(self, speed: Array, rates: Array) -> None:
+        self._speed, self._rates = speed, rates
+        self._paths: dict[int, Array] = {}
+
+    def path(self, row: int) -> Array:
+        """Return how much a row's pairs may have approached (N,) [m] since just before."""
+        if row not in self._paths:
+            speed = self._speed @ self._rates[row]
+            before = np.concatenate((speed[:1], speed[:-1]))
+            self._paths[row] = np.cumsum(np.maximum(speed, before)) / FINEST_RATE_HZ
+        return self._paths[row]
+
+    def used_up(self, budget: Mapping[int, float]) -> int:
+        """Return the first sample at which a row may have used up its slack [m]; N if none."""
+        found = (int(np.searchsorted(self.path(row), left)) for row, left in budget.items())
+        return min(found, default=len(self._speed))
