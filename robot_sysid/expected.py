@@ -67,7 +67,7 @@ MOST_SAMPLES = 200_000
 """Samples beyond which processing a motion beforehand would take too long."""
 LONGER, FASTER, BETTER = 4.0, 1.5, 0.5
 """By how much longer and faster, and to which part of the error of the links, remedies are told."""
-_INSTANTS, _FEWEST, _MOST = 20.0, 100, 4000
+_INSTANTS, _FEWEST, _MOST = 10.0, 100, 4000
 """Instants of a motion per second that a remedy is worked out from, and at least and at most."""
 _NOISELESS = 1e-4
 """Torque noise that hides nothing [N m]."""
@@ -94,7 +94,10 @@ def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str)
     factor, sure = np.zeros((0, 0)), dict[str, float]()
     for group in sought.groups:
         sure.update(zip(group.names, np.sqrt(np.sum(group.factor**2, axis=1)).tolist()))
-        factor = group.factor if group.cause == LINKS else factor
+        if group.cause == LINKS:
+            factor = group.factor.reshape(-1, 10, len(group.mean))[::-1].reshape(
+                -1, len(group.mean)
+            )
     for place, term in enumerate(OWN):
         for row, joint in enumerate(columns.joints):
             name = f"{term}[{joint}]"

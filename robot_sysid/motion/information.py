@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -48,8 +48,8 @@ class Known:
     """What an estimate knows beforehand.
 
     Attributes:
-        factor: (10 L, 10 L) F, the parameters of the L other links with mass have the covariance
-            F F^T; empty where they are taken as they are.
+        factor: (10 L, 10 L) F, the parameters of the L other links with mass, in descending order,
+            have the covariance F F^T; empty where they are taken as they are.
         own: (7, rows) standard deviations of ``OWN`` in each joint's equations; infinite where
             nothing is known, zero where it is no unknown.
         asked: what the motion is for: "link", "arm" for every link, or "payload".
@@ -86,7 +86,7 @@ class PredictedInformation:
     """Maps motions to information about all links with mass.
 
     Attributes:
-        chains: screws of the joints that carry each of these L links, the terminal one first.
+        chains: screws of the joints that carry each of these L links, in descending order.
         theta: (L, 10) of these links in the model.
         joints: chain joints whose torque is used.
         sigma: (len(joints),) standard deviation of their torque noise [N m].
@@ -118,11 +118,18 @@ class PredictedInformation:
         ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None] + self._precision
         gain = np.linalg.solve(normal + ridge[:, None] * np.eye(len(OWN)), transposed @ rows)
         residual = rows - own @ gain
-        flat = (-1, self.theta.size)
-        information = rows.reshape(flat).T @ residual.reshape(flat)
+        information = np.zeros((self.theta.size, self.theta.size))
+        for ours, left, count in zip(rows, residual, self._carried):
+            information[:count, :count] += ours[:, :count].T @ left[:, :count]
         residual *= weight
         vjp = partial(self._vjp, move, jacobian, wrench, slopes, gain, residual)
         return Information(0.5 * (information + information.T), vjp)
+
+    @cached_property
+    def _carried(self) -> list[int]:
+        """How many of the parameters each joint's equations have: those of links that it moves."""
+        moved = np.any(self.chains.screws != 0.0, axis=0)[list(self.joints)]
+        return (10 * np.sum(moved, axis=1)).tolist()
 
     @property
     def _precision(self) -> Array:

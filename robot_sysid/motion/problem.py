@@ -293,7 +293,10 @@ def build_problem(
 
 
 def link_chains(robot: RobotModel) -> tuple[tuple[int, ...], ScrewChain]:
-    """Return the numbers (L,) of links with mass, the terminal one first, and their screws."""
+    """Return the numbers (L,) of links with mass, the terminal one first, and their screws.
+
+    They descend, so that a joint's equations have the first ones alone.
+    """
     still = np.zeros((1, robot.n_joints))
     moves = LinkDynamics(robot).motion(robot.reference[None], still, still)
     screws, twists = np.zeros((6, robot.n_joints, robot.n_joints)), list[Array]()
@@ -302,7 +305,7 @@ def link_chains(robot: RobotModel) -> tuple[tuple[int, ...], ScrewChain]:
         screws[:, : link + 1, link] = np.hstack(twists)
     # At rest the only acceleration is the missing fall: minus gravity.
     falling = -np.hstack([each[3:] for each in moves.acceleration])
-    links = (robot.n_joints - 1, *other_links(robot))
+    links = (robot.n_joints - 1, *reversed(other_links(robot)))
     return links, ScrewChain(screws[..., links], robot.reference, falling[:, links])
 
 

@@ -31,7 +31,9 @@ def predicted(robot, own, smoothing=0.0, rows=None):
 
 
 def eliminated_by_hand(robot, motion, torques, sigma, own):
-    """Information of all links from the tool's own equations and priors, nuisances removed."""
+    """Information of all links, in descending order, from the tool's own equations and priors,
+    nuisances removed.
+    """
     links, (q, qd, qdd) = other_links(robot), motion
     equations = Equations(robot, torques, (FREE,) * robot.n_joints, links=links)
     data = Measurement(np.arange(float(len(q))), q, qd, np.zeros_like(q), qdd)
@@ -52,7 +54,8 @@ def eliminated_by_hand(robot, motion, torques, sigma, own):
         seen = np.vstack((bodies / s, np.zeros((len(OWN), len(total)))))
         left = seen - nuisance @ np.linalg.lstsq(nuisance, seen, rcond=None)[0]
         total += left.T @ left
-    return total
+    down = [*range(10), *np.arange(10, len(total)).reshape(-1, 10)[::-1].ravel()]
+    return total[np.ix_(down, down)]
 
 
 PRIORS = {
