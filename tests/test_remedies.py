@@ -35,7 +35,7 @@ def places(module: str, *names: str) -> tuple[Place, ...]:
     return tuple((f"robot_sysid.{module}", name) for name in names)
 
 
-ONLY = {"identify": places("pipeline", "_of_logs") + places("servo.run", "run_servo")}
+ONLY = {"identify": places("log_pipeline", "of_logs") + places("servo.run", "run_servo")}
 """Command to the stage that it takes of those that all questions share."""
 UNSAID = {"motors simulate": "; give --yes"}
 """Command to what it does not say of what it shares: a simulated arm is not asked for."""
@@ -49,7 +49,8 @@ LIFTED = places("motion.problem", "_above_base")  # what was planned below the b
 EXPORT = places("damiao.protocol.joints", "damiao_joints")
 NEVER = {
     "run": places("payload_pipeline", "weighed") + places("motion.static", "design_poses"),
-    "plan": (*ONLY["identify"], *CHOSEN, *places("pipeline", "analysed", "written", "Outcome")),
+    "plan": (*ONLY["identify"], *CHOSEN, *places("pipeline", "analysed", "written"))
+    + places("outcome", "Outcome"),
     "identify": places("pipeline", "analysed", "designed", "motor_writer")
     + (*OF_PLANS, *USUAL, *EXPORT),
     "payload": places("pipeline", "_of_itself")
@@ -236,3 +237,8 @@ def test_the_help_of_a_command_names_its_own_options(command):
     parser = parser_of(command)
     told = [parser._example, parser.description, *(each.help for each in parser._actions)]
     assert [(text, each) for text in told for each in faults(command, f"{text or ''}")] == []
+
+
+def test_what_is_left_out_is_there():
+    left_out = {place for each in (*ONLY.values(), *NEVER.values()) for place in each}
+    assert [place for place in left_out if place[1] not in definitions(place[0])] == []
