@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ from robot_sysid.estimation.unknowns import Question
 from robot_sysid.records import Measurement, RobotModel, Validation
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.results import validation_of
-from robot_sysid.signals.process import ProcessedSignals, process
+from robot_sysid.signals.process import LogPiece, process
 from robot_sysid.signals.repetition import visits
 
 AT_REST = FrictionModel(("offset",))
@@ -67,23 +68,30 @@ def filtered(
         InputError: one is too short.
     """
 
-    def processed(piece: Piece, cutoff: float | None, by: str = "as given") -> ProcessedSignals:
-        own = options.velocity_deadband, piece.least_deadband, by
-        try:
-            return process(piece.samples, robot.joint_names, cutoff, *own)
-        except InputError as error:
-            raise InputError(f"{piece.name}: {error}" if piece.name else str(error)) from None
-
-    pairs = [(piece, processed(piece, options.cutoff)) for piece in pieces]
-    lowest = min(each.cutoff for _, each in pairs)
-    if options.cutoff is None:
-        by = "as another recording asks for"
-        pairs = [(p, s if s.cutoff == lowest else processed(p, lowest, by)) for p, s in pairs]
+    parts, cutoffs, pairs = [LogPiece.of(piece.samples) for piece in pieces], [], []
+    for piece, part in zip(pieces, parts):
+        with _named(piece):
+            cutoffs.append(options.cutoff or part.choice[0])
+    for piece, part, own in zip(pieces, parts, cutoffs):
+        asked = options.cutoff, options.velocity_deadband, piece.least_deadband, "as given"
+        if own > min(cutoffs):
+            asked = min(cutoffs), *asked[1:3], "as another recording asks for"
+        with _named(piece):
+            pairs.append((piece, process(part, robot.joint_names, *asked)))
     found = [Dataset(p.name, each, p.is_loaded, p.place) for p, each in pairs]
     told: dict[str, tuple[str, ...]] = {}
     for piece, each in pairs:
         told[piece.name] = tuple(dict.fromkeys((*told.get(piece.name, ()), *each.notes)))
     return found, tuple(shared_notes(told))
+
+
+@contextlib.contextmanager
+def _named(piece: Piece) -> Iterator[None]:
+    """Let an InputError say which recording it is about."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{piece.name}: {error}" if piece.name else str(error)) from None
 
 
 def shared_notes(told: Mapping[str, Sequence[str]]) -> Iterator[str]:

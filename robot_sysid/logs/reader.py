@@ -104,7 +104,7 @@ def open_log(
     found = found.with_torque_factor(constants / scale)
     rows = read_rows(table, found, slides, progress)
     checked = check_log(str(path), rows, robot, found.angle_declared)
-    pieces = tuple(LogPiece(**vars(piece)) for piece in pieces_of(rows.samples))
+    pieces = tuple(map(LogPiece.of, pieces_of(rows.samples)))
     taken = map(Detail, (f"log layout: {table.layout}", *found.describe()))
     notes = (*taken, *checked, *piece_note(rows.samples, pieces))
     return MeasurementLog(path, found, rows.samples, pieces, notes, scale)

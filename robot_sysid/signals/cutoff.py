@@ -114,7 +114,9 @@ def spectra_of(q: Array, rate: float, steps: Array) -> Spectra | None:
     # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
     level = 1.05 * np.median(power[high] / shape[high, None], axis=0)
     noise = level * shape[:, None]
-    stairs = _acceleration_spectrum(steps, rate, length)[1]
+    stairs, stepped = np.zeros_like(power), np.any(steps, axis=0)
+    if np.any(stepped):
+        stairs[:, stepped] = _acceleration_spectrum(steps[:, stepped], rate, length)[1]
     motion = _motion(frequency, power, np.maximum(noise, stairs))
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
     return Spectra(rate, len(q), length, frequency, motion, noise, level)
@@ -235,7 +237,7 @@ def _smooth(power: Array) -> Array:
 def _error(cutoff: float, spectra: Spectra) -> float:
     """Return the expected squared error of acceleration as a part of its mean square."""
     kernel = design_low_pass(cutoff, spectra.rate).kernel
-    gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:, None]
-    wrong = np.sum((1.0 - gain) ** 2 * spectra.motion + gain**2 * spectra.noise)
-    total = np.sum(spectra.motion)
+    gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:]
+    motion, noise = np.sum(spectra.motion, axis=1), np.sum(spectra.noise, axis=1)
+    wrong, total = (1.0 - gain) ** 2 @ motion + gain**2 @ noise, np.sum(motion)
     return float(wrong / total) if total > 0.0 else float(wrong)

@@ -195,6 +195,11 @@ class ProcessedSignals:
 class LogPiece(Measurement):
     """A piece of a log whose spectra are taken once, however often it is processed."""
 
+    @classmethod
+    def of(cls, measurement: Measurement) -> LogPiece:
+        """Return a stretch of a log as such a piece."""
+        return measurement if isinstance(measurement, cls) else cls(**vars(measurement))
+
     @cached_property
     def spectra(self) -> Spectra | None:
         """What a cut-off is chosen from; None where the piece is too short for that."""
@@ -203,8 +208,9 @@ class LogPiece(Measurement):
         steps = resampled(replace(self, q=_steps(self))).q
         return spectra_of(uniform.q, uniform.rate, steps)
 
+    @cached_property
     def choice(self) -> tuple[float, float, str]:
-        """Return ``choose_cutoff`` of the piece, or raise InputError where it is too short."""
+        """``choose_cutoff`` of the piece; InputError where it is too short."""
         if self.spectra is None:
             few = f"{len(resampled(self).q)} samples are too few to choose a cut-off from"
             raise InputError(f"{few}; record longer, or give identify or payload a --cutoff HZ")
@@ -229,9 +235,9 @@ def process(
         chosen_by: where a cut-off that is not chosen here comes from, in words.
     """
     uniform, expected = resampled(measurement), 0.0
-    piece = measurement if isinstance(measurement, LogPiece) else LogPiece(**vars(measurement))
+    piece = LogPiece.of(measurement)
     if cutoff is None:
-        cutoff, expected, reason = piece.choice()
+        cutoff, expected, reason = piece.choice
     else:
         reason = f"cut-off {cutoff:.4g} Hz {chosen_by}"
     low_pass = design_low_pass(cutoff, uniform.rate)
