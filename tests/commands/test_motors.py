@@ -103,13 +103,7 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
     told = json.loads(printed.out)
     assert (told["command"], told["exit_code"]) == ("check", 0)
     assert told["lines"] == printed.err.splitlines() and told["lines"][-2:] == told["verdict"]
-    words = ["--interface", "socketcan", *CAN0] * 0 + [
-        *CAN0,
-        "--speed",
-        "0.3",
-        "--record",
-        "slow.csv",
-    ]
+    words = [*CAN0, "--speed", "0.3", "--record", "slow.csv", *limits]
     following = ["Next:", "robot-sysid", "motors", "play", str(trajectory), *words]
     assert told["verdict"][0] == "Usable: ready to play"
     assert shlex.split(told["verdict"][1]) == following
