@@ -34,7 +34,6 @@ class HoldingCheck:
         torque: from a pose (n,) [rad] to what should hold the arm there (n,) [N m].
         doubt: (n,) dry friction, where it is known [N m].
         source: who says what should, in words.
-        exact: whether it is the torque at rest, without any for a motion that is about to begin.
     """
 
     def __init__(
@@ -43,10 +42,9 @@ class HoldingCheck:
         torque: Callable[[Array], Array],
         doubt: Array | float,
         source: str,
-        exact: bool = True,
     ) -> None:
         self._due, self._joints, self._source = torque, joints, source
-        self._n, self.doubt, self._exact = len(joints), doubt + torque_doubt(joints), exact
+        self._n, self.doubt = len(joints), doubt + torque_doubt(joints)
 
     def unjudged(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) shows no direction."""
@@ -62,8 +60,7 @@ class HoldingCheck:
         due, tau = self._due(q[: self._n]), tau[: self._n]
         along = np.sign(due) * tau
         wrong = (np.abs(due) > self.doubt) & (along < -self.doubt)
-        if self._exact:
-            wrong |= (np.abs(due) > _LOADED * self.doubt) & (along < _BARE * self.doubt)
+        wrong |= (np.abs(due) > _LOADED * self.doubt) & (along < _BARE * self.doubt)
         for j in np.flatnonzero(wrong).tolist():
             raise HardwareAbort(
                 f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m but {self._source} "
@@ -73,22 +70,24 @@ class HoldingCheck:
 
 
 # So near to the first point its torque is nearly what holds the arm: 2 N m off at 20 N m/rad [rad].
-# A motion that begins with less [rad/s^2] begins with the torque at rest: 1 N m at 2 kg m^2.
+# With less acceleration [rad/s^2] it is the torque at rest: 1 N m at 2 kg m^2.
 _NEAR, _GENTLE = 0.1, 0.5
 
 
 class FileHolding(HoldingCheck):
-    """What the first row of a trajectory says that holds the arm, where it is near to it.
+    """What a trajectory says that holds the arm near its first point.
 
-    One whose torque is within every joint's doubt all the time carries no arm.
+    That is its torque where it accelerates least there; nothing is compared where that is still for
+    a motion. One whose torque is within every joint's doubt all the time carries no arm.
     """
 
     def __init__(self, played: DamiaoTrajectory) -> None:
-        speeding = np.abs(np.diff(played.qd[:2], axis=0)) / np.diff(played.time[:2])
-        exact, torque = bool(np.all(speeding < _GENTLE)), played.tau[0]
-        super().__init__(
-            played.joints, lambda q: torque, 0.0, "the trajectory feeds forward", exact
-        )
+        near = np.all(np.abs(played.q - played.q[0]) <= _NEAR, axis=1)
+        speeding = np.max(np.abs(np.gradient(played.qd, played.time, axis=0)), axis=1)
+        row = int(np.argmin(np.where(near, speeding, np.inf)))
+        torque, self._at_rest = played.tau[row], speeding[row] < _GENTLE
+        said = "the trajectory feeds forward"
+        super().__init__(played.joints, lambda q: torque, 0.0, said)
         self._first = played.q[0]
         self._carries = bool(np.any(np.abs(played.tau).max(axis=0) > self.doubt))
 
@@ -102,4 +101,5 @@ class FileHolding(HoldingCheck):
                 f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m, and the trajectory "
                 "never feeds forward what carries an arm: its torque lacks gravity"
             )
-        super().__call__(q, tau)
+        if self._at_rest:
+            super().__call__(q, tau)

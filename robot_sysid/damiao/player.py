@@ -136,7 +136,7 @@ class Player:
         self._torque_check = supervision.TorqueScalingCheck(torque_step, session.peak_torque)
         self._timer: CycleTimer
         self._kp, self._kd = np.array(settings.kp), np.array(settings.kd)
-        self._gain, self._standing = 0.0, True
+        self._gain, self._standing, self._rising = 0.0, True, False
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
         self._measured = np.full((2, session.n_joints), np.nan)
@@ -177,7 +177,9 @@ class Player:
         way, way_time = paths.approach(here, first, speed, shortest, order, carries)
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
+        self._rising = True
         self._phase(hold(here), settings.ramp_time, standing=True)
+        self._rising = False
         self._hold_and_compare(here)
         # What held the arm lately, or else what was fed forward.
         still = [torque for _, torque in self._still] or [here.torque]
@@ -288,7 +290,7 @@ class Player:
             self._on_progress(time)
 
     def _check(self, replies: Replies, acted: MitCommand) -> None:
-        self._supervisor.check(replies, acted, self._standing)
+        self._supervisor.check(replies, acted, self._standing, self._rising)
         feedback = replies.feedback
         self._velocity_check.add(replies.time, feedback.position, feedback.velocity)
         told = acted.motor_torque(feedback.position, feedback.velocity)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao import trajectory as motion
-from robot_sysid.damiao.holding import FileHolding, HoldingCheck
+from robot_sysid.damiao.holding import FileHolding, HoldingCheck, torque_doubt
 from robot_sysid.damiao.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Scaling
@@ -231,6 +231,9 @@ def _motors(plan: Plan) -> Iterator[Check]:
     joints, scan, settings = plan.trajectory.joints, plan.scan, plan.settings
     steps = Scaling(joint.spec.limits for joint in joints).steps[2]
     moves = [np.inf] * len(joints) if plan.inertia is None else plan.inertia
+    if scan.shake is not None:
+        doubt = torque_doubt(joints)
+        yield from map(_stop, motion.rotor_problems(joints, scan.shake, settings.speed, doubt))
     for j, (joint, step, moved) in enumerate(zip(joints, steps, moves)):
         torque = scan.peak_torque[j] / joint.torque_ratio
         for text in motion.rating_warnings(joint, scan.peak_velocity[j] * settings.speed, torque):

@@ -190,6 +190,56 @@ def rating_warnings(joint: DamiaoJoint, velocity: float, torque: float) -> Itera
         )
 
 
+# Accelerations so near to each other compare torques between which a load hardly changes [s].
+_MOMENT = 0.1
+
+
+class Shake(NamedTuple):
+    """Where each joint (n,) accelerates most: when [s], how much [rad/s^2], and what changes there.
+
+    That is the difference to the opposite acceleration within a moment, and to the torque fed
+    forward then [N m].
+    """
+
+    time: Array
+    peak: Array
+    change: Array
+    fed: Array
+
+
+def _shaken(time: Array, qd: Array, tau: Array) -> Shake:
+    acceleration, columns = np.gradient(qd, time, axis=0), np.arange(qd.shape[1])
+    peak = np.argmax(np.abs(acceleration), axis=0)
+    most = acceleration[peak, columns]
+    far = np.abs(time[:, None] - time[peak]) > _MOMENT
+    other = np.argmin(np.where(far, np.inf, np.sign(most) * acceleration), axis=0)
+    change, fed = (x[peak, columns] - x[other, columns] for x in (acceleration, tau))
+    return Shake(time[peak] - time[0], most, change, np.sign(most) * fed)
+
+
+def rotor_problems(
+    joints: Sequence[DamiaoJoint], shake: Shake, speed: float, doubt: Array
+) -> Iterator[str]:
+    """Yield which joints cannot follow, played at a share of their speed: known without a model.
+
+    A motor turns its own rotor at least. That takes no more torque than it makes; and where it
+    takes more than the ``doubt`` (n,) [N m], half of it is in the torque that is fed forward: less
+    is that of another motion.
+    """
+    for joint, time, peak, change, fed, unsure in zip(joints, *shake, doubt):
+        rotor, most = speed**2 * joint.spec.rotor, joint.spec.peak_torque * joint.torque_ratio
+        said = f"{joint.label}: at {time:.2f} s it is to turn with {speed**2 * peak:.0f} rad/s^2"
+        takes = rotor * abs(change)
+        if rotor * abs(peak) > most:
+            yield f"{said}, more than its motor reaches without any arm; {CANNOT_FOLLOW}"
+        elif takes > 2.0 * unsure and fed < 0.5 * takes:
+            yield (
+                f"{said}: for that its rotor alone takes {takes:.1f} N m to and fro, and the file "
+                f"feeds forward {fed:.1f}, the torque of another motion; {CANNOT_FOLLOW}, export "
+                "it again"
+            )
+
+
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     """Read a trajectory file, or raise InputError, which names the line that is wrong."""
     path = Path(path)
@@ -315,6 +365,7 @@ class TrajectoryScan:
     peak_torque: Array
     peak_step: Array
     mismatch: Mismatch | None = None
+    shake: Shake | None = None
 
 
 def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
@@ -330,7 +381,8 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
     if found is not None:
         found = found._replace(line=int(trajectory.line[found.line]))
     length = float(time[-1] - time[0])
-    return TrajectoryScan(length, q[0], ends, *reach, velocity, torque, step, found)
+    shake = _shaken(time, qd, trajectory.tau)
+    return TrajectoryScan(length, q[0], ends, *reach, velocity, torque, step, found, shake)
 
 
 NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)

@@ -165,7 +165,7 @@ def test_joints_go_one_after_the_other_where_that_is_the_way(tmp_path):
     speeds = fastest_after(run, f"moving to the first point, {ORDERS[1]}")
     run.during("playing", 0.0, lambda r: approach.extend(speeds)).run(settle=0.0)
     slower, faster = np.sort(approach, axis=1).T
-    assert run.error is None and np.max(faster) > 0.1 and np.max(slower) < 0.01
+    assert run.error is None and np.max(faster) > 0.1 and np.max(slower) < 0.03
 
 
 @pytest.mark.parametrize("text", ["1,2,3", "a,b", "1,nan"])
@@ -289,17 +289,24 @@ def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):
         check(q, turned)
 
 
-@pytest.mark.parametrize(("bend", "swapped"), [(0.0, True), (1.0, False)])
-def test_without_a_model_the_first_row_says_what_holds_the_arm(tmp_path, bend, swapped):
-    """5 N m where the motor of a swapped id holds none; unless they begin a motion (1 rad/s^2)."""
-    time = np.arange(6) / 100
-    q = 0.5 * bend * (time**2)[:, None] + np.zeros((6, 1))
-    played = trajectory_file(tmp_path, (time, q, bend * time[:, None], 5.0 + 0 * q))
-    check, bare = FileHolding(played), np.array([0.1])
-    check(q[0] + 0.2, bare)
+@pytest.mark.parametrize(
+    ("bend", "held"), [(lambda t: 0.0 * t, 5.0), (lambda t: 1.0 + 0.0 * t, None), (np.cos, 5.0)]
+)
+def test_without_a_model_the_file_says_what_holds_the_arm(tmp_path, bend, held):
+    """5 N m where the motor of a swapped id holds none, and 12 more or less for what begins.
+
+    Unless the file never stops to accelerate near its first point.
+    """
+    time = np.arange(101) / 50
+    qdd = 1.5 * bend(3 * np.pi * time)[:, None]
+    qd = np.vstack([[[0.0]], np.cumsum(0.5 * (qdd[1:] + qdd[:-1]), axis=0)]) / 50
+    q = np.vstack([[[0.0]], np.cumsum(0.5 * (qd[1:] + qd[:-1]), axis=0)]) / 50
+    check = FileHolding(trajectory_file(tmp_path, (time, q, qd, 5.0 - 8.0 * qdd)))
+    check(q[0] + 0.2, np.array([0.1]))
+    check(q[0], np.array([held or -5.0]))
     with (
-        pytest.raises(HardwareAbort, match="trajectory feeds forward 5.0 N m")
-        if swapped
+        pytest.raises(HardwareAbort, match="trajectory feeds forward 5.")
+        if held
         else (contextlib.nullcontext())
     ):
-        check(q[0], bare)
+        check(q[0], np.array([0.1]))

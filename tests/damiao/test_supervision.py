@@ -110,17 +110,25 @@ def sample(time=0.0, q=0.0, qd=0.0, tau=0.0, status=1, mos=30, rotor=30, answere
     return Replies(np.array([True, answered]), stamps, feedback, np.ones(2, bool))
 
 
-def told(*samples, asked=(0.0, 0.0, 0.0), **settings):
+def told(*samples, asked=(0.0, 0.0, 0.0), how=(), **settings):
     """What a supervisor says to samples under one command of the second joint, or None."""
     watched = supervisor(**settings)
     p, v, t = (np.array([0.0, value]) for value in asked)
     try:
         for replies in samples:
             watched.update(replies)
-            watched.check(replies, MitCommand(p, v, 0 * p, 0 * p, t))
+            watched.check(replies, MitCommand(p, v, 0 * p, 0 * p, t), *how)
     except HardwareAbort as stopped:
         return str(stopped)
     return None
+
+
+def test_while_gains_rise_a_new_load_is_judged_by_how_far_the_arm_sinks():
+    """It swings about where it will settle; a rated 9 N m sink it by 0.05 rad, two stop it."""
+    swings, sinks = sample(q=-0.09, tau=20.0), sample(q=-0.11, tau=5.0)
+    assert told(swings, how=(True, True)) is None
+    assert "N m off its torque, limit 7" in told(swings, how=(True,))
+    assert "-0.110 rad off" in told(sinks, how=(True, True))
 
 
 WITHIN = 1.0 - 1e-6

@@ -11,12 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from robot_sysid.damiao.holding import torque_doubt
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.trajectory import (
     NO_LIMITS,
     export_damiao_trajectory,
     limit_excesses,
     read_damiao_trajectory,
+    rotor_problems,
     scan_trajectory,
     together,
     velocity_mismatch,
@@ -308,3 +310,30 @@ def test_limits_that_are_asked_for_hold_joint_by_joint_at_the_speed_that_is_play
 @pytest.fixture(scope="module")
 def swinging(tmp_path_factory):
     return trajectory_file(tmp_path_factory.mktemp("swinging"), swing(2, rate=100.0))
+
+
+@given(
+    amplitude=st.floats(0.0, 0.3), inertia=st.floats(0.02, 2.0), speed=st.sampled_from([1.0, 0.5])
+)
+def test_a_shaken_joint_is_refused_without_a_model_unless_it_is_fed_its_torque(
+    tmp_path_factory, amplitude, inertia, speed
+):
+    """10 Hz; a DM8009's rotor is 0.0158 kg m^2, and torques up to 2.4 N m say nothing."""
+    time, q, qd, tau = swing(2, duration=1.0, amplitude=0.3)
+    wave = 2 * np.pi * 10
+    q[:, 1] += amplitude * (1 - np.cos(wave * time))
+    qd[:, 1] += amplitude * wave * np.sin(wave * time)
+    most = 0.0158 * speed**2 * amplitude * wave**2
+    for own in (0.0, inertia):
+        fed = tau + own * amplitude * wave**2 * np.cos(wave * time)[:, None] * [0, 1]
+        file = trajectory_file(tmp_path_factory.mktemp("shake"), (time, q, qd, fed), "DM8009")
+        shake = scan_trajectory(file).shake
+        said = [*rotor_problems(file.joints, shake, speed, torque_doubt(file.joints))]
+        if most > 1.1 * 40.0:
+            (why,) = said
+            assert "motor 2: at" in why and "than its motor reaches without any arm" in why
+        elif own == 0.0 and most > 1.1 * 2.4:
+            (why,) = said
+            assert "motor 2: at" in why and "the torque of another motion; it cannot" in why
+        elif most < 0.9 * 2.4 or own > 0.0:
+            assert said == [] or most > 0.9 * 40.0
