@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
@@ -77,6 +78,7 @@ class HeldOut:
     data: Evidence
     noise: Array
     _known: dict[tuple[bytes, bytes], Sequence[Array]] = field(default_factory=dict)
+    _near: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
     def counts(self) -> Array:
@@ -154,9 +156,9 @@ class HeldOut:
         for number, found in enumerate(values):
             if places and not all(spatial.is_consistent(found[at]) for at in places):
                 rows = np.vstack((self._rests(sought)[number], known))
-                values[number] = sought.full(
-                    ConsistentLinks(rows[:, :-1], rows[:, -1], problem).best()
-                )
+                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, self._near.get(number))
+                values[number] = sought.full(solver.best())
+                self._near[number] = solver.first
         return self.data.squared_residuals(values[..., None])[..., 0]
 
     def _rests(self, sought: Unknowns) -> Sequence[Array]:
@@ -232,7 +234,7 @@ def choose(
     if is_scaled(fit, question, choice):
         choice = replace(choice, common_scale=COMMON_SCALE)
         fit = fitter.fit(question, choice, fit.point, rounds=1)
-    choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
+    choice = replace(choice, prior_scale=prior_scale(held_out(fit), fit, question, choice))
     return choice, errors, fit.point
 
 
@@ -351,12 +353,12 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
     return bool(abs(np.mean(values[places])) > max(RATHER * error, LEAST_SCALE))
 
 
-def prior_scale(fit: Fit, question: Question, choice: Choice) -> float:
+def prior_scale(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> float:
     """Return the least factor of the links' uncertainty that predicts about as well as any.
 
     It grows for as long as that does not predict worse.
     """
-    judge, scores = held_out(fit), []
+    scores: list[float] = []
     for scale in SCALES:
         each = replace(choice, prior_scale=scale)
         squared = judge.of(replace(fit, unknowns=_sought(fit, question, each)))

@@ -84,20 +84,21 @@ def fit_file(
     point = replace(fitter.columns.start(), values=known, in_file=True)
     before = _as_it_was(fitter, question, choice, point)
     fit = fitter.fit(question, choice, point, rounds=1)
-    choice = replace(choice, friction=_polynomials(fit, question, choice))
-    choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
+    judge = held_out(fit)
+    choice = replace(choice, friction=_polynomials(judge, fit, question, choice))
+    choice = replace(choice, prior_scale=prior_scale(judge, fit, question, choice))
     after, level = fit.next_point, None
     if FILE_GRAVITY not in kept and fit.unknowns.settle:
         as_it_is = replace(question, kept_parts=(*kept, FILE_GRAVITY))
         level = fitter.fit(as_it_is, choice, point, rounds=1)
     fit = fitter.fit(question, choice, after, _ROUNDS)
-    squared = held_out(fit).of(fit)
+    judge = held_out(fit)
+    squared = judge.of(fit)
     if level is not None:
-        judge, errors = held_out(fit), held_out(level).of(level)
+        errors = held_out(level).of(level)
         if not is_clearly_lower(judge.score(squared), judge.score(errors)):
             fit, squared = replace(level, question=question), errors
-    found = held_out(fit).validation(squared)
-    return FileFit(fit, before, found, fit_errors(fit, (), pull))
+    return FileFit(fit, before, judge.validation(squared), fit_errors(fit, (), pull))
 
 
 def _friction(robot: RobotModel, question: Question, name: str) -> tuple[FrictionModel, ...]:
@@ -137,12 +138,13 @@ def holds_polynomial(robot: RobotModel, joint: int) -> bool:
     return robot.kind == "mjcf" and own is not None and not np.any(own[robot.dof_index[joint]])
 
 
-def _polynomials(fit: Fit, question: Question, choice: Choice) -> tuple[FrictionModel, ...]:
+def _polynomials(
+    judge: HeldOut, fit: Fit, question: Question, choice: Choice
+) -> tuple[FrictionModel, ...]:
     """Give nonlinear damping to the joints whose held-out torques it predicts clearly better."""
     robot, found = fit.columns.robot, list(choice.friction)
     if FILE_FRICTION in question.kept_parts:
         return choice.friction
-    judge = held_out(fit)
     wider = _friction(robot, question, WITH_POLYNOMIAL)
     tried = choice, replace(choice, friction=wider)
     squared = [squared_errors(judge, fit, question, each) for each in tried]

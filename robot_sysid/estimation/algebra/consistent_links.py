@@ -82,16 +82,28 @@ class LinksProblem:
         return tuple(found)
 
 
+End = tuple[float, Array, Array]
+"""A weight gamma, and coordinates (k,) and roots of the duals (links, 4, 4) of the minimiser."""
+
+
 class ConsistentLinks:
     """Solves one set of data for any weight of the model.
 
     Args:
         matrix: (M, p) A, residuals of unit variance.
         right: (M,) b.
+        near: ``first`` of a solved problem that is much alike: where to begin.
+
+    Attributes:
+        first: where the path ended first; None before that.
     """
 
-    def __init__(self, matrix: Array, right: Array, problem: LinksProblem) -> None:
+    def __init__(
+        self, matrix: Array, right: Array, problem: LinksProblem, near: End | None = None
+    ) -> None:
         self._matrix, self._right, self._problem = matrix, right, problem
+        self._near = near
+        self.first: End | None = None
         self._bodies = np.concatenate(problem.links)
         # All parameters are origin + unit z.
         length, self._origin = np.linalg.norm(matrix, axis=0), np.zeros(len(problem.prior))
@@ -162,15 +174,23 @@ class ConsistentLinks:
         Raises:
             SysidError: the method did not converge.
         """
-        t, z = max(_EASY, *gammas), np.zeros(len(self._bodies))
-        duals = np.repeat(np.sqrt(t) * np.eye(4)[None], len(z) // 10, axis=0)
+        end = self.first or self._near or self._beginning()
         for gamma in (max(gamma, _RESOLUTION * self._squared) for gamma in gammas):
-            z, duals = self._follow(z, duals, max(t, gamma), gamma)
-            t = gamma
-            yield self._all(z)
+            try:
+                found = self._follow(*end, gamma)
+            except SysidError:
+                found = self._follow(*self._beginning(), gamma)
+            self.first, end = self.first or found, found
+            yield self._all(end[1])
 
-    def _follow(self, z: Array, duals: Array, t: float, gamma: float) -> tuple[Array, Array]:
-        """Return coordinates (k,) and roots of the duals at gamma, coming from those at t."""
+    def _beginning(self) -> End:
+        """Return where usual bodies alone decide."""
+        z = np.zeros(len(self._bodies))
+        return _EASY, z, np.repeat(np.sqrt(_EASY) * np.eye(4)[None], len(z) // 10, axis=0)
+
+    def _follow(self, t: float, z: Array, duals: Array, gamma: float) -> End:
+        """Return where the path is at gamma, coming from where it is at t."""
+        t = max(t, gamma)
         length, least = 1.0, max(_CONVERGED * gamma, _SHORTEST * self._squared)
         for _ in range(_MOST_STEPS):
             try:
@@ -187,7 +207,7 @@ class ConsistentLinks:
             except np.linalg.LinAlgError:
                 break
             if t == gamma and step.size <= least:
-                return z, duals
+                return gamma, z, duals
         raise SysidError(
             "the fit of all links did not converge; check the units of the torques and of the "
             "model's inertias"
@@ -277,9 +297,13 @@ class _Newton:
         self, cone: ScaledBodies, singular: Array, unexplained: Array, turn: Array
     ) -> None:
         self._cone, self._unexplained, self._turn = cone, unexplained, turn
+        from scipy.linalg.lapack import dtrtri
+
         rows = np.vstack((np.diag(singular), cone.rows() @ turn))
         self._orthogonal, triangle = np.linalg.qr(rows)
-        self._inverse = np.linalg.inv(triangle)
+        self._inverse, failed = dtrtri(triangle)
+        if failed:
+            raise np.linalg.LinAlgError("directions that nothing holds")
 
     def step(self, t: float, bold: _Step | None = None) -> _Step:
         """Return the step towards t, corrected for what a bolder one showed of second order."""

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
+from robot_sysid.estimation.algebra.identifiability import VisibleSpace, column_scale, visible_space
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.records import Array, SquareRootInformation
 
@@ -16,6 +16,9 @@ _MOST_ROUNDS, _SETTLED = 30, 1e-6
 # Shares of the root mean square torque, see ``noise_floor``; what keeps a scaled matrix, whose
 # diagonal is 1, definite in spite of rounding.
 _NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR, _RIDGE = 1e-9, 1e-4, 1e-12
+# Length of the inverse below which nothing is cut: the least singular value is above 1e-8, the cut
+# at 1e-10 of the largest, which is at most the root of the number of unit columns.
+_WELL_SEEN = 1e8
 
 
 def ordinary(information: SquareRootInformation, prior: Array) -> Array:
@@ -42,8 +45,18 @@ def least_squares(information: SquareRootInformation, prior: Array, weights: Arr
         prior: (p,) values to stay at where the data shows nothing.
         weights: (joints,) by which each joint's equations are multiplied [1/(N m)].
     """
+    from scipy.linalg.lapack import dtrtri
+
     matrix, right = information.stacked(weights)
-    return prior + visible_space(matrix).solve(right - matrix @ prior)
+    rows = np.column_stack((matrix, right - matrix @ prior))
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    size = len(prior)
+    scale, zero = column_scale(triangle[:, :size])
+    # Where all is seen well a triangle alone tells it; its inverse bounds the condition.
+    inverse, failed = dtrtri(triangle[:size, :size] * scale) if len(triangle) > size else (rows, 1)
+    if not failed and not np.any(zero) and np.linalg.norm(inverse) < _WELL_SEEN:
+        return prior + scale * (inverse @ triangle[:size, size])
+    return prior + visible_space(triangle[:, :size]).solve(triangle[:, size])
 
 
 def weighted(information: SquareRootInformation, prior: Array, start: Array | None = None) -> Array:
@@ -79,13 +92,16 @@ def inverse_root(normal: Array) -> Array | None:
     A tenth of the time of a decomposition. Half of the digits are lost, which noise and widths of
     priors do not notice.
     """
+    from scipy.linalg.lapack import dtrtri
+
     length = np.sqrt(np.diag(normal))
     scale = 1.0 / np.where(length > 0.0, length, 1.0)
     scaled = scale[:, None] * normal * scale + _RIDGE * np.eye(len(normal))
     try:
-        return np.asarray(scale[:, None] * np.linalg.inv(np.linalg.cholesky(scaled)).T)
+        root, failed = dtrtri(np.linalg.cholesky(scaled).T)
     except np.linalg.LinAlgError:
         return None
+    return None if failed else np.asarray(scale[:, None] * root)
 
 
 class _Normal:
