@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import InformationAccumulator
-from robot_sysid.estimation.verdict import of_own_simulation
+from robot_sysid.estimation.itself import of_own_simulation
 from robot_sysid.records import Identifiability, SquareRootInformation
 from robot_sysid.results.record import Verdict
 from robot_sysid.solver import identify_parameters
