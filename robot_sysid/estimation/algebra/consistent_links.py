@@ -297,13 +297,9 @@ class _Newton:
         self, cone: ScaledBodies, singular: Array, unexplained: Array, turn: Array
     ) -> None:
         self._cone, self._unexplained, self._turn = cone, unexplained, turn
-        from scipy.linalg.lapack import dtrtri
-
         rows = np.vstack((np.diag(singular), cone.rows() @ turn))
         self._orthogonal, triangle = np.linalg.qr(rows)
-        self._inverse, failed = dtrtri(triangle)
-        if failed:
-            raise np.linalg.LinAlgError("directions that nothing holds")
+        self._inverse = np.linalg.inv(triangle)
 
     def step(self, t: float, bold: _Step | None = None) -> _Step:
         """Return the step towards t, corrected for what a bolder one showed of second order."""

@@ -45,17 +45,15 @@ def least_squares(information: SquareRootInformation, prior: Array, weights: Arr
         prior: (p,) values to stay at where the data shows nothing.
         weights: (joints,) by which each joint's equations are multiplied [1/(N m)].
     """
-    from scipy.linalg.lapack import dtrtri
-
     matrix, right = information.stacked(weights)
-    rows = np.column_stack((matrix, right - matrix @ prior))
+    size, rows = len(prior), np.column_stack((matrix, right - matrix @ prior))
     triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-    size = len(prior)
     scale, zero = column_scale(triangle[:, :size])
-    # Where all is seen well a triangle alone tells it; its inverse bounds the condition.
-    inverse, failed = dtrtri(triangle[:size, :size] * scale) if len(triangle) > size else (rows, 1)
-    if not failed and not np.any(zero) and np.linalg.norm(inverse) < _WELL_SEEN:
-        return prior + scale * (inverse @ triangle[:size, size])
+    if len(triangle) > size and not np.any(zero | (np.diag(triangle)[:size] == 0.0)):
+        # Where all is seen well a triangle alone tells it; its inverse bounds the condition.
+        inverse = np.linalg.inv(triangle[:size, :size] * scale)
+        if np.linalg.norm(inverse) < _WELL_SEEN:
+            return np.asarray(prior + scale * (inverse @ triangle[:size, size]))
     return prior + visible_space(triangle[:, :size]).solve(triangle[:, size])
 
 
