@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.diagnosis.run import look_at
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import traces_of
+from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.identify import Piece, answer_link, filtered, refit, shared_notes
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
@@ -42,8 +43,24 @@ from robot_sysid.trajectory import CHUNK, sample_count
 _NOISE_STREAM = 1
 
 
+@dataclass(frozen=True)
+class _Recorded:
+    """Recordings to identify an arm from, those by name that only test it, and what is to be said
+    of them; what was measured itself is needed no more.
+    """
+
+    datasets: Sequence[Dataset]
+    tests: Mapping[str, Sequence[Dataset]]
+    origin: DataOrigin
+    notes: tuple[str, ...]
+
+
 def of_logs(config: SysidConfig, robot: RobotModel, progress: Progress) -> Analysis:
     """Read logs, look at them and identify the arm from them."""
+    return _identified(config, robot, _read(config, robot, progress), progress)
+
+
+def _read(config: SysidConfig, robot: RobotModel, progress: Progress) -> _Recorded:
     options, tests = config.log, []
     earlier = () if options.append is None else earlier_logs(options.append, robot)
     logs = []
@@ -59,7 +76,7 @@ def of_logs(config: SysidConfig, robot: RobotModel, progress: Progress) -> Analy
     checked(config, robot, [*logs, *tests], progress)
     pieces = [Piece(str(log.path), part) for log in logs for part in log.pieces]
     notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
-    return _identified(config, robot, pieces, origin_of(logs), notes, tests, progress)
+    return _filtered(config, robot, pieces, origin_of(logs), notes, tests)
 
 
 def of_plant(
@@ -83,7 +100,8 @@ def of_plant(
     detail = f"{arm.plant_model}, {arm.simulation}"
     origin = DataOrigin(Source.SIMULATED_ARM, detail, plan.duration, rate, seed)
     pieces = [Piece(str(arm.plant_model), part, least_deadband=least) for part in parts]
-    found = _identified(config, robot, pieces, origin, notes, (), progress)
+    recorded = _filtered(config, robot, pieces, origin, notes)
+    found = _identified(config, robot, recorded, progress)
     truth = plant.prior
     return replace(found, traces=partial(_with_truth, found.traces, truth))
 
@@ -118,34 +136,39 @@ def checked(
         look_at(robot, log, (*config.log.accept, *late), progress, config.estimation.cutoff)
 
 
-def _identified(
+def _filtered(
     config: SysidConfig,
     robot: RobotModel,
     pieces: Sequence[Piece],
     origin: DataOrigin,
     notes: Sequence[str],
-    tests: Sequence[MeasurementLog],
-    progress: Progress,
-) -> Analysis:
-    options = config.estimation
+    tests: Sequence[MeasurementLog] = (),
+) -> _Recorded:
+    options, others = config.estimation, {}
     datasets, said = filtered(robot, pieces, options)
-    for note in (*notes, *said):
-        progress.note(note)
     cutoff = datasets[0].signals.cutoff if datasets[0].signals else options.cutoff
-    same, others = replace(options, cutoff=cutoff), {}
     for log in tests:
         parts = [Piece(str(log.path), part) for part in log.pieces]
-        others[str(log.path)] = filtered(robot, parts, same)[0]
+        others[str(log.path)] = filtered(robot, parts, replace(options, cutoff=cutoff))[0]
+    return _Recorded(datasets, others, origin, (*notes, *said))
+
+
+def _identified(
+    config: SysidConfig, robot: RobotModel, recorded: _Recorded, progress: Progress
+) -> Analysis:
+    options, datasets, notes = config.estimation, recorded.datasets, recorded.notes
+    for note in notes:
+        progress.note(note)
     kept = config.output.keep + ((FILE_FRICTION, FILE_ROTORS) if options.no_friction else ())
-    answer = answer_link(robot, datasets, options, progress, kept, others)
-    answer = replace(answer, notes=(*notes, *said, *answer.notes))
-    result = result_of(answer, origin)
+    answer = answer_link(robot, datasets, options, progress, kept, recorded.tests)
+    answer = replace(answer, notes=(*notes, *answer.notes))
+    result = result_of(answer, recorded.origin)
     for note in result.notes:
-        if note not in (*robot.notes, *notes, *said):
+        if note not in (*robot.notes, *notes):
             progress.note(note)
     assert (first := datasets[0].signals) is not None
     checkpoints = first.motion(first.spread(CHECKPOINTS))
-    held_out = tuple(each for parts in others.values() for each in parts)
+    held_out = tuple(each for parts in recorded.tests.values() for each in parts)
     found = Analysis(result, checkpoints, partial(traces_of, answer), answer, held_out)
     return replace(found, result=_file_tested(robot, found, config.model.mesh_dir))
 

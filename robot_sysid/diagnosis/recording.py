@@ -135,7 +135,10 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     usual = float(np.median(step))
     way = np.diff(piece.q, axis=0)
     pace = way * (usual / step)[:, None]
-    around = np.median([pace[k : len(pace) - 4 + k] for k in (0, 1, 3, 4)], axis=0)
+    a, b, c, d = (pace[k : len(pace) - 4 + k] for k in (0, 1, 3, 4))
+    # The mean of the middle two is the median of four.
+    lower = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    around = 0.5 * (lower + np.minimum(np.maximum(a, b), np.maximum(c, d)))
     inner, length = way[2:-2], step[2:-2] / usual
     size = np.sum(around**2, axis=1)
     noise = np.sum(np.median(np.abs(np.diff(way, axis=0)), axis=0) ** 2)

@@ -98,7 +98,7 @@ def read_rows(
 
 
 class _Kept:
-    """Rows of some groups of columns, each an array of its own that grows in its place."""
+    """Rows of some groups of columns, each an array of its own, with room for what comes."""
 
     def __init__(self, widths: Sequence[int]) -> None:
         self._parts = [np.empty((0, width)) for width in widths]
@@ -107,18 +107,19 @@ class _Kept:
     def add(self, rows: Array, expected: int) -> None:
         """Take the next rows (R, C) of about so many in all."""
         start, self._count = self._count, self._count + len(rows)
+        if self._count > len(self._parts[0]):
+            # The lines of a file are not all of one length; room that is not used takes no memory.
+            most = max(self._count, expected + expected // 10)
+            before = self.taken()
+            self._parts = [np.empty((most, part.shape[1])) for part in before]
+            for part, values in zip(self._parts, before):
+                part[:start] = values[:start]
         for part, values in zip(self._parts, np.split(rows, self._ends, axis=1)):
-            if self._count > len(part):
-                # A hundredth more, as the lines of a file are not all of one length.
-                most = max(self._count, expected + expected // 100)
-                part.resize((most, part.shape[1]), refcheck=False)
             part[start : self._count] = values
 
     def taken(self) -> list[Array]:
         """Return the groups (N, width)."""
-        for part in self._parts:
-            part.resize((self._count, part.shape[1]), refcheck=False)
-        return self._parts
+        return [part[: self._count] for part in self._parts]
 
 
 def followed(table: LogTable, columns: Sequence[int], progress: Progress) -> Iterator[Block]:
