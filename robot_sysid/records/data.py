@@ -141,17 +141,18 @@ class SquareRootInformation:
             weights: (joints,) weight of each joint's equations, 1/sigma; the prior's equations
                 come with them. None weighs all joints alike and leaves the prior out.
         """
+        rows = np.vstack(list(self.blocks(weights)))
+        return rows[:, :-1], rows[:, -1]
+
+    def blocks(self, weights: Array | None = None) -> Iterator[Array]:
+        """Yield the rows (m, p + 1) of what ``stacked`` returns, one joint after the other."""
         scale = np.ones(len(self.joints)) if weights is None else np.asarray(weights)
-        blocks, rights = [], []
         for joint, weight in zip(self.joints, scale):
-            block = np.zeros((len(joint.triangle), len(self.names)))
-            block[:, joint.columns] = weight * joint.triangle[:, :-1]
-            blocks.append(block)
-            rights.append(weight * joint.triangle[:, -1])
+            block = np.zeros((len(joint.triangle), len(self.names) + 1))
+            block[:, [*joint.columns, -1]] = weight * joint.triangle
+            yield block
         if weights is not None and self.prior is not None:
-            blocks.append(self.prior[:, :-1])
-            rights.append(self.prior[:, -1])
-        return np.vstack(blocks), np.concatenate(rights)
+            yield self.prior
 
     def squared_residuals(self, values: Array) -> Array:
         """Return sum of squared residuals per joint (joints,) [N^2 m^2] at values (p,)."""
