@@ -2,12 +2,14 @@
 
     python -m benchmarks.excitation_prediction [--arms PART] [--runs N] [--exact]
 
-One line per arm: root mean square error of the mass, of the centre of mass and of all ten
-parameters (median) over the runs, each over what ``plan`` promises. Every run has an arm of its
-own, drawn from what the estimate believes beforehand: other links, torque scales, zeros, gravity,
-delay and friction are off as their priors say; options are the defaults. With ``--exact`` the arm
-is the model itself in every run, and the promise is the part of torque noise. N runs know a spread
-to 1 / sqrt(2 N): 9 % for 60.
+Lines per arm: root mean square error of the mass, of the centre of mass and of all ten parameters
+(median) over the runs, each over what ``plan`` promises: of the result; of the plain estimate,
+before bodies were made possible, which is what covariances tell; of the same in runs in which no
+common torque scale was looked for, with their number; and what the runs themselves state over it
+(median). Every run has an arm of its own, drawn from what the estimate believes beforehand: other
+links, torque scales, zeros, gravity, delay and friction are off as their priors say; options are
+the defaults. With ``--exact`` the arm is the model itself in every run, and the promise is the part
+of torque noise. N runs know a spread to 1 / sqrt(2 N): 9 % for 60.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, turned, with_gravity
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.identify import Piece, answer_link, filtered
 from robot_sysid.estimation.unknowns import LINKS, Question, unknowns
@@ -95,8 +98,10 @@ def measured(robot, columns, values, motion):
     return delayed, motion.q + of("zero")
 
 
-def error(problem, motion, rng, exact):
-    """Error (10,) of one identification."""
+def identified(problem, motion, rng, exact):
+    """Errors (10,) of the result and of the plain estimate, what is stated, and whether a common
+    torque scale was looked for.
+    """
     robot, columns, groups = beliefs(problem, motion)
     values = columns.prior.copy()
     for group in () if exact else groups:
@@ -108,11 +113,22 @@ def error(problem, motion, rng, exact):
     recording = Measurement(motion.time, q, None, tau, None)
     datasets, _ = filtered(robot, [Piece("log", recording)], OPTIONS)
     answer = answer_link(robot, datasets, OPTIONS, Progress(), None)
-    return answer.fit.values[:10] - robot.prior.theta
+    fit, theta = answer.fit, robot.prior.theta
+    stated = estimate_of(answer).standard_errors[:10]
+    return fit.values[:10] - theta, fit.free[:10] - theta, stated, fit.choice.common_scale > 0.0
 
 
-def line(path, runs, exact):
-    """The line of one arm."""
+def told(theta, squares, covariance, words):
+    """A line: mean products (10, 10) of errors, over what is promised."""
+    ratio = np.sqrt(np.diag(squares) / np.diag(covariance))
+    centre = spread_of(theta, squares)[1] / spread_of(theta, covariance)[1]
+    ten = np.array2string(ratio, precision=2)
+    figures = f"mass {ratio[0]:.2f}  centre {centre:.2f}  ten {np.median(ratio):.2f}  {ten}"
+    return f"  {words:28s} {figures}"
+
+
+def lines(path, runs, exact):
+    """The lines of one arm."""
     robot = load_robot_model(path)
     problem = build_problem(robot, LimitOptions(), noise_torque=SIGMA)
     motion, options = TrajectoryOptions(sample_rate=RATE), ExcitationOptions(workers=1)
@@ -123,20 +139,19 @@ def line(path, runs, exact):
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began, found = time.process_time(), []
     for seed in range(runs):
-        found.append(error(problem, moves, np.random.default_rng([seed, 1]), exact))
-    off = np.array(found)
-    ratio = np.sqrt(np.mean(off**2, axis=0) / np.diag(covariance))
-    com = spread_of(robot.prior.theta, off.T @ off / runs)[1]
-    com /= spread_of(robot.prior.theta, covariance)[1]
-    ten = np.array2string(ratio, precision=2)
-    return (
-        f"{path.parent.name}/{path.stem:28s} {runs} runs  mass {ratio[0]:.2f}  centre {com:.2f}  "
-        f"ten {np.median(ratio):.2f}  {ten} ({time.process_time() - began:.0f} s)"
-    )
+        found.append(identified(problem, moves, np.random.default_rng([seed, 1]), exact))
+    off, free, stated, common = map(np.array, zip(*found))
+    yield f"{path.parent.name}/{path.stem}: {runs} runs ({time.process_time() - began:.0f} s)"
+    chosen = {"result": off, "plain estimate": free, "plain, no common scale": free[~common]}
+    for words, each in chosen.items():
+        squares = each.T @ each / max(len(each), 1)
+        yield told(robot.prior.theta, squares, covariance, f"{words} ({len(each)})")
+    share = np.median(stated, axis=0) / np.sqrt(np.diag(covariance))
+    yield f"  stated: {np.array2string(share, precision=2)}"
 
 
 def main() -> None:
-    """Print the lines."""
+    """Print the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--arms", default="")
     parser.add_argument("--runs", type=int, default=60)
@@ -144,7 +159,8 @@ def main() -> None:
     chosen = parser.parse_args()
     for path in ARMS:
         if chosen.arms in str(path):
-            print(line(path, chosen.runs, chosen.exact), flush=True)
+            for each in lines(path, chosen.runs, chosen.exact):
+                print(each, flush=True)
 
 
 if __name__ == "__main__":

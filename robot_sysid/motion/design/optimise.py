@@ -91,6 +91,7 @@ class Candidate:
         multipliers: (N, 4 n + 2) on the grid.
         weight: of the penalty.
         rounds: how many are done.
+        score: its criterion as it is.
         feasible_x: (n, M) the best one so far that obeys everything, or None; and its criterion.
     """
 
@@ -98,6 +99,7 @@ class Candidate:
     multipliers: Array
     weight: float = FIRST_WEIGHT
     rounds: int = 0
+    score: float = np.inf
     feasible_x: Array | None = None
     feasible_score: float = np.inf
 
@@ -138,11 +140,12 @@ def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> C
 
 def _checked(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
     """Return the candidate with its feasible trajectory updated, if the present one is better."""
+    candidate = replace(candidate, score=design.criterion_of(candidate.x))
     for factor in REPAIRS:
         if is_over(deadline) and candidate.feasible_x is not None:
             break
         x = factor * candidate.x
-        score = design.criterion_of(x)
+        score = candidate.score if factor == 1.0 else design.criterion_of(x)
         if not score < candidate.feasible_score:
             break
         if keeps_limits(design.problem, design.trajectory(x)):

@@ -50,6 +50,8 @@ CHECK_TIME = 2.0
 FLAT = 0.01
 """Gain of a round in the mean standard deviation from which on a search has settled: what a minute
 finds is then at most 5 % better (docs/excitation.md)."""
+NEAR = 0.05
+"""How much better a motion that breaks limits may be than the best that keeps them, for that."""
 _CUT: Mapping[str, tuple[str, ...]] = {
     "": (),
     "interrupted": (
@@ -200,7 +202,9 @@ def _improved(
         before = candidates[at].feasible_score
         (candidates[at],) = run([partial(improve, candidate=candidates[at], deadline=deadline)])
         yield len(own) + done
-        if before - candidates[at].feasible_score < FLAT and np.isfinite(before):
+        after = candidates[at]
+        # A round that only learns which limits matter makes nothing better; the next one does.
+        if before - after.feasible_score < FLAT and after.feasible_score - after.score < NEAR:
             break
 
 

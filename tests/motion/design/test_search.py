@@ -114,19 +114,23 @@ def test_rounds_make_it_better_and_progress_is_told():
 
 
 def test_the_best_start_goes_on_until_a_round_gains_next_to_nothing(monkeypatch):
-    """Scores of a round each are made up; the second start is better after its first."""
-    scores = iter((-1.0, -1.2, -1.5, -1.505))
+    """Scores of a round each are made up; the second start is better after its first.
+
+    Its third gains nothing, but only because it breaks limits.
+    """
+    scores = iter(((-1.0, -1.0), (-1.2, -1.2), (-1.2, -1.6), (-1.5, -1.51), (-1.505, -1.52)))
 
     def improved(shared, candidate, deadline):
-        return replace(candidate, feasible_score=next(scores), rounds=candidate.rounds + 1)
+        best, own = next(scores)
+        return replace(candidate, feasible_score=best, score=own, rounds=candidate.rounds + 1)
 
     monkeypatch.setattr(search, "first_candidate", lambda shared, x: Candidate(x, np.zeros(0)))
     monkeypatch.setattr(search, "improve", improved)
     found = []
     run = partial(search._run, None, None)
     told = list(search._improved(run, options(rounds=50), [np.zeros(1)] * 2, found, np.inf))
-    assert told == [1, 2, 3, 4]
-    assert [(each.rounds, each.feasible_score) for each in found] == [(1, -1.0), (3, -1.505)]
+    assert told == [1, 2, 3, 4, 5]
+    assert [(each.rounds, each.feasible_score) for each in found] == [(1, -1.0), (4, -1.505)]
 
 
 def interrupted_at(count):
