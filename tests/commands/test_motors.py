@@ -151,12 +151,13 @@ def test_frames_can_be_logged_without_a_recording(capsys, bus, trajectory, tmp_p
 
 
 def test_dry_run_without_a_bus_checks_the_file(capsys, bus, trajectory):
-    code, out, _ = run(capsys, "play", trajectory, "--dry-run")
+    code, out, _ = run(capsys, "play", trajectory, "--dry-run", "--verbose")
     assert code == 0 and "[ok  ] ids are unique: 1, 2" in out
     code, out, err = run(capsys, "play", trajectory, "--dry-run", "--rate", "2000")
     assert code == 3 and "limit 70 %; use --rate 1000" in err
     assert bus.wire is None
     code, out, _ = run(capsys, "play", trajectory, *CAN0, "--dry-run")
+    assert "[ok  ] ids" not in out and "[ok  ] 11 points" in out
     assert code == 0 and "nothing speaks against playing" in out
     assert only_asks(bus.wire.sent)
 
@@ -423,7 +424,7 @@ def test_a_map_of_two_buses_needs_none_to_be_rehearsed(
     arm = ("--model", model, "--joint-map", two_buses)
     code, _, err = run(capsys, "simulate", trajectory, *arm, "--play", "--rate", "250")
     assert (code, err) == (0, "")
-    code, out, _ = run(capsys, "play", trajectory, "--joint-map", two_buses, "--dry-run")
+    code, out, _ = run(capsys, "play", trajectory, "--joint-map", two_buses, "--dry-run", "-v")
     assert code == 0 and "ids are unique: 1, 1" in out
 
 
@@ -455,7 +456,7 @@ def both_arms(tmp_path):
 
 def test_both_arms_of_a_model_are_played_in_one_run(capsys, both_arms, tmp_path, quickly):
     record = tmp_path / "measured.csv"
-    code, out, err = run(capsys, *both_arms(0.4), "--record", record)
+    code, out, err = run(capsys, *both_arms(0.4), "--verbose", "--record", record)
     assert (code, err) == (0, "") and "the limits of two.xml, and the arms apart" in out
     columns = read_recording(record).columns
     left, right = columns["left_j_pos"], columns["right_j_pos"]

@@ -8,12 +8,13 @@ import numpy as np
 
 from robot_sysid.damiao.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.player import PlayReport
-from robot_sysid.damiao.preflight import Check
+from robot_sysid.damiao.preflight import OK, Check
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Feedback
 from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
+from robot_sysid.records.progress import Detail
 
 _HEADINGS: tuple[str, ...] = (
     *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear", "degC", "state"),
@@ -48,9 +49,12 @@ def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
 
 
-def check_lines(checks: Iterable[Check]) -> Iterator[str]:
-    """Yield one line per check."""
-    yield from (f"[{_MARKS[check.severity]}] {check.text}" for check in checks)
+def check_lines(checks: Sequence[Check]) -> Iterator[str]:
+    """Yield one line per check; those that are in order are details, and counted."""
+    for check in checks:
+        line = f"[{_MARKS[check.severity]}] {check.text}"
+        yield Detail(line) if check.severity == OK else line
+    yield f"[ok  ] {sum(check.severity == OK for check in checks)} points (--verbose lists them)"
 
 
 def load_line(n_motors: int, rate: float, timing: BusTiming) -> str:
