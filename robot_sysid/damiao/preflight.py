@@ -6,7 +6,7 @@ it is put right), each with what was found and what to do.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -197,7 +197,7 @@ def plan_checks(plan: Plan) -> list[Check]:
         *_ids(plan.trajectory.joints),
         *_motion(plan),
         *_motors(plan),
-        _load(plan),
+        _load((j.address for j in plan.trajectory.joints), plan.settings, plan.timing),
         *_within_limits(plan, limits, "its type's"),
     ]
 
@@ -248,9 +248,10 @@ def _motors(plan: Plan) -> Iterator[Check]:
             )
 
 
-def _load(plan: Plan) -> Check:
-    settings, timing, limit = plan.settings, plan.timing, frames.PLANNING_LIMIT
-    buses = [joint.bus for joint in plan.trajectory.joints]
+def _load(
+    addresses: Iterable[frames.Address], settings: PlaySettings, timing: frames.BusTiming
+) -> Check:
+    buses, limit = [bus for bus, _ in addresses], frames.PLANNING_LIMIT
     n_motors = max(buses.count(bus) for bus in buses)
     load = frames.bus_load(n_motors, 1.0 / settings.period, timing)
     text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
@@ -289,11 +290,13 @@ def _within_limits(
 # --- what the motors say ------------------------------------------------------------------------
 
 
-def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
+def general_checks(
+    inspection: Inspection, settings: PlaySettings, timing: frames.BusTiming
+) -> list[Check]:
     """Return what motors say on their own, without a trajectory to compare them with."""
     motors = inspection.motors.values()
     conditions = [check for m in motors for check in _condition(m, settings, Permissions())]
-    return [*_bus_itself(inspection), *conditions]
+    return [_load(inspection.motors, settings, timing), *_bus_itself(inspection), *conditions]
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:

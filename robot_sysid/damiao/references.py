@@ -97,12 +97,16 @@ def approach(
     return reference, duration
 
 
-# Of the rows of a way, enough for motions of a second and more [Hz].
-_WAY_RATE = 100.0
+WAY_RATE = 100.0
+"""Rows per second of a way, enough for motions of a second and more [Hz]."""
 
 
 def way_rows(
-    trajectory: DamiaoTrajectory, begin: Array, end: Array, pace: tuple[float, float], order: str
+    trajectory: DamiaoTrajectory,
+    begin: Array,
+    end: Array,
+    pace: tuple[float, float],
+    order: str = STRAIGHT,
 ) -> DamiaoTrajectory:
     """Return the way between two poses (n,) [rad] as rows, without torque.
 
@@ -111,7 +115,7 @@ def way_rows(
     still = np.zeros_like(begin)
     start, target = (Reference(place, still, still) for place in (begin, end))
     reference, duration = approach(start, target, *pace, order)
-    time = np.linspace(0.0, duration, int(np.ceil(duration * _WAY_RATE)) + 1)
+    time = np.linspace(0.0, duration, int(np.ceil(duration * WAY_RATE)) + 1)
     q, qd, tau = (np.array(part) for part in zip(*map(reference, time)))
     return replace(trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau)
 

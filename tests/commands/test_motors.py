@@ -88,7 +88,7 @@ def no_real_time(monkeypatch):
 
 def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
     bus.motors[1].registers[TIMEOUT] = 100000.0
-    code, out, err = run(capsys, "check", trajectory, *CAN0)
+    code, out, err = run(capsys, "check", trajectory, *CAN0, "--verbose")
     assert (code, err) == (0, "")
     assert "ready to play" in out and "load classic CAN to 14 %" in out
     assert re.search(r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms +40 +31/29 +status 0", out)

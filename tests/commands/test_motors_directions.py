@@ -27,7 +27,7 @@ START = np.array([0.4, 0.6])
 def words(bus, arm_file, tmp_path, monkeypatch):
     """What plays a swing on an arm with an upright first axis."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(directions, "_THERE_AND_BACK", 0.8)
+    monkeypatch.setattr(directions, "_PACE", (1.0, 0.4))
     path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
     robot = load_robot_model(path)
     bus.arm.mechanism = ArmStepper(robot, START, 4e-3)

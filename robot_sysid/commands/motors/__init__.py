@@ -14,7 +14,7 @@ from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.directions import DirectionChoices, verify
-from robot_sysid.commands.motors.tables import check_lines, load_line, motor_table, run_lines
+from robot_sysid.commands.motors.tables import check_lines, motor_table, run_lines
 from robot_sysid.damiao import bus, preflight, simulated
 from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
 from robot_sysid.damiao.execution import lasting
@@ -77,9 +77,10 @@ def check(asked: Asked) -> int:
     if plan:
         checks += asked.met_checks(plan, inspection)
     else:
-        checks += preflight.general_checks(inspection, PlaySettings(rate=rate))
+        settings = PlaySettings(rate=rate)
+        checks += preflight.general_checks(inspection, settings, asked.timing)
     console.lines(motor_table(inspection, plan.trajectory.joints if plan else ()))
-    console.lines(["", load_line(motors, rate, asked.timing), *check_lines(checks)])
+    console.lines(check_lines(checks))
     to_change = len(preflight.stops(checks))
     if to_change:
         asked.verdict = (f"Not usable: {to_change} to change before playing",)

@@ -20,6 +20,7 @@ from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.preflight import Plan, require_no_stop
 from robot_sysid.damiao.protocol.joints import BY_MOTION, DamiaoJoint, write_joint_map
 from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.references import WAY_RATE, way_rows
 from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
@@ -37,9 +38,9 @@ class DirectionChoices(OptionRecord):
     )
 
 
-# How far and for how long a joint moves [rad, s], at 0.08 rad/s at most; enough to be seen, little
-# enough for the wrong way. Rows per second.
-_NUDGE, _THERE_AND_BACK, _ROW_RATE = 0.1, 4.0, 100.0
+# How far a joint moves [rad], at most how fast [rad/s] and at least how long each way [s]: enough
+# to be seen, little enough for the wrong way.
+_NUDGE, _PACE = 0.1, (0.2, 2.0)
 
 _NO_ROOM = (
     "not moved (where there is no room for 0.1 rad either way, bring the arm elsewhere by hand)"
@@ -108,7 +109,7 @@ def _move_a_little(
     stop, waiting = StopRequest(), list(unseen)
 
     def tell(time: float) -> None:
-        if waiting and time >= _THERE_AND_BACK * (len(unseen) - len(waiting)):
+        if waiting and time >= 2.0 * _PACE[1] * (len(unseen) - len(waiting)):
             console.stage(f"now {waiting.pop(0).label}")
 
     with stop.on_signals():
@@ -120,17 +121,14 @@ def _small_motion(
     asked: Asked, plan: Plan, here: Array, numbers: Sequence[int], signs: Array
 ) -> Plan:
     """Return the motion of some joints, one after the other, from where they stand (n,) [rad]."""
-    time = np.arange(round(_THERE_AND_BACK * len(numbers) * _ROW_RATE) + 1) / _ROW_RATE
-    phase, turn = 2.0 * np.pi * time / _THERE_AND_BACK, 2.0 * np.pi / _THERE_AND_BACK
-    q, qd = np.tile(here, (len(time), 1)), np.zeros((len(time), len(here)))
-    for k, j in enumerate(numbers):
-        now = (time >= k * _THERE_AND_BACK) & (time < (k + 1) * _THERE_AND_BACK)
-        q[now, j] += 0.5 * _NUDGE * signs[j] * (1.0 - np.cos(phase[now]))
-        qd[now, j] = 0.5 * _NUDGE * signs[j] * turn * np.sin(phase[now])
-    holding = asked.holding(plan)
+    holding, played = asked.holding(plan), plan.trajectory
     assert holding is not None
-    tau = np.array([holding.torque(row) for row in q])
-    rows: Any = {"line": np.arange(len(time)), "time": time, "q": q, "qd": qd, "tau": tau}
-    trajectory = replace(plan.trajectory, both=False, **rows)
+    pokes = here + np.diag(_NUDGE * signs)[list(numbers)]
+    ends = (pair for poke in pokes for pair in ((here, poke), (poke, here)))
+    ways = [way_rows(played, begin, end, _PACE) for begin, end in ends]
+    q, qd = (np.vstack([getattr(way, name)[1:] for way in ways]) for name in ("q", "qd"))
+    tau, time = np.array([holding.torque(row) for row in q]), (1.0 + np.arange(len(q))) / WAY_RATE
+    rows: Any = {"line": np.arange(len(q)), "time": time, "q": q, "qd": qd, "tau": tau}
     settings = replace(plan.settings, speed=1.0, park=None)
-    return replace(plan, trajectory=trajectory, settings=settings, recording=RecordingOptions())
+    small = replace(played, both=False, **rows)
+    return replace(plan, trajectory=small, settings=settings, recording=RecordingOptions())

@@ -11,7 +11,6 @@ from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import OK, Check
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Feedback
-from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.records.progress import Detail
@@ -55,12 +54,6 @@ def check_lines(checks: Sequence[Check]) -> Iterator[str]:
         line = f"[{_MARKS[check.severity]}] {check.text}"
         yield Detail(line) if check.severity == OK else line
     yield f"[ok  ] {sum(check.severity == OK for check in checks)} points (--verbose lists them)"
-
-
-def load_line(n_motors: int, rate: float, timing: BusTiming) -> str:
-    """Return how much of the bus a number of motors would take."""
-    load = 100.0 * bus_load(n_motors, rate, timing)
-    return f"{n_motors} motors at {rate:g} Hz would load {timing.name} to {load:.0f} % (limit 70 %)"
 
 
 def run_lines(report: PlayReport) -> Iterator[str]:
