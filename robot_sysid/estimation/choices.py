@@ -108,9 +108,10 @@ class HeldOut:
         kept, held = sought.kept, sought.held.copy()
         held[kept] = 0.0
         prior = _prior_rows(sought)
-        known, rows = prior.T @ prior, self._grams[:, kept]
-        right = rows[:, :, -1] - rows[:, :, :-1] @ held + known[:-1, -1]
-        normal = rows[:, :, kept] + known[:-1, :-1]
+        known, rest = prior.T @ prior, np.flatnonzero(held)
+        right = self._grams[:, kept, -1] - self._grams[:, kept[:, None], rest] @ held[rest]
+        right += known[:-1, -1]
+        normal = self._grams[:, kept[:, None], kept] + known[:-1, :-1]
         size = np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
         scale = 1.0 / np.where(size > 0.0, size, 1.0)
         scaled = scale[:, :, None] * normal * scale[:, None] + _RIDGE * np.eye(len(kept))

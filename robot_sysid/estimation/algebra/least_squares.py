@@ -118,14 +118,13 @@ class _Normal:
         normal = np.zeros((size, size))
         for (columns, gram), weight in zip(self._parts, (*weights, 1.0)):
             normal[np.ix_(columns, columns)] += weight**2 * gram
-        inverse = inverse_root(normal[:-1, :-1])
-        if inverse is None:
+        root = inverse_root(normal[:-1, :-1])
+        if root is None:
             return None
-        values = self._prior + inverse @ (
-            inverse.T @ (normal[:-1, -1] - normal[:-1, :-1] @ self._prior)
-        )
+        spread = root @ root.T
+        values = self._prior + spread @ (normal[:-1, -1] - normal[:-1, :-1] @ self._prior)
         paid = [
-            weight**2 * np.sum((gram[:-1, :-1] @ inverse[at[:-1]]) * inverse[at[:-1]])
+            weight**2 * np.sum(gram[:-1, :-1] * spread[np.ix_(at[:-1], at[:-1])])
             for (at, gram), weight in zip(self._parts, weights)
         ]
         return values, np.array(paid)
