@@ -1,13 +1,14 @@
 """The table of docs/comparison.md: processor time and memory beside others', in one run.
 
-Run from the checkout, a quarter of an hour on one core; ``--write`` puts it into the page:
+Run from the checkout, each part some minutes on one core; ``--write`` puts its rows into the page:
 
     pip install -e ".[dev,bench]"
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.speed_table [--write] [PART...]
 
-Parts: start, logs, arm, many, servo, long, sysid. Commands are whole processes, imports and files
-included, with the most memory they held; what several rows compare ran in turns. What is not
-installed, or lacks its public arm or log, is left out of what is printed; nothing is written then.
+Parts: start, logs, arm, many, servo, plan, long, sixty, sysid. Commands are whole processes as
+users start them, compiled modules, imports and files included, with the most memory they held; what
+several rows compare ran in turns. What is not installed, or lacks its public arm or log, is left
+out. A row of the page that is measured again is replaced, with the others of its part.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import platform
+import re
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +50,7 @@ def row(task: str, who: str, seconds: float, base: float, more: str = " | |") ->
 
 def process(*words: str) -> tuple[float, float]:
     """(processor time [s], peak memory [MB]) of Python with some words, the least of a few."""
-    each = [linear_cost.watched(sys.executable, *words) for _ in range(ROUNDS)]
+    each = [linear_cost.watched(sys.executable, *words)[:2] for _ in range(ROUNDS)]
     return min(s for s, _ in each), max(m for _, m in each)
 
 
@@ -63,6 +66,8 @@ def start_rows() -> Iterator[str]:
             "robot-sysid --help": (*command, "--help"),
             "robot-sysid, the README's Quick Start": quick,
         }
+        for words in runs.values():  # which compiles
+            linear_cost.watched(sys.executable, *words)
         found = {name: process(*words) for name, words in runs.items()}
     base = next(iter(found.values()))[0]
     for name, (seconds, memory) in found.items():
@@ -122,21 +127,40 @@ def servo_rows() -> Iterator[str]:
               f"{memory:.0f} MB | |")  # fmt: skip
 
 
-def long_rows() -> Iterator[str]:
-    """Sixty joints in a row; a simulated run of almost half an hour."""
+def plan_rows() -> Iterator[str]:
+    """``plan`` as it stops by itself, and for a time that is asked for."""
+    command = (sys.executable, "-m", "robot_sysid", "plan", str(GUESS), "--seed", "0", "--verbose")
+    base = None
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        sixty = folder / "sixty.xml"
+        for who, words in (("", ()), (", 24 s asked for", ("--excitation-time-budget", "24"))):
+            run = linear_cost.watched(*command, "--output-dir", name, *words)
+            base, gain = base or run, re.search(r"([\d.]+) times better", run[2])
+            found = f"{run[1]:.0f} MB | {gain[1] if gain else '?'} times the best random one |"
+            yield row("`plan`, 7 joints, 15 s", f"robot-sysid{who}", run[0], base[0], found)
+
+
+def long_rows() -> Iterator[str]:
+    """A simulated run of almost half an hour."""
+    with tempfile.TemporaryDirectory() as name:
+        words = ("--plant-model", str(TRUTH), "--duration", "1600", "--seed", "0")
+        seconds, memory = linear_cost.measured(str(GUESS), *words, "--output-dir", name)
+        task = "7 joints, a simulated arm, 1600 s at 1 kHz"
+        yield row(task, "robot-sysid", seconds, seconds, f"{memory:.0f} MB | |")
+
+
+def sixty_rows() -> Iterator[str]:
+    """Sixty joints in a row: the self-test, a simulated arm, a plan."""
+    with tempfile.TemporaryDirectory() as name:
         joint = 'range="-2.5 2.5" frictionloss=".4" damping=".1"'
+        sixty, out = Path(name) / "sixty.xml", ("--seed", "0", "--output-dir", f"{name}/out")
         sixty.write_text(arms.serial_arm((arms.Z, arms.Y, arms.X) * 20, joint=joint))
-        out = ("--seed", "0", "--output-dir", str(folder / "out"))
-        plant = ("--plant-model", str(TRUTH), "--duration", "1600")
         for task, words in (
-            ("60 joints, the model itself", (str(sixty),)),
-            ("7 joints, a simulated arm, 1600 s at 1 kHz", (str(GUESS), *plant)),
+            ("the model itself", (str(sixty),)),
+            ("a simulated arm", (str(sixty), "--plant-model", str(sixty))),
+            ("`plan`", ("plan", str(sixty))),
         ):
             seconds, memory = linear_cost.measured(*words, *out)
-            yield row(task, "robot-sysid", seconds, seconds, f"{memory:.0f} MB | |")
+            yield row(f"60 joints, {task}", "robot-sysid", seconds, seconds, f"{memory:.0f} MB | |")
 
 
 def sysid_rows() -> Iterator[str]:
@@ -154,25 +178,35 @@ def sysid_rows() -> Iterator[str]:
 
 PARTS = {
     **{"start": start_rows, "logs": log_rows, "arm": arm_rows, "many": many_rows},
-    **{"servo": servo_rows, "long": long_rows, "sysid": sysid_rows},
+    **{"servo": servo_rows, "plan": plan_rows, "long": long_rows, "sixty": sixty_rows},
+    **{"sysid": sysid_rows},
 }
 
 
 def main(*words: str) -> None:
-    """Print the table; write it where that is asked for and it is whole."""
-    asked, whole, lines = [w for w in words if w != "--write"], True, [*HEADING]
-    print("\n".join(lines), flush=True)
+    """Print the table; put its rows into the page where that is asked for."""
+    asked, rows = [w for w in words if w != "--write"], list[str]()
+    print("\n".join(HEADING), flush=True)
     for part in asked or PARTS:
-        before = len(lines)
         for line in PARTS[part]():
             print(line, flush=True)
-            lines.append(line)
-        whole &= len(lines) > before
+            rows.append(line)
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco"))
-    lines += ["", f"Python {platform.python_version()}, {versions}, one thread."]
-    print("\n".join(lines[-2:]))
-    if "--write" in words and whole:
-        rewrite(PAGE, BEGIN, END, lines)
+    note = f"Python {platform.python_version()}, {versions}, one thread."
+    print(f"\n{note}")
+    if "--write" in words:
+        rewrite(PAGE, BEGIN, END, [*HEADING, *replaced(rows), "", note])
+
+
+def replaced(rows: list[str]) -> list[str]:
+    """The page's rows, those of a task that was measured again replaced, new tasks behind."""
+    table = PAGE.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0]
+    old, new = dict[str, list[str]](), dict[str, list[str]]()
+    there = [line for line in table.splitlines() if line.startswith("|")][len(HEADING) :]
+    for tasks, lines in ((old, there), (new, rows)):
+        for line in lines:
+            tasks.setdefault(line.split("|")[1], []).append(line)
+    return [*chain.from_iterable({**old, **new}.values())]
 
 
 def rewrite(page: Path, begin: str, end: str, lines: list[str]) -> None:
