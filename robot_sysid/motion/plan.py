@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
-from robot_sysid.motion.information import Known
-from robot_sysid.motion.limit_check import LimitCheck, check_limits, scaled_to_limits
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, ExcitationProblem, build_problem
-from robot_sysid.motion.static import design_poses, design_sweeps, startable
-from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import PerJoint, given_options
 from robot_sysid.records.progress import Detail, Progress
@@ -29,6 +25,11 @@ from robot_sysid.trajectory import (
     motion_chunks,
     sample_count,
 )
+
+if TYPE_CHECKING:  # A random motion that nothing plays takes none of what checks and designs.
+    from robot_sysid.motion.information import Known
+    from robot_sysid.motion.limit_check import LimitCheck
+    from robot_sysid.motion.problem import ExcitationProblem
 
 LONGEST_CHECKED = 86400.0
 """Length of a motion beyond which its limits are not checked any more [s]."""
@@ -96,6 +97,8 @@ def make_plan(
         _require_checkable(options.duration / options.speed)
     made = _new_plan(request, robot, seed, progress)
     if options.speed != 1.0:
+        from robot_sysid.motion.trajectories import at_speed
+
         made = CheckedPlan(at_speed(made.plan, options.speed), made.problem)
     require_countable(made.plan.duration, options.sample_rate, "--sample-rate")
     if made.problem is None:
@@ -105,6 +108,8 @@ def make_plan(
     _require_checkable(made.plan.duration)
     for note in () if request.is_designed else made.problem.notes:
         progress.note(note)
+    from robot_sysid.motion.limit_check import check_limits
+
     check = made.check or check_limits(made.problem, made.plan, options.sample_rate)
     return replace(made, check=check)
 
@@ -124,6 +129,8 @@ def _new_plan(
     """Return the trajectory with the limits it has to keep; checked where making it took that."""
     options, rng = request.trajectory, np.random.default_rng(seed)
     if options.file is not None:
+        from robot_sysid.motion.trajectories import load_trajectory
+
         progress.stage(f"Loading excitation trajectory from {options.file}...")
         saved = load_trajectory(options.file)
         saved.require_fits(robot.joint_names)
@@ -141,6 +148,8 @@ def _new_plan(
         stage = "Looking for room to sweep each joint in"
     progress.stage(f"{stage}...")
     if request.poses.sets_its_time:
+        from robot_sysid.motion.static import design_poses, design_sweeps
+
         problem = _problem(request, robot)
         static = request.poses.static
         plan = design_poses(problem, request.poses, rng) if static else design_sweeps(problem)
@@ -165,6 +174,8 @@ def _random(
         progress.note(note)
     if problem is None:
         return CheckedPlan(plan)
+    from robot_sysid.motion.limit_check import scaled_to_limits
+
     smaller, factors = scaled_to_limits(problem, plan, rate)
     if np.min(factors) < 1.0:
         share, joint = 100.0 * np.min(factors), robot.joint_names[int(np.argmin(factors))]
@@ -200,6 +211,9 @@ def _designed(
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     """Return the arm with all limits; of a new motion, its band limits the accelerations too."""
+    from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
+    from robot_sysid.motion.static import startable
+
     is_new, basis = request.trajectory.file is None, request.excitation.basis
     band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
     noise = request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
