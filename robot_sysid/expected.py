@@ -74,6 +74,7 @@ _NOISELESS = 1e-4
 _NOTHING = 100.0
 """How many times its size a parameter may be off where all that is told is rounding."""
 NOISE = "torque noise"
+_How = tuple[float, EstimationOptions, str]
 
 
 def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str) -> Known:
@@ -151,7 +152,7 @@ def expect(
         covariance = found.covariance[np.ix_(places, places)]
         np.fill_diagonal(covariance, found.standard_errors[places] ** 2)
         others = dict(_masses(problem, sought, found)) if asked == "arm" else {}
-    remedies = _best_first(problem, plan, (sample_rate, options, asked))
+    remedies = _best_first(problem, plan, (sample_rate, options, asked), known, told)
     about = others, _never(problem, told), remedies, missing, scaled
     return Prediction(of, theta, size, covariance, causes, *about)
 
@@ -269,13 +270,12 @@ def _told(
 
 
 def _remedies(
-    problem: ExcitationProblem, plan: MotionPlan, how: tuple[float, EstimationOptions, str]
+    problem: ExcitationProblem, plan: MotionPlan, how: _How, known: Known, told: Criterion
 ) -> Iterator[Remedy]:
     """Yield what would tell more than a motion does, with the errors of mass and centre then."""
     rate, options, asked = how
-    known, theta = known_of(problem, options, asked), problem.robot.prior.theta
-    theta = _weighed() if asked == "payload" else theta
-    told, tell = criterion(problem, known), partial(_told, problem, plan, rate)
+    theta = _weighed() if asked == "payload" else problem.robot.prior.theta
+    tell = partial(_told, problem, plan, rate)
     here, quick = tell(known), tell(known, faster=FASTER)
 
     def remedy(words: str, covariance: Array, loaded: bool = asked == "payload") -> Remedy:
@@ -301,18 +301,17 @@ def _remedies(
 
 
 def _best_first(
-    problem: ExcitationProblem, plan: MotionPlan, how: tuple[float, EstimationOptions, str]
+    problem: ExcitationProblem, plan: MotionPlan, how: _How, known: Known, told: Criterion
 ) -> tuple[Remedy, ...]:
     """Return what would tell more, what leaves the least error of the centre of mass first."""
     places = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
     if len(problem.rows) == 1 or np.all(places == places[0]):
         return ()
-    return tuple(sorted(_remedies(problem, plan, how), key=lambda each: each.centre))
+    found = _remedies(problem, plan, how, known, told)
+    return tuple(sorted(found, key=lambda each: each.centre))
 
 
-def outlook(
-    problem: ExcitationProblem, plan: MotionPlan, how: tuple[float, EstimationOptions, str]
-) -> str:
+def outlook(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> str:
     """Say before a search what no motion tells of a link, and what would; "" where one can.
 
     ``how`` is the sample rate and what follows it in ``expect``.
@@ -326,9 +325,8 @@ def outlook(
     floor, centre = spread_of(problem.robot.prior.theta, least)
     if asked == "payload" or not floor > LOOSE_SHARE * mass:
         return ""
-    listed = "; ".join(
-        f"{each.words}: {remedy_figures(each)}" for each in _best_first(problem, plan, how)
-    )
+    remedies = _best_first(problem, plan, how, known, told)
+    listed = "; ".join(f"{each.words}: {remedy_figures(each)}" for each in remedies)
     return (
         f"no motion of this arm tells the mass of {problem.robot.body_name}, {mass:.2g} kg, better "
         f"than ± {floor:.2g} kg and its centre of mass than ± {1e3 * centre:.2g} mm: that much may "

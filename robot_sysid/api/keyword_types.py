@@ -209,28 +209,108 @@ class IdentifyKeywords(
     """Of ``identify``."""
 
 
+class PlanEstimationOptions(TypedDict, total=False):
+    """Of a record."""
+
+    torques: Literal["chain", "terminal"]
+    link_uncertainty: float
+    scale_uncertainty: float | Numbers | None
+    zero_uncertainty: float
+    gravity_uncertainty: float
+    delay_uncertainty: float
+    friction_uncertainty: float
+
+
+class PlanSimulatedArmOptions(TypedDict, total=False):
+    """Of a record."""
+
+    noise_torque: float | Numbers
+
+
 class PlanKeywords(
-    ModelOptions, EstimationOptions, TrajectoryOptions, ExcitationOptions, LimitOptions,
-    SimulatedArmOptions, MotorOptions, PoseOptions
+    ModelOptions, PlanEstimationOptions, TrajectoryOptions, ExcitationOptions, LimitOptions,
+    PlanSimulatedArmOptions, MotorOptions, PoseOptions
 ):  # fmt: skip
     """Of ``plan``."""
 
 
+class PayloadLogOptions(TypedDict, total=False):
+    """Of a record."""
+
+    columns: File | None
+    units: str | None
+    torque_scale: float | Numbers | File | None
+    torque_constants: float | Numbers | File | None
+    topic: str | None
+    episode: int | Sequence[int]
+    accept: Accept | Sequence[Accept]
+
+
+class PayloadOutputOptions(TypedDict, total=False):
+    """Of a record."""
+
+    keep: Keep | Sequence[Keep]
+
+
+class PayloadTrajectoryOptions(TypedDict, total=False):
+    """Of a record."""
+
+    duration: float
+    sample_rate: float
+    seed: int | None
+    speed: float
+    trajectory: File | None
+
+
+class PayloadSimulatedArmOptions(TypedDict, total=False):
+    """Of a record."""
+
+    simulation: Literal["inverse", "forward"]
+    noise_torque: float | Numbers
+    noise_position: float | Numbers
+    encoder_resolution: float
+    torque_delay: float
+
+
 class PayloadKeywords(
-    ModelOptions, LogOptions, EstimationOptions, OutputOptions, TrajectoryOptions,
-    ExcitationOptions, LimitOptions, SimulatedArmOptions, PayloadOptions
+    ModelOptions, PayloadLogOptions, EstimationOptions, PayloadOutputOptions,
+    PayloadTrajectoryOptions, ExcitationOptions, LimitOptions, PayloadSimulatedArmOptions,
+    PayloadOptions
 ):  # fmt: skip
     """Of ``payload``."""
 
 
+class ReadLogLogOptions(TypedDict, total=False):
+    """Of a record."""
+
+    columns: File | None
+    units: str | None
+    torque_scale: float | Numbers | File | None
+    torque_constants: float | Numbers | File | None
+    topic: str | None
+    episode: int | Sequence[int]
+
+
 class ReadLogKeywords(
-    LogOptions
+    ReadLogLogOptions
 ):  # fmt: skip
     """Of ``read_log``."""
 
 
+class InformationLogOptions(TypedDict, total=False):
+    """Of a record."""
+
+    columns: File | None
+    units: str | None
+    torque_scale: float | Numbers | File | None
+    torque_constants: float | Numbers | File | None
+    topic: str | None
+    episode: int | Sequence[int]
+    accept: Accept | Sequence[Accept]
+
+
 class InformationKeywords(
-    ModelOptions, LogOptions, EstimationOptions
+    ModelOptions, InformationLogOptions, EstimationOptions
 ):  # fmt: skip
     """Of ``information``."""
 

@@ -296,10 +296,9 @@ class PlanResult:
             for axis, pair in zip(row, bounds):
                 for bound in (float(each[joint]) for each in pair if np.isfinite(each[joint])):
                     axis.axhline(bound, lw=1, ls="--", color="#D55E00")
-            row[0].set_ylabel(self.robot.joint_names[joint])
-        for axis, title in zip(
-            axes[0], ("position [rad]", "speed [rad/s]", "acceleration [rad/s²]")
-        ):
+            unit = "m" if self.robot.is_slide[joint] else "rad"
+            row[0].set_ylabel(f"{self.robot.joint_names[joint]} [{unit}]")
+        for axis, title in zip(axes[0], ("position", "speed, per s", "acceleration, per s²")):
             axis.set_title(title, fontsize="medium")
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")

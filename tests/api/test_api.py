@@ -15,7 +15,7 @@ from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Measurement
 from robot_sysid.results.record import Verdict
-from tests.support import pages
+from tests.support import arms, pages
 
 
 @pytest.fixture(scope="module")
@@ -140,14 +140,19 @@ def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_p
         wrong.spec()
 
 
-def test_a_plot_shows_every_joint(workshop, result, monkeypatch):
+def test_a_plot_shows_every_joint(result, monkeypatch, tmp_path):
     pytest.importorskip("matplotlib")
     axes = result.plot().axes
     assert [axis.get_ylabel() for axis in axes] == [f"joint{k}\n[N m]" for k in range(4)]
     monkeypatch.setattr(calls, "promise", lambda *_: [])
-    axes = rs.plan(workshop / "arm.xml", excitation="sines", duration=4.0, seed=1).plot().axes
-    assert [axis.get_ylabel() for axis in axes[::3]] == [f"joint{k}" for k in range(4)]
-    assert len(axes) == 12 and [len(axis.lines) for axis in axes[:3]] == [3, 3, 1]
+    path = tmp_path / "sliding.xml"
+    path.write_text(arms.SLIDE_IN_CHAIN)
+    axes = rs.plan(path, excitation="sines", duration=4.0, seed=1).plot().axes
+    units = ["m" if slides else "rad" for slides in arms.robot_of(arms.SLIDE_IN_CHAIN).is_slide]
+    names = ("turn", "lift", "bend", "roll")
+    labels = [f"{name} [{unit}]" for name, unit in zip(names, units)]
+    assert "m" in units and [axis.get_ylabel() for axis in axes[::3]] == labels
+    assert len(axes) == 3 * len(units) and [len(axis.lines) for axis in axes[:3]] == [3, 3, 1]
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(InputError, match="pip install matplotlib"):
         result.plot()

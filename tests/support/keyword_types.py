@@ -8,10 +8,11 @@ writes ``robot_sysid/api/keyword_types.py`` anew.
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Container
 from typing import Any
 
-from robot_sysid.api.keywords import ELSEWHERE, RECORDS
-from robot_sysid.records.options import Option, default_of, options_of
+from robot_sysid.api.keywords import ELSEWHERE, RECORDS, refused_by
+from robot_sysid.records.options import Option, default_of, keys_of, options_of
 from tests.support.places import ROOT
 
 PATH = ROOT / "robot_sysid" / "api" / "keyword_types.py"
@@ -68,26 +69,34 @@ def _quoted(word: str) -> str:
     return f'"{word}"'
 
 
+def _class(record: Any, name: str, refused: Container[str]) -> str:
+    """Return a class of a record's keywords, but for those that are refused."""
+    lines = [
+        f"    {each.key}: {type_of(each, default_of(record, attribute))}"
+        for attribute, each in options_of(record).items()
+        if each.key not in refused
+    ]
+    head = f'class {name}(TypedDict, total=False):\n    """Of a record."""\n\n'
+    return head + "\n".join(lines) + "\n"
+
+
 def text() -> str:
     """Return the module: a class per record, and one per function that puts them together."""
     records = list(dict.fromkeys(each for records in RECORDS.values() for each in records))
     options = (each for record in records for each in options_of(record).values())
     aliases = (_alias(each) for each in options if _has_alias(each))
     parts = [HEAD + "".join(aliases)]
-    for record in records:
-        lines = [
-            f"    {each.key}: {type_of(each, default_of(record, name))}"
-            for name, each in options_of(record).items()
-            if each.key not in ELSEWHERE
-        ]
-        head = f'class {record.__name__}(TypedDict, total=False):\n    """Of a record."""\n\n'
-        parts.append(head + "\n".join(lines) + "\n")
+    parts += [_class(record, record.__name__, ELSEWHERE) for record in records]
     for function, taken in RECORDS.items():
         if function != "identify_arm":  # the same as of identify
-            name = f"{function.title().replace('_', '')}Keywords"
-            bases = textwrap.fill(", ".join(each.__name__ for each in taken), 90)
-            bases = textwrap.indent(bases, "    ")
-            head = f"class {name}(\n{bases}\n):  # fmt: skip\n"
+            refused, name = refused_by(function), function.title().replace("_", "")
+            names = []
+            for record in taken:
+                partly = not keys_of(record).isdisjoint({*refused} - {*ELSEWHERE})
+                names.append(f"{name * partly}{record.__name__}")
+                parts += [_class(record, names[-1], refused)] * partly
+            bases = textwrap.indent(textwrap.fill(", ".join(names), 90), "    ")
+            head = f"class {name}Keywords(\n{bases}\n):  # fmt: skip\n"
             parts.append(f'{head}    """Of ``{function}``."""\n')
     return "\n\n".join(parts)
 
