@@ -261,9 +261,12 @@ def main(arguments: Sequence[str]) -> int:
     except SysidError as error:
         code, failure, asked.verdict = error.exit_code, error, (f"Not usable: {error}",)
     told = {"verdict": asked.verdict, "lines": asked.console.said}
-    asked.console.result({"command": name, "exit_code": code, **told})
-    if failure is not None:
-        raise failure
+    try:
+        asked.console.result({"command": name, "exit_code": code, **told})
+    finally:
+        # That nothing can be printed is no reason to leave out what happened to the motors.
+        if failure is not None:
+            raise failure
     return code
 
 
