@@ -556,18 +556,18 @@ SLOWLY = ("--rate", "25", "--max-tracking-error", "1")
 
 
 @functools.cache
-def program():
-    """The words that start the program, with real-time priority where that is allowed."""
-    first = ["chrt", "-f", "10"] if shutil.which("chrt") else []
+def program(command, priority):
+    """The words that start a command, with real-time priority where that is allowed."""
+    first = ["chrt", "-f", priority] if shutil.which("chrt") else []
     allowed = first and subprocess.run([*first, "true"], capture_output=True).returncode == 0
-    return [*(first if allowed else []), sys.executable, "-m", "robot_sysid", "motors"]
+    return [*(first if allowed else []), sys.executable, "-m", "robot_sysid", "motors", command]
 
 
 @contextlib.contextmanager
 def simulator(trajectory, model, watchdog="2"):
     """A simulated arm in a process of its own; yields the device to reach it at."""
     server = subprocess.Popen(
-        [*program(), "simulate", trajectory, "--model", model, "--watchdog", watchdog],
+        [*program("simulate", "5"), trajectory, "--model", model, "--watchdog", watchdog],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
@@ -590,7 +590,7 @@ def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
     """What the user does: simulate in one terminal, play and stop it in the other."""
     with simulator(trajectory, model, watchdog="5") as device:
         play = [
-            *program(), "play", trajectory,
+            *program("play", "10"), trajectory,
             "--interface", "slcan", "--channel", device, *SLOWLY,
             "--yes", "--record", tmp_path / "measured.csv",
         ]  # fmt: skip
@@ -616,7 +616,7 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(model, tmp_
     with simulator(trajectory, model) as device:
         play = subprocess.Popen(
             [
-                *program(), "play", trajectory, "--yes",
+                *program("play", "10"), trajectory, "--yes",
                 "--interface", "slcan", "--channel", device, *SLOWLY, "--record", record,
                 "--raw-log", frames,
             ],

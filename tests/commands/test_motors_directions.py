@@ -59,9 +59,9 @@ def test_nothing_is_played_before_somebody_has_seen_which_way_joints_turn(capsys
 
 def test_a_small_motion_verifies_a_set_up_once(capsys, bus, words, person, tmp_path):
     person[0][:] = ["yes"] * 3
-    code, out, err = run(capsys, *words, "--verify")
+    code, out, err = run(capsys, *words, "--verify", "--park", "start")
     assert (code, err) == (0, ""), err
-    assert "motor 1 (joint joint0) is to turn so that" in out
+    assert "motor 1 (joint joint0) is to turn so that" in out and "parking, straight" in out
     assert np.max(np.abs(bus.arm.mechanism.q - START)[0]) < 0.02
     rows = read_joint_map(tmp_path / "joint_map.csv")
     assert [row.verified for row in rows] == ["motion"] * 2

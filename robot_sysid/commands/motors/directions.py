@@ -129,6 +129,8 @@ def _small_motion(
     q, qd = (np.vstack([getattr(way, name)[1:] for way in ways]) for name in ("q", "qd"))
     tau, time = np.array([holding.torque(row) for row in q]), (1.0 + np.arange(len(q))) / WAY_RATE
     rows: Any = {"line": np.arange(len(q)), "time": time, "q": q, "qd": qd, "tau": tau}
-    settings = replace(plan.settings, speed=1.0, park=None)
+    # No joint of which nobody knows which way it turns goes to a pose.
+    park = plan.settings.park if plan.pose is None else "rest"
+    settings = replace(plan.settings, speed=1.0, park=park)
     small = replace(played, both=False, **rows)
     return replace(plan, trajectory=small, settings=settings, recording=RecordingOptions())

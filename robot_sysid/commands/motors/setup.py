@@ -300,17 +300,18 @@ def setup(asked: Asked) -> int:
         if changes:
             for line in MotorSetup(link, _only(inspection, options)).apply(options):
                 asked.console.stage(line)
-        return _found(asked, len(inspection.motors))
+        changed = f"motor {options.motor} is changed" if changes else ""
+        return _found(asked, len(inspection.motors), changed)
 
 
 SILENT = "no motor answers: check power, wiring and bit rate"
 
 
-def _found(asked: Asked, motors: int) -> int:
+def _found(asked: Asked, motors: int, changed: str = "") -> int:
     """Say how many motors there are and what to do next; return the exit code."""
     asked.verdict = (f"Not usable: {SILENT}",)
     if motors:
-        asked.conclude(f"Done: {motors} motors answer", asked.command("check"))
+        asked.conclude(f"Done: {changed or f'{motors} motors answer'}", asked.command("check"))
     return 0 if motors else 1
 
 

@@ -199,7 +199,8 @@ def read_joint_map(path: str | os.PathLike[str]) -> tuple[DamiaoJoint, ...]:
         with open(path, encoding="utf-8-sig", newline="") as file:
             lines = [line for line in file if line.strip() and not line.startswith("#")]
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read {path}: {error}") from None
+        said = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot read {path}: {said}") from None
     if any("\0" in line for line in lines):
         raise InputError(f"{path} is not text: it has zero bytes")
     table = csv.DictReader(lines, skipinitialspace=True)
