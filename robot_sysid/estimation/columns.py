@@ -16,11 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import (
     N_INERTIAL,
     Equations,
@@ -45,6 +47,8 @@ from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
 PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
 LINEAR = tuple(term for term in TERMS if term not in ("load", *BENT))
 """Friction terms whose columns depend on the motion alone."""
+PLACEHOLDER = 1e-3
+"""Share of the other links' usual mass below which a body's numbers say nothing."""
 _DRIFTING = ("coulomb", "viscous", "sqrt", "load", *BENT, "quadratic", "cubic")
 _SMOOTH = ("viscous", "armature")
 _CHUNK = 2048
@@ -142,6 +146,11 @@ class Columns:
         found[self.robot.body_name] = self.at(PARAMETER_NAMES)
         found["payload"] = self.at(PAYLOAD_NAMES)
         return found
+
+    @cached_property
+    def usual(self) -> dict[str, Array]:
+        """Body name to a body (10,) that such a link could be."""
+        return usual_bodies(self.robot)
 
     def thetas(self, values: Array, is_loaded: bool = False) -> Array:
         """Return the links (n, 10) of some values (p,), the terminal one with or without load."""
@@ -344,3 +353,27 @@ def _filtered(dataset: Dataset, point: Point, made: Callable[[Motion], Array]) -
         return made(dataset.motion)
     decimator = signals.decimator()
     return np.concatenate([decimator.push(made(m)) for m, _ in signals.chunks(_CHUNK)])
+
+
+def usual_bodies(robot: RobotModel) -> dict[str, Array]:
+    """Return body name to a body (10,) that such a link could be.
+
+    That is the model's own; where that is only a placeholder, without weight beside the other
+    links, a ball at its place with their usual mass and moment per mass.
+    """
+    found = {link.body_name: link.theta for link in robot.links if link.has_mass}
+    heaviest = max(theta[0] for theta in found.values())
+    believed = [
+        theta
+        for theta in found.values()
+        if theta[0] >= PLACEHOLDER * heaviest and spatial.is_consistent(theta)
+    ] or list(found.values())
+    usual = float(np.median([theta[0] for theta in believed]))
+    apart = [spatial.com_from_theta(theta) for theta in believed]
+    gyration = float(np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in apart]))
+    for name, theta in found.items():
+        if theta[0] < PLACEHOLDER * usual or not spatial.is_consistent(theta):
+            mass = max(usual, float(theta[0]))
+            com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
+            found[name] = spatial.theta_from_com(mass, com, mass * gyration * np.eye(3))
+    return found

@@ -13,7 +13,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.friction import Coupling, FrictionModel, speed_name
 from robot_sysid.dynamics.nuisances import TILT_NAMES
@@ -21,7 +20,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, link_aspects, link_factor
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
-from robot_sysid.records import DELAY_NAME, Array, RobotModel
+from robot_sysid.records import DELAY_NAME, Array
 from robot_sysid.records.options import per_joint
 
 LINKS, SCALES, ZEROS, TILT = "links", "torque scale", "joint offsets", "gravity"
@@ -43,8 +42,6 @@ DRIFTS, LOADED_LOSS = 0.2, 0.1
 share), of a gear's loss where loads differ."""
 FILE_TILT = np.radians(2.0)
 """Standard deviation of the direction of gravity that a file is given [rad]."""
-PLACEHOLDER = 1e-3
-"""Share of the other links' usual mass below which a body's numbers say nothing."""
 USUAL_SCALE, LOADED_SCALE = 2.0, 3.0
 """How far a joint's torque scale may be off where nobody says [%], and where a payload is weighed,
 whose mass hangs on it alone: motor currents of a UR10e read 3 % low to 5 % high."""
@@ -258,35 +255,11 @@ def _bodies(
     """Yield each body that is sought, with where it stands and a usual body of its kind."""
     last, options = columns.robot.body_name, question.options
     others = options.link_uncertainty > 0.0 and FILE_LINKS not in question.kept_parts
-    usual = usual_bodies(columns.robot)
+    usual = columns.usual
     for name, places in columns.bodies().items():
         wanted = question.loaded if name == "payload" else name == last or others
         if wanted:
             yield name, (places, usual[last if name == "payload" else name])
-
-
-def usual_bodies(robot: RobotModel) -> dict[str, Array]:
-    """Return body name to a body (10,) that such a link could be.
-
-    That is the model's own; where that is only a placeholder, without weight beside the other
-    links, a ball at its place with their usual mass and moment per mass.
-    """
-    found = {link.body_name: link.theta for link in robot.links if link.has_mass}
-    heaviest = max(theta[0] for theta in found.values())
-    believed = [
-        theta
-        for theta in found.values()
-        if theta[0] >= PLACEHOLDER * heaviest and spatial.is_consistent(theta)
-    ] or list(found.values())
-    usual = float(np.median([theta[0] for theta in believed]))
-    apart = [spatial.com_from_theta(theta) for theta in believed]
-    gyration = float(np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in apart]))
-    for name, theta in found.items():
-        if theta[0] < PLACEHOLDER * usual or not spatial.is_consistent(theta):
-            mass = max(usual, float(theta[0]))
-            com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
-            found[name] = spatial.theta_from_com(mass, com, mass * gyration * np.eye(3))
-    return found
 
 
 def independent(

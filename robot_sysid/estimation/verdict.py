@@ -13,9 +13,9 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.columns import PLACEHOLDER, usual_bodies
 from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
-from robot_sysid.estimation.unknowns import PLACEHOLDER, usual_bodies
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import Array, InertialParameters, RobotModel, Validation
 from robot_sysid.records.figures import percent, with_error
