@@ -221,15 +221,16 @@ class ModelFit:
         weight = INDEPENDENT / count / sample.sigma**2
         # Least squares in units of the priors, around the model.
         normal = np.tensordot(weight, squares, 1) * np.outer(spread, spread)
-        inverse = np.linalg.inv(normal + np.eye(len(spread)))
-        off = inverse @ (spread * ((right * weight).ravel() @ rows.reshape(-1, len(spread))))
+        unit, last = np.eye(len(spread)), slice((10 + N_FRICTION) * n, None)
+        pull = spread * ((right * weight).ravel() @ rows.reshape(-1, len(spread)))
+        solved = np.linalg.solve(normal + unit, np.column_stack((pull, unit[:, last])))
+        off, error = solved[:, 0], spread[last] * np.sqrt(np.diag(solved[last, 1:]))
         residual = right - rows @ (spread * off)
         cost = (
             float(np.sum(residual**2 @ weight)) / INDEPENDENT
             + float(np.sum(off[spread > 0.0] ** 2)) / INDEPENDENT
         )
         thetas, terms, extras = np.split(start + spread * off, (10 * n, (10 + N_FRICTION) * n))
-        error = (spread * np.sqrt(np.diag(inverse)))[(10 + N_FRICTION) * n :]
         found = terms.reshape(n, N_FRICTION), thetas.reshape(n, 10), extras, error
         return Fit(cost / n, residual, *found)
 
