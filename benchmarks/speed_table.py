@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import math
 import platform
 import re
 import sys
@@ -44,8 +45,9 @@ ROUNDS, MANY = 5, (1, 4, 12)
 
 def row(task: str, who: str, seconds: float, base: float, more: str = " | |") -> str:
     """One line; ``base`` is the time of the first row that it is compared with."""
-    times = "" if seconds == base else f"{seconds / base:.2g}"
-    return f"| {task} | {who} | {seconds:.2f} s | {times} | {more}"
+    times = "" if seconds in (base, math.inf) else f"{seconds / base:.2g}"
+    took = f"{seconds:.2f} s" if seconds < math.inf else f"not within {linear_cost.LIMIT:.0f} s"
+    return f"| {task} | {who} | {took} | {times} | {more}"
 
 
 def process(*words: str) -> tuple[float, float]:
