@@ -34,46 +34,70 @@ class ModelOptions(TypedDict, total=False):
     keyframe: str | None
 
 
-class LogOptions(TypedDict, total=False):
+class ReadLogLogOptions(TypedDict, total=False):
     """Of a record."""
 
-    append: File | None
     columns: File | None
     units: str | None
     torque_scale: float | Numbers | File | None
     torque_constants: float | Numbers | File | None
     topic: str | None
     episode: int | Sequence[int]
+
+
+class PayloadLogOptions(ReadLogLogOptions, total=False):
+    """Of a record."""
+
     accept: Accept | Sequence[Accept]
 
 
-class EstimationOptions(TypedDict, total=False):
+class InformationLogOptions(PayloadLogOptions, total=False):
+    """Of a record."""
+
+
+class LogOptions(InformationLogOptions, total=False):
+    """Of a record."""
+
+    append: File | None
+
+
+class PlanEstimationOptions(TypedDict, total=False):
     """Of a record."""
 
     torques: Literal["chain", "terminal"]
-    no_friction: bool
-    friction_model: str | None
-    cutoff: float | None
-    velocity_deadband: float | Numbers | None
-    delay: Literal["off", "auto"]
-    tilt: Literal["off", "auto"]
     link_uncertainty: float
     scale_uncertainty: float | Numbers | None
     zero_uncertainty: float
     gravity_uncertainty: float
     delay_uncertainty: float
     friction_uncertainty: float
+
+
+class EstimationOptions(PlanEstimationOptions, total=False):
+    """Of a record."""
+
+    no_friction: bool
+    friction_model: str | None
+    cutoff: float | None
+    velocity_deadband: float | Numbers | None
+    delay: Literal["off", "auto"]
+    tilt: Literal["off", "auto"]
     coupling: File | None
 
 
-class OutputOptions(TypedDict, total=False):
+class PayloadOutputOptions(TypedDict, total=False):
     """Of a record."""
 
     keep: Keep | Sequence[Keep]
+
+
+class OutputOptions(PayloadOutputOptions, total=False):
+    """Of a record."""
+
     links: bool
 
 
-class TrajectoryOptions(TypedDict, total=False):
+class PayloadTrajectoryOptions(TypedDict, total=False):
     """Of a record."""
 
     duration: float
@@ -81,6 +105,11 @@ class TrajectoryOptions(TypedDict, total=False):
     seed: int | None
     speed: float
     trajectory: File | None
+
+
+class TrajectoryOptions(PayloadTrajectoryOptions, total=False):
+    """Of a record."""
+
     save_trajectory: File | None
 
 
@@ -91,29 +120,44 @@ class ExcitationOptions(TypedDict, total=False):
     excitation_time_budget: float | None
 
 
-class LimitOptions(TypedDict, total=False):
+class PlayLimitOptions(TypedDict, total=False):
     """Of a record."""
 
     max_velocity: float | Numbers
     max_acceleration: float | None
     max_torque: float | Numbers | None
-    payload_reserve: float
-    max_tool_speed: float | None
     workspace: Numbers | None
     keep_out: Numbers | Sequence[Numbers]
-    below_base: bool
     clearance: float
 
 
-class SimulatedArmOptions(TypedDict, total=False):
+class LimitOptions(PlayLimitOptions, total=False):
     """Of a record."""
 
-    plant_model: File | None
-    simulation: Literal["inverse", "forward"]
+    payload_reserve: float
+    max_tool_speed: float | None
+    below_base: bool
+
+
+class PlanSimulatedArmOptions(TypedDict, total=False):
+    """Of a record."""
+
     noise_torque: float | Numbers
+
+
+class PayloadSimulatedArmOptions(PlanSimulatedArmOptions, total=False):
+    """Of a record."""
+
+    simulation: Literal["inverse", "forward"]
     noise_position: float | Numbers
     encoder_resolution: float
     torque_delay: float
+
+
+class SimulatedArmOptions(PayloadSimulatedArmOptions, total=False):
+    """Of a record."""
+
+    plant_model: File | None
     save_measurements: File | None
 
 
@@ -195,11 +239,16 @@ class RecordingOptions(TypedDict, total=False):
     overwrite: bool
 
 
-class SecondArm(TypedDict, total=False):
+class HoldSecondArm(TypedDict, total=False):
+    """Of a record."""
+
+    also_joint: str | None
+
+
+class SecondArm(HoldSecondArm, total=False):
     """Of a record."""
 
     also: File | None
-    also_joint: str | None
 
 
 class IdentifyKeywords(
@@ -209,67 +258,11 @@ class IdentifyKeywords(
     """Of ``identify``."""
 
 
-class PlanEstimationOptions(TypedDict, total=False):
-    """Of a record."""
-
-    torques: Literal["chain", "terminal"]
-    link_uncertainty: float
-    scale_uncertainty: float | Numbers | None
-    zero_uncertainty: float
-    gravity_uncertainty: float
-    delay_uncertainty: float
-    friction_uncertainty: float
-
-
-class PlanSimulatedArmOptions(TypedDict, total=False):
-    """Of a record."""
-
-    noise_torque: float | Numbers
-
-
 class PlanKeywords(
     ModelOptions, PlanEstimationOptions, TrajectoryOptions, ExcitationOptions, LimitOptions,
     PlanSimulatedArmOptions, MotorOptions, PoseOptions
 ):  # fmt: skip
     """Of ``plan``."""
-
-
-class PayloadLogOptions(TypedDict, total=False):
-    """Of a record."""
-
-    columns: File | None
-    units: str | None
-    torque_scale: float | Numbers | File | None
-    torque_constants: float | Numbers | File | None
-    topic: str | None
-    episode: int | Sequence[int]
-    accept: Accept | Sequence[Accept]
-
-
-class PayloadOutputOptions(TypedDict, total=False):
-    """Of a record."""
-
-    keep: Keep | Sequence[Keep]
-
-
-class PayloadTrajectoryOptions(TypedDict, total=False):
-    """Of a record."""
-
-    duration: float
-    sample_rate: float
-    seed: int | None
-    speed: float
-    trajectory: File | None
-
-
-class PayloadSimulatedArmOptions(TypedDict, total=False):
-    """Of a record."""
-
-    simulation: Literal["inverse", "forward"]
-    noise_torque: float | Numbers
-    noise_position: float | Numbers
-    encoder_resolution: float
-    torque_delay: float
 
 
 class PayloadKeywords(
@@ -280,33 +273,10 @@ class PayloadKeywords(
     """Of ``payload``."""
 
 
-class ReadLogLogOptions(TypedDict, total=False):
-    """Of a record."""
-
-    columns: File | None
-    units: str | None
-    torque_scale: float | Numbers | File | None
-    torque_constants: float | Numbers | File | None
-    topic: str | None
-    episode: int | Sequence[int]
-
-
 class ReadLogKeywords(
     ReadLogLogOptions
 ):  # fmt: skip
     """Of ``read_log``."""
-
-
-class InformationLogOptions(TypedDict, total=False):
-    """Of a record."""
-
-    columns: File | None
-    units: str | None
-    torque_scale: float | Numbers | File | None
-    torque_constants: float | Numbers | File | None
-    topic: str | None
-    episode: int | Sequence[int]
-    accept: Accept | Sequence[Accept]
 
 
 class InformationKeywords(
@@ -329,13 +299,13 @@ class RegressorKeywords(
 
 class PlayKeywords(
     BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions,
-    SecondArm, LimitOptions
+    SecondArm, PlayLimitOptions
 ):  # fmt: skip
     """Of ``play``."""
 
 
 class HoldKeywords(
     BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions,
-    SecondArm
+    HoldSecondArm
 ):  # fmt: skip
     """Of ``hold``."""

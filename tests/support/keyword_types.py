@@ -8,7 +8,7 @@ writes ``robot_sysid/api/keyword_types.py`` anew.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Container
+from collections.abc import Container, Iterator, Mapping
 from typing import Any
 
 from robot_sysid.api.keywords import ELSEWHERE, RECORDS, refused_by
@@ -69,15 +69,24 @@ def _quoted(word: str) -> str:
     return f'"{word}"'
 
 
-def _class(record: Any, name: str, refused: Container[str]) -> str:
-    """Return a class of a record's keywords, but for those that are refused."""
-    lines = [
-        f"    {each.key}: {type_of(each, default_of(record, attribute))}"
+def _classes(record: Any, kinds: Mapping[str, Container[str]]) -> Iterator[str]:
+    """Yield classes of a record's keywords, each with what is refused by all before it.
+
+    Args:
+        kinds: name of a class to what it refuses; each refuses all that another does, or less.
+    """
+    fields = {
+        each.key: f"    {each.key}: {type_of(each, default_of(record, attribute))}"
         for attribute, each in options_of(record).items()
-        if each.key not in refused
-    ]
-    head = f'class {name}(TypedDict, total=False):\n    """Of a record."""\n\n'
-    return head + "\n".join(lines) + "\n"
+    }
+    taken = {name: {*fields} - {*refused} for name, refused in kinds.items()}
+    base, told = "TypedDict", set[str]()
+    for name in sorted(taken, key=lambda name: len(taken[name])):
+        assert told <= taken[name]
+        lines = [line for key, line in fields.items() if key in taken[name] - told]
+        head = f'class {name}({base}, total=False):\n    """Of a record."""\n'
+        yield "\n".join((head, *lines)).rstrip() + "\n"
+        base, told = name, taken[name]
 
 
 def text() -> str:
@@ -86,7 +95,8 @@ def text() -> str:
     options = (each for record in records for each in options_of(record).values())
     aliases = (_alias(each) for each in options if _has_alias(each))
     parts = [HEAD + "".join(aliases)]
-    parts += [_class(record, record.__name__, ELSEWHERE) for record in records]
+    kinds: dict[Any, dict[str, Any]] = {each: {each.__name__: ELSEWHERE} for each in records}
+    functions = []
     for function, taken in RECORDS.items():
         if function != "identify_arm":  # the same as of identify
             refused, name = refused_by(function), function.title().replace("_", "")
@@ -94,10 +104,12 @@ def text() -> str:
             for record in taken:
                 partly = not keys_of(record).isdisjoint({*refused} - {*ELSEWHERE})
                 names.append(f"{name * partly}{record.__name__}")
-                parts += [_class(record, names[-1], refused)] * partly
+                kinds[record][names[-1]] = refused if partly else ELSEWHERE
             bases = textwrap.indent(textwrap.fill(", ".join(names), 90), "    ")
             head = f"class {name}Keywords(\n{bases}\n):  # fmt: skip\n"
-            parts.append(f'{head}    """Of ``{function}``."""\n')
+            functions.append(f'{head}    """Of ``{function}``."""\n')
+    parts += [each for record, own in kinds.items() for each in _classes(record, own)]
+    parts += functions
     return "\n\n".join(parts)
 
 
