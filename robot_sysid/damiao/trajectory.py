@@ -222,21 +222,16 @@ def rotor_problems(
 ) -> Iterator[str]:
     """Yield which joints cannot follow, played at a share of their speed: known without a model.
 
-    A motor turns its own rotor at least. That takes no more torque than it makes; and where it
-    takes more than the ``doubt`` (n,) [N m], half of it is in the torque that is fed forward: less
-    is that of another motion.
+    A motor turns its own rotor at least. Where that takes more than the ``doubt`` (n,) [N m] to and
+    fro, half of it is in the torque that is fed forward: less is that of another motion.
     """
     for joint, time, peak, change, fed, unsure in zip(joints, *shake, doubt):
-        rotor, most = speed**2 * joint.spec.rotor, joint.spec.peak_torque * joint.torque_ratio
-        said = f"{joint.label}: at {time:.2f} s it is to turn with {speed**2 * peak:.0f} rad/s^2"
-        takes = rotor * abs(change)
-        if rotor * abs(peak) > most:
-            yield f"{said}, more than its motor reaches without any arm; {CANNOT_FOLLOW}"
-        elif takes > 2.0 * unsure and fed < 0.5 * takes:
+        takes = speed**2 * joint.spec.rotor * abs(change)
+        if takes > 2.0 * unsure and fed < 0.5 * takes:
             yield (
-                f"{said}: for that its rotor alone takes {takes:.1f} N m to and fro, and the file "
-                f"feeds forward {fed:.1f}, the torque of another motion; {CANNOT_FOLLOW}, export "
-                "it again"
+                f"{joint.label}: at {time:.2f} s it is to turn with {speed**2 * peak:.0f} rad/s^2; "
+                f"its rotor alone takes {takes:.1f} N m to and fro, and the file feeds forward "
+                f"{fed:.1f}, the torque of another motion; {CANNOT_FOLLOW}, export it again"
             )
 
 
