@@ -298,9 +298,12 @@ class BusLink:
                 return message
 
     def close(self) -> None:
-        """Release the adapters; one that has been unplugged is gone anyway."""
+        """Release the adapters; one that has been unplugged is gone anyway.
+
+        Whatever a driver raises, it does not take the place of what happened to the motors.
+        """
         for bus in self._buses:
-            with contextlib.suppress(Exception, SystemExit), self._watch.during():
+            with contextlib.suppress(BaseException), self._watch.during():
                 bus.shutdown()
         self._watch.close()
 

@@ -138,7 +138,8 @@ def test_whatever_a_driver_raises_is_our_error(clock, kind):
     for call in (lambda: link.send(Frame(1, b"")), lambda: link.receive(0.1)):
         with pytest.raises(LinkError, match="7"):
             call()
-    link.close()
+    for each in (link, BusLink([Broken(KeyboardInterrupt)], clock)):
+        each.close()
 
 
 def test_a_driver_that_does_not_return_is_told_and_a_busy_one_is_not(monkeypatch):
