@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import mujoco
@@ -28,12 +28,18 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
     return axes @ np.diag(mj_model.body_inertia[body_id]) @ axes.T
 
 
-def subtree_bodies(mj_model: Any, qpos: Array, body_id: int) -> tuple[SubtreeBody, ...]:
-    """Return a body and everything below it, held at ``qpos`` (nq,), in that body's frame."""
+def subtree_bodies(
+    mj_model: Any, qpos: Array, body_id: int, without: Collection[int] = ()
+) -> tuple[SubtreeBody, ...]:
+    """Return a body and everything below it, held at ``qpos`` (nq,), in that body's frame; of
+    those ``without`` nothing.
+    """
     data = posed(mj_model, qpos)
     top_rotation = data.xmat[body_id].reshape(3, 3)
     bodies: dict[int, SubtreeBody] = {}
     for i in subtree(mj_model, body_id):
+        if i in without:
+            continue
         rotation = top_rotation.T @ data.xmat[i].reshape(3, 3)
         translation = top_rotation.T @ (data.xpos[i] - data.xpos[body_id])
         own = body_theta(mj_model, i)
@@ -103,6 +109,4 @@ def link_bodies(
     """
     if body in later:
         return ()
-    carried = set(subtree(mj_model, later[0])) if later else set()
-    bodies = subtree_bodies(mj_model, qpos, body)
-    return tuple(part for part in bodies if part.body_id not in carried)
+    return subtree_bodies(mj_model, qpos, body, set(subtree(mj_model, later[0]) if later else ()))
