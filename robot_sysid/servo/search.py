@@ -295,9 +295,11 @@ def searched(slopes_of: Slopes, scale: Scale, progress: Progress) -> Servos:
 
     settled = {"xtol": _SETTLED, "ftol": _SETTLED, "max_nfev": MOST_ROUNDS}
     for stage in ("First search", "Second search"):
-        done, sigma = 0.0, _sigma(problem.errors([scale.servos(x)])[0])
+        done, before, sigma = 0.0, x, _sigma(problem.errors([scale.servos(x)])[0])
         x = least_squares(residuals, x, jacobian, bounds, args=(sigma, stage), **settled).x
         progress.advance(stage, 1.0, 1.0, "")
+        if np.array_equal(x, before):  # as the same search would end again
+            break
     return scale.servos(x)
 
 
