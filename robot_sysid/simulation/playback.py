@@ -68,6 +68,9 @@ def rollout_copy(robot: RobotModel, timestep: float) -> Any:
     # A rollout that diverges must not go on from the start; a chain has no islands to be found.
     for name in ("AUTORESET", "ISLAND"):
         model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0))
+    if not model.ntendon:
+        # Nothing asks where a geom is: what lies at its body's origin is not worked out.
+        model.geom_sameframe[:] = 1
     return model
 
 
