@@ -32,8 +32,6 @@ from robot_sysid.records.options import processors
 from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.simulation.forward_dynamics import ForwardPlant, forward_copy, placed
 
-MOST_NUMBERS = 20_000_000
-"""Numbers of state and control that are in memory at a time."""
 _FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
@@ -52,11 +50,6 @@ class Inputs:
     qd: Array
     torque: Array
     control: Array | None = None
-
-    def part(self, rows: slice) -> Inputs:
-        """Return some of the rollouts."""
-        control = None if self.control is None else self.control[rows]
-        return Inputs(self.q[rows], self.qd[rows], self.torque[rows], control)
 
 
 def rollout_copy(robot: RobotModel, timestep: float) -> Any:
@@ -93,13 +86,8 @@ class Roller:
 
     def __call__(self, inputs: Inputs) -> Array:
         """Return chain positions (B, S, n) after each step; NaN from where a rollout diverged."""
-        count, steps, _ = inputs.torque.shape
-        size = mujoco.mj_stateSize(self.model, _FULL) + mujoco.mj_stateSize(self.model, _INPUTS)
-        most = max(1, MOST_NUMBERS // max(1, size * steps))
-        played = self._stepped if self._pool is None else self._threaded
-        parts = [slice(first, first + most) for first in range(0, count, most)]
         with captured_warnings():
-            q = np.concatenate([played(inputs.part(rows)) for rows in parts])
+            q = self._stepped(inputs) if self._pool is None else self._threaded(inputs)
         q[np.logical_or.accumulate(~np.all(np.isfinite(q), axis=2), axis=1)] = np.nan
         return q
 

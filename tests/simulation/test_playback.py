@@ -82,14 +82,6 @@ def test_rollouts_on_threads_are_the_same_as_single_steps(monkeypatch):
         np.testing.assert_array_equal(threads(inputs(robot)), steps(inputs(robot)))
 
 
-def test_few_at_a_time_are_the_same_as_all_at_once(monkeypatch):
-    robot = robot_of(SEVEN)
-    roller = Roller(robot, rollout_copy(robot, 0.002))
-    whole = roller(inputs(robot))
-    monkeypatch.setattr(playback, "MOST_NUMBERS", 1)
-    np.testing.assert_array_equal(roller(inputs(robot)), whole)
-
-
 def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(monkeypatch):
     robot = robot_of(SEVEN)
     model, usual = rollout_copy(robot, 0.002), inputs(robot)
