@@ -297,28 +297,11 @@ class RegressorKeywords(
     """Of ``regressor``."""
 
 
-class PlayLimitOptions(TypedDict, total=False):
-    """Of a record."""
-
-    max_velocity: float | Numbers
-    max_acceleration: float | None
-    max_torque: float | Numbers | None
-    workspace: Numbers | None
-    keep_out: Numbers | Sequence[Numbers]
-    clearance: float
-
-
 class PlayKeywords(
     BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions,
     SecondArm, PlayLimitOptions
 ):  # fmt: skip
     """Of ``play``."""
-
-
-class HoldSecondArm(TypedDict, total=False):
-    """Of a record."""
-
-    also_joint: str | None
 
 
 class HoldKeywords(
