@@ -12,7 +12,8 @@ import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from robot_sysid.commands import COMMANDS
+from robot_sysid import __version__
+from robot_sysid.commands import COMMANDS, PROGRAM
 from robot_sysid.commands.streams import print_line, tolerant_output
 from robot_sysid.errors import INTERRUPTED, ColumnsError, InputError, SysidError
 from robot_sysid.interrupts import STOPPING
@@ -33,6 +34,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     with _remembered_interrupts(ends=argv is None) as interrupts:
         interrupted = "interrupted"
         try:
+            if arguments == ["--version"]:  # which takes no options
+                print_line(f"{PROGRAM} {__version__}", sys.stdout)
+                return 0
             if name == "run" and arguments and not arguments[0].startswith("-"):
                 _refuse_misspelt(arguments[0])
             module = "identify" if name == "arm" else name
@@ -129,7 +133,7 @@ def _report(message: str, code: int, debug: bool) -> int:
     if len(one_line) > beginning + end:  # Nobody would read it all.
         one_line = f"{one_line[:beginning]} [...] {one_line[-end:]}"
     with contextlib.suppress(InputError):
-        print_line(f"robot-sysid: error: {one_line}", sys.stderr)
+        print_line(f"{PROGRAM}: error: {one_line}", sys.stderr)
     return code
 
 

@@ -11,11 +11,11 @@ from typing import Any, Callable, NoReturn
 
 import robot_sysid.records.options as options
 from robot_sysid import __version__
+from robot_sysid.commands import PROGRAM as PROGRAM
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
 from robot_sysid.errors import EXIT_CODES, InputError
 
-PROGRAM = "robot-sysid"
 PYTHON_ONLY = ("plan_only",)
 """Keys of options that only Python programs have."""
 

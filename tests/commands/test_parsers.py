@@ -87,4 +87,7 @@ def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(name,
 
 
 def test_the_version_is_printed(capsys):
-    assert help_lines(["--version"], capsys) == [f"robot-sysid {__version__}"]
+    assert main(["--version"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said == help_lines(["plan", "--quiet", "--version"], capsys)
+    assert said == [f"robot-sysid {__version__}"]
