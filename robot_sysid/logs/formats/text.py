@@ -30,7 +30,7 @@ _MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "miss
 _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
 # Characters of a line beyond which it is no row of a table; csv refuses cells of 131072.
 _LONGEST_LINE = 100_000
-PIECE = 2_000_000
+PIECE = 1_000_000
 """Characters of a log that are in memory as lines at a time."""
 # How a line begins that may be empty or a comment.
 _NO_ROW = frozenset({"", *" \t\v\f#%"})
@@ -199,16 +199,18 @@ def _mostly_numbers(cells: Sequence[str]) -> bool:
 
 def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
     for first, lines, done in _pieces(dialect.path, dialect.encoding, PIECE):
-        # A look at the first character tells of most lines that they are rows.
-        rows = [
-            (number, line)
-            for number, line in enumerate(lines, first)
-            if (line[:1] not in _NO_ROW or line.strip() and not _is_comment(line))
-            and number != dialect.header_line
-        ]
-        if not rows:
-            continue
-        numbers, texts = zip(*rows)
+        numbers: Sequence[int] = range(first, first + len(lines))
+        texts: Sequence[str] = lines
+        # A look at the first characters tells of most pieces that every line is a row.
+        if dialect.header_line in numbers or not _NO_ROW.isdisjoint(line[:1] for line in lines):
+            rows = [
+                (number, line)
+                for number, line in zip(numbers, lines)
+                if number != dialect.header_line and line.strip() and not _is_comment(line)
+            ]
+            if not rows:
+                continue
+            numbers, texts = zip(*rows)
         cells, complaint = _fast(dialect, columns, texts), ""
         if cells is None:
             cells = np.full((len(texts), len(columns)), np.inf)
