@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.logs.column_map import ColumnMap
-from robot_sysid.logs.formats.table import Block, Lines, LogTable
+from robot_sysid.logs.formats.table import BLOCK, Block, Lines, LogTable
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.resampling import Thinning
@@ -83,13 +83,19 @@ def read_rows(
     cleaner = _Cleaner(table, columns, is_slide)
     wanted = [source.index for source in columns.sources()]
     thinning, kept = None, _Kept([1, 1, *map(len, columns.groups())])
+    begun: list[Array] = []
     for block in followed(table, wanted, progress or Progress()):
-        rows = cleaner.clean(block)
-        expected = cleaner.n_read / max(block.done, 1e-9)
-        if thinning is None and len(rows) > 1:
+        rows, expected = cleaner.clean(block), cleaner.n_read / max(block.done, 1e-9)
+        if thinning is None:
+            # The first rows tell how many there will be, and in which steps of time.
+            begun = [np.concatenate((*begun, rows))]
+            if len(begun[0]) < 2 or (len(begun[0]) < BLOCK and block.done < 1.0):
+                continue
+            rows, begun = begun[0], []
             thinning = Thinning.of(rows[:, 1], expected)
-        every = thinning.every if thinning else 1
-        kept.add(rows if thinning is None else thinning.push(rows), int(expected / every))
+        kept.add(thinning.push(rows), int(expected / thinning.every))
+    for rows in begun:
+        kept.add(rows, len(rows))
     titles = [source.title for source in columns.sources()]
     empty = {t: int(n) for t, n in zip(titles, cleaner.empty) if n}
     told = cleaner.n_read, cleaner.odd, empty, cleaner.foreign
