@@ -98,7 +98,8 @@ class Columns:
         self._base: tuple[Array, float, list[DecimatedSamples]] | None = None
         self._arm: tuple[Array, RobotModel] | None = None
         self._known: dict[int, tuple[Any, Array, Array]] = {}
-        self._bare = arm = self._equations(robot)
+        arm = self._equations(robot)
+        self._arm_names = arm.names
         self.rows_of, self.joints = arm.rows_of, arm.joints
         later = ("load", *(name for term in BENT for name in (term, f"{term}_speed")))
         self._later = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
@@ -122,7 +123,7 @@ class Columns:
         found = Columns(self.robot, self.datasets, self.torques, couplings)
         found._known = self._known
         if self._base is not None:
-            names = found._bare.names
+            names = found._arm_names
             found._base = *self._base[:2], [each.only(names) for each in self._base[2]]
         return found
 
@@ -207,9 +208,10 @@ class Columns:
             self._base = base
         if np.array_equal(base[0], down):
             return base[2]
-        found, change = [], down - base[0]
+        # Made anew each time: what holds MuJoCo's data cannot be pickled.
+        found, arm = [], self._equations(self.robot)
         for rows, log in zip(base[2], delayed):
-            more = self._bare.rows_of_gravity(log.motion.q, change)
+            more = arm.rows_of_gravity(log.motion.q, down - base[0])
             found.append(replace(rows, rows=tuple(map(np.add, rows.rows, more))))
         return found
 
@@ -230,7 +232,7 @@ class Columns:
         return self._equations(self._arm_at(point.gravity)), self._arm_values(point, is_loaded)
 
     def _arm_values(self, point: Point, is_loaded: bool) -> Array:
-        values = point.values[: len(self._bare.names)].copy()
+        values = point.values[: len(self._arm_names)].copy()
         if is_loaded:
             values[:N_INERTIAL] += point.values[self.at(PAYLOAD_NAMES)]
         return values
