@@ -45,7 +45,7 @@ ROUNDS, MANY = 5, (1, 4, 12)
 
 def row(task: str, who: str, seconds: float, base: float, more: str = " | |") -> str:
     """One line; ``base`` is the time of the first row that it is compared with."""
-    times = "" if seconds in (base, math.inf) else f"{seconds / base:.2g}"
+    times = "" if seconds in (base, math.inf) else f"{float(f'{seconds / base:.2g}'):g}"
     took = f"{seconds:.2f} s" if seconds < math.inf else f"not within {linear_cost.LIMIT:.0f} s"
     return f"| {task} | {who} | {took} | {times} | {more}"
 
