@@ -30,26 +30,23 @@ from robot_sysid.simulation.options import SimulatedArmOptions
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _ARM, _PAYLOAD = (tuple(get_type_hints(kind).values()) for kind in (SysidConfig, PayloadConfig))
+_MOTORS = (
+    *(BusAddress, BusTiming, PlaySettings, Permissions),
+    *(RecordingOptions, ModelOptions, SecondArm),
+)
+_IDENTIFY = tuple(each for each in _ARM if each.__name__ != "PoseOptions")
 RECORDS: Mapping[str, Sequence[Any]] = {
-    "identify": tuple(each for each in _ARM if each.__name__ != "PoseOptions"),
+    "identify": _IDENTIFY,
     "plan": tuple(each for each in _ARM if each.__name__ not in ("LogOptions", "OutputOptions")),
     "payload": _PAYLOAD,
     "read_log": (LogOptions,),
     "information": (ModelOptions, LogOptions, EstimationOptions),
     "identify_from": (ModelOptions,),
     "regressor": (ModelOptions,),
+    "play": (*_MOTORS, LimitOptions),
+    "hold": _MOTORS,
+    "identify_arm": _IDENTIFY,
 }
-_MOTORS = (
-    BusAddress,
-    BusTiming,
-    PlaySettings,
-    Permissions,
-    RecordingOptions,
-    ModelOptions,
-    SecondArm,
-)
-RECORDS = {**RECORDS, "play": (*_MOTORS, LimitOptions), "hold": _MOTORS}
-RECORDS = {**RECORDS, "identify_arm": RECORDS["identify"]}
 """Function to the records whose options are its keywords; ``play`` and ``hold`` are of motors."""
 _COMMAND = "plays models; it needs the command robot-sysid identify"
 _SAVE = "is for the command; the result's save(folder) writes files"
