@@ -67,17 +67,17 @@ def filtered(
     Raises:
         InputError: one is too short.
     """
-
     parts, cutoffs, pairs = [LogPiece.of(piece.samples) for piece in pieces], [], []
     for piece, part in zip(pieces, parts):
         with _named(piece):
             cutoffs.append(options.cutoff or part.choice[0])
     for piece, part, own in zip(pieces, parts, cutoffs):
-        asked = options.cutoff, options.velocity_deadband, piece.least_deadband, "as given"
+        cutoff, by = options.cutoff, "as given"
         if own > min(cutoffs):
-            asked = min(cutoffs), *asked[1:3], "as another recording asks for"
+            cutoff, by = min(cutoffs), "as another recording asks for"
+        still = options.velocity_deadband, piece.least_deadband
         with _named(piece):
-            pairs.append((piece, process(part, robot.joint_names, *asked)))
+            pairs.append((piece, process(part, robot.joint_names, cutoff, *still, by)))
     found = [Dataset(p.name, each, p.is_loaded, p.place) for p, each in pairs]
     told: dict[str, tuple[str, ...]] = {}
     for piece, each in pairs:
