@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from robot_sysid.api.keywords import with_keywords
 from robot_sysid.api.models import Model, path_of
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.execution import MotorRun, lasting
+from robot_sysid.damiao.execution import MotorRun, lasting, run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import Plan, require_no_stop
@@ -105,7 +105,8 @@ def _played(asked: MotorRun, link: GuardedLink, plan: Plan, say: Say, real: bool
     stop, inspection = StopRequest(), inspect_bus(link)
     require_no_stop(asked.met_checks(plan, inspection, real), "not played")
     with stop.on_signals():
-        return asked.run(link, plan, inspection, stop, say, lambda time: None)
+        by_model = asked.by_model(plan, inspection)
+        return run(link, plan, inspection, stop, say, lambda time: None, *by_model)
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from robot_sysid.commands.motors.directions import DirectionChoices, verify
 from robot_sysid.commands.motors.tables import check_lines, motor_table, run_lines
 from robot_sysid.damiao import bus, preflight, simulated
 from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
-from robot_sysid.damiao.execution import lasting
+from robot_sysid.damiao.execution import lasting, run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.recorder import RecordingOptions
@@ -320,7 +320,8 @@ def _play_on(
 
     try:
         with stop.on_signals():
-            report = asked.run(link, plan, inspection, stop, say, tell)
+            by_model = asked.by_model(plan, inspection)
+            report = run(link, plan, inspection, stop, say, tell, *by_model)
         console.lines(run_lines(report))
     except HardwareAbort as error:
         # That it has to end is no fault of holding, if all else went well.
