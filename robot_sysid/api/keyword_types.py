@@ -1,7 +1,9 @@
 """Types of the keywords, for type checkers and editors; no run imports this.
 
 Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
+A class holds the keywords of one record, as far as one function or several take them.
 """
+# ruff: noqa: D101
 
 from __future__ import annotations
 
@@ -17,9 +19,7 @@ Accept = Literal[
     "torque-scale", "gravity", "computed", "sign", "order", "angle-unit", "zero", "model",
     "clock", "delay", "saturated", "held", "contact", "too-little", "rollout"
 ]  # fmt: skip
-Keep = Literal[
-    "friction", "rotors", "gravity", "links"
-]  # fmt: skip
+Keep = Literal["friction", "rotors", "gravity", "links"]
 Interface = Literal[
     "socketcan", "slcan", "gs_usb", "pcan", "kvaser", "vector", "ixxat", "canalystii",
     "cantact", "seeedstudio", "damiao", "virtual"
@@ -27,16 +27,12 @@ Interface = Literal[
 
 
 class ModelOptions(TypedDict, total=False):
-    """Of a record."""
-
     mesh_dir: File | None
     joint: str | None
     keyframe: str | None
 
 
 class ReadLogLogOptions(TypedDict, total=False):
-    """Of a record."""
-
     columns: File | None
     units: str | None
     torque_scale: float | Numbers | File | None
@@ -46,24 +42,14 @@ class ReadLogLogOptions(TypedDict, total=False):
 
 
 class PayloadLogOptions(ReadLogLogOptions, total=False):
-    """Of a record."""
-
     accept: Accept | Sequence[Accept]
 
 
-class InformationLogOptions(PayloadLogOptions, total=False):
-    """Of a record."""
-
-
-class LogOptions(InformationLogOptions, total=False):
-    """Of a record."""
-
+class LogOptions(PayloadLogOptions, total=False):
     append: File | None
 
 
 class PlanEstimationOptions(TypedDict, total=False):
-    """Of a record."""
-
     torques: Literal["chain", "terminal"]
     link_uncertainty: float
     scale_uncertainty: float | Numbers | None
@@ -74,8 +60,6 @@ class PlanEstimationOptions(TypedDict, total=False):
 
 
 class EstimationOptions(PlanEstimationOptions, total=False):
-    """Of a record."""
-
     no_friction: bool
     friction_model: str | None
     cutoff: float | None
@@ -86,20 +70,14 @@ class EstimationOptions(PlanEstimationOptions, total=False):
 
 
 class PayloadOutputOptions(TypedDict, total=False):
-    """Of a record."""
-
     keep: Keep | Sequence[Keep]
 
 
 class OutputOptions(PayloadOutputOptions, total=False):
-    """Of a record."""
-
     links: bool
 
 
 class PayloadTrajectoryOptions(TypedDict, total=False):
-    """Of a record."""
-
     duration: float
     sample_rate: float
     seed: int | None
@@ -108,21 +86,15 @@ class PayloadTrajectoryOptions(TypedDict, total=False):
 
 
 class TrajectoryOptions(PayloadTrajectoryOptions, total=False):
-    """Of a record."""
-
     save_trajectory: File | None
 
 
 class ExcitationOptions(TypedDict, total=False):
-    """Of a record."""
-
     excitation: Literal["sines", "optimal"]
     excitation_time_budget: float | None
 
 
 class PlayLimitOptions(TypedDict, total=False):
-    """Of a record."""
-
     max_velocity: float | Numbers
     max_acceleration: float | None
     max_torque: float | Numbers | None
@@ -132,22 +104,16 @@ class PlayLimitOptions(TypedDict, total=False):
 
 
 class LimitOptions(PlayLimitOptions, total=False):
-    """Of a record."""
-
     payload_reserve: float
     max_tool_speed: float | None
     below_base: bool
 
 
 class PlanSimulatedArmOptions(TypedDict, total=False):
-    """Of a record."""
-
     noise_torque: float | Numbers
 
 
 class PayloadSimulatedArmOptions(PlanSimulatedArmOptions, total=False):
-    """Of a record."""
-
     simulation: Literal["inverse", "forward"]
     noise_position: float | Numbers
     encoder_resolution: float
@@ -155,15 +121,11 @@ class PayloadSimulatedArmOptions(PlanSimulatedArmOptions, total=False):
 
 
 class SimulatedArmOptions(PayloadSimulatedArmOptions, total=False):
-    """Of a record."""
-
     plant_model: File | None
     save_measurements: File | None
 
 
 class MotorOptions(TypedDict, total=False):
-    """Of a record."""
-
     export_damiao: bool
     motor_type: str | Sequence[str]
     can_id: int | Sequence[int]
@@ -171,15 +133,11 @@ class MotorOptions(TypedDict, total=False):
 
 
 class PoseOptions(TypedDict, total=False):
-    """Of a record."""
-
     for_: Literal["link", "payload", "friction", "arm"]
     static: bool
 
 
 class PayloadOptions(TypedDict, total=False):
-    """Of a record."""
-
     empty_model: File | None
     loaded_model: File | None
     order: str | None
@@ -191,24 +149,18 @@ class PayloadOptions(TypedDict, total=False):
 
 
 class BusAddress(TypedDict, total=False):
-    """Of a record."""
-
     interface: Interface
     channel: str | Sequence[str]
     bus_option: str | Sequence[str]
 
 
 class BusTiming(TypedDict, total=False):
-    """Of a record."""
-
     fd: bool
     bitrate: float
     data_bitrate: float
 
 
 class PlaySettings(TypedDict, total=False):
-    """Of a record."""
-
     kp: float | Sequence[float]
     kd: float | Sequence[float]
     rate: float | None
@@ -224,88 +176,61 @@ class PlaySettings(TypedDict, total=False):
 
 
 class Permissions(TypedDict, total=False):
-    """Of a record."""
-
     accept_register_limits: bool
     set_watchdog: float | None
     accept_directions: bool
 
 
 class RecordingOptions(TypedDict, total=False):
-    """Of a record."""
-
     record: File | None
     raw_log: File | None
     overwrite: bool
 
 
 class HoldSecondArm(TypedDict, total=False):
-    """Of a record."""
-
     also_joint: str | None
 
 
 class SecondArm(HoldSecondArm, total=False):
-    """Of a record."""
-
     also: File | None
 
 
 class IdentifyKeywords(
     ModelOptions, LogOptions, EstimationOptions, OutputOptions, TrajectoryOptions,
     ExcitationOptions, LimitOptions, SimulatedArmOptions, MotorOptions
-):  # fmt: skip
-    """Of ``identify``."""
+): ...  # fmt: skip
 
 
 class PlanKeywords(
     ModelOptions, PlanEstimationOptions, TrajectoryOptions, ExcitationOptions, LimitOptions,
     PlanSimulatedArmOptions, MotorOptions, PoseOptions
-):  # fmt: skip
-    """Of ``plan``."""
+): ...  # fmt: skip
 
 
 class PayloadKeywords(
     ModelOptions, PayloadLogOptions, EstimationOptions, PayloadOutputOptions,
     PayloadTrajectoryOptions, ExcitationOptions, LimitOptions, PayloadSimulatedArmOptions,
     PayloadOptions
-):  # fmt: skip
-    """Of ``payload``."""
-
-
-class ReadLogKeywords(
-    ReadLogLogOptions
-):  # fmt: skip
-    """Of ``read_log``."""
+): ...  # fmt: skip
 
 
 class InformationKeywords(
-    ModelOptions, InformationLogOptions, EstimationOptions
-):  # fmt: skip
-    """Of ``information``."""
-
-
-class IdentifyFromKeywords(
-    ModelOptions
-):  # fmt: skip
-    """Of ``identify_from``."""
-
-
-class RegressorKeywords(
-    ModelOptions
-):  # fmt: skip
-    """Of ``regressor``."""
+    ModelOptions, PayloadLogOptions, EstimationOptions
+): ...  # fmt: skip
 
 
 class PlayKeywords(
     BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions,
     SecondArm, PlayLimitOptions
-):  # fmt: skip
-    """Of ``play``."""
+): ...  # fmt: skip
 
 
 class HoldKeywords(
     BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions,
     HoldSecondArm
-):  # fmt: skip
-    """Of ``hold``."""
+): ...  # fmt: skip
+
+
+ReadLogKeywords = ReadLogLogOptions
+IdentifyFromKeywords = ModelOptions
+RegressorKeywords = ModelOptions

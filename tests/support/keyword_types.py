@@ -19,7 +19,9 @@ PATH = ROOT / "robot_sysid" / "api" / "keyword_types.py"
 HEAD = '''"""Types of the keywords, for type checkers and editors; no run imports this.
 
 Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
+A class holds the keywords of one record, as far as one function or several take them.
 """
+# ruff: noqa: D101
 
 from __future__ import annotations
 
@@ -61,6 +63,8 @@ def _has_alias(option: Option) -> bool:
 
 def _alias(option: Option) -> str:
     words = textwrap.fill(", ".join(map(_quoted, option.choices)), 90)
+    if "\n" not in words:
+        return f"{option.key.capitalize()} = Literal[{words}]\n"
     listed = textwrap.indent(words, "    ")
     return f"{option.key.capitalize()} = Literal[\n{listed}\n]  # fmt: skip\n"
 
@@ -69,14 +73,14 @@ def _quoted(word: str) -> str:
     return f'"{word}"'
 
 
-def _classes(record: Any, kinds: Mapping[str, Container[str]]) -> Iterator[str]:
-    """Yield classes of a record's keywords, each with what is refused by all before it.
+def _classes(record: Any, kinds: Mapping[str, Container[str]]) -> Iterator[tuple[str, str]]:
+    """Yield (class, its text), each with what is refused by all before it; "" for no keyword more.
 
     Args:
         kinds: name of a class to what it refuses; each refuses all that another does, or less.
     """
     fields = {
-        each.key: f"    {each.key}: {type_of(each, default_of(record, attribute))}"
+        each.key: f"    {each.key}: {type_of(each, default_of(record, attribute))}\n"
         for attribute, each in options_of(record).items()
     }
     taken = {name: {*fields} - {*refused} for name, refused in kinds.items()}
@@ -84,9 +88,8 @@ def _classes(record: Any, kinds: Mapping[str, Container[str]]) -> Iterator[str]:
     for name in sorted(taken, key=lambda name: len(taken[name])):
         assert told <= taken[name]
         lines = [line for key, line in fields.items() if key in taken[name] - told]
-        head = f'class {name}({base}, total=False):\n    """Of a record."""\n'
-        yield "\n".join((head, *lines)).rstrip() + "\n"
-        base, told = name, taken[name]
+        yield name, f"class {name}({base}, total=False):\n{''.join(lines)}" if lines else ""
+        base, told = name if lines else base, taken[name]
 
 
 def text() -> str:
@@ -96,21 +99,29 @@ def text() -> str:
     aliases = (_alias(each) for each in options if _has_alias(each))
     parts = [HEAD + "".join(aliases)]
     kinds: dict[Any, dict[str, Any]] = {each: {each.__name__: ELSEWHERE} for each in records}
-    functions = []
+    functions = dict[str, list[str]]()
     for function, taken in RECORDS.items():
         if function != "identify_arm":  # the same as of identify
             refused, name = refused_by(function), function.title().replace("_", "")
-            names = []
+            names = functions[name] = []
             for record in taken:
                 partly = not keys_of(record).isdisjoint({*refused} - {*ELSEWHERE})
                 names.append(f"{name * partly}{record.__name__}")
                 kinds[record][names[-1]] = refused if partly else ELSEWHERE
-            bases = textwrap.indent(textwrap.fill(", ".join(names), 90), "    ")
-            head = f"class {name}Keywords(\n{bases}\n):  # fmt: skip\n"
-            functions.append(f'{head}    """Of ``{function}``."""\n')
-    parts += [each for record, own in kinds.items() for each in _classes(record, own)]
-    parts += functions
-    return "\n\n".join(parts)
+    same, last = dict[str, str](), ""
+    for record, own in kinds.items():
+        for name, each in _classes(record, own):
+            parts += [each] if each else []
+            last = name if each else last
+            same[name] = last
+    alone = ""
+    for name, names in functions.items():
+        bases = textwrap.indent(textwrap.fill(", ".join(map(same.__getitem__, names)), 90), "    ")
+        if len(names) > 1:
+            parts.append(f"class {name}Keywords(\n{bases}\n): ...  # fmt: skip\n")
+        else:
+            alone += f"{name}Keywords = {bases.strip()}\n"
+    return "\n\n".join([*parts, alone])
 
 
 if __name__ == "__main__":
