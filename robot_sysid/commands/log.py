@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.commands.plan import require_preview, show_preview
+from robot_sysid.commands.plan import PreviewOptions, require_preview, show_preview
 from robot_sysid.errors import InputError
 from robot_sysid.logs.options import CHECKS, LogOptions
 from robot_sysid.model.options import ModelOptions
-from robot_sysid.preview.options import PreviewOptions
 from robot_sysid.records.options import given_options, record_from
 from robot_sysid.records.sampling import TrajectoryOptions
 
 if TYPE_CHECKING:
-    from robot_sysid.preview.motion import Shown
+    from robot_sysid.preview.film import Shown
     from robot_sysid.records import Measurement, RobotModel
 
 INTERRUPTED = "interrupted; nothing was written"
@@ -96,7 +95,7 @@ def _checked(
 
 def _shown(robot: RobotModel, samples: Measurement, trajectory: Path | None) -> Shown:
     """Return the motion of a log, beside the one it should have followed where that is given."""
-    from robot_sysid.preview.motion import shown_log, shown_plan
+    from robot_sysid.preview.film import shown_log, shown_plan
 
     if trajectory is None:
         return shown_log(robot, samples)

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.run import add_model, carry_out
 from robot_sysid.config import PLANNED, PREDICTED, MotorOptions, OutputOptions, plan_config_from
+from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.preview.options import PreviewOptions
-from robot_sysid.records.options import record_from
+from robot_sysid.records.options import OptionRecord, option, record_from
 from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.simulation.options import SimulatedArmOptions
 
 if TYPE_CHECKING:
     from robot_sysid.outcome import PlanOutcome
-    from robot_sysid.preview.motion import Shown
+    from robot_sysid.preview.film import Shown
     from robot_sysid.records import RobotModel
 
 MAIN = (
@@ -28,6 +30,30 @@ MAIN = (
     *("workspace", "keep_out", "export_damiao", "motor_type"),
 )
 NO_RESULT = ("keep", "links", "bundle", "report", "plots")
+
+
+SUFFIXES = (".mp4", ".gif")
+
+
+def film_path(text: str) -> Path:
+    """Return the path of a film."""
+    path = Path(text)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{text!r} is no film; its name ends in {' or '.join(SUFFIXES)}")
+    return path
+
+
+@dataclass(frozen=True)
+class PreviewOptions(OptionRecord):
+    """Whether a motion is shown."""
+
+    view: bool = option(False, "play the motion in MuJoCo's viewer")
+    video: Path | None = option(
+        None,
+        "render the motion as a film (.mp4 or .gif), with limits, clearance and torque over time",
+        "FILE",
+        parse=film_path,
+    )
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -63,7 +89,7 @@ def main(arguments: Sequence[str]) -> int:
     def show(outcome: PlanOutcome, console: Console) -> None:
         checked = outcome.checked
         if checked is not None and checked.problem is not None and (wanted.view or wanted.video):
-            from robot_sysid.preview.motion import shown_plan
+            from robot_sysid.preview.film import shown_plan
 
             shown = shown_plan(checked.problem, checked.plan)
             show_preview(checked.problem.robot, shown, wanted, console)

@@ -7,9 +7,9 @@ import importlib.util
 import numpy as np
 import pytest
 
+from robot_sysid.commands.plan import film_path
 from robot_sysid.errors import InputError
 from robot_sysid.preview import film, studio
-from robot_sysid.preview.options import film_path
 from tests.support import arms
 
 FLOOR = '<geom type="plane" size="1 1 .1" pos="0 0 -1"/>'

@@ -9,7 +9,7 @@ import pytest
 
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem
-from robot_sysid.preview.motion import shown_log, shown_plan
+from robot_sysid.preview.film import shown_log, shown_plan
 from robot_sysid.records import JointLimits, Measurement
 from tests.support import arms, measured_logs
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 
 from robot_sysid.commands import motors, run
 from robot_sysid.commands.arguments import PYTHON_ONLY, ConsoleOptions, default_text
+from robot_sysid.commands.plan import PreviewOptions
 from robot_sysid.config import PayloadOptions
 from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.preflight import Permissions
@@ -19,7 +20,6 @@ from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.motion.options import PoseOptions
-from robot_sysid.preview.options import PreviewOptions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 
