@@ -22,8 +22,7 @@ from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.progress import Progress
-from robot_sysid.servo.commands import commanded_pieces
-from robot_sysid.servo.run import UNITS, run_servo
+from robot_sysid.servo.run import UNITS, commanded_pieces, run_servo
 from robot_sysid.servo.search import parted, play_servos
 from robot_sysid.simulation.servos import ServoRollouts, model_servos
 from tests.support.places import MODELS

@@ -22,7 +22,6 @@ from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CLOSED, RolloutError, RolloutTest
 from robot_sysid.results.rollout import HELD_OUT_SHARE, HORIZONS
-from robot_sysid.servo.commands import MOST_PERIODS
 from robot_sysid.signals.resampling import part_of, usual_period
 from robot_sysid.simulation.playback import MOST_WINDOWS
 from robot_sysid.simulation.servos import ServoRollouts, Servos, Window, actuators_of, model_servos
@@ -32,6 +31,8 @@ SERVO_WORDS = "the log's commands through the model's servos, both late by the d
 # state is known from steps of the encoder, the parabolas that give it [s]; how many are fitted.
 STEP, LENGTH, SETTLED, SMOOTHED = 0.002, 3.0, 0.6, 0.12
 FITTED = 24
+# Largest delay that is sought, in sampling periods.
+MOST_PERIODS = 10
 # Factors on the gains of the start that are tried beforehand, in so many windows: luck decides
 # where a servo with a larger one is at its limit all the time.
 GAINS, _FEW = (0.03, 0.1, 0.3, 1.0, 3.0), 6

@@ -7,7 +7,7 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.servo.commands import commanded_pieces, moving
+from robot_sysid.servo.run import commanded_pieces, moving
 from robot_sysid.servo.search import smoothed
 
 TIME = np.arange(500) / 50.0
