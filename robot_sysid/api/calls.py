@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Union
 
 import numpy as np
 
-from robot_sysid.api.keywords import python_words, with_keywords
-from robot_sysid.api.models import Model, arm_of, path_of
+from robot_sysid.api.keywords import Model, arm_of, path_of, python_words, with_keywords
 from robot_sysid.api.results import Identified, PlanResult, one_thread
 from robot_sysid.config import (
     PLANNED,

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.api.keywords import with_keywords
-from robot_sysid.api.models import Model, arm_of
+from robot_sysid.api.keywords import Model, arm_of, with_keywords
 from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.dynamics.newton_euler import LinkDynamics

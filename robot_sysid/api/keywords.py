@@ -1,4 +1,4 @@
-"""Keywords of the functions of the face: the options of the commands, said in Python's words.
+"""What the functions of the face are given: a model, and options of the commands as keywords.
 
 Which function takes which records of options stands here once: the signature that ``help`` and a
 notebook show, what is refused, and the types for checkers (``keyword_types``) come from it.
@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar, get_type_hints
+from pathlib import Path
+from typing import Any, TypeVar, Union, get_type_hints
 
 from robot_sysid.config import NOT_OF_A_PAYLOAD, PREDICTED, PayloadConfig, SysidConfig
 from robot_sysid.damiao.bus import BusAddress
@@ -23,10 +25,47 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.model.in_memory import InMemory, compiled_in_memory, file_of, is_in_memory
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
-from robot_sysid.records.options import Option, default_of, keys_of, options_of, refuse_unknown
+from robot_sysid.parser import load_robot_model, robot_from_compiled
+from robot_sysid.records import RobotModel
+from robot_sysid.records.options import (
+    Option,
+    default_of,
+    keys_of,
+    options_of,
+    record_from,
+    refuse_unknown,
+)
 from robot_sysid.simulation.options import SimulatedArmOptions
+
+Model = Union[str, "os.PathLike[str]", InMemory]
+"""Path of an MJCF or URDF file, or a model of MuJoCo's."""
+
+
+def path_of(model: Model) -> Path:
+    """Return the file of a model; of one in memory a copy that MuJoCo writes.
+
+    Raises:
+        InputError: it is no model, or cannot be written.
+    """
+    if is_in_memory(model):
+        return file_of(model)
+    if not isinstance(model, (str, os.PathLike)):
+        known = "the path of an MJCF or URDF file, a mujoco.MjSpec or a mujoco.MjModel"
+        raise InputError(f"a model is {known}, not {type(model).__name__}")
+    return Path(model)
+
+
+def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
+    """Return the arm in a model, with the options of ``ModelOptions``; see ``path_of``."""
+    chosen = record_from(ModelOptions, values)
+    if is_in_memory(model):
+        compiled = compiled_in_memory(model)
+        return robot_from_compiled(compiled, Path("model"), chosen.joint, keyframe=chosen.keyframe)
+    return load_robot_model(path_of(model), chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)
+
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _ARM, _PAYLOAD = (tuple(get_type_hints(kind).values()) for kind in (SysidConfig, PayloadConfig))

@@ -10,8 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_sysid.api.keywords import with_keywords
-from robot_sysid.api.models import Model, path_of
+from robot_sysid.api.keywords import Model, path_of, with_keywords
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.execution import MotorRun, lasting, run
 from robot_sysid.damiao.inspection import inspect_bus
