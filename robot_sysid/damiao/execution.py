@@ -38,7 +38,6 @@ from robot_sysid.damiao.preflight import (
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, read_joint_map
-from robot_sysid.damiao.protocol.lerobot import read_lerobot_map
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
 from robot_sysid.damiao.references import STRAIGHT, Reference, ReferenceFunction, sampled
@@ -165,9 +164,8 @@ class MotorRun:
     def rows(self) -> tuple[DamiaoJoint, ...]:
         """The joint map's lines; none without one."""
         path = self.values.get("joint_map")
-        if path is not None and Path(path).suffix == ".json":
-            return read_lerobot_map(Path(path), self.robot.joint_names if self.robot else ())
-        return () if path is None else read_joint_map(path)
+        names = self.robot.joint_names if self.robot else ()
+        return () if path is None else read_joint_map(Path(path), names)
 
     @property
     def channels(self) -> tuple[str, ...]:

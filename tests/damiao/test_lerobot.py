@@ -6,8 +6,7 @@ import json
 
 import pytest
 
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
-from robot_sysid.damiao.protocol.lerobot import read_lerobot_map
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, read_joint_map
 from robot_sysid.errors import InputError
 
 # As LeRobot's OpenArm follower writes it, typed from its source.
@@ -24,7 +23,7 @@ def read(tmp_path):
     def reads(content, names=()):
         path = tmp_path / "lerobot.json"
         path.write_text(json.dumps(content))
-        return read_lerobot_map(path, names)
+        return read_joint_map(path, names)
 
     return reads
 

@@ -18,13 +18,24 @@ there::
     elbow,can0,2,0x12,-1,0.785,1.0,
 
 ``verified`` is how somebody saw that this motor turns this joint this way, if anybody has.
+
+LeRobot's files are joint maps too, a robot's configuration or a calibration::
+
+    {"motor_config": {"joint_1": [1, 17, "dm8009"], ...}, "port": "can0", ...}      configuration
+    {"joint_1": {"id": 1, "drive_mode": 0, "homing_offset": 0, ...}, ...}             calibration
+
+A configuration may have one such part per arm, ``left_arm_config`` and ``right_arm_config``; the
+names of its motors begin with left_ and right_ then, as in LeRobot's own recordings.
+
+LeRobot uses what Damiao motors report as it is, in degrees: it writes a zero into the motor when it
+calibrates, and applies neither drive_mode nor homing_offset. So a motor turns as its joint does.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,6 +47,7 @@ from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.frames import Address
 from robot_sysid.damiao.protocol.motors import MOTORS, MotorSpec, motor_spec
 from robot_sysid.errors import InputError
+from robot_sysid.json_files import read_json
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import write_whole
 
@@ -193,8 +205,14 @@ _COLUMNS = (
 _NEEDED = ("joint", "can_id", "direction")
 
 
-def read_joint_map(path: str | os.PathLike[str]) -> tuple[DamiaoJoint, ...]:
-    """Read a joint map, or raise InputError; one that is about a line names it."""
+def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, ...]:
+    """Read a joint map, or raise InputError; one that is about a line names it.
+
+    A motor in one of LeRobot's files, .json, takes the name of the one joint out of a model's
+    ``names`` that ends with its own, its signs left out: joint_1 becomes openarm_left_joint1.
+    """
+    if path.suffix == ".json":
+        return _read_lerobot_map(path, names)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             lines = [line for line in file if line.strip() and not line.startswith("#")]
@@ -210,12 +228,10 @@ def read_joint_map(path: str | os.PathLike[str]) -> tuple[DamiaoJoint, ...]:
             f"{path}: expected the columns {', '.join(_COLUMNS)} (at least {', '.join(_NEEDED)})"
         )
     rows = (_row(line, f"{path}, row {k}") for k, line in enumerate(table, start=1))
-    return checked_map(path, tuple(rows))
+    return _checked_map(path, tuple(rows))
 
 
-def checked_map(
-    path: str | os.PathLike[str], rows: tuple[DamiaoJoint, ...]
-) -> tuple[DamiaoJoint, ...]:
+def _checked_map(path: Path, rows: tuple[DamiaoJoint, ...]) -> tuple[DamiaoJoint, ...]:
     """Return the rows of a joint map, or raise InputError where they cannot share their buses."""
     if not rows:
         raise InputError(f"{path} has no lines")
@@ -299,3 +315,42 @@ def _row(line: Mapping[str, str | None], where: str) -> DamiaoJoint:
     if not math.isfinite(row.offset) or not 0.0 < row.torque_ratio < math.inf:
         raise InputError(f"{where}: offset must be a number and torque_ratio positive")
     return row
+
+
+_SIDES = {f"{side}_arm_config": f"{side}_" for side in ("left", "right")}
+
+
+def _read_lerobot_map(path: Path, names: Sequence[str]) -> tuple[DamiaoJoint, ...]:
+    content = read_json(path, "give LeRobot's calibration, or a configuration with motor_config")
+    try:
+        rows = tuple(_motors_in(content))
+    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
+        said = f"{type(error).__name__}: {error}"
+        raise InputError(f"{path} is no calibration or configuration of LeRobot ({said})") from None
+    return _checked_map(path, tuple(replace(row, name=_known(row.name, names)) for row in rows))
+
+
+def _motors_in(
+    content: Mapping[str, Any], prefix: str = "", channel: str = ""
+) -> Iterator[DamiaoJoint]:
+    parts = {key: part for key, part in content.items() if key in (*_SIDES, "robot")}
+    for key, part in parts.items():
+        yield from _motors_in(part, _SIDES.get(key, ""))
+    if parts:
+        return
+    if "motor_config" in content:
+        for name, (can_id, master_id, *_) in content["motor_config"].items():
+            where = "", int(can_id), int(master_id), prefix + name, 0, str(content.get("port", ""))
+            yield DamiaoJoint(*where)
+        return
+    for name, entry in content.items():
+        for key in ("drive_mode", "homing_offset"):
+            if entry[key] != 0:
+                raise ValueError(f"{key} of {name} is {entry[key]}, 0 for Damiao motors")
+        yield DamiaoJoint("", int(entry["id"]), int(entry["id"]) + MASTER_ID_OFFSET, name)
+
+
+def _known(name: str, names: Sequence[str]) -> str:
+    bare = {each: re.sub(r"[^a-z0-9]", "", each.lower()) for each in (name, *names)}
+    found = [each for each in names if bare[each].endswith(bare[name])]
+    return found[0] if len(found) == 1 else name
