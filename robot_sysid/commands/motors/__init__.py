@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.motors import setup as motors_setup
-from robot_sysid.commands.motors.asked import Asked, said_yes
+from robot_sysid.commands.motors.asked import Asked, check_lines, motor_table, run_lines, said_yes
 from robot_sysid.commands.motors.directions import DirectionChoices, verify
-from robot_sysid.commands.motors.tables import check_lines, motor_table, run_lines
 from robot_sysid.damiao import bus, preflight, simulated
 from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
 from robot_sysid.damiao.execution import lasting, run

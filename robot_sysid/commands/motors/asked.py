@@ -1,4 +1,4 @@
-"""One command line of ``robot-sysid motors``: what it asks for, and asking who sits there."""
+"""One command line of ``robot-sysid motors``: what it asks for, what it says, and who says yes."""
 
 from __future__ import annotations
 
@@ -6,17 +6,24 @@ import contextlib
 import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
+
+import numpy as np
 
 from robot_sysid.commands.arguments import PROGRAM
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
 from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.execution import MotorRun
-from robot_sysid.damiao.preflight import Permissions
-from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.inspection import InspectedMotor, Inspection
+from robot_sysid.damiao.player import PlayReport
+from robot_sysid.damiao.preflight import OK, Check, Permissions
+from robot_sysid.damiao.protocol import frames
+from robot_sysid.damiao.protocol.codec import Feedback
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.recorder import Aside, RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings, SecondArm
 from robot_sysid.damiao.trajectory import LIMITS
@@ -24,6 +31,7 @@ from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records.options import command_words
+from robot_sysid.records.progress import Detail
 from robot_sysid.results.verdict import two_lines
 
 
@@ -55,7 +63,7 @@ def _hanging(words: str, last: bool) -> None:
         os._exit(HardwareAbort.exit_code)
 
 
-_WHERE = BusAddress, BusTiming
+_WHERE = BusAddress, frames.BusTiming
 _HOW = ModelOptions, SecondArm, PlaySettings, Permissions, RecordingOptions
 
 
@@ -89,3 +97,82 @@ class Asked(MotorRun):
         """Return the words of the command that plays what was checked, slowly at first."""
         usual = {"channel": ("CHANNEL",), "speed": 0.3, "record": "slow.csv"}
         return self.command("play", **{k: v for k, v in usual.items() if k not in self.values})
+
+
+_HEADINGS: tuple[str, ...] = (
+    *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear", "degC", "state"),
+)
+_MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
+
+
+def motor_table(inspection: Inspection, joints: Sequence[DamiaoJoint] = ()) -> Iterator[str]:
+    """Yield a table of the motors found; ``joints`` names the types to compare with."""
+    types = {joint.address: joint for joint in joints}
+    found = sorted(inspection.motors.items())
+    yield from _columns([_HEADINGS, *(_row(motor, types.get(place)) for place, motor in found)])
+
+
+def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> Iterator[str]:
+    """Yield a table of what motors measure."""
+    rows: list[tuple[str, ...]] = [("motor", "position", "velocity", "torque", "degC", "state")]
+    for motor, state in states:
+        if state is None:
+            rows.append((motor.name, "?", "?", "?", "?", "does not tell"))
+            continue
+        measured = state.position[0], state.velocity[0], state.torque[0]
+        heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
+        numbers = (f"{value:8.3f}" for value in measured)
+        rows.append((motor.name, *numbers, heat, frames.describe(int(state.status[0]))))
+    yield from _columns(rows)
+
+
+def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
+
+
+def check_lines(checks: Sequence[Check]) -> Iterator[str]:
+    """Yield one line per check; those that are in order are details, and counted."""
+    for check in checks:
+        line = f"[{_MARKS[check.severity]}] {check.text}"
+        yield Detail(line) if check.severity == OK else line
+    yield f"[ok  ] {sum(check.severity == OK for check in checks)} points (--verbose lists them)"
+
+
+def run_lines(report: PlayReport) -> Iterator[str]:
+    """Yield what is worth knowing about a finished run."""
+    yield (
+        f"played {report.cycles} cycles, {report.skipped} skipped; started late by "
+        f"{1e3 * report.lateness_p50:.2f} ms (median), {1e3 * report.lateness_p99:.2f} ms (99 %)"
+    )
+    tracking = ", ".join(f"{error:.3f}" for error in report.worst_tracking)
+    yield f"largest distance from the path per joint [rad]: {tracking}"
+    if np.any(report.missed):
+        missed = ", ".join(str(count) for count in report.missed)
+        yield f"unanswered commands per joint: {missed}"
+
+
+def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
+    registers, limits = motor.registers, motor.limits
+    mode = int(registers.get(frames.CTRL_MODE, 0))
+    replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
+    feedback = motor.feedback
+    return (
+        f"{motor.can_id}{' ' + motor.channel if motor.channel else ''}",
+        replies if len(motor.reply_ids) == 1 else f"{replies} (x{len(motor.reply_ids)})",
+        frames.MODES.get(mode, "?"),
+        *(f"{value or np.nan:g}" for value in limits),
+        _type_name(limits, joint),
+        f"{1e3 * registers.get(frames.TIMEOUT, 0.0) * frames.TIMEOUT_UNIT:g} ms",
+        f"{registers.get(frames.GR, np.nan):g}",
+        f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}" if feedback else "?",
+        frames.describe(int(feedback.status[0])) if feedback else "does not tell",
+    )
+
+
+def _type_name(limits: tuple[float, float, float], joint: DamiaoJoint | None) -> str:
+    if joint is None:
+        return " or ".join(matching_types(limits)) or "unknown"
+    agrees = limits_agree(joint.spec.limits, limits)
+    return joint.motor_type if agrees else f"not {joint.motor_type}!"

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.commands.console import Console
-from robot_sysid.commands.motors.asked import Asked, answer, said_yes
-from robot_sysid.commands.motors.tables import motor_table, state_table
+from robot_sysid.commands.motors.asked import Asked, answer, motor_table, said_yes, state_table
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.inspection import (
     InspectedMotor,
