@@ -5,39 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
 import robot_sysid.records.options as options
 from robot_sysid import __version__
 from robot_sysid.commands import PROGRAM as PROGRAM
-from robot_sysid.commands.console import Console
+from robot_sysid.commands.console import Console, ConsoleOptions
 from robot_sysid.commands.streams import print_line
 from robot_sysid.errors import EXIT_CODES, InputError
 
 PYTHON_ONLY = ("plan_only",)
 """Keys of options that only Python programs have."""
-
-
-@dataclass(frozen=True)
-class ConsoleOptions(options.OptionRecord):
-    """How much is printed."""
-
-    verbose: bool = options.option(False, "say more", short="-v")
-    quiet: bool = options.option(False, "print errors only")
-    debug: bool = options.option(False, "show the traceback of an error")
-    json: bool = options.option(
-        False, "print the result as JSON on standard output, all else on standard error"
-    )
-    config: Path | None = options.option(
-        None, "take options from this TOML file too, such as the run.toml of a run", "FILE"
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.verbose and self.quiet:
-            raise InputError("--verbose and --quiet exclude each other; choose one")
 
 
 class Parser(argparse.ArgumentParser):
@@ -235,7 +214,7 @@ def parsed(
     file = asked.parse_known_args(arguments)[0].config
     given = parser.with_config(file, arguments) if file else vars(parser.parse_args(arguments))
     values = {key: _frozen(value) for key, value in given.items()}
-    wanted = options.record_from(ConsoleOptions, values)
-    for name in options.options_of(ConsoleOptions):
+    console = options.record_from(Console, values)
+    for name in options.options_of(Console):
         values.pop(name, None)
-    return values, Console(**vars(wanted))
+    return values, console

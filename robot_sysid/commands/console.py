@@ -5,38 +5,45 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from robot_sysid.commands.streams import print_line, print_text
+from robot_sysid.errors import InputError
+from robot_sysid.records.options import OptionRecord, option
 from robot_sysid.records.progress import Detail, Progress
 
 TOLD_EVERY = 10.0
 """Time between two lines of progress where there is no terminal [s]."""
 
 
-class Console(Progress):
+@dataclass(frozen=True)
+class ConsoleOptions(OptionRecord):
+    """How much is printed."""
+
+    verbose: bool = option(False, "say more", short="-v")
+    quiet: bool = option(False, "print errors only")
+    debug: bool = option(False, "show the traceback of an error")
+    json: bool = option(
+        False, "print the result as JSON on standard output, all else on standard error"
+    )
+    config: Path | None = option(
+        None, "take options from this TOML file too, such as the run.toml of a run", "FILE"
+    )
+
+
+class Console(ConsoleOptions, Progress):
     """Progress and results on standard output, notes on standard error.
 
-    A ``Detail`` among them only shows where it is verbose.
-
-    Args:
-        verbose, quiet, debug, json, config: as ``arguments.ConsoleOptions``.
-
-    Attributes:
-        said: the lines that went to standard error because the result is JSON.
+    A ``Detail`` among them only shows where it is verbose. ``said`` are the lines that went to
+    standard error because the result is JSON.
     """
 
-    def __init__(
-        self,
-        verbose: bool = False,
-        quiet: bool = False,
-        debug: bool = False,
-        json: bool = False,
-        config: Path | None = None,
-    ) -> None:
-        self.verbose, self.quiet, self.debug, self.json = verbose, quiet, debug, json
-        self.config = config
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.verbose and self.quiet:
+            raise InputError("--verbose and --quiet exclude each other; choose one")
         self._bar: Any = None
         self._told_at = 0.0
         self.said: list[str] = []

@@ -11,7 +11,8 @@ import re
 from collections.abc import Mapping, Sequence
 
 from robot_sysid.commands import motors, run
-from robot_sysid.commands.arguments import PYTHON_ONLY, ConsoleOptions, default_text
+from robot_sysid.commands.arguments import PYTHON_ONLY, default_text
+from robot_sysid.commands.console import ConsoleOptions
 from robot_sysid.commands.plan import PreviewOptions
 from robot_sysid.config import PayloadOptions
 from robot_sysid.damiao.bus import BusAddress
