@@ -48,18 +48,18 @@ def main(arguments: Sequence[str]) -> int:
     page = record_from(PageOptions, values)
     require_report(OutputOptions(report=True))
     # Imported here so that --help and usage errors do not wait for MuJoCo.
-    from robot_sysid.report.page import load_run, write_report
+    from robot_sysid.report.page import write_report
+    from robot_sysid.report.runs import load_run
 
-    folders = tuple(values["folders"])
-    destination = page.output_dir or folders[0]
-    mesh_dir = values.get("mesh_dir")
-    written = write_report(folders, destination, mesh_dir, plots=page.plots, progress=console)
+    runs = [load_run(folder) for folder in values["folders"]]
+    destination, mesh_dir = page.output_dir or runs[0].folder, values.get("mesh_dir")
+    written = write_report(runs, destination, mesh_dir, plots=page.plots, progress=console)
     console.lines(f"Written: {path}" for path in written[:1])
     if len(written) > 1:
         console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")
-    verdicts = [load_run(folder).content.get("verdict", ()) for folder in folders]
+    verdicts = [run.content["verdict"] for run in runs]
     console.result({"written": list(map(str, written)), "verdicts": verdicts})
-    console.lines(verdicts[0] if len(folders) == 1 else ())
+    console.lines(verdicts[0] if len(runs) == 1 else ())
     return 0
 
 
@@ -74,27 +74,24 @@ def require_report(output: OutputOptions) -> None:
 def report_of(
     outcome: Any, output: OutputOptions, mesh_dir: Path | None, console: Console
 ) -> str | None:
-    """Write what a later report needs, and the report where it is wanted.
+    """Write what a later report needs, and the report where it is wanted; return why that failed.
 
     The results are in their files already; whatever fails here leaves them there.
-
-    Returns:
-        Why the report that was asked for was not written, or None.
     """
     wanted, traces = output.report or output.plots, getattr(outcome, "traces", None)
     # A plan, and servos found without torques, have none to draw.
     if traces is None or not (wanted or outcome.result.is_measured):
         return None
     from robot_sysid.report.page import save_data, write_report
+    from robot_sysid.report.runs import load_run
 
     try:
         save_data(output.output_dir, traces(), outcome.saved.result_hash)
         if not wanted:
             return None
         console.stage("Drawing the report...")
-        page, plots = output.report, output.plots
-        where = (output.output_dir,), output.output_dir
-        written = write_report(*where, mesh_dir, page, plots, console)
+        page, run = output.report, load_run(output.output_dir)
+        written = write_report([run], run.folder, mesh_dir, page, output.plots, console)
     except Exception as error:  # the run is done, and what it found must stand
         cause = str(error) if isinstance(error, SysidError) else f"{type(error).__name__}: {error}"
         if not wanted:

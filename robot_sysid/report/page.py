@@ -14,11 +14,11 @@ from pathlib import Path
 
 from robot_sysid import __version__
 from robot_sysid.errors import InputError
-from robot_sysid.records.atomic_files import require_writable, whole_files
+from robot_sysid.records.atomic_files import require_writable, whole_files, write_whole
 from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress
 from robot_sysid.report.drawing import Section, inline, png, svg
-from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, load_run, report_data
+from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
 from robot_sysid.report.sections import comparison, signals, verdict
 from robot_sysid.report.sections.parameters import card, parameters, scatter, visibility
 from robot_sysid.report.sections.picture import picture
@@ -35,8 +35,7 @@ def sections_of(
 ) -> list[Section]:
     """Return all parts of the page about a run, or about several beside each other.
 
-    Raises:
-        InputError: a result file holds something odd.
+    InputError where a result file holds something odd.
     """
     alone: tuple[Callable[[Run], Section | None], ...] = (
         *(verdict.verdict, card, scatter, parameters, visibility),
@@ -61,7 +60,7 @@ def html(title: str, sections: Sequence[Section]) -> str:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.filters.update(prose=_prose, picture=_picture, inline=inline)
+    environment.filters.update(prose=_prose, base64=base64.b64encode, inline=inline)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     return template.render(title=title, sections=sections, version=__version__) + "\n"
 
@@ -74,26 +73,19 @@ def _prose(text: str) -> str:
     return re.sub("`([^`]*)`", r"<code>\1</code>", held)
 
 
-def _picture(content: bytes) -> str:
-    return f"data:image/png;base64,{base64.b64encode(content).decode('ascii')}"
-
-
 REPORT_NAME, COMPARISON_NAME, PLOTS_NAME = "report.html", "comparison.html", "plots"
 
 
-def save_data(folder: Path, traces: Traces, result: str) -> Path:
+def save_data(folder: Path, traces: Traces, result: str) -> None:
     """Write what a later report of this run needs; ``result`` is the hash of its JSON file.
 
-    Raises:
-        InputError: it cannot be written.
+    InputError where it cannot be written.
     """
-    with whole_files() as files:
-        files.write(folder / DATA_NAME, data_bytes(report_data(traces, result)))
-    return folder / DATA_NAME
+    write_whole(folder / DATA_NAME, data_bytes(report_data(traces, result)))
 
 
 def write_report(
-    folders: Sequence[Path],
+    runs: Sequence[Run],
     destination: Path,
     mesh_dir: Path | None = None,
     page: bool = True,
@@ -102,13 +94,9 @@ def write_report(
 ) -> tuple[Path, ...]:
     """Write the page of a run, or one that compares several, and return what was written.
 
-    With ``plots``, each figure is written as PNG and SVG, too.
-
-    Raises:
-        InputError: a folder holds no result or one that cannot be shown, or nothing can be
-            written.
+    With ``plots``, each figure is written as PNG and SVG, too. InputError where a result cannot be
+    shown, or nothing can be written.
     """
-    runs = [load_run(folder) for folder in folders]
     require_writable(destination)
     about, name = runs[0].name, REPORT_NAME
     if len(runs) > 1:

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import pytest
 
 from robot_sysid.report.page import write_report
+from robot_sysid.report.runs import load_run
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
@@ -84,5 +85,5 @@ def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(
 
 @pytest.mark.slow
 def test_the_same_run_makes_the_same_bytes(page, link_run, tmp_path):
-    (again,) = write_report([link_run], tmp_path)
+    (again,) = write_report([load_run(link_run)], tmp_path)
     assert again.read_bytes() == page.read_bytes()

@@ -11,7 +11,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DataOrigin, JointLimits, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.report.page import REPORT_NAME, save_data, write_report
-from robot_sysid.report.runs import fingerprint
+from robot_sysid.report.runs import fingerprint, load_run
 from robot_sysid.results.cards import payload_cards
 from robot_sysid.results.json import params_json_text
 from robot_sysid.results.record import Figure, Verdict
@@ -97,6 +97,6 @@ def link_run(tmp_path_factory):
 @pytest.fixture(scope="session")
 def page(link_run):
     """The page about it."""
-    (path,) = write_report([link_run], link_run)
+    (path,) = write_report([load_run(link_run)], link_run)
     assert path.name == REPORT_NAME
     return path
