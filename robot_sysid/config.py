@@ -49,8 +49,7 @@ EMPTY, LOADED = "A", "B"
 class OutputOptions(OptionRecord):
     """Where results go, and what of the model stays as it is (see ``estimation.file_fit``).
 
-    Attributes:
-        config: the file that the options come from, which no result replaces.
+    No result replaces ``config``, the file that the options come from.
     """
 
     config: Path | None = None
@@ -71,6 +70,9 @@ class OutputOptions(OptionRecord):
     plots: bool = option(False, "also write the report's figures as PNG and SVG")
 
 
+_ID: dict[str, Any] = {"value": "ID", "parse": whole_number, "repeats": True}
+
+
 @dataclass(frozen=True)
 class MotorOptions(OptionRecord):
     """The trajectory as a file for Damiao motors."""
@@ -80,20 +82,10 @@ class MotorOptions(OptionRecord):
         (), "Damiao motor type, such as DM4340; once per joint, base first", "TYPE", repeats=True
     )
     can_id: tuple[int, ...] = option(
-        (),
-        "CAN id of a motor; once per joint, base first",
-        "ID",
-        parse=whole_number,
-        repeats=True,
-        usual="1, 2, 3, ...",
+        (), "CAN id of a motor; once per joint, base first", usual="1, 2, 3, ...", **_ID
     )
     master_id: tuple[int, ...] = option(
-        (),
-        "id on which a motor answers; once per joint, base first",
-        "ID",
-        parse=whole_number,
-        repeats=True,
-        usual="CAN id + 0x10",
+        (), "id on which a motor answers; once per joint, base first", usual="CAN id + 0x10", **_ID
     )
 
     def __post_init__(self) -> None:
@@ -296,18 +288,17 @@ class SysidConfig(Config):
             yield from super()._written()
 
 
+_PLAYS = "instead of logs: model that plays the arm"
+
+
 @dataclass(frozen=True)
 class PayloadOptions(OptionRecord):
     """Which recordings are empty and which are loaded, and what is wanted of the payload."""
 
     empty: tuple[Path, ...] = option((), "logs of the arm without the payload", "LOG", several=True)
     loaded: tuple[Path, ...] = option((), "logs of the arm with the payload", "LOG", several=True)
-    empty_model: Path | None = option(
-        None, "instead of logs: model that plays the arm without the payload", "XML"
-    )
-    loaded_model: Path | None = option(
-        None, "instead of logs: model that plays the arm with the payload", "XML"
-    )
+    empty_model: Path | None = option(None, f"{_PLAYS} without the payload", "XML")
+    loaded_model: Path | None = option(None, f"{_PLAYS} with the payload", "XML")
     order: str | None = option(
         None,
         "order in which the logs were recorded, A for the next empty one and B for the next "
@@ -412,14 +403,9 @@ NOT_OF_A_PAYLOAD = ("links", "append", "save_trajectory", "plant_model", "save_m
 
 
 def config_from(path: Path, **values: Any) -> SysidConfig:
-    """Return the configuration of a run on one model file.
+    """Return the configuration of a run on one model file: ``max_velocity=1.0`` is --max-velocity.
 
-    Args:
-        path: MJCF or URDF file.
-        values: options by their keys, ``max_velocity=1.0`` for --max-velocity.
-
-    Raises:
-        InputError: an option is unknown, its value cannot be used, or it does not go with another.
+    InputError where an option is unknown, its value cannot be used, or it does not go with another.
     """
     return _configured(SysidConfig, path, values)
 

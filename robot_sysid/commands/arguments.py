@@ -108,12 +108,9 @@ class Parser(argparse.ArgumentParser):
         leave_out: Collection[str] = (),
         usual: Mapping[str, Any] | None = None,
     ) -> Any:
-        """Add the options of some records as one group and return it.
+        """Add the options of some records as one group and return it: ``only`` some keys, or all.
 
-        Args:
-            only: keys of the options to add; empty adds all.
-            leave_out: keys of options not to add.
-            usual: key to the default that this command has in place of the record's.
+        ``usual`` are, by key, defaults that this command has in place of the records'.
         """
         group = self.add_argument_group(title)
         for record in records:
@@ -205,8 +202,7 @@ def parsed(
 ) -> tuple[dict[str, Any], Console]:
     """Return (what was given, lists as tuples; what to print on).
 
-    Args:
-        build_parser: makes the parser; told whether its help shows all options.
+    The parser is built with whether its help shows all options.
     """
     parser = build_parser("--help-all" in arguments)
     asked = argparse.ArgumentParser(add_help=False, formatter_class=_Formatter)

@@ -21,8 +21,7 @@ _TYPED_ONLY = ("config", "help", "help_all", "version")
 def words_in(path: Path, actions: Sequence[argparse.Action], command: str) -> list[str]:
     """Return what would be typed for the options in a file; positional words come first.
 
-    Raises:
-        InputError: it cannot be read, or holds something that is no option of the command.
+    InputError where it cannot be read, or holds something that is no option of the command.
     """
     known = {action.dest: action for action in actions if action.dest not in _TYPED_ONLY}
     positional, flagged = list[str](), list[str]()
@@ -71,13 +70,10 @@ def _content(path: Path) -> Mapping[str, Any]:
 
 
 def text_of(command: str, config: Any, path: Path, usual: Mapping[str, Any]) -> str:
-    """Return the file that asks a command for a configuration again.
+    """Return the file, to be at a path, that asks a command ("robot-sysid plan") for this again.
 
-    Args:
-        command: its words, such as "robot-sysid plan".
-        config: a record of records of options, with the model's path.
-        path: where the file will be.
-        usual: key to the default that the command has in place of the record's.
+    What is asked is a record of records of options, with the model's path; ``usual`` are, by key,
+    defaults that the command has in place of the records'.
     """
     given = {"path": config.model.path}
     for record in vars(config).values():

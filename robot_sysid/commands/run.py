@@ -90,11 +90,8 @@ def carry_out(
 ) -> int:
     """Run what was asked for, print what it says, write report and bundle; return exit code 0.
 
-    Args:
-        then: what is to be done with the outcome once it is written.
-
-    Raises:
-        SysidError: it failed, there is nothing to use, or no report.
+    Once the outcome is written, ``then`` is called with it. SysidError where it failed, there is
+    nothing to use, or no report.
     """
     require_report(config.output)
     config = replace(config.seeded(), output=replace(config.output, config=console.config))

@@ -181,13 +181,7 @@ def drawn(
     height: float,
     draw: Callable[[Any], None],
 ) -> Figure:
-    """Return a figure.
-
-    Args:
-        name: of its files, unique on the page.
-        numbers: header and rows of its table.
-        height: [inch].
-    """
+    """Return a figure of a height [inch], with header and rows of its table."""
     from matplotlib.figure import Figure as Canvas
 
     with _styled(name):
@@ -299,11 +293,9 @@ def dots(axes: Any, places: Array, values: Array) -> None:
 def bars(
     canvas: Any, groups: Sequence[str], series: Sequence[tuple[str, Any, str]], label: str
 ) -> None:
-    """Draw bars below each other.
+    """Draw bars below each other; (name, lengths (n,), colour) of the first, ... of each group.
 
-    Args:
-        series: (name, lengths (n,), colour) of the first, second, ... bar of each group; what is
-            not finite is not drawn.
+    What is not finite is not drawn.
     """
     axes = canvas.subplots()
     height, places = 0.8 / len(series), -np.arange(len(groups), dtype=float)

@@ -158,11 +158,7 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
 
     r(l) = mean(e_k e_{k+l}) / mean(e_k^2) over the pairs of samples that were both used. Noise
     without memory exceeds 1.96 / sqrt(pairs) in one lag of twenty (Box, Jenkins, "Time Series
-    Analysis", 1970, ch. 2).
-
-    Args:
-        time: (K,) [s].
-        residual: (K, n); NaN where a sample was not used.
+    Analysis", 1970, ch. 2). Times are (K,) [s]; a residual is NaN where a sample was not used.
     """
     step = (float(np.median(np.diff(time))) if len(time) > 1 else 0.0) or 1.0
     last = int(min(LONGEST_LAG / step, len(time) // 4))
@@ -185,13 +181,10 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
 
 
 def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
-    """Return means in bins of each joint's own speed, and the residual's standard deviation.
+    """Return ``BY_SPEED`` to (n, S): means in bins of each joint's own speed, and the spread.
 
-    Args:
-        qd, residual, friction: (K, n); the residual is NaN where a sample was not used.
-
-    Returns:
-        ``BY_SPEED`` to (n, S); NaN where a bin has hardly any samples.
+    Speeds, residuals and friction are (K, n), the residual NaN where a sample was not used. A bin
+    with hardly any samples is NaN.
     """
     found = np.full((len(BY_SPEED), qd.shape[1], SPEED_BINS), np.nan)
     for joint in range(qd.shape[1]):
@@ -301,8 +294,7 @@ def fingerprint(path: Path) -> str:
 def load_run(folder: Path) -> Run:
     """Return what a run left in a folder.
 
-    Raises:
-        InputError: there is no result, or its file is damaged or of another version.
+    InputError where there is no result, or its file is damaged or of another version.
     """
     path = folder / PARAMS_NAME
     if not path.is_file():

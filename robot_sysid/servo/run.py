@@ -58,8 +58,7 @@ _ALIKE, _FOLLOWS, _OFFSET = 0.98, 0.5, 0.3
 def commanded_pieces(logs: Sequence[MeasurementLog], joints: Sequence[str]) -> list[Measurement]:
     """Return the pieces between the gaps of some logs that were read for their commands.
 
-    Raises:
-        InputError: the commands cannot be what they seem; says which joint and why.
+    InputError where these cannot be what they seem; says which joint's and why.
     """
     for log in logs:
         for joint in np.flatnonzero(moving(log.pieces)).tolist():
@@ -316,11 +315,7 @@ def run_servo(
 ) -> ServoOutcome:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
-    Args:
-        config: the file that the options come from, which stays.
-
-    Raises:
-        SysidError: with the exit code that fits, see ``errors``.
+    ``config`` is the file that the options come from, which stays.
     """
     given = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns, config)
     read = [path for path in given if path is not None]

@@ -101,8 +101,7 @@ def problem_of(
 ) -> Problem:
     """Return the windows of some pieces, one after the other; at most so many, spread evenly.
 
-    Raises:
-        InputError: no piece is long enough.
+    InputError where no piece is long enough.
     """
     windows = []
     for piece in pieces:
@@ -237,8 +236,7 @@ def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
 def better_start(problem: Problem, scale: Scale) -> Scale:
     """Return the scale with the gains and the delay that come nearest, of a coarse grid.
 
-    Raises:
-        InputError: no servo follows these commands.
+    InputError where no servo follows these commands.
     """
     start, delays = scale.start, scale.size.delay * np.arange(0.0, MOST_PERIODS + 1.0)
     grid = [(gain, delay) for gain in GAINS for delay in delays]
@@ -414,14 +412,12 @@ def links_share(robot: RobotModel, pieces: Sequence[Measurement], servos: Servos
 def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
     """Return the fit with errors that hold what the links' masses, which are trusted, add.
 
+    ``share`` (n,) is the links' root mean square torque over that of all.
     All numbers of a joint grow together with the links' torque, so links that are off by
     ``LINKS_WRONG`` move them by as much; and where that torque is a small share of the whole, what
     no model explains passes for a part of it; below ``LEAST_SHARE`` it may be anything, and the
     errors are as large as the numbers. A step h of the implicit integrator adds an apparent rotor
     inertia of h times the damping, which no arm has, and in time leaves half a step open.
-
-    Args:
-        share: (n,) root mean square torque of the links over that of all.
     """
     known = np.hypot(LINKS_WRONG, UNEXPLAINED / np.maximum(share, LEAST_SHARE))
     size = np.where(share > LEAST_SHARE, known, 1.0)
