@@ -38,23 +38,9 @@ from robot_sysid.estimation.unknowns import (
     unknowns,
 )
 from robot_sysid.logs.reader import join_measurements
-from robot_sysid.motion.information import (
-    OWN,
-    Criterion,
-    Known,
-    criterion,
-    predicted_information,
-    random_information,
-    spread_of,
-)
-from robot_sysid.motion.prediction import (
-    LOOSE_SHARE,
-    WEIGHED,
-    Prediction,
-    Remedy,
-    remedy_figures,
-    sizes,
-)
+from robot_sysid.motion import information, prediction
+from robot_sysid.motion.information import Criterion, Known
+from robot_sysid.motion.prediction import Prediction, Remedy
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, Measurement, MotionPlan
 from robot_sysid.simulator import simulate_inverse
@@ -74,13 +60,15 @@ _NOISELESS = 1e-4
 _NOTHING = 100.0
 """How many times its size a parameter may be off where all that is told is rounding."""
 NOISE = "torque noise"
+_PAYLOAD = prediction.WEIGHED * np.eye(10)[0]
+"""One at the origin of the last link."""
 _How = tuple[float, EstimationOptions, str]
 
 
 def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str) -> Known:
     """Return what an estimate knows of the arm before there is a recording, and what is asked."""
     robot = problem.robot
-    own = np.zeros((len(OWN), len(problem.rows)))
+    own = np.zeros((len(information.OWN), len(problem.rows)))
     if asked == "payload":
         # Of the difference of two recordings only what changes between them is left.
         own[0] = DRIFTS * robot.friction.coulomb[list(problem.rows)]
@@ -96,10 +84,9 @@ def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str)
     for group in sought.groups:
         sure.update(zip(group.names, np.sqrt(np.sum(group.factor**2, axis=1)).tolist()))
         if group.cause == LINKS:
-            factor = group.factor.reshape(-1, 10, len(group.mean))[::-1].reshape(
-                -1, len(group.mean)
-            )
-    for place, term in enumerate(OWN):
+            n = len(group.mean)
+            factor = group.factor.reshape(-1, 10, n)[::-1].reshape(-1, n)
+    for place, term in enumerate(information.OWN):
         for row, joint in enumerate(columns.joints):
             name = f"{term}[{joint}]"
             free = np.inf if term in choice.friction[columns.rows_of[row]].terms else 0.0
@@ -132,18 +119,21 @@ def expect(
         asked: what is to be identified, see ``Known``.
     """
     robot, known = problem.robot, known_of(problem, options, asked)
-    told, size, theta = criterion(problem, known), sizes(problem), robot.prior.theta
-    of, scaled, missing = robot.body_name, 0.0, ""
+    told, own_size = information.criterion(problem, known), prediction.sizes(problem)
+    of, theta, size, scaled = robot.body_name, robot.prior.theta, own_size, 0.0
     if asked == "payload":
-        of, theta, size = f"a payload of {WEIGHED:g} kg", _weighed(), size / robot.prior.mass
-        scaled = _read_alike(problem, options)
-    others: dict[str, float] = {}
+        of, theta = f"a payload of {prediction.WEIGHED:g} kg", _PAYLOAD
+        size, scaled = own_size / robot.prior.mass, _read_alike(problem, options)
+    others, missing = dict[str, float](), ""
     try:
         sought, found, causes = _posterior(problem, plan, sample_rate, options, asked)
     except InputError as error:
         missing = f"{UNUSABLE}: {error}"
-        covariance = told.covariance(_told(problem, plan, sample_rate, known))
-        covariance = _hidden_is_infinite(covariance, sizes(problem))
+        covariance = told.covariance(_told(problem, plan, sample_rate, known)).copy()
+        variance = np.diag(covariance)
+        # What is known to no part of its size is not known.
+        shown = (variance > 0.0) & (variance < (_NOTHING * own_size) ** 2)
+        np.fill_diagonal(covariance, np.where(shown, variance, np.inf))
         causes = {NOISE: covariance}
     else:
         names = PAYLOAD_NAMES if asked == "payload" else PARAMETER_NAMES
@@ -158,16 +148,9 @@ def expect(
 
 
 def _read_alike(problem: ExcitationProblem, options: EstimationOptions) -> float:
-    """Return how far all torques may read too much alike (a share): a payload's weight is as far
-    off, and no motion tells it.
-    """
+    """Return by what share all torques, a payload's weight too, may read too much alike."""
     columns = Columns(problem.robot, (), options.torques)
     return common_error(scale_spread(columns, options, loaded=True))
-
-
-def _weighed() -> Array:
-    """Return a payload (10,) at the origin of the last link."""
-    return WEIGHED * np.eye(10)[0]
 
 
 def _posterior(
@@ -249,14 +232,6 @@ def _never(problem: ExcitationProblem, told: Criterion) -> tuple[str, ...]:
     return tuple(describe(space, problem.scale, PARAMETER_NAMES)) if space.shape[1] else ()
 
 
-def _hidden_is_infinite(covariance: Array, size: Array) -> Array:
-    """Return a covariance in which what is known to no part of its size (10,) is not known."""
-    found, variance = covariance.copy(), np.diag(covariance)
-    shown = (variance > 0.0) & (variance < (_NOTHING * size) ** 2)
-    found[np.diag_indices(10)] = np.where(shown, variance, np.inf)
-    return found
-
-
 def _told(
     problem: ExcitationProblem, plan: MotionPlan, rate: float, known: Known, faster: float = 1.0
 ) -> Array:
@@ -264,9 +239,9 @@ def _told(
     count = int(np.clip(_INSTANTS * plan.duration, _FEWEST, _MOST))
     motion = plan.evaluate((np.arange(count) + 0.5) * plan.duration / count)
     sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
-    information = predicted_information(problem, sigma, known)
     moved = motion.q, faster * motion.qd, faster**2 * motion.qdd
-    return information.evaluate(*moved).information
+    predicted = information.predicted_information(problem, sigma, known)
+    return predicted.evaluate(*moved).information
 
 
 def _remedies(
@@ -274,12 +249,12 @@ def _remedies(
 ) -> Iterator[Remedy]:
     """Yield what would tell more than a motion does, with the errors of mass and centre then."""
     rate, options, asked = how
-    theta = _weighed() if asked == "payload" else problem.robot.prior.theta
+    theta = _PAYLOAD if asked == "payload" else problem.robot.prior.theta
     tell = partial(_told, problem, plan, rate)
     here, quick = tell(known), tell(known, faster=FASTER)
 
     def remedy(words: str, covariance: Array, loaded: bool = asked == "payload") -> Remedy:
-        mass, centre = spread_of(theta, covariance)
+        mass, centre = information.spread_of(theta, covariance)
         scaled = loaded * _read_alike(problem, options) * theta[0]
         return Remedy(words, float(np.hypot(mass, scaled)), centre)
 
@@ -293,9 +268,9 @@ def _remedies(
         yield remedy(f"other links known to {half} % (--link-uncertainty)", better)
     covariance = told.covariance(here)
     sure = covariance - np.outer(covariance[0], covariance[0]) / covariance[0, 0]
-    yield Remedy("its mass known, by weighing the part", 0.0, spread_of(theta, sure)[1])
+    yield Remedy("its mass known, by weighing the part", 0.0, information.spread_of(theta, sure)[1])
     apart = known_of(problem, options, "payload")
-    difference = criterion(problem, apart).covariance(tell(apart))
+    difference = information.criterion(problem, apart).covariance(tell(apart))
     bolted = "what is bolted to it as a payload by difference (plan --for payload)"
     yield remedy(bolted, difference, loaded=True)
 
@@ -320,13 +295,13 @@ def outlook(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> str:
     """
     _, options, asked = how
     known, mass = known_of(problem, options, asked), problem.robot.prior.mass
-    told = criterion(problem, known)
-    least = told.covariance(random_information(problem, known, _NOISELESS))
-    floor, centre = spread_of(problem.robot.prior.theta, least)
-    if asked == "payload" or not floor > LOOSE_SHARE * mass:
+    told = information.criterion(problem, known)
+    least = told.covariance(information.random_information(problem, known, _NOISELESS))
+    floor, centre = information.spread_of(problem.robot.prior.theta, least)
+    if asked == "payload" or not floor > prediction.LOOSE_SHARE * mass:
         return ""
     remedies = _best_first(problem, plan, how, known, told)
-    listed = "; ".join(f"{each.words}: {remedy_figures(each)}" for each in remedies)
+    listed = "; ".join(f"{each.words}: {prediction.remedy_figures(each)}" for each in remedies)
     return (
         f"no motion of this arm tells the mass of {problem.robot.body_name}, {mass:.2g} kg, better "
         f"than ± {floor:.2g} kg and its centre of mass than ± {1e3 * centre:.2g} mm: that much may "

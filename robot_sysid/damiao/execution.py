@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao import inspection as asked
+from robot_sysid.damiao import preflight
+from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.bus import (
     BusAddress,
     GuardedLink,
@@ -25,16 +27,7 @@ from robot_sysid.damiao.bus import (
 )
 from robot_sysid.damiao.holding import HoldingCheck
 from robot_sysid.damiao.player import Player, PlayReport
-from robot_sysid.damiao.preflight import (
-    Check,
-    Permissions,
-    Plan,
-    bus_checks,
-    direction_checks,
-    limit_checks,
-    plan_checks,
-    require_no_stop,
-)
+from robot_sysid.damiao.preflight import Check, Plan
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, read_joint_map
@@ -50,14 +43,7 @@ from robot_sysid.damiao.simulated import (
     simulated_motor,
 )
 from robot_sysid.damiao.supervision import StopRequest
-from robot_sysid.damiao.trajectory import (
-    LIMITS,
-    MODEL_LIMITS,
-    NO_LIMITS,
-    DamiaoTrajectory,
-    read_damiao_trajectory,
-    together,
-)
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, words_of
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
@@ -80,14 +66,14 @@ class MotorRun:
     def plan(self) -> Plan:
         """Return the trajectory and how to play it."""
         paths = filter(None, (self.values["trajectory"], self.values.get("also")))
-        files = [read_damiao_trajectory(path) for path in paths]
+        files = [motion.read_damiao_trajectory(path) for path in paths]
         for file, robot in zip(files, self.robots):
             if file.n_joints != robot.n_joints:
                 raise InputError(
                     f"{file.path} has {file.n_joints} joints but the chain of {robot.path} has "
                     f"{robot.n_joints}: {', '.join(robot.joint_names)}"
                 )
-        trajectory = together(*files) if self._two else files[0]
+        trajectory = motion.together(*files) if self._two else files[0]
         return self._planned(replace(trajectory, joints=self._mounted(trajectory.joints)))
 
     @cached_property
@@ -125,32 +111,29 @@ class MotorRun:
         return self._planned(still_there)
 
     def _planned(self, trajectory: DamiaoTrajectory) -> Plan:
+        inertia = None
+        if self.robot is not None:
+            from robot_sysid.simulation.forward_dynamics import ArmStepper
+
+            inertia = ArmStepper(self.robot, trajectory.q[0]).moved_inertia()
         return Plan(
             trajectory,
             record_from(PlaySettings, self.values),
             self.timing,
-            record_from(Permissions, self.values),
+            record_from(preflight.Permissions, self.values),
             record_from(RecordingOptions, self.values),
-            self._inertia(trajectory),
+            inertia,
             self._limits(),
         )
 
     def _limits(self) -> LimitOptions:
         """Return what holds for all that moves; InputError where only a model could tell."""
-        asked = {key: self.values[key] for key in LIMITS if key in self.values}
-        for key in MODEL_LIMITS if self.robot is None else ():
+        asked = {key: self.values[key] for key in motion.LIMITS if key in self.values}
+        for key in motion.MODEL_LIMITS if self.robot is None else ():
             if key in asked:
                 raise InputError(f"--{key.replace('_', '-')} is about a model; add --model")
-        free = {"max_velocity": NO_LIMITS.max_velocity, "clearance": 0.0, "below_base": True}
+        free = {"max_velocity": motion.NO_LIMITS.max_velocity, "clearance": 0.0, "below_base": True}
         return record_from(LimitOptions, {**free, **asked})
-
-    def _inertia(self, trajectory: DamiaoTrajectory) -> Array | None:
-        """Return what each joint moves at the first point, where a model is known [kg m^2]."""
-        if self.robot is None:
-            return None
-        from robot_sysid.simulation.forward_dynamics import ArmStepper
-
-        return ArmStepper(self.robot, trajectory.q[0]).moved_inertia()
 
     def _mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         names = self.robot.joint_names if self.robot else ()
@@ -175,7 +158,7 @@ class MotorRun:
 
     def checks(self, plan: Plan) -> list[Check]:
         """Return the checks that need no bus, those of a model of the arm included."""
-        own = [*plan_checks(plan), *limit_checks(plan)]
+        own = [*preflight.plan_checks(plan), *preflight.limit_checks(plan)]
         if self.robot is None:
             for given in given_options(record_from(ModelOptions, self.values)):
                 raise InputError(f"{given.flag} is about a model; add --model")
@@ -212,16 +195,16 @@ class MotorRun:
         self, plan: Plan, inspection: asked.Inspection, real: bool = True
     ) -> list[Check]:
         """Return what motors that were met say, and whether ``real`` ones turn as they should."""
-        checks, here = bus_checks(plan, inspection), plan.places(inspection)
+        checks, here = preflight.bus_checks(plan, inspection), plan.places(inspection)
         if np.all(np.isfinite(here)):
-            checks += limit_checks(plan, here, self.orders(plan, here))
+            checks += preflight.limit_checks(plan, here, self.orders(plan, here))
             for words, begin, end in plan.ways(here) if self.robot is not None else ():
                 from robot_sysid.damiao.model_check import way_check
 
                 # The way to a pose begins where the trajectory ends, and was checked without a bus.
                 if begin is here or end is here:
                     checks += way_check(words, *self._order(begin, end))
-        return [*checks, *(direction_checks(plan, self.holding(plan)) if real else ())]
+        return [*checks, *(preflight.direction_checks(plan, self.holding(plan)) if real else ())]
 
     def by_model(
         self, plan: Plan, inspection: asked.Inspection
@@ -327,7 +310,8 @@ def run(
         InputError: a recording exists already or cannot be written.
         SysidError: the run went well, but recording or telling about it did not.
     """
-    require_no_stop([*plan_checks(plan), *bus_checks(plan, inspection)], "not played")
+    checks = [*preflight.plan_checks(plan), *preflight.bus_checks(plan, inspection)]
+    preflight.require_no_stop(checks, "not played")
     held, n, pose = _held(plan, inspection), plan.trajectory.n_joints, plan.pose
     joints = (*plan.trajectory.joints, *held)
     motors = [inspection.motors[joint.address] for joint in joints]

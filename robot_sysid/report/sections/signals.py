@@ -11,20 +11,7 @@ import numpy as np
 from robot_sysid.records import Array, Validation
 from robot_sysid.records.figures import percent, position, term_unit, torque, with_error
 from robot_sysid.report import drawing
-from robot_sysid.report.drawing import (
-    AFTER,
-    BEFORE,
-    MEASURED,
-    OTHER,
-    Curves,
-    Figure,
-    Panel,
-    Section,
-    Table,
-    curves,
-    drawn,
-    table,
-)
+from robot_sysid.report.drawing import Curves, Figure, Panel, Section, Table
 from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, number
 from robot_sysid.results.record import Figure as Estimated
 
@@ -75,7 +62,7 @@ def _torque(data: ReportData, joint: int, before: str) -> Figure:
     above = _before_after(data, joint)
     below: Curves = {f"residual [{unit}]": (left, {"color": drawing.INK, "lw": 0.7})}
     panels = Panel(f"torque [{unit}]", above, height=2.5), Panel(f"residual [{unit}]", below)
-    return curves(f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6)
+    return drawing.curves(f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6)
 
 
 def most_changed(run: Run) -> Figure:
@@ -92,7 +79,7 @@ def most_changed(run: Run) -> Figure:
         f"{old:.3g} {unit}, and is by {new:.3g} {unit} (root mean square)."
     )
     panel = Panel(f"torque [{unit}]", _before_after(data, joint))
-    return curves("before-after", caption, ("time [s]", data.time), (panel,), 3.0)
+    return drawing.curves("before-after", caption, ("time [s]", data.time), (panel,), 3.0)
 
 
 def _before_after(data: ReportData, joint: int) -> Curves:
@@ -101,9 +88,9 @@ def _before_after(data: ReportData, joint: int) -> Curves:
         each[:, joint] for each in (data.measured, data.before, data.predicted)
     )
     return {
-        f"measured [{unit}]": (measured, {"color": MEASURED, "lw": 2.2, "alpha": 0.8}),
-        f"before [{unit}]": (earlier, {"color": BEFORE, "ls": "--", "lw": 0.9}),
-        f"after [{unit}]": (after, {"color": AFTER}),
+        f"measured [{unit}]": (measured, {"color": drawing.MEASURED, "lw": 2.2, "alpha": 0.8}),
+        f"before [{unit}]": (earlier, {"color": drawing.BEFORE, "ls": "--", "lw": 0.9}),
+        f"after [{unit}]": (after, {"color": drawing.AFTER}),
     }
 
 
@@ -142,25 +129,25 @@ def _left_over(data: ReportData, joint: int) -> Figure:
         grid = canvas.add_gridspec(2, 2)
         above = canvas.add_subplot(grid[0, :], xlabel=speed, ylabel=left)
         drawing.dots(above, data.qd[:, joint], (data.measured - data.predicted)[:, joint])
-        above.errorbar(speeds, mean, spread, color=AFTER, fmt="o-", ms=3, lw=1.0, capsize=2)
+        above.errorbar(speeds, mean, spread, color=drawing.AFTER, fmt="o-", ms=3, lw=1.0, capsize=2)
         shape = canvas.add_subplot(grid[1, 0], xlabel=left, ylabel="samples")
         _histogram(shape, data.edges[joint], data.counts[joint])
         memory = canvas.add_subplot(grid[1, 1], xlabel="lag [s]", ylabel="autocorrelation")
-        memory.axhspan(-band, band, color=MEASURED, alpha=0.35, lw=0)
-        memory.plot(data.lags, memories, color=AFTER, marker=".", ms=3)
+        memory.axhspan(-band, band, color=drawing.MEASURED, alpha=0.35, lw=0)
+        memory.plot(data.lags, memories, color=drawing.AFTER, marker=".", ms=3)
         memory.set_ylim(min(-0.3, float(np.min(memories)) - 0.05), 1.05)
 
     numbers = (speed, f"mean {left}", f"spread of the {left}"), zip(speeds, mean, spread)
-    return drawn(f"residual-{joint}", caption, numbers, 3.9, draw)
+    return drawing.drawn(f"residual-{joint}", caption, numbers, 3.9, draw)
 
 
 def _histogram(ax: Any, edges: Array, counts: Array) -> None:
     total = max(float(np.sum(counts)), 1.0)
-    ax.stairs(counts, edges, fill=True, color=MEASURED, alpha=0.6)
+    ax.stairs(counts, edges, fill=True, color=drawing.MEASURED, alpha=0.6)
     middles, width = 0.5 * (edges[1:] + edges[:-1]), float(edges[1] - edges[0])
     spread = float(np.sqrt(np.sum(counts * middles**2) / total)) or 1.0
     bell = np.exp(-0.5 * (middles / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
-    ax.plot(middles, total * width * bell, color=AFTER)
+    ax.plot(middles, total * width * bell, color=drawing.AFTER)
 
 
 def friction(run: Run) -> Section:
@@ -207,13 +194,13 @@ def _curve(data: ReportData, joint: int) -> Figure:
     lines: Curves = {
         f"measured [{unit}]": (
             measured,
-            {"ls": "none", "marker": "o", "mfc": "none", "mec": BEFORE},
+            {"ls": "none", "marker": "o", "mfc": "none", "mec": drawing.BEFORE},
         ),
-        f"identified [{unit}]": (identified, {"color": AFTER, "lw": 1.8}),
+        f"identified [{unit}]": (identified, {"color": drawing.AFTER, "lw": 1.8}),
     }
     cloud = data.qd[:, joint], (data.friction + data.measured - data.predicted)[:, joint]
     panel = Panel(f"friction [{unit}]", lines, cloud=cloud)
-    return curves(f"friction-{joint}", caption, (speed, across), (panel,), 3.0)
+    return drawing.curves(f"friction-{joint}", caption, (speed, across), (panel,), 3.0)
 
 
 def excitation(run: Run) -> Section | None:
@@ -239,7 +226,7 @@ def _shares(data: ReportData) -> Table:
         for j, joint in enumerate(data.joints)
     ]
     note = "Over 100 % the recording went beyond what the model allows."
-    return table(("joint", *(f"{what} [% of limit]" for what in limits)), rows, note)
+    return drawing.table(("joint", *(f"{what} [% of limit]" for what in limits)), rows, note)
 
 
 def _motion(data: ReportData, joint: int) -> Figure:
@@ -252,13 +239,13 @@ def _motion(data: ReportData, joint: int) -> Figure:
     )
     panels = []
     for label, values, colour, both in (
-        (f"position [{unit}]", data.q[:, joint], AFTER, (low, high)),
-        (f"speed [{unit}/s]", data.qd[:, joint], MEASURED, (-fast, fast)),
+        (f"position [{unit}]", data.q[:, joint], drawing.AFTER, (low, high)),
+        (f"speed [{unit}/s]", data.qd[:, joint], drawing.MEASURED, (-fast, fast)),
     ):
         room = _NEAR * np.ptp(values)
         near = [x for x in both if np.min(values) - room <= x <= np.max(values) + room]
         panels.append(Panel(label, {label: (values, {"color": colour})}, near))
-    return curves(f"motion-{joint}", caption, ("time [s]", data.time), panels, 3.0)
+    return drawing.curves(f"motion-{joint}", caption, ("time [s]", data.time), panels, 3.0)
 
 
 FITTED = "fitted"
@@ -290,7 +277,7 @@ def errors(run: Run) -> Section:
     joints = [name.rpartition(" [")[0] for name in header[3:]]
     draw = partial(drawing.bars, groups=joints, series=series, label="error [N·m]")
     height = 1.2 + 0.2 * len(series) + 0.12 * len(series) * len(joints)
-    figures = (drawn("errors", caption, (header, rows), height, draw),)
+    figures = (drawing.drawn("errors", caption, (header, rows), height, draw),)
     held_out = any(each.words != FITTED for each in sets)
     told = () if held_out else ("Nothing was held out: other motion may be predicted worse.",)
     return Section("errors", title, told, figures=figures)
@@ -313,15 +300,15 @@ def error_sets(run: Run) -> Iterator[ErrorSet]:
     content, file, tests = run.content, run.content["file"] or {"others": ()}, []
     if content["rmse_per_joint"]:
         fitted = Validation("", 0, content["rmse"], None, content["rmse_per_joint"], {})
-        yield ErrorSet(FITTED, fitted, MEASURED)
+        yield ErrorSet(FITTED, fitted, drawing.MEASURED)
     for fits, colour, pairs in (
-        (content["validation"][:1], OTHER, [file]),
+        (content["validation"][:1], drawing.OTHER, [file]),
         (content["validation"][1:], drawing.TRUTH, file["others"]),
     ):
         tests += [("fit", test, colour) for test in fits]
         for pair in pairs:
-            tests.append(("model before", pair.get("before"), BEFORE))
-            tests.append(("written model", pair.get("after"), AFTER))
+            tests.append(("model before", pair.get("before"), drawing.BEFORE))
+            tests.append(("written model", pair.get("after"), drawing.AFTER))
     for words, test, colour in tests:
         if test is not None and test.rmse_per_joint:
             yield ErrorSet(f"{words}: {test.source}", test, colour)
@@ -347,5 +334,5 @@ def rollout(run: Run) -> Section | None:
         cells = (f"{drawing.text(e['before'])} -> {drawing.text(e['after'])}" for e in both)
         rows.append((f"{test['loop']}, {drawing.text(test['horizon'])} s", *cells))
     joints = found["errors"][0]["joints"] if rows else ()
-    tables = (table(("played", "all", *joints), rows),) if rows else ()
+    tables = (drawing.table(("played", "all", *joints), rows),) if rows else ()
     return Section("rollout", "Played in the simulator", said, tables, (), found["notes"])
