@@ -16,26 +16,8 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.records.atomic_files import (
-    CARD_NAME,
-    DAMIAO_NAME,
-    MODEL_NAMES,
-    PARAMS_NAME,
-    PLAN_NAME,
-    refuse_overwriting,
-)
-from robot_sysid.records.options import (
-    Option,
-    OptionRecord,
-    command_words,
-    folder,
-    given_options,
-    keys_of,
-    option,
-    record_from,
-    refuse_unknown,
-    whole_number,
-)
+from robot_sysid.records import atomic_files, options
+from robot_sysid.records.options import Option, OptionRecord, folder, option
 from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.simulation.options import SimulatedArmOptions
@@ -70,7 +52,7 @@ class OutputOptions(OptionRecord):
     plots: bool = option(False, "also write the report's figures as PNG and SVG")
 
 
-_ID: dict[str, Any] = {"value": "ID", "parse": whole_number, "repeats": True}
+_ID: dict[str, Any] = {"value": "ID", "parse": options.whole_number, "repeats": True}
 
 
 @dataclass(frozen=True)
@@ -98,7 +80,7 @@ class MotorOptions(OptionRecord):
 
 def _given(*records: Any, only: tuple[str, ...] = (), but: tuple[str, ...] = ()) -> list[Option]:
     """Return the options of records that were given: of some keys, or of all but some."""
-    given = [each for record in records for each in given_options(record)]
+    given = [each for record in records for each in options.given_options(record)]
     return [each for each in given if each.key not in but and (not only or each.key in only)]
 
 
@@ -119,7 +101,7 @@ class Config:
         for both, first, second in self._pairs():
             if both:
                 raise InputError(f"{first} and {second} exclude each other; choose one")
-        refuse_overwriting(self.read_files(), self._written())
+        atomic_files.refuse_overwriting(self.read_files(), self._written())
         for needed, why, useless in self._groups():
             if not needed and useless:
                 raise InputError(f"{useless[0].flag} {why}")
@@ -158,9 +140,9 @@ class Config:
         from robot_sysid.damiao.trajectory import LIMITS
 
         model, limits = self.model, self.limits
-        given = {each.key for each in given_options(limits)}.intersection(LIMITS)
-        kept = {key: getattr(limits, key) for key in given}
-        return [str(model.path), *command_words(vars(model), model)], command_words(kept, limits)
+        given = {each.key for each in options.given_options(limits)}.intersection(LIMITS)
+        kept = options.command_words({key: getattr(limits, key) for key in given}, limits)
+        return [str(model.path), *options.command_words(vars(model), model)], kept
 
     def seeded(self: AnyConfig) -> AnyConfig:
         """Return the configuration with a seed, where something is random."""
@@ -184,7 +166,7 @@ class Config:
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         """Yield the files that a run writes, each with the option that names it."""
-        for name in (PARAMS_NAME, *MODEL_NAMES.values()):
+        for name in (atomic_files.PARAMS_NAME, *atomic_files.MODEL_NAMES.values()):
             yield "--output-dir", self.output.output_dir / name
 
 
@@ -222,8 +204,8 @@ class SysidConfig(Config):
     @property
     def plan_file(self) -> Path | None:
         """Where the trajectory is written, or None."""
-        usual = self.output.output_dir / PLAN_NAME if self.trajectory.plan_only else None
-        return self.trajectory.save or usual
+        usual = self.output.output_dir / atomic_files.PLAN_NAME
+        return self.trajectory.save or (usual if self.trajectory.plan_only else None)
 
     def _pairs(self) -> Iterator[tuple[bool, str, str]]:
         plan, logs, torques = self.trajectory, self.log.measurements, self.estimation.torques
@@ -283,7 +265,7 @@ class SysidConfig(Config):
             yield "--save-trajectory", self.plan_file
             yield "the CSV file beside --save-trajectory", self.plan_file.with_suffix(".csv")
         if self.motors.export_damiao:
-            yield "--output-dir", self.output.output_dir / DAMIAO_NAME
+            yield "--output-dir", self.output.output_dir / atomic_files.DAMIAO_NAME
         if not self.trajectory.plan_only:
             yield from super()._written()
 
@@ -392,7 +374,7 @@ class PayloadConfig(Config):
         return (*super().read_files(), *given.empty, *given.loaded, *models)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
-        yield "--output-dir", self.output.output_dir / CARD_NAME
+        yield "--output-dir", self.output.output_dir / atomic_files.CARD_NAME
         if self.payload.save_torque_scale is not None:
             yield "--save-torque-scale", self.payload.save_torque_scale
         yield from super()._written()
@@ -424,6 +406,6 @@ def payload_config_from(path: Path, **values: Any) -> PayloadConfig:
 
 def _configured(kind: type[AnyConfig], path: Path, values: Mapping[str, Any]) -> AnyConfig:
     records = get_type_hints(kind)
-    refuse_unknown(values, keys_of(*records.values()))
-    made = {name: record_from(record, values) for name, record in records.items()}
+    options.refuse_unknown(values, options.keys_of(*records.values()))
+    made = {name: options.record_from(record, values) for name, record in records.items()}
     return kind(**{**made, "model": replace(made["model"], path=Path(path))})

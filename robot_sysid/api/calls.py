@@ -27,14 +27,10 @@ from robot_sysid.config import (
     plan_config_from,
 )
 from robot_sysid.errors import InputError
+from robot_sysid.estimation import sums
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.result import result_of
-from robot_sysid.estimation.sums import (
-    LogInformation,
-    answer_from,
-    log_information,
-    settled_options,
-)
+from robot_sysid.estimation.sums import LogInformation
 from robot_sysid.log_pipeline import checked
 from robot_sysid.logs.formats.table import LogTable, arrays_table
 from robot_sysid.logs.options import LogOptions
@@ -257,7 +253,7 @@ def information(
     """
     values = {**options, **_logs(measurements=log)}
     robot, logs = arm_of(model, values), record_from(LogOptions, values)
-    chosen = settled_options(record_from(EstimationOptions, values))
+    chosen = sums.settled_options(record_from(EstimationOptions, values))
     config = SysidConfig(ModelOptions(path_of(model)), log=logs, estimation=chosen)
     config = config.calibrated(robot.joint_names)
     found = []
@@ -265,7 +261,8 @@ def information(
         for path in logs.measurements:
             read = open_log(robot, path, logs, notes)
             checked(config, robot, [read], notes)
-            found += [log_information(robot, read.pieces, config.estimation, around, read.notes)]
+            how = config.estimation, around, read.notes
+            found += [sums.log_information(robot, read.pieces, *how)]
     return reduce(add, found)
 
 
@@ -295,7 +292,7 @@ def identify_from(
     arm, logs = record_from(ModelOptions, options), LogOptions(measurements=(_ADDED,))
     config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
     with _quietly() as notes:
-        answer = answer_from(robot, found, validation)
+        answer = sums.answer_from(robot, found, validation)
         analysis = Analysis(result_of(answer, found.origin), found.checkpoints, _no_traces, answer)
     return Identified(robot, analysis, config, (*found.notes, *notes.notes))
 

@@ -115,27 +115,21 @@ def refused_by(function: str) -> Mapping[str, str]:
     return {**_USELESS.get(function, {}), **ELSEWHERE}
 
 
-def keywords_of(function: str) -> dict[str, tuple[Option, Any]]:
-    """Return keyword to its option and default, of a function of the face."""
-    refused = refused_by(function)
-    return {
-        each.key: (each, default_of(record, name))
-        for record in RECORDS[function]
-        for name, each in options_of(record).items()
-        if each.key not in refused
-    }
-
-
 def with_keywords(**usual: Any) -> Callable[[Function], Function]:
     """Return what gives a function the signature, the check and the words of its keywords.
 
-    Args:
-        usual: keyword to the default that this function has in place of the record's.
+    ``usual`` are defaults that this function has in place of the records'.
     """
 
     def decorated(function: Function) -> Function:
         own = inspect.signature(function)
-        known, refused = keywords_of(function.__name__), refused_by(function.__name__)
+        refused = refused_by(function.__name__)
+        known = {
+            each.key: usual.get(each.key, default_of(record, name))
+            for record in RECORDS[function.__name__]
+            for name, each in options_of(record).items()
+            if each.key not in refused
+        }
 
         @functools.wraps(function)
         def call(*given: Any, **options: Any) -> Any:
@@ -147,13 +141,11 @@ def with_keywords(**usual: Any) -> Callable[[Function], Function]:
                 refuse_unknown(asked, {*known, *own.parameters} - {"options"})
                 return function(*given, **options)
 
-        kind = inspect.Parameter.KEYWORD_ONLY
         shown = [each for each in own.parameters.values() if each.name != "options"]
-        names = {each.name for each in shown}
         shown += [
-            inspect.Parameter(key, kind, default=usual.get(key, default))
-            for key, (_, default) in known.items()
-            if key not in names
+            inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default)
+            for key, default in known.items()
+            if key not in own.parameters
         ]
         call.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
         return call  # type: ignore[return-value]

@@ -18,28 +18,23 @@ from robot_sysid.records.options import OptionRecord, folder, option, record_fro
 
 EXAMPLES = ("kinova",)
 MAIN = ("output_dir",)
-GUESS, TRUTH, EMPTY = (
-    f"kinova_{name}.xml" for name in ("fullinertia_guess", "fullinertia", "empty_gripper")
-)
+GUESS, TRUTH = "kinova_fullinertia_guess.xml", "kinova_fullinertia.xml"
 LOG = "true_arm.csv"
 RECORDING = {"duration": 15.0, "sample_rate": 200.0, "noise_torque": 0.1, "seed": 1}
 """How it is recorded: small enough to open in a spreadsheet."""
-NEXT = (
-    (
-        "1. Self-test: the model's own numbers have to come back from its own simulation",
-        "robot-sysid {model}/{guess}",
+NEXT = {
+    "1. Self-test: the model's own numbers have to come back from its own simulation": (
+        f"robot-sysid {{model}}/{GUESS}"
     ),
-    (
-        "2. Identify the true arm from a noisy log of it, starting from the guess",
-        "robot-sysid identify {model}/{guess} {log} --output-dir found",
+    "2. Identify the true arm from a noisy log of it, starting from the guess": (
+        f"robot-sysid identify {{model}}/{GUESS} {{log}} --output-dir found"
     ),
-    (
-        "3. Weigh a payload: the true arm without and with a steel block of 0.306 kg",
-        "robot-sysid payload {model}/{guess} --empty-model {model}/{empty} "
-        "--loaded-model {model}/{truth} --noise-torque 0.1 --sample-rate 200 --seed 1 "
-        "--output-dir weighed",
+    "3. Weigh a payload: the true arm without and with a steel block of 0.306 kg": (
+        f"robot-sysid payload {{model}}/{GUESS} --empty-model {{model}}/kinova_empty_gripper.xml "
+        f"--loaded-model {{model}}/{TRUTH} --noise-torque 0.1 --sample-rate 200 --seed 1 "
+        "--output-dir weighed"
     ),
-)
+}
 
 
 @dataclass(frozen=True)
@@ -76,11 +71,10 @@ def main(arguments: Sequence[str]) -> int:
     _copy(_home(values["name"]), place)
     console.stage(f"Example copied to {place}. What to do with it:")
     named = {"model": quote(str(place / "model")), "log": quote(str(place / LOG))}
-    files = {"guess": GUESS, "truth": TRUTH, "empty": EMPTY}
-    commands = {words: command.format(**named, **files) for words, command in NEXT}
-    for words, line in commands.items():
+    commands = [line.format(**named) for line in NEXT.values()]
+    for words, line in zip(NEXT, commands):
         console.lines(["", f"# {words}", line])
-    console.result({"folder": str(place), "commands": list(commands.values())})
+    console.result({"folder": str(place), "commands": commands})
     return 0
 
 

@@ -27,13 +27,7 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
-from robot_sysid.records.atomic_files import (
-    MODEL_NAMES,
-    PARAMS_NAME,
-    RUN_NAME,
-    SERVO_NAME,
-    write_whole,
-)
+from robot_sysid.records import atomic_files
 from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.simulation.options import SimulatedArmOptions
 
@@ -109,7 +103,8 @@ def carry_out(
     if config.output.bundle:
         from robot_sysid.results.bundle import write_bundle
 
-        for model in [path for path in outcome.files if path.name in MODEL_NAMES.values()]:
+        names = atomic_files.MODEL_NAMES.values()
+        for model in (path for path in outcome.files if path.name in names):
             console.stage(f"Bundle saved to {write_bundle(model, config.output.output_dir)}")
     console.lines(outcome.verdict)
     if failure:
@@ -119,7 +114,7 @@ def carry_out(
 
 def _repeatable(config: Config) -> None:
     """Write the file that repeats a run, but not over the one that it was asked with."""
-    path, command = config.output.output_dir / RUN_NAME, PROGRAM
+    path, command = config.output.output_dir / atomic_files.RUN_NAME, PROGRAM
     usual: Mapping[str, Any] = {}
     if isinstance(config, PayloadConfig):
         command += " payload"
@@ -128,13 +123,13 @@ def _repeatable(config: Config) -> None:
         path, command, usual = config.plan_file.with_suffix(".toml"), f"{command} plan", PLANNED
     given = config.output.config
     if given is None or not (path.exists() and path.samefile(given)):
-        write_whole(path, text_of(command, config, path, usual))
+        atomic_files.write_whole(path, text_of(command, config, path, usual))
 
 
 def _answer(outcome: Any) -> Mapping[str, Any] | str:
     """Return what --json prints: the result's file, or what there is to say of a plan."""
     for path in outcome.files:
-        if path.name in (PARAMS_NAME, SERVO_NAME):
+        if path.name in (atomic_files.PARAMS_NAME, atomic_files.SERVO_NAME):
             return str(path.read_text(encoding="utf-8"))
     return {
         "verdict": outcome.verdict,

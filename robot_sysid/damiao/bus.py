@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from robot_sysid.damiao import serial_adapter
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
-from robot_sysid.damiao.serial_adapter import read_in_pieces
 from robot_sysid.errors import HardwareAbort, InputError, words_of
 from robot_sysid.records.options import OptionRecord, option
 
@@ -346,12 +346,10 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         options[name] = _value(value)
     try:
         if interface == SERIAL_ADAPTER:
-            from robot_sysid.damiao.serial_adapter import DamiaoSerialBus  # Made on first use.
-
-            return DamiaoSerialBus(channel, **options)
+            return serial_adapter.DamiaoSerialBus(channel, **options)
         bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
         if interface == "slcan":
-            read_in_pieces(bus, len(address.buses) == 1, _SEND_TIMEOUT)
+            serial_adapter.read_in_pieces(bus, len(address.buses) == 1, _SEND_TIMEOUT)
         return bus
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.

@@ -25,7 +25,6 @@ from robot_sysid.damiao.bus import (
     Told,
     open_bus,
 )
-from robot_sysid.damiao.holding import HoldingCheck
 from robot_sysid.damiao.player import Player, PlayReport
 from robot_sysid.damiao.preflight import Check, Plan
 from robot_sysid.damiao.protocol.codec import Scaling
@@ -33,7 +32,7 @@ from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, read_joint_map
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
-from robot_sysid.damiao.references import STRAIGHT, Reference, ReferenceFunction, sampled
+from robot_sysid.damiao.references import STRAIGHT, HoldingCheck, alongside, sampled
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings, SecondArm
 from robot_sysid.damiao.simulated import (
@@ -335,7 +334,7 @@ def run(
             carried = holding or plan.holding
             player = Player(session, settings, stop, recorder, *told, park, carried, orders)
             own = sampled(plan.trajectory, settings.speed)
-            report = player.play(_alongside(own, places), plan.duration)
+            report = player.play(alongside(own, places), plan.duration)
     finally:
         console.finish()
     _require_told(console, written)
@@ -359,12 +358,6 @@ def _with_held(plan: Plan, held: Sequence[DamiaoJoint]) -> PlaySettings:
     usual = PlaySettings(rate=own.rate).for_motors([j.spec for j in held], plan.timing)
     each = ("kp", "kd", "max_torque_error")
     return replace(own, **{name: getattr(own, name) + getattr(usual, name) for name in each})
-
-
-def _alongside(reference: ReferenceFunction, positions: Array) -> ReferenceFunction:
-    """Return a reference that also holds further motors at positions (m,) [rad]."""
-    held = positions, np.zeros_like(positions), np.zeros_like(positions)
-    return lambda time: Reference(*map(np.concatenate, zip(reference(time), held)))
 
 
 def _require_told(console: Aside, written: Aside) -> None:

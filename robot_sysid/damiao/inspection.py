@@ -8,7 +8,7 @@ the register's number.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import NamedTuple
@@ -220,18 +220,13 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         channel = link.channels[address.bus] if len(link.channels) > 1 else ""
         motor = InspectedMotor(address, reply_ids, registers, None, channel)
         motors[address] = replace(motor, feedback=state_of(client, motor))
-    return Inspection(
-        motors, unsolicited, client.error_frames, _round_trip(client, motors.values())
-    )
-
-
-def _round_trip(client: RegisterClient, motors: Collection[InspectedMotor]) -> float | None:
-    asked = [(motor.address, motor.reply_ids[0]) for motor in motors]
-    if any(motor.feedback is None for motor in motors):
-        return None
-    times = [client.seconds_to_refresh(asked) for _ in range(_ROUNDS)]
-    answered = [time for time in times if time is not None]
-    return float(np.percentile(answered, 90.0)) if len(answered) > _ROUNDS // 2 else None
+    asked, round_trip = [(each.address, each.reply_ids[0]) for each in motors.values()], None
+    if all(each.feedback for each in motors.values()):
+        times = [client.seconds_to_refresh(asked) for _ in range(_ROUNDS)]
+        answered = [time for time in times if time is not None]
+        if len(answered) > _ROUNDS // 2:
+            round_trip = float(np.percentile(answered, 90.0))
+    return Inspection(motors, unsolicited, client.error_frames, round_trip)
 
 
 def state_of(client: RegisterClient, motor: InspectedMotor) -> Feedback | None:

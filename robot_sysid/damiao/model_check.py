@@ -14,10 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.damiao.holding import HoldingCheck, torque_doubt
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check, Plan
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
-from robot_sysid.damiao.references import ORDERS, STRAIGHT, passed
+from robot_sysid.damiao.references import ORDERS, STRAIGHT, HoldingCheck, passed, torque_doubt
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
 from robot_sysid.motion.limit_check import Closest, first_contact

@@ -18,10 +18,9 @@ import numpy as np
 from robot_sysid.damiao import references as paths
 from robot_sysid.damiao import supervision
 from robot_sysid.damiao.bus import SystemClock
-from robot_sysid.damiao.holding import HoldingCheck
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
-from robot_sysid.damiao.references import Reference, ReferenceFunction, hold
+from robot_sysid.damiao.references import HoldingCheck, Reference, ReferenceFunction, hold
 from robot_sysid.damiao.session import MotorSession, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, words_of

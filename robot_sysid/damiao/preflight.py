@@ -14,14 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao import trajectory as motion
-from robot_sysid.damiao.holding import FileHolding, HoldingCheck, torque_doubt
 from robot_sysid.damiao.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.recorder import RecordingOptions
-from robot_sysid.damiao.references import way_rows
+from robot_sysid.damiao.references import FileHolding, HoldingCheck, torque_doubt, way_rows
 from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, InputError

@@ -16,10 +16,10 @@ from types import FrameType
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.holding import torque_doubt
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.frames import ENABLED, describe
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.damiao.session import NO_STATUS, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort

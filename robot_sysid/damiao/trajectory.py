@@ -114,14 +114,14 @@ def export_damiao_trajectory(
             rows += len(chunk[0])
             file.write(_rows(chunk[0], inside, decimals))
     percent = 100.0 * changed / rows
-    warnings = [
-        sentence
-        for j, joint in enumerate(joints)
-        for sentence in (
-            *_clamped(joint, percent[j]),
-            *rating_warnings(joint, peak_velocity[j], peak_torque[j]),
-        )
-    ]
+    warnings = []
+    for joint, share, velocity, torque in zip(joints, percent, peak_velocity, peak_torque):
+        if share:
+            warnings.append(
+                f"{joint.label}: {share:.2f} % of the samples were clamped to the limits of a "
+                f"{joint.motor_type}; use a stronger motor or a slower trajectory"
+            )
+        warnings += rating_warnings(joint, velocity, torque)
     warnings += _rate_warnings(first[0], len(joints))
     return DamiaoExportReport(joints, percent, tuple(warnings))
 
@@ -155,14 +155,6 @@ def _rows(time: Array, values: Array, decimals: int) -> str:
     cells = np.round(values.transpose(1, 2, 0).reshape(len(time), -1), 4) + 0.0
     row = ",".join([f"%.{decimals}f"] + ["%.4f"] * cells.shape[1]) + "\n"
     return (row * len(time)) % tuple(np.column_stack([time, cells]).ravel())
-
-
-def _clamped(joint: DamiaoJoint, percent: float) -> Iterator[str]:
-    if percent:
-        yield (
-            f"{joint.label}: {percent:.2f} % of the samples were clamped to the limits of a "
-            f"{joint.motor_type}; use a stronger motor or a slower trajectory"
-        )
 
 
 CANNOT_FOLLOW = "it cannot follow"

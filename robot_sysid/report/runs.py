@@ -22,7 +22,6 @@ from robot_sysid.logs.formats.arrays import npz_arrays
 from robot_sysid.records import Array, Validation
 from robot_sysid.records.atomic_files import PARAMS_NAME
 from robot_sysid.records.data import SIGNALS, Signals, Traces
-from robot_sysid.records.results import Source
 from robot_sysid.results.cards import ERROR_NAMES
 from robot_sysid.results.json import SCHEMA_VERSION
 from robot_sysid.results.record import PAYLOAD, Figure
@@ -260,19 +259,9 @@ class Run:
         return bool(self.content["question"] == PAYLOAD)
 
     @property
-    def trustworthy(self) -> bool:
-        """Whether the result may be used."""
-        return bool(self.content["valid"]["trustworthy"])
-
-    @property
     def all_known(self) -> bool:
         """Whether all of a payload is known; of a link, the model has what is not."""
         return bool(self.content["valid"]["all_identified"]) or not self.is_payload
-
-    @property
-    def is_itself(self) -> bool:
-        """Whether the model identified its own simulation."""
-        return str(self.content["source"]).startswith(Source.ITSELF.value)
 
     def friction(self, kind: str = "terms") -> dict[tuple[str, str], Figure]:
         """Return (joint, term) to its figure; ``kind`` "in_the_file" is for the written model's."""

@@ -16,13 +16,7 @@ from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
-from robot_sysid.records import Array, DataOrigin, Measurement, Motion, RobotModel
-from robot_sysid.records.atomic_files import (
-    MODEL_NAMES,
-    SERVO_NAME,
-    refuse_overwriting,
-    whole_files,
-)
+from robot_sysid.records import Array, DataOrigin, Measurement, Motion, RobotModel, atomic_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.console import folder_text, rollout_lines
@@ -283,13 +277,12 @@ class ServoOutcome:
     """What a run produced."""
 
     identification: ServoIdentification
-    output_dir: Path
     files: tuple[Path, ...]
     failure: str | None
 
     def report_lines(self) -> list[str]:
         """Return what the command line prints at the end."""
-        saved = f"Results saved to {folder_text(self.output_dir)}"
+        saved = f"Results saved to {folder_text(self.files[-1].parent)}"
         return [*servo_lines(self.identification), saved]
 
     @property
@@ -319,14 +312,15 @@ def run_servo(
     """
     given = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns, config)
     read = [path for path in given if path is not None]
-    names = (SERVO_NAME, *MODEL_NAMES.values())
-    refuse_overwriting(read, (("--output-dir", folder / name) for name in names))
+    names = (atomic_files.SERVO_NAME, *atomic_files.MODEL_NAMES.values())
+    atomic_files.refuse_overwriting(read, (("--output-dir", folder / name) for name in names))
     with locked_folder(folder, progress):
         found, rest = identify_servos(robot, logs, progress)
         for note in found.notes:
             progress.note(note)
-        with whole_files() as files:
-            target = ModelTarget(files, folder / MODEL_NAMES[robot.kind], rest, 0.0, mesh_dir)
+        with atomic_files.whole_files() as files:
+            path = folder / atomic_files.MODEL_NAMES[robot.kind]
+            target = ModelTarget(files, path, rest, 0.0, mesh_dir)
             outcome = _write(robot, found, target, refusal(found.rollout, logs.accept))
             read += [file.path for file in read_document(robot.path).files]
             removed = remove_earlier(files, folder, outcome.files, read)
@@ -384,7 +378,7 @@ def _write(
     robot: RobotModel, found: ServoIdentification, target: ModelTarget, refused: str | None
 ) -> ServoOutcome:
     """Write servo.json and, where the new model moves more like the arm, that."""
-    path, failure, notes = target.path.parent / SERVO_NAME, refused, found.notes
+    path, failure, notes = target.path.parent / atomic_files.SERVO_NAME, refused, found.notes
     written = [path]
     if refused is None:
         try:
@@ -392,7 +386,7 @@ def _write(
             written = [target.path, path]
         except ExportError as error:
             target.files.withdraw(target.path)
-            failure = f"{error} (the identified numbers are in {SERVO_NAME})"
+            failure = f"{error} (the identified numbers are in {atomic_files.SERVO_NAME})"
     final = replace(found, notes=notes)
     target.files.write(path, json_text(final.entries()))
-    return ServoOutcome(final, path.parent, tuple(written), failure)
+    return ServoOutcome(final, tuple(written), failure)

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from robot_sysid.cli import main
-from robot_sysid.damiao.holding import FileHolding
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.preflight import bus_checks, stops
 from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, TIMEOUT
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, mapped, write_joint_map
-from robot_sysid.damiao.references import ORDERS
+from robot_sysid.damiao.references import ORDERS, FileHolding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
 from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing, trajectory_file

@@ -163,7 +163,8 @@ def test_a_run_is_read_as_it_was_written(link_run):
     run = load_run(link_run)
     written = json.loads((link_run / "params.json").read_text())
     body, *others = run.bodies
-    assert run.trustworthy and run.missing == () and body.after[0] == written["mass"]
+    assert run.content["valid"]["trustworthy"] and run.missing == ()
+    assert body.after[0] == written["mass"]
     assert [each.title for each in others] == ["link5"] and body.title == written["body_name"]
     thetas = body.thetas
     assert thetas["truth"][0] == thetas["before"][0] == pytest.approx(0.5 * body.after[0])

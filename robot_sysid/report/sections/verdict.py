@@ -9,6 +9,7 @@ import numpy as np
 from robot_sysid.mjcf.inertial import rmse_words
 from robot_sysid.records.atomic_files import MODEL_NAMES
 from robot_sysid.records.figures import percent, with_error
+from robot_sysid.records.results import Source
 from robot_sysid.report.drawing import Section
 from robot_sysid.report.runs import Run
 from robot_sysid.report.sections.signals import most_changed
@@ -16,14 +17,15 @@ from robot_sysid.report.sections.signals import most_changed
 
 def verdict(run: Run) -> Section:
     """Return the verdict as the console says it, the torque error, and one figure of a torque."""
-    content, good = run.content, run.trustworthy
+    content, good = run.content, run.content["valid"]["trustworthy"]
+    of_itself = str(content["source"]).startswith(Source.ITSELF.value)
     return Section(
         "verdict",
         "Verdict",
         sentences=content["verdict"],
         headline=_headline(run),
         points=tuple(_other_models(run)),
-        figures=() if run.is_itself or run.data is None else (most_changed(run),),
+        figures=() if of_itself or run.data is None else (most_changed(run),),
         missing=run.missing,
         verdict="bad" if not good else "good" if run.all_known else "part",
         details=(
