@@ -23,7 +23,7 @@ from pathlib import Path
 
 from benchmarks.wrong_logs import ARMS, KINDS, robot_of
 from robot_sysid.config import config_from
-from robot_sysid.diagnosis.finding import Level
+from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.run import check_against_model
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.reader import write_measurement_csv

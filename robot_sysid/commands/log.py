@@ -69,8 +69,7 @@ def main(arguments: Sequence[str]) -> int:
 def _checked(
     values: Mapping[str, Any], options: LogOptions, preview: PreviewOptions, console: Console
 ) -> int:
-    from robot_sysid.diagnosis.finding import require_acceptable
-    from robot_sysid.diagnosis.run import check_against_model
+    from robot_sysid.diagnosis.run import check_against_model, require_acceptable
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 

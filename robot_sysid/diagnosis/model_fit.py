@@ -28,7 +28,7 @@ from robot_sysid.signals.process import process
 
 INSTANTS, FEWEST = 400, 50
 """So many instants stand for a log, and for each of its pieces at least."""
-EARLIEST, LATEST = -0.04, 0.1
+DELAYS = (-0.04, 0.1)
 """Delays of torque between which it is looked for [s]."""
 TOLERANCE = 0.04
 """Part of a joint's usual torque that a right model may miss."""
@@ -83,8 +83,7 @@ class Sample:
 
     def with_motion(self, factor: Array | float) -> Sample:
         """Return the sample with its motion multiplied by a factor, one for all or (n,)."""
-        q, qd, qdd = (factor * values for values in (self.q, self.qd, self.qdd))
-        return replace(self, q=q, qd=qd, qdd=qdd)
+        return replace(self, q=factor * self.q, qd=factor * self.qd, qdd=factor * self.qdd)
 
     def with_torque(self, factor: Array | float) -> Sample:
         """Return the sample with its torque multiplied by a factor, one for all or (n,)."""
@@ -270,7 +269,7 @@ class ModelFit:
 
 def _instants(time: Array, bridged: NDArray[np.bool_], count: int) -> NDArray[np.int64]:
     """Return about so many instants of a piece, as (K,) indices, apart from its ends."""
-    reach = (time + EARLIEST >= time[0]) & (time + LATEST <= time[-1])
+    reach = (time + DELAYS[0] >= time[0]) & (time + DELAYS[1] <= time[-1])
     there = np.flatnonzero(reach & ~bridged)
     return there[np.unique(np.linspace(0, len(there) - 1, count).astype(int))]
 

@@ -18,19 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.diagnosis.finding import Finding, Level
-from robot_sysid.diagnosis.model_fit import (
-    EARLIEST,
-    LATEST,
-    TOLERANCE,
-    WELL,
-    Fit,
-    ModelFit,
-    Sample,
-    explains,
-    fall,
-    friction_sign,
-)
+from robot_sysid.diagnosis import Finding, Level, model_fit
+from robot_sysid.diagnosis.model_fit import Fit, ModelFit, Sample, explains, fall, friction_sign
 from robot_sysid.dynamics.nuisances import zero_columns
 from robot_sysid.records import Array, Motion
 from robot_sysid.records.figures import percent
@@ -115,7 +104,7 @@ def joint_delays(log: ModelFit) -> Offsets:
         return ((before - after) / (2.0 * _STEP))[:, :, None] * own
 
     def undone(delays: Array) -> Sample:
-        return replace(log.sample, tau=log.later(np.clip(delays, EARLIEST, LATEST)))
+        return replace(log.sample, tau=log.later(np.clip(delays, *model_fit.DELAYS)))
 
     return _found(log, columns, undone, np.full(len(own), _DELAYS))
 
@@ -141,7 +130,7 @@ def other_friction(log: ModelFit) -> Offsets:
     reversal [N m], and a gear's loss, which grows with its load (a share).
     """
     sample, own = log.sample, np.eye(log.robot.n_joints)
-    sign, usual = friction_sign(sample), sample.sigma / TOLERANCE
+    sign, usual = friction_sign(sample), sample.sigma / model_fit.TOLERANCE
     each = [friction_sign(sample, lag) - sign for lag in LAGS] + [sign * np.abs(log.model_torque)]
     columns = np.concatenate([column[:, :, None] * own for column in each], axis=2)
     prior = np.concatenate((np.tile(0.5 * usual, len(LAGS)), np.full(len(own), LOSS)))
@@ -159,7 +148,8 @@ def strongest_sine(log: ModelFit) -> Offsets:
     at, joint = np.unravel_index(int(np.argmax(taken / log.sample.sigma**2)), taken.shape)
     columns = np.zeros((count, len(log.links), 2))
     columns[:, joint] = np.stack((waves[at].real, waves[at].imag), axis=1)
-    after = log.fit(extra=columns, prior=np.full(2, log.sample.sigma[joint] / TOLERANCE))
+    size = log.sample.sigma[joint] / model_fit.TOLERANCE
+    after = log.fit(extra=columns, prior=np.full(2, size))
     value = np.array([joint, rates[at], np.hypot(*after.extra)])
     return Offsets(value, np.zeros(3), after)
 
@@ -229,7 +219,7 @@ def zero_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]
 def clock_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
     """Yield a finding where inertia and gravity disagree about the time base."""
     gained, sure = fall(base, found.after), np.any(np.abs(found.value) > CLEAR_CLOCK * found.error)
-    if found.after.cost > WELL or gained < SEEN_CLOCK or not sure:
+    if found.after.cost > model_fit.WELL or gained < SEEN_CLOCK or not sure:
         return
     share, drift = found.value
     remedy = "record the controller's own time stamps"

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from robot_sysid.diagnosis.finding import Finding, Level
+from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.model_fit import ModelFit
 from robot_sysid.records import Array, Measurement
 from robot_sysid.signals.resampling import usual_period

@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis.finding import Finding, Level
+from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.model_fit import Fit, ModelFit, Sample, explains, rms, slow_speed
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import percent

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.diagnosis.finding import Level
+from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.recording import clock_findings, sensor_findings, velocity_findings
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS, motion

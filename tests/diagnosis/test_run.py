@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.diagnosis.finding import Finding, Level, require_acceptable
-from robot_sysid.diagnosis.run import check_against_model, look_at
+from robot_sysid.diagnosis import Finding, Level
+from robot_sysid.diagnosis.run import check_against_model, look_at, require_acceptable
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.logs.options import CHECKS
 from robot_sysid.parser import load_robot_model
