@@ -101,7 +101,7 @@ def carry_out(
     if outcome.failure:
         raise SysidError(" ".join(outcome.verdict) or outcome.failure)
     if config.output.bundle:
-        from robot_sysid.results.bundle import write_bundle
+        from robot_sysid.results.model import write_bundle
 
         names = atomic_files.MODEL_NAMES.values()
         for model in (path for path in outcome.files if path.name in names):

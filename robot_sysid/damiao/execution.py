@@ -229,7 +229,7 @@ class MotorRun:
         """The arm of the model file, or both as one; None without a model."""
         if not self._two:
             return self.robots[0] if self.robots else None
-        from robot_sysid.motion.two_arms import as_one
+        from robot_sysid.motion.limit_check import as_one
 
         return as_one(*self.robots)
 

@@ -19,11 +19,10 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import ORDERS, STRAIGHT, HoldingCheck, passed, torque_doubt
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
-from robot_sysid.motion.limit_check import Closest, first_contact
+from robot_sysid.motion.limit_check import BetweenArms, Closest, first_contact
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
-from robot_sysid.motion.two_arms import BetweenArms
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque
 

@@ -1,22 +1,28 @@
 """Writing what was identified into a model: links, joints and gravity, and a payload on top.
 
 Each model is compiled again and compared before it counts: the written numbers are there, nothing
-else has changed, and it takes the torques that the identification predicts.
+else has changed, and it takes the torques that the identification predicts. With its meshes and
+textures in one folder, a bundle, it can be sent to somebody.
 """
 
 from __future__ import annotations
 
+import os
 import platform
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from robot_sysid import __version__
 from robot_sysid.dynamics.kinematics import MUJOCO_VERSION
-from robot_sysid.errors import ExportError
+from robot_sysid.errors import ExportError, InputError
+from robot_sysid.interrupts import held_back
+from robot_sysid.mjcf.assets import bundled_text, find_assets
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import setting_number
 from robot_sysid.mjcf.updated_model import changed_model_text
@@ -30,18 +36,15 @@ from robot_sysid.mjcf.write_back import (
     plan_write_back,
 )
 from robot_sysid.model.chain import body_label
+from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import place_in_carrier
 from robot_sysid.model.inertia import body_theta, link_bodies, subtree_bodies
 from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
-from robot_sysid.records.atomic_files import WholeFiles
+from robot_sysid.records.atomic_files import WholeFiles, draft_folder, only_run_in
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Detail
+from robot_sysid.results import verification
 from robot_sysid.results.record import Figure, Payload, Result
-from robot_sysid.results.verification import (
-    reads_fullinertia_exactly,
-    require_reproduction,
-    verify_written_model,
-)
 
 _MOMENTS = [4, 7, 9]
 _IN_MJCF = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
@@ -236,13 +239,15 @@ def _write(
     """Write the draft and compare it, compiled, with links (n, 10); withdraw it where it fails."""
     welded, written = change.welded, [body.plan.theta for body in change.bodies]
     written += [] if welded is None else [welded.theta]
-    exact, folder = all(map(reads_fullinertia_exactly, written)), target.path.absolute().parent
+    exact = all(map(verification.reads_fullinertia_exactly, written))
     change = replace(change, principal=not exact)
+    folder = target.path.absolute().parent
     text = changed_model_text(robot.path, change, folder, target.mesh_dir)
     try:
         draft = target.files.write(target.path, text)
-        compiled = verify_written_model(robot.mj_model, draft, change).mj_model
-        require_reproduction(robot, thetas, change, compiled, target.checkpoints, target.path)
+        compiled = verification.verify_written_model(robot.mj_model, draft, change).mj_model
+        motion, path = target.checkpoints, target.path
+        verification.require_reproduction(robot, thetas, change, compiled, motion, path)
     except BaseException:
         target.files.withdraw(target.path)
         raise
@@ -277,3 +282,77 @@ def about(robot: RobotModel) -> dict[str, Any]:
         "slides": robot.slides,
         "bodies": subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id),
     }
+
+
+BUNDLE_NAME, ASSETS = "bundle", "assets"
+"""Folder in the output folder, and the folder in it that meshes and textures go to."""
+
+
+def write_bundle(model: Path, folder: Path) -> Path:
+    """Copy a written model and all files it refers to into a folder, and load it from there.
+
+    Args:
+        folder: its output folder; an earlier bundle in it is replaced.
+
+    Returns:
+        The model in the bundle.
+
+    Raises:
+        ExportError: it refers to another model, or the copy does not load as the same model.
+        InputError: a file cannot be copied, or another run has the folder.
+    """
+    place = folder / BUNDLE_NAME
+    try:
+        with only_run_in(folder), draft_folder(place) as draft, draft_folder(place) as earlier:
+            text, names = _bundled(model, f"{ASSETS}/")
+            (draft / ASSETS).mkdir()
+            for source, name in names.items():
+                shutil.copyfile(source, draft / name)
+            (draft / model.name).write_bytes(text)
+            again = verification.compiled_again(draft / model.name).mj_model
+            verification.require_same_model(compile_model(model).mj_model, again, {})
+            _put_in_place(draft, place, earlier / BUNDLE_NAME)
+    except OSError as error:
+        raise InputError(f"--bundle: cannot write {place}: {error.strerror or error}") from None
+    return place / model.name
+
+
+def _put_in_place(draft: Path, place: Path, earlier: Path) -> None:
+    """Move a finished folder to its place, and what stands there out of the way."""
+    with held_back():
+        if os.path.lexists(place):
+            os.replace(place, earlier)
+        os.replace(draft, place)
+
+
+def model_in_memory(model: Path) -> Any:
+    """Return a model and all files it refers to as a ``mujoco.MjSpec`` that needs no files.
+
+    Raises:
+        ExportError: it refers to another model, or this MuJoCo is older than 3.2.
+    """
+    if not hasattr(mujoco, "MjSpec"):
+        raise ExportError(f"a spec needs MuJoCo 3.2 or later, not {mujoco.__version__}; use save()")
+    text, names = _bundled(model, "")
+    assets = {name: path.read_bytes() for path, name in names.items()}
+    return mujoco.MjSpec.from_string(text.decode("utf-8"), assets=assets)
+
+
+def _bundled(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
+    """Return (the text of a model that stands beside its assets, file to its name there)."""
+    document = read_document(model)
+    assets = find_assets(document)
+    if any(asset.node.tag == "model" for asset in assets):
+        raise ExportError(
+            "--bundle: the model attaches other model files (<model file=...>), which a bundle "
+            "cannot hold; send the folders as they are"
+        )
+    names: dict[Path, str] = {}
+    for path in dict.fromkeys(asset.path for asset in assets if asset.path is not None):
+        # Two files never get one name, not even on a disk that knows no capital letters.
+        taken, number, name = {other.lower() for other in names.values()}, 1, path.name
+        while f"{folder}{name}".lower() in taken:
+            number += 1
+            name = f"{path.stem}_{number}{path.suffix}"
+        names[path] = f"{folder}{name}"
+    return bundled_text(document, names), names

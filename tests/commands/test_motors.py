@@ -34,7 +34,7 @@ from robot_sysid.damiao.protocol.frames import (
     enable_frame,
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints, write_joint_map
-from robot_sysid.motion.two_arms import as_one
+from robot_sysid.motion.limit_check import as_one
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.forward_dynamics import ArmStepper
 from tests.support import arms

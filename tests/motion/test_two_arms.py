@@ -7,8 +7,8 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.model.contacts import parts_of
+from robot_sysid.motion.limit_check import BetweenArms, as_one
 from robot_sysid.motion.trajectories import straight_way
-from robot_sysid.motion.two_arms import BetweenArms, as_one
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
 from robot_sysid.simulator import ArmTorque

@@ -8,8 +8,8 @@ import mujoco
 import pytest
 
 from robot_sysid.errors import ExportError
-from robot_sysid.results import bundle as bundles
-from robot_sysid.results.bundle import write_bundle
+from robot_sysid.results import verification
+from robot_sysid.results.model import write_bundle
 from robot_sysid.results.verification import require_same_model
 from tests.support.command_line import files_in
 from tests.support.model_files import urdf_inertial, urdf_joint, urdf_link, urdf_mesh, urdf_robot
@@ -66,7 +66,7 @@ def test_a_bundle_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
     first = write(tmp_path / "first.xml", "<mujoco><worldbody/></mujoco>")
     bundle = write_bundle(first, tmp_path)
     before = files_in(tmp_path)
-    monkeypatch.setattr(bundles, "compiled_again", lambda path: 1 / 0)
+    monkeypatch.setattr(verification, "compiled_again", lambda path: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_bundle(GUESS, tmp_path)
     assert files_in(tmp_path) == before
