@@ -71,10 +71,8 @@ class Saved:
 
 @contextlib.contextmanager
 def locked_folder(folder: Path, progress: Progress) -> Iterator[None]:
-    """Keep an output folder to one run, and tell at its end what MuJoCo warned of meanwhile.
-
-    Raises:
-        InputError: the folder cannot be written to, or another run has it.
+    """Keep an output folder to one run, and tell at its end what MuJoCo warned of meanwhile;
+    InputError where the folder cannot be written to, or another run has it.
     """
     atomic_files.require_writable(folder)
     with warnings_as_notes(progress), atomic_files.only_run_in(folder):

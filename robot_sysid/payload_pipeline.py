@@ -170,14 +170,8 @@ def _simulated(config: PayloadConfig, robot: RobotModel, progress: Progress) -> 
 
 
 def places(recordings: Sequence[RawRecording], order: str | None) -> Array | None:
-    """Return each recording's place (k,) from -1, the first, to 1, the last.
-
-    Args:
-        recordings: empty ones first.
-        order: letters of ``--order``; None goes by the logs' clocks where they share one.
-
-    Returns:
-        None where the order is not known.
+    """Return each recording's place (k,) from -1, the first, to 1, the last, empty ones first; None
+    where the order is not known: without letters of ``--order`` and clocks that the logs share.
     """
     if order is not None:
         kinds = [letter == LOADED for letter in order]

@@ -32,17 +32,11 @@ class ArmTorque:
 
 
 def simulate_inverse(robot: RobotModel, motions: Iterable[Motion]) -> Iterator[Measurement]:
-    """Yield the torques the model needs to follow a motion exactly.
+    """Yield the torques that an arm needs to follow chunks of chain joint motion exactly.
 
     tau = inverse dynamics by MuJoCo + coulomb sign(qd) + viscous qd, with the model's own
-    ``frictionloss`` and ``damping`` as coefficients of every chain joint.
-
-    Args:
-        robot: the arm, truth of this simulation.
-        motions: chunks of chain joint motion.
-
-    Raises:
-        SimulationError: a torque is not finite.
+    ``frictionloss`` and ``damping`` as coefficients of every chain joint; SimulationError where a
+    torque is not finite.
     """
     torque = ArmTorque(robot)
     for motion in motions:
@@ -61,13 +55,8 @@ def simulate_inverse(robot: RobotModel, motions: Iterable[Motion]) -> Iterator[M
 def collect_sysid_data(
     equations: Equations, measurements: Iterable[Measurement]
 ) -> SquareRootInformation:
-    """Stream measurements into square-root information, in constant memory.
-
-    Args:
-        measurements: chunks with accelerations.
-
-    Returns:
-        One QR triangle per joint whose torque is used.
+    """Stream measurements, chunks with accelerations, into square-root information in constant
+    memory: one QR triangle per joint whose torque is used.
     """
     accumulator = InformationAccumulator(equations.names, equations.joints, equations.columns)
     for measurement in measurements:

@@ -336,11 +336,8 @@ def fall(base: Fit, after: Fit) -> float:
 
 
 def explains(base: Fit, after: Fit, certain: bool = True) -> bool:
-    """Return whether a log fits so much better without a mistake that it was made.
-
-    Args:
-        certain: whether the log as it is has a possible terminal link; one that has none takes less
-            to be called mistaken.
+    """Return whether a log fits so much better without a mistake that it was made: less of it is
+    enough where it is not certain that the log as it is has a possible terminal link.
     """
     enough = fall(base, after) > (CLEARLY if certain else LIKELY)
     return enough and (after.cost < WELL or after.cost < BETTER * base.cost)

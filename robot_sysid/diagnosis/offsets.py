@@ -63,11 +63,8 @@ def _found(
     undone: Callable[[Array], Sample],
     spread: Array,
 ) -> Offsets:
-    """Return constants of some standard deviations (e,).
-
-    Args:
-        columns: makes the columns (K, n, e) around a sample and its fit.
-        undone: returns the sample without constants (e,).
+    """Return constants of some standard deviations (e,), by their columns (K, n, e) around a sample
+    and its fit, and what undoes them.
     """
     sample, total, found = log.sample, np.zeros(len(spread)), log.fit()
     for _ in range(_ROUNDS):

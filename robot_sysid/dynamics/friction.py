@@ -168,11 +168,8 @@ COUPLED_TERMS = ("coulomb", "viscous", "armature", "sqrt", "stribeck")
 
 @dataclass(frozen=True)
 class Coupling:
-    """One motor that turns with several joints.
-
-    Attributes:
-        ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
-        name: the combination in words, such as ``joint_5+joint_6``.
+    """One motor that turns with several joints, such as ``joint_5+joint_6``, at ratios (n,): motor
+    speed per joint speed, zero for joints it does not turn with.
     """
 
     ratios: Array

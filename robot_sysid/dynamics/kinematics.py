@@ -69,10 +69,8 @@ def has_only_armature(mj_model: Any) -> bool:
 def inverse_dynamics(
     model: Any, data: Any, chain: tuple[Any, Any], q: Array, qd: Array, qdd: Array
 ) -> Array:
-    """Return MuJoCo's joint torques (N, n) for motions (N, n) of a chain.
-
-    Args:
-        chain: addresses (n,) of its joints in qpos and qvel; the others stay as ``data`` has them.
+    """Return MuJoCo's joint torques (N, n) for motions (N, n) of a chain, whose joints have these
+    addresses (n,) in qpos and qvel; the others stay as ``data`` has them.
     """
     tau = np.empty_like(q)
     qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
@@ -109,10 +107,8 @@ class ArmDynamics:
 
 
 class ChainKinematics:
-    """Evaluates terminal body motion, Jacobian and the torque of the rest of the arm.
-
-    Attributes:
-        armature: (n,) the model's rotor inertia of the chain joints [kg m^2].
+    """Evaluates terminal body motion, Jacobian and the torque of the rest of the arm, whose joints
+    have the model's rotor inertia ``armature`` (n,) [kg m^2].
     """
 
     def __init__(self, robot: RobotModel) -> None:

@@ -72,10 +72,8 @@ _LIMIT_MARGIN = 1e-3
 
 
 def check_log(name: str, rows: LogRows, robot: RobotModel, in_radians: bool) -> tuple[str, ...]:
-    """Run every check over a log's rows; return one sentence for what is worth knowing.
-
-    Raises:
-        InputError: all that is wrong; not what only follows from another fault.
+    """Run every check over a log's rows; return one sentence for what is worth knowing, or raise
+    InputError with all that is wrong but not what only follows from another fault.
     """
     notes, faults = list[str](), list[str]()
 

@@ -50,8 +50,7 @@ _OPEN = "?"
 class ColumnChoices:
     """What is declared of a log's columns, by the keys of a columns file; None leaves it open.
 
-    Attributes:
-        columns: quantity to joint name to title; "none" keeps a quantity out.
+    The columns are quantity to joint name to title; "none" keeps a quantity out.
     """
 
     time: str | None = None
@@ -210,11 +209,8 @@ def draft(
     asked: str = "torque",
     known: Mapping[str, Sequence[Source] | None] | None = None,
 ) -> str:
-    """Return a columns file to complete: what was recognised, and ? for what was not.
-
-    Args:
-        asked: what is needed beside positions, "torque" or "command".
-        known: quantity to its columns.
+    """Return a columns file to complete: what is known, quantity to its columns, and ? for what was
+    not recognised of positions and of what is asked for beside, "torque" or "command".
     """
     listed = ", ".join(f"#{k} {' '.join(title.split())}" for k, title in enumerate(titles, 1))
     lines = [

@@ -75,11 +75,7 @@ class LogRows:
 def read_rows(
     table: LogTable, columns: ColumnMap, is_slide: Sequence[bool], progress: Progress | None = None
 ) -> LogRows:
-    """Read all rows of a log.
-
-    Args:
-        is_slide: (n,) whether a joint is a slide, which has no full turn.
-    """
+    """Read all rows of a log; a joint that is a slide (n,) has no full turn."""
     cleaner = _Cleaner(table, columns, is_slide)
     wanted = [source.index for source in columns.sources()]
     thinning, kept = None, _Kept([1, 1, *map(len, columns.groups())])

@@ -19,9 +19,8 @@ _SMALLEST_NORMAL = float(np.finfo(float).tiny)
 def mjcf_inertial(theta: Array, principal: bool = False) -> str:
     """Return MJCF for theta (10,), in the body frame about its origin, exact to the last digit.
 
-    Args:
-        principal: write principal moments and axes instead of the full matrix; MuJoCo before 3.14
-            finds the axes of a full matrix to six digits only.
+    With principal moments and axes, where asked for, instead of the full matrix, whose axes MuJoCo
+    before 3.14 finds to six digits only.
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     head = f'<inertial pos="{numbers(com)}" mass="{float(mass)!r}"'

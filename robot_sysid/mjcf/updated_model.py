@@ -38,10 +38,8 @@ def changed_model_text(
     """Return the text of a model file with a change made, for the folder where it will live.
 
     Of an MJCF with includes, the included files that lead to something changed, and those that
-    contain paths, take the place of their ``<include>``; the others stay included.
-
-    Raises:
-        ExportError: something is not written out in the file, or a setting of it changes inertias.
+    contain paths, take the place of their ``<include>``; the others stay included. ExportError
+    where something is not written out in the file, or a setting of it changes inertias.
     """
     edits = Edits(read_document(source))
     written = _write_bodies(edits, change)

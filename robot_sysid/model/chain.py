@@ -48,10 +48,8 @@ def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
 
 
 def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
-    """Return the ids of all joints from the world to ``joint``, that one included.
-
-    Raises:
-        ModelError: there is a ball or free joint among them.
+    """Return the ids of all joints from the world to ``joint``, that one included; ModelError where
+    there is a ball or free joint among them.
     """
     chain = tuple(_towards_world(mj_model, joint))[::-1]
     for member in chain:

@@ -76,8 +76,7 @@ def warnings_as_notes(progress: Progress) -> Iterator[None]:
 def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     """Compile an MJCF or URDF file; what cannot be read or compiled is one line of an error.
 
-    Args:
-        mesh_dir: folder that replaces the file's mesh folder (and, in a URDF, its packages).
+    A mesh folder replaces the file's own (and, in a URDF, its packages).
     """
     document = read_document(path)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):

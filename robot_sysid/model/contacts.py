@@ -69,10 +69,8 @@ def neighbours(mj_model: Any) -> NDArray[np.bool_]:
 
 
 class ContactFinder:
-    """Tells which bodies touch in a configuration, those in the reference one taken for granted.
-
-    Attributes:
-        at_rest: pairs of body ids that touch in the reference configuration.
+    """Tells which bodies touch in a configuration; those in the reference one, pairs of body ids
+    ``at_rest``, are taken for granted.
     """
 
     def __init__(self, robot: RobotModel) -> None:

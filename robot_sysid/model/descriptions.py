@@ -19,10 +19,8 @@ _NAME = re.compile(r"\w+_description", re.ASCII)
 
 
 def model_file(path: Path) -> Path:
-    """Return a path as it is, or, where nothing is there, the file of the model of that name.
-
-    Raises:
-        InputError: robot_descriptions is missing, knows no such model, or cannot fetch it.
+    """Return a path as it is, or, where nothing is there, the file of the model of that name;
+    InputError if robot_descriptions is missing, knows no such model, or cannot fetch it.
     """
     name = str(path)
     if not _NAME.fullmatch(name) or os.path.lexists(path):

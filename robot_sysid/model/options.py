@@ -10,11 +10,7 @@ from robot_sysid.records.options import OptionRecord, option
 
 @dataclass(frozen=True)
 class ModelOptions(OptionRecord):
-    """Which arm, and which of its joints is the terminal one.
-
-    Attributes:
-        path: MJCF or URDF file.
-    """
+    """Which arm, of an MJCF or URDF file, and which of its joints is the terminal one."""
 
     path: Path = Path()
     mesh_dir: Path | None = option(None, "folder of the mesh files", usual="what the model says")

@@ -53,13 +53,10 @@ _UNLIMITED_TRAVEL = 1.0
 
 @dataclass
 class Closest:
-    """The tightest pair of one configuration.
+    """The tightest pair of one configuration: between what, and when along a motion [s].
 
-    Attributes:
-        slack: distance minus the distance that must be kept [m]; negative where it is not kept.
-        distance: [m]; infinite where nothing is near.
-        label: between what.
-        time: when, along a motion [s].
+    The slack is the distance minus the one that must be kept [m], negative where it is not kept;
+    the distance [m] is infinite where nothing is near.
     """
 
     slack: float
@@ -192,14 +189,12 @@ class Clearance:
         mujoco.mj_collision(self._model, self._data)
 
     def _contact_bodies(self) -> tuple[Array, Any]:
-        """Return distances (C,) and bodies (C, 2) of the contacts.
-
-        MuJoCo's deformable bodies have no geoms; they are infinitely far away.
-        """
+        """Return distances (C,) and bodies (C, 2) of the contacts."""
         contact = self._data.contact
         bodies = self._body_of_geom[contact.geom.reshape(-1, 2)]
         if not self._model.nflex:
             return contact.dist, bodies
+        # Deformable bodies have no geoms; they are infinitely far away.
         return np.where(np.all(contact.geom >= 0, axis=1), contact.dist, np.inf), bodies
 
     def _learn_pairs(self, clearance: float) -> Mapping[str, Sequence[str]]:
@@ -358,11 +353,8 @@ def drop_pairs(mj_model: Any, part: Any, ignored: Any) -> None:
     MuJoCo tests two geoms if a bit of one's ``contype`` is set in the other's ``conaffinity``.
     Geoms that behave alike form a group with a bit of its own; the affinities then say for every
     two groups whether they are tested. Explicit contact pairs of the model are tested as before.
-    A model with too many groups is left as it is.
-
-    Args:
-        part: (nbody,) bodies with equal numbers do not move against each other.
-        ignored: (nbody, nbody) body pairs whose distance does not matter.
+    A model with too many groups is left as it is. Bodies with equal numbers in ``part`` (nbody,)
+    do not move against each other; distances of ``ignored`` pairs (nbody, nbody) do not matter.
     """
     body = mj_model.geom_bodyid
     keys = np.stack((part[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1)

@@ -221,11 +221,9 @@ _SINGULAR = 1e-14
 
 @dataclass(frozen=True)
 class Criterion:
-    """How much a motion leaves unknown of what is asked for.
+    """How much a motion leaves unknown of what is asked for; factor and asked as in ``Known``.
 
-    Attributes:
-        seen: (10, r) scaled directions of the terminal link that some motion shows.
-        factor, asked: see ``Known``.
+    Some motion shows the scaled directions ``seen`` (10, r) of the terminal link.
     """
 
     seen: Array

@@ -162,10 +162,6 @@ def scaled_to_limits(
     Speed and acceleration are proportional to a joint's own motion, so they get a factor per
     joint; torque and clearance get a common one, found by halving and then bisection. Where even
     the smallest motion breaks a limit, that one is returned.
-
-    Args:
-        problem, sample_rate: as in ``check_limits``.
-        plan: random sinusoids.
     """
     rate = max(LEAST_RATE_HZ, sample_rate)
     share = np.max((_peaks(problem, plan, rate).joints / problem.limits.largest)[1:3], axis=0)
@@ -282,12 +278,7 @@ def _tightest(
 
 
 class _Approach:
-    """How far pairs may approach along some samples; worked out for those that are near alone.
-
-    Args:
-        speed: (N, n) of the joints [rad/s].
-        rates: (P, n), see ``Clearance.rates``.
-    """
+    """How far pairs may approach at speeds (N, n), worked out for those that are near alone."""
 
     def __init__(self, speed: Array, rates: Array) -> None:
         self._speed, self._rates = speed, rates

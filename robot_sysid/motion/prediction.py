@@ -114,12 +114,7 @@ def sizes(problem: ExcitationProblem) -> Array:
 def plan_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck, prediction: Prediction
 ) -> Iterator[str]:
-    """Yield the lines ``robot-sysid plan`` prints; those that are a ``Detail`` on demand.
-
-    Args:
-        problem, plan: the arm with its limits, and the motion.
-        check, prediction: of this motion.
-    """
+    """Yield the lines ``robot-sysid plan`` prints; those that are a ``Detail`` on demand."""
     yield from kept_lines(problem, plan, check)
     yield from _promise_lines(prediction)
     yield from _advice_lines(prediction)
@@ -127,7 +122,7 @@ def plan_lines(
 
 
 def kept_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
-    """Say whether the motion may be played, and how near it comes; arguments as ``plan_lines``."""
+    """Say whether the motion may be played, and how near it comes to the arm and what is around."""
     if check.holds:
         nearest = check.nearest
         near = "nothing comes near"
@@ -195,7 +190,7 @@ def remedy_figures(remedy: Remedy) -> str:
 
 
 def motion_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
-    """Yield what a motion does beside its limits; arguments as in ``plan_lines``."""
+    """Yield what a motion does beside its limits."""
     lines = (
         ["Peaks (share of limit):"],
         _joint_lines(problem, check),

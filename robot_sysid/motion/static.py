@@ -80,10 +80,8 @@ _STEP, _MOST_SMALLER, _SMALLER = 0.01, 8, 0.7
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
     """Return the problem with a start where the arm touches nothing and its motors can hold it.
 
-    The model's own pose where that will do, else one near it, which a note then says.
-
-    Raises:
-        InputError: no pose is free of collisions and held; says which bodies, or which joint.
+    The model's own pose where that will do, else one near it, which a note then says; InputError
+    that names bodies or joint where no pose is free of collisions and held.
     """
     collisions = problem.obstacles.at_rest["deep"]
     still, share = (_needed(problem, problem.rest[None], speed)[0] for speed in (0.0, CREEP))
@@ -121,9 +119,8 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
 
 
 def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
-    """Say between what a clearance is not kept on the way from the model's pose to ``start`` (n,).
-
-    Straight in joint space; None where the way is free.
+    """Say between what a clearance is not kept on the straight way in joint space from the model's
+    pose to ``start`` (n,); None where it is free.
     """
     touched = first_contact(problem, straight_way(problem.robot.reference, start))
     return None if touched is None else touched.label
@@ -166,10 +163,8 @@ def _fits(problem: ExcitationProblem, poses: Array) -> Array:
 def design_poses(
     problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
 ) -> LineTrajectory:
-    """Return a motion through informative poses that keeps all limits.
-
-    Raises:
-        InputError: there are too few poses that can be reached.
+    """Return a motion through informative poses that keeps all limits, or raise InputError where
+    too few can be reached.
     """
     # Random poses that leave room to approach them from both sides.
     lower, upper = problem.limits.lower + 2.0 * APPROACH, problem.limits.upper - 2.0 * APPROACH
@@ -263,11 +258,7 @@ def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
 
 
 def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
-    """Return a motion that sweeps every joint that has room, within all limits.
-
-    Raises:
-        InputError: no joint can move.
-    """
+    """Return a motion that sweeps every joint that has room, or raise InputError if none has."""
     wide, share = np.array([_free_way(problem, joint) for joint in range(problem.n_joints)]), 1.0
     for _ in range(_MOST_SMALLER):
         plan = _swept(problem, share * wide, share)

@@ -232,10 +232,8 @@ def _built(kind: str, parts: Mapping[str, Any]) -> Any:
 
 
 def at_speed(plan: _Plan, speed: float) -> _Plan:
-    """Return the trajectory scaled in time: q(s t), s q'(s t), s^2 q''(s t); 0 < s <= 1.
-
-    Raises:
-        InputError: it would be faster, and leave the limits it was made for.
+    """Return the trajectory scaled in time: q(s t), s q'(s t), s^2 q''(s t); InputError unless
+    0 < s <= 1, where it would be faster and leave the limits it was made for.
     """
     if not 0.0 < speed <= 1.0:
         raise InputError(
@@ -292,11 +290,8 @@ def save_trajectory(
 ) -> None:
     """Write a trajectory's coefficients as JSON; the file appears whole or not at all.
 
-    Args:
-        path: file, or an open one.
-        plan: a sum of sinusoids, a Fourier series, poses, or sweeps; else InputError.
-        joint_names: one per joint.
-        sha256: of the model file it was made for.
+    A sum of sinusoids, a Fourier series, poses, or sweeps, else InputError; ``sha256`` is that of
+    the model file it was made for.
     """
     content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "joints": list(joint_names)}
     if sha256:
@@ -310,10 +305,8 @@ def save_trajectory(
 
 
 def load_trajectory(path: Path) -> SavedTrajectory:
-    """Read a trajectory that ``save_trajectory`` has written, in this version or an earlier one.
-
-    Raises:
-        InputError: the file cannot be read, or is something else; says what.
+    """Read a trajectory that ``save_trajectory`` has written, in this version or an earlier one;
+    InputError says what else the file is, or why it cannot be read.
     """
     content = read_json(
         Path(path), "--trajectory takes the .json file that robot-sysid plan writes"

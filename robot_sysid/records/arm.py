@@ -16,10 +16,8 @@ Array = NDArray[np.float64]
 
 
 def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array:
-    """Return a read-only float view of ``value``, or raise InputError naming what is wrong.
-
-    Args:
-        shape: expected length per axis; None accepts any length.
+    """Return a read-only float view of ``value``, or raise InputError naming what is wrong: each
+    axis has the expected length, any where that is None.
     """
     array = np.asarray(value, dtype=np.float64).view()
     fits = array.ndim == len(shape) and all(

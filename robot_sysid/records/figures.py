@@ -23,12 +23,8 @@ _MOST_PERCENT = 1000.0
 
 
 def figure(value: float, error: float | None = None) -> str:
-    """Return a number with as many digits as its error deserves, and never 0.000 for one that is
-    not zero.
-
-    Args:
-        error: its standard error, of which two digits count; None or infinite for four digits of
-            the number itself.
+    """Return a number with as many digits as its standard error deserves, of which two count, and
+    never 0.000 for one that is not zero; four of its own where the error is None or infinite.
     """
     if not math.isfinite(value):
         return "not known"

@@ -67,11 +67,7 @@ _IN_BAM = {
 
 
 def export_params_json(result: Result, path: Path, notes: Sequence[str] = ()) -> None:
-    """Write params.json; ``notes`` come beside those of the result, one sentence each.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write params.json, or raise InputError; ``notes``, a sentence each, join the result's."""
     write_whole(path, params_json_text(result, notes=notes))
 
 
@@ -81,10 +77,8 @@ def params_json_text(
     notes: Sequence[str] = (),
     failure: str | None = None,
 ) -> str:
-    """Return the text of params.json, with the payload's cards; notes are one sentence each.
-
-    Args:
-        failure: why nothing may be used of a result that may be used for itself, or None.
+    """Return the text of params.json, with the payload's cards, notes of one sentence each, and why
+    nothing may be used of a result that may be used for itself, or None.
     """
     found = replace(result, notes=(*result.notes, *notes))
     content = {

@@ -289,13 +289,8 @@ BUNDLE_NAME, ASSETS = "bundle", "assets"
 
 
 def write_bundle(model: Path, folder: Path) -> Path:
-    """Copy a written model and all files it refers to into a folder, and load it from there.
-
-    Args:
-        folder: its output folder; an earlier bundle in it is replaced.
-
-    Returns:
-        The model in the bundle.
+    """Copy a written model and all files it refers to into its output folder's bundle, in place of
+    an earlier one, and load it from there; returns the model in the bundle.
 
     Raises:
         ExportError: it refers to another model, or the copy does not load as the same model.
@@ -326,10 +321,8 @@ def _put_in_place(draft: Path, place: Path, earlier: Path) -> None:
 
 
 def model_in_memory(model: Path) -> Any:
-    """Return a model and all files it refers to as a ``mujoco.MjSpec`` that needs no files.
-
-    Raises:
-        ExportError: it refers to another model, or this MuJoCo is older than 3.2.
+    """Return a model and all files it refers to as a ``mujoco.MjSpec`` that needs no files, or
+    raise ExportError where it refers to another model, or this MuJoCo is older than 3.2.
     """
     if not hasattr(mujoco, "MjSpec"):
         raise ExportError(f"a spec needs MuJoCo 3.2 or later, not {mujoco.__version__}; use save()")

@@ -42,14 +42,11 @@ def play(
     since: Callable[[ProcessedSignals], float] = lambda log: -np.inf,
     held_out: str = "the validation log",
 ) -> RolloutTest:
-    """Play logs with the model before and with the one that ``write`` writes, read from its file.
+    """Play logs with the model before and with the one that ``write`` writes, read from its file;
+    return the figures, or why there are none.
 
-    Args:
-        since: from when on a log is played [s]; ``split_time`` where the rest was fitted.
-        held_out: what that is, in words.
-
-    Returns:
-        The figures, or why there are none.
+    A log is played ``since`` some time on [s], ``split_time`` where the rest was fitted; what is
+    ``held_out`` so is told in words.
     """
     try:
         pieces = [p for log in signals for p in playback.pieces_of_signals(log, since(log))]
@@ -117,14 +114,8 @@ def torque_error(
 
     The model's inverse dynamics holds its links, gravity, rotor inertia, springs and all damping;
     its dry friction is Coulomb's. It passes the same low-pass as the measured torque. Of what is
-    left, each joint's mean is taken out.
-
-    Args:
-        robot: the arm, which says where the chain's joints are; their places are the same in
-            ``model``.
-
-    Raises:
-        InputError: the file cannot be loaded.
+    left, each joint's mean is taken out. The chain's joints have the robot's places in the model;
+    InputError where its file cannot be loaded.
     """
     compiled = compile_model(model).mj_model if isinstance(model, Path) else model
     dofs, dynamics = robot.dof_index, ArmDynamics(robot, compiled)

@@ -81,10 +81,8 @@ def two_lines(use: str, then: str) -> tuple[str, ...]:
 
 
 def verdict_lines(result: Result, failure: str | None = None) -> tuple[str, ...]:
-    """Return one or two lines: whether to use a result, and what to do next.
-
-    Args:
-        failure: why nothing may be used of a result that may be used for itself, or None.
+    """Return one or two lines: whether to use a result, or why not (a failure, of a result that may
+    be used for itself), and what to do next.
     """
     failure = refusal(result) or failure
     if failure is not None:

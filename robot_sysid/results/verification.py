@@ -115,11 +115,8 @@ def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
 
 
 def verify_written_model(original: Any, written: Path, change: ModelChange) -> CompiledModel:
-    """Compile a written model, compare it with the original, and return it.
-
-    Raises:
-        ExportError: it does not load, something else changed, or a number is not what was asked
-            for; names the field.
+    """Compile a written model, compare it with the original, and return it; ExportError names the
+    field if something else changed, or is not what was asked for, or says that it does not load.
     """
     compiled = compiled_again(written)
     require_change(original, compiled.mj_model, change)
@@ -163,11 +160,8 @@ def compiled_again(written: Path) -> CompiledModel:
 def require_same_model(
     original: Any, other: Any, changed: Mapping[str, Collection[int]], new: int | None = None
 ) -> None:
-    """Raise ExportError naming the first compiled field that differs and may not.
-
-    Args:
-        changed: compiled field to those of its rows that may differ.
-        new: id of the one body that the other model has more, if any.
+    """Raise ExportError naming the first compiled field that differs and may not, but for rows of
+    ``changed`` fields, and for the one body, if any, that the other model has more, by its id.
     """
     theirs, skipped = dict(compiled_fields(other)), DERIVED | PATHS
     if new is not None:
@@ -185,10 +179,8 @@ def require_same_model(
 def require_theta(
     mj_model: Any, body_id: int, theta: Array, size: Array, tolerance: float = TOLERANCE
 ) -> None:
-    """Raise ExportError unless a compiled body has the parameters theta (10,).
-
-    Args:
-        size: (10,) a body that says what is large; deviations are relative to it.
+    """Raise ExportError unless a compiled body has the parameters theta (10,); deviations are
+    relative to a body (10,) that says what is large.
     """
     mass, _, inertia = spatial.com_from_theta(size)
     scale = spatial.parameter_scale(mass, spatial.characteristic_length(size))
@@ -264,10 +256,8 @@ def require_reproduction(
     motion: Motion,
     path: Path,
 ) -> None:
-    """Raise ExportError where a written model takes other torques than were identified.
-
-    Args:
-        thetas: (n, 10) links that were identified, in their bodies' frames.
+    """Raise ExportError where a written model takes other torques than those of the links (n, 10)
+    that were identified, in their bodies' frames.
     """
     asked = replace(robot, mj_model=copy.copy(robot.mj_model))
     for each in _asked(robot.mj_model, change):

@@ -305,12 +305,8 @@ class ArmStepper:
         self._columns = np.empty_like(self._units)
 
     def step(self, torque: Array, damping: Array) -> Array:
-        """Advance one step under ``torque - damping qd`` and return what acted (n,) [N m].
-
-        Damping (n,) is in N m s/rad.
-
-        Raises:
-            SimulationError: the state is not finite any more.
+        """Advance one step under ``torque - damping qd`` and return what acted (n,) [N m], of
+        damping (n,) [N m s/rad]; SimulationError where the state is not finite any more.
         """
         mobility, bias = self._dynamics()
         h = self.timestep

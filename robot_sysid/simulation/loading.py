@@ -22,14 +22,9 @@ GEOMETRY_TOLERANCE = 1e-6
 def load_plant(robot: RobotModel, plant_path: Path, mesh_dir: Path | None = None) -> RobotModel:
     """Load the model that plays the real arm, matched to the arm to be identified.
 
-    Args:
-        plant_path: MJCF or URDF file with the same joints; masses, friction, armature, fingers
-            and everything else may differ.
-        mesh_dir: folder of its meshes; default what the file says.
-
-    Returns:
-        The plant, held at its own reference configuration apart from the chain. Its notes say
-        where its geometry differs from the robot's.
+    An MJCF or URDF file with the same joints; masses, friction, armature, fingers and everything
+    else may differ. Its meshes are in ``mesh_dir``, or where the file says. Apart from the chain it
+    is held at its own reference configuration; notes say where its geometry differs.
 
     Raises:
         ModelError: the file cannot be used; says why.

@@ -68,10 +68,8 @@ def rollout_copy(robot: RobotModel, timestep: float) -> Any:
 
 
 class Roller:
-    """Rolls a model out, on all processors where MuJoCo can, from many starts at a time.
-
-    Args:
-        model: a ``rollout_copy``; its numbers may change from call to call.
+    """Rolls a ``rollout_copy``, whose numbers may change from call to call, out from many starts at
+    a time, on all processors where MuJoCo can.
     """
 
     def __init__(self, robot: RobotModel, model: Any) -> None:
@@ -204,14 +202,8 @@ def interpolated(at: Array, time: Array, values: Array) -> Array:
 def played(
     robot: RobotModel, windows: Sequence[Start], horizon: float, servo: Servo | None
 ) -> tuple[Array, int]:
-    """Return the position error of a model in windows of a log.
-
-    Args:
-        horizon: length of the windows [s].
-        servo: of the closed loop; None for the open one.
-
-    Returns:
-        (root mean square error over all windows (n,) [rad or m], how many windows ran away).
+    """Return the position error of a model in windows of a log that are ``horizon`` [s] long: root
+    mean square over all windows (n,) [rad or m], and how many ran away; open loop without a servo.
     """
     steps = max(1, round(horizon / STEP))
     model = rollout_copy(robot, horizon / steps)

@@ -162,12 +162,8 @@ def set_servos(model: Any, robot: RobotModel, servos: Servos) -> None:
 
 @dataclass(frozen=True)
 class Window:
-    """Where a rollout starts, and the commands that drive it.
-
-    Attributes:
-        start: [s].
-        q, qd: (n,) state there.
-        time, command: (N,), (N, n) when each command was given [s], and what was asked [rad].
+    """Where a rollout starts [s], in which state (n,), and the commands that drive it: when each
+    was given (N,) [s], and what was asked (N, n) [rad].
     """
 
     start: float
@@ -199,12 +195,8 @@ class ServoRollouts:
     def played(
         self, choices: Sequence[Servos], windows: Sequence[Window], edges: Array
     ) -> Iterator[Array]:
-        """Yield positions (W, S + 1, n) of each choice of servos in every window.
-
-        Args:
-            choices: servos and joints.
-            windows: W of them, all of one length.
-            edges: (S + 1,) ends of the steps, from the start of a window [s].
+        """Yield positions (W, S + 1, n) of each choice of servos in W windows of one length, whose
+        steps have these edges (S + 1,) from the start of a window [s].
         """
         robot, model = self.robot, self._roller.model
         model.opt.timestep = edges[1] - edges[0]
