@@ -249,56 +249,16 @@ def recognise_columns(
     Raises:
         ColumnsError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
-    known: dict[str, Sequence[Source] | None] = {}
-    try:
-        return _recognised(
-            titles, joint_names, chosen, first_row, is_slide, currents, commanded, known
-        )
-    except InputError as error:
-        is_declared = chosen.columns or chosen.time or chosen.rate
-        asked = "command" if commanded else "torque"
-        text = "" if is_declared else draft(titles, joint_names, asked, known)
-        raise ColumnsError(str(error), text) from None
-
-
-def _recognised(
-    titles: Sequence[str],
-    joint_names: Sequence[str],
-    chosen: ColumnChoices,
-    first_row: Sequence[str],
-    is_slide: Sequence[bool],
-    currents: bool,
-    commanded: bool,
-    known: dict[str, Sequence[Source] | None],
-) -> ColumnMap:
     plain = [naming.read_title(title) for title in titles]
     parsed = naming.with_meaning(plain, joint_names, currents, commanded)
-    # What the file names in full need not be recognised, and cannot be ambiguous.
-    settled = {k for k, c in chosen.columns.items() if len(c) == len(joint_names)}
-    readable = [t if naming.joint_kind(t) not in settled else naming.read_title("") for t in parsed]
-    found = naming.match_joints(readable, joint_names, first_row)
-    asked, other = ("command", "torque") if commanded else ("torque", "command")
-    columns = _Columns(list(titles), parsed, joint_names, chosen, is_slide, ("position", asked))
-    faults, time = list[str](), None
-    sources: dict[str, tuple[Source, ...] | None] = {}
-    for kind in (kind for kind in naming.QUANTITIES if kind != other):
-        with naming.collected(faults):
-            sources[kind] = columns.of_joints(kind, found)
-    with naming.collected(faults):
-        time = columns.time(found)
-    known.update(sources, time=[time] if time else None)
-    if faults:
-        raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(titles)}")
-    used = {s.index for group in (*sources.values(), [time]) for s in group or () if s}
-    unused = tuple(title for index, title in enumerate(titles) if index not in used)
-    position, torque = sources["position"], sources[asked]
-    if position is None or torque is None:
-        raise InputError(f"position and {asked} cannot be left out; {naming.REMEDY}")
-    declared = chosen.angle_unit is not None or all(parsed[s.index].unit for s in position)
-    return ColumnMap(
-        time, chosen.rate, position, torque, sources["velocity"], sources["acceleration"],
-        sources["joint_time"], unused, declared, commanded,
-    )  # fmt: skip
+    columns = _Columns(list(titles), parsed, joint_names, chosen, is_slide, commanded)
+    known: dict[str, Sequence[Source] | None] = {}
+    try:
+        return columns.recognised(first_row, known)
+    except InputError as error:
+        is_declared = chosen.columns or chosen.time or chosen.rate
+        text = "" if is_declared else draft(titles, joint_names, columns.asked, known)
+        raise ColumnsError(str(error), text) from None
 
 
 @dataclass(frozen=True)
@@ -310,7 +270,45 @@ class _Columns:
     _joints: Sequence[str]
     _chosen: ColumnChoices
     _is_slide: Sequence[bool]
-    _needed: tuple[str, str]
+    _commanded: bool
+
+    @property
+    def asked(self) -> str:
+        """What is needed beside positions."""
+        return "command" if self._commanded else "torque"
+
+    def recognised(
+        self, first_row: Sequence[str], known: dict[str, Sequence[Source] | None]
+    ) -> ColumnMap:
+        """Return the map, or raise InputError; what is recognised is noted as known."""
+        declared, count = self._chosen.columns, len(self._joints)
+        # What the file names in full need not be recognised, and cannot be ambiguous.
+        settled = {kind for kind, columns in declared.items() if len(columns) == count}
+        nothing, kinds = naming.read_title(""), [naming.joint_kind(t) for t in self._titles]
+        readable = [nothing if kind in settled else t for t, kind in zip(self._titles, kinds)]
+        found = naming.match_joints(readable, self._joints, first_row)
+        faults, time = list[str](), None
+        sources: dict[str, tuple[Source, ...] | None] = {}
+        other = "torque" if self._commanded else "command"
+        for kind in (kind for kind in naming.QUANTITIES if kind != other):
+            with naming.collected(faults):
+                sources[kind] = self.of_joints(kind, found)
+        with naming.collected(faults):
+            time = self.time(found)
+        known.update(sources, time=[time] if time else None)
+        if faults:
+            raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(self._texts)}")
+        used = {s.index for group in (*sources.values(), [time]) for s in group or () if s}
+        unused = tuple(text for index, text in enumerate(self._texts) if index not in used)
+        position, torque = sources["position"], sources[self.asked]
+        if position is None or torque is None:
+            raise InputError(f"position and {self.asked} cannot be left out; {naming.REMEDY}")
+        has_unit = self._chosen.angle_unit or all(self._titles[s.index].unit for s in position)
+        return ColumnMap(
+            time, self._chosen.rate, position, torque, sources["velocity"],
+            sources["acceleration"], sources["joint_time"], unused, bool(has_unit),
+            self._commanded,
+        )  # fmt: skip
 
     def of_joints(self, kind: str, found: naming.Found) -> tuple[Source, ...] | None:
         """Return one source per joint, or None where an optional quantity is not there for all."""
@@ -326,7 +324,7 @@ class _Columns:
             sources += [self._source(kind, joint, *place) for place in places]
         if len(sources) == len(self._joints):
             return tuple(sources)
-        if explicit or kind in self._needed:
+        if explicit or kind in ("position", self.asked):
             raise self._incomplete(kind)
         return None
 

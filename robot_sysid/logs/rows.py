@@ -95,8 +95,12 @@ def read_rows(
     titles = [source.title for source in columns.sources()]
     empty = {t: int(n) for t, n in zip(titles, cleaner.empty) if n}
     told = cleaner.n_read, cleaner.odd, empty, cleaner.foreign
-    lines, samples = _samples(columns, kept.taken())
-    return LogRows(lines, samples, *told, thinning.every if thinning else 1, table.word)
+    lines, time, q, tau, *others = kept.taken()
+    qd, qdd, stamps = (values if values.shape[1] else None for values in others)
+    command, tau = (tau, tau - q) if columns.commanded else (None, tau)
+    samples = Measurement(time[:, 0], q, qd, tau, qdd, stamps, command)
+    numbers = np.round(lines[:, 0]).astype(np.int64)
+    return LogRows(numbers, samples, *told, thinning.every if thinning else 1, table.word)
 
 
 class _Kept:
@@ -132,15 +136,6 @@ def followed(table: LogTable, columns: Sequence[int], progress: Progress) -> Ite
         rows += len(block.lines)
         progress.advance(label, min(block.done, 0.999), 1.0, f"{rows} rows")
     progress.advance(label, 1.0, 1.0, "")
-
-
-def _samples(columns: ColumnMap, parts: Sequence[Array]) -> tuple[Lines, Measurement]:
-    """Return (lines, samples) of cleaned rows: line, time, then the columns' groups."""
-    lines, time, q, tau, *others = parts
-    qd, qdd, stamps = (values if values.shape[1] else None for values in others)
-    numbers = np.round(lines[:, 0]).astype(np.int64)
-    command, tau = (tau, tau - q) if columns.commanded else (None, tau)
-    return numbers, Measurement(time[:, 0], q, qd, tau, qdd, stamps, command)
 
 
 class _Cleaner:

@@ -274,9 +274,14 @@ def lerobot_table(asked: table.Asked) -> table.LogTable:
         )
     present = [name for name in titles if titles[name]]
     frames = _frames(path, ["timestamp", "episode_index", *present])
-    wanted = _wanted(path, asked.options.episode, frames["episode_index"])
-    index = frames.pop("episode_index")
-    pieces = [[values[index == episode] for values in frames.values()] for episode in wanted]
+    index = frames.pop("episode_index").astype(int)
+    found, wanted = sorted(set(index.tolist())), asked.options.episode
+    if not found:
+        raise InputError(f"{path} holds no frames; download the data set whole")
+    missing = sorted(set(wanted) - set(found))
+    if missing:
+        raise InputError(f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}")
+    pieces = [[v[index == episode] for v in frames.values()] for episode in wanted or found]
     width = sum(values.reshape(len(values), -1).shape[1] for values in frames.values())
     version, fps = info.get("codebase_version", "?"), info.get("fps", "unknown")
     layout = f"LeRobot data set {version} at {fps} Hz, {len(pieces)} episodes"
@@ -285,16 +290,6 @@ def lerobot_table(asked: table.Asked) -> table.LogTable:
         fault = f"names {len(flat)} numbers of a frame in meta/info.json, not {width - 1}"
         raise InputError(f"{path} {fault}; download the data set whole")
     return table.pieces_table(path, layout, ("timestamp [s]", *flat), pieces)
-
-
-def _wanted(path: Path, episodes: Sequence[int], index: Array) -> list[int]:
-    found = sorted(set(index.astype(int).tolist()))
-    if not found:
-        raise InputError(f"{path} holds no frames; download the data set whole")
-    missing = sorted(set(episodes) - set(found))
-    if missing:
-        raise InputError(f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}")
-    return list(episodes) or found
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:
