@@ -19,14 +19,6 @@ from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import Motion, RobotModel, atomic_files
-from robot_sysid.records.atomic_files import (
-    CARD_NAME,
-    DAMIAO_NAME,
-    MODEL_NAMES,
-    PARAMS_NAME,
-    RUN_NAME,
-    SERVO_NAME,
-)
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.cards import Card, card_text, payload_cards
@@ -39,11 +31,12 @@ from robot_sysid.results.verdict import refusal
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
-_BESIDE = ("report_data.npz", RUN_NAME)
+_BESIDE = ("report_data.npz", atomic_files.RUN_NAME)
 """What a command writes once the results are in their places."""
 RESULT_NAMES = (
-    *(PARAMS_NAME, "arm.json", "friction.json", SERVO_NAME, *MODEL_NAMES.values()),
-    *(CARD_NAME, DAMIAO_NAME, "report.html"),
+    *(atomic_files.PARAMS_NAME, "arm.json", "friction.json", atomic_files.SERVO_NAME),
+    *atomic_files.MODEL_NAMES.values(),
+    *(atomic_files.CARD_NAME, atomic_files.DAMIAO_NAME, "report.html"),
 )
 """What a run leaves, whichever command and release it was; a planned motion is no result."""
 MotorFile = Callable[[TextIO], "DamiaoExportReport"]
@@ -138,23 +131,23 @@ def save(
     with atomic_files.whole_files() as files:
         if failure is None and not calibrates:
             # Drafted first, it takes its place last: what the other files say then holds for it.
-            path = folder / MODEL_NAMES[robot.kind]
+            path = folder / atomic_files.MODEL_NAMES[robot.kind]
             target = ModelTarget(files, path, checkpoints, result.estimate.rmse, mesh_dir)
             try:
                 notes = write_model(result, robot, target, as_body)
                 written.append(path)
             except ExportError as error:
-                failure = f"{error} (the identified numbers are in {PARAMS_NAME})"
+                failure = f"{error} (the identified numbers are in {atomic_files.PARAMS_NAME})"
             if result.payload is not None:
                 cards, text = _card_file(result, result.payload)
-                written.append(folder / CARD_NAME)
+                written.append(folder / atomic_files.CARD_NAME)
                 files.write(written[-1], text)
         if motor_file is not None:
-            written.append(folder / DAMIAO_NAME)
+            written.append(folder / atomic_files.DAMIAO_NAME)
             with files.open(written[-1]) as file:
                 report = motor_file(file)
         text = params_json_text(result, cards, notes, failure)
-        written.append(folder / PARAMS_NAME)
+        written.append(folder / atomic_files.PARAMS_NAME)
         files.write(written[-1], text)
         read = (*inputs, *(file.path for file in read_document(robot.path).files))
         notes += remove_earlier(files, folder, written, read)

@@ -28,14 +28,7 @@ from robot_sysid.json_files import read_json
 from robot_sysid.logs import column_map
 from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.columns import joint_kind, read_title
-from robot_sysid.logs.formats.arrays import (
-    feather_table,
-    hdf5_table,
-    lerobot_table,
-    matlab_table,
-    npz_table,
-    parquet_table,
-)
+from robot_sysid.logs.formats import arrays
 from robot_sysid.logs.formats.ros_bag import bag_table
 from robot_sysid.logs.formats.table import Asked, LogTable
 from robot_sysid.logs.formats.text import is_number, text_table
@@ -177,17 +170,17 @@ def write_measurement_csv(
 
 _FORMS: Mapping[bytes, Callable[[Asked], LogTable]] = {
     **dict.fromkeys((b"\x89MCAP0", b"#ROSBAG V", b"SQLite format 3"), bag_table),
-    b"MATLAB 5.0": matlab_table,
+    b"MATLAB 5.0": arrays.matlab_table,
     # .mat files are HDF5 since version 7.3.
-    **dict.fromkeys((b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"), hdf5_table),
-    b"PK\x03\x04": npz_table,
-    b"PAR1": parquet_table,
-    b"ARROW1": feather_table,
+    **dict.fromkeys((b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"), arrays.hdf5_table),
+    b"PK\x03\x04": arrays.npz_table,
+    b"PAR1": arrays.parquet_table,
+    b"ARROW1": arrays.feather_table,
 }
 """How files of a form begin, to what reads it; what begins otherwise is a text table."""
-_FOLDERS = {"metadata.yaml": bag_table, "meta/info.json": lerobot_table}
+_FOLDERS = {"metadata.yaml": bag_table, "meta/info.json": arrays.lerobot_table}
 """The file by which a folder is known, to what reads it."""
-_ONLY = {"topic": ("a ROS bag", bag_table), "episode": ("a LeRobot data set", lerobot_table)}
+_ONLY = {"topic": ("a ROS bag", bag_table), "episode": ("a LeRobot data set", arrays.lerobot_table)}
 """Options that only one form knows."""
 
 

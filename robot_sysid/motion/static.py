@@ -23,16 +23,11 @@ import numpy as np
 
 from robot_sysid.dynamics.kinematics import ChainKinematics
 from robot_sysid.errors import InputError
+from robot_sysid.motion import trajectories
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.options import PoseOptions
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.motion.trajectories import (
-    PEAK_ACCELERATION,
-    PEAK_OF_RAMP,
-    PEAK_SPEED,
-    LineTrajectory,
-    straight_way,
-)
+from robot_sysid.motion.trajectories import LineTrajectory, straight_way
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.regressor import joint_regressor
 from robot_sysid.trajectory import TORQUE_MARGIN
@@ -236,8 +231,8 @@ def _through(
     points.append(problem.rest)
     dwells.append(0.0)
     steps, limits = np.abs(np.diff(points, axis=0)), problem.limits
-    by_speed = PEAK_SPEED * steps / np.minimum(limits.velocity, GENTLE)
-    by_acceleration = np.sqrt(PEAK_ACCELERATION * steps / limits.acceleration)
+    by_speed = trajectories.PEAK_SPEED * steps / np.minimum(limits.velocity, GENTLE)
+    by_acceleration = np.sqrt(trajectories.PEAK_ACCELERATION * steps / limits.acceleration)
     times = np.maximum(np.max(np.maximum(by_speed, by_acceleration), axis=1), SHORTEST_MOVE)
     return LineTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
 
@@ -332,7 +327,7 @@ def _timed(
     joint = np.argmax(np.abs(ways), axis=1)
     length = np.max(np.abs(ways), axis=1)
     hardest = SHARE * share * problem.limits.acceleration[joint]
-    ramps = np.maximum(PEAK_OF_RAMP * speeds / hardest, SHORTEST_RAMP)
+    ramps = np.maximum(trajectories.PEAK_OF_RAMP * speeds / hardest, SHORTEST_RAMP)
     # Speed v over a way s takes s / v + ramp; where ramps do not fit, the way is ramps alone.
     moves = np.maximum(length / speeds + ramps, 2.0 * ramps)
     return LineTrajectory(points, moves, np.zeros(len(points)), ramps)

@@ -22,19 +22,12 @@ from robot_sysid import __version__
 from robot_sysid.dynamics.kinematics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.interrupts import held_back
+from robot_sysid.mjcf import write_back
 from robot_sysid.mjcf.assets import bundled_text, find_assets
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import setting_number
 from robot_sysid.mjcf.updated_model import changed_model_text
-from robot_sysid.mjcf.write_back import (
-    ActuatorChange,
-    BodyChange,
-    JointChange,
-    ModelChange,
-    WeldedBody,
-    WriteBack,
-    plan_write_back,
-)
+from robot_sysid.mjcf.write_back import BodyChange, JointChange, ModelChange, WeldedBody
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import place_in_carrier
@@ -115,7 +108,7 @@ def write_model(
 def write_joints(
     robot: RobotModel,
     joints: Sequence[JointChange],
-    actuators: Sequence[ActuatorChange],
+    actuators: Sequence[write_back.ActuatorChange],
     target: ModelTarget,
 ) -> tuple[str, ...]:
     """Write a model with new numbers for its joints and servos; errors as in ``write_model``."""
@@ -200,12 +193,12 @@ def _body_changes(
                 f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
                 f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
             )
-        plan = plan_write_back(thetas[k], parts, bound, most_inflated(errors[k]))
+        plan = write_back.plan_write_back(thetas[k], parts, bound, most_inflated(errors[k]))
         held[k] = plan.written(thetas[k])
         changes.append(BodyChange(link.body_name, link.body_id, plan, "; ".join(words[k]) or None))
         scaled = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
         for part in plan.scaled:
-            rest = WriteBack(plan.scale * body_theta(robot.mj_model, part.body_id))
+            rest = write_back.WriteBack(plan.scale * body_theta(robot.mj_model, part.body_id))
             changes.append(BodyChange(part.name, part.body_id, rest, scaled))
     return tuple(changes), held
 
@@ -229,7 +222,7 @@ def _welded(robot: RobotModel, payload: Payload, name: str, words: str) -> Welde
     rotation, translation = place_in_carrier(robot, flange)
     carrier = body_label(robot.mj_model, flange.carrier)
     nothing = SubtreeBody(0, name, np.zeros(10), True)
-    theta = plan_write_back(payload.body.inertial.theta, [nothing]).theta
+    theta = write_back.plan_write_back(payload.body.inertial.theta, [nothing]).theta
     return WeldedBody(name, carrier, rotation, translation, theta, f"{words} at {flange.name}")
 
 
