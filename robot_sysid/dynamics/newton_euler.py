@@ -83,12 +83,12 @@ class LinkDynamics:
     def __init__(self, robot: RobotModel, gravity: Array | None = None) -> None:
         self._home, self._slides = robot.reference, robot.is_slide
         self._screws = tuple(link.screw for link in robot.links)
-        self._brackets = [_bracket(screw) for screw in self._screws]
-        self._steps = [
-            np.stack((at_home, -ad @ at_home, ad @ ad @ at_home), axis=-1)
-            for ad, link in zip(self._brackets, robot.links)
-            for at_home in (_into(link.rotation, link.translation),)
-        ]
+        # ad(S), and what Ad(T^-1) has of 1, sin d and 1 - cos d, by that at home.
+        self._brackets = [_lower(skew(screw[:3]), skew(screw[3:])) for screw in self._screws]
+        self._steps = []
+        for ad, link in zip(self._brackets, robot.links):
+            at_home = _lower(link.rotation.T, -link.rotation.T @ skew(link.translation))
+            self._steps.append(np.stack((at_home, -ad @ at_home, ad @ ad @ at_home), axis=-1))
         options = robot.mj_model.opt
         weightless = options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         there = np.array(options.gravity) if gravity is None else gravity
@@ -109,16 +109,6 @@ class LinkDynamics:
             acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
             moves.append((velocity, acceleration, step, screw))
         return LinksMotion(*zip(*moves))
-
-
-def _into(rotation: Array, translation: Array) -> Array:
-    """Return Ad(T^-1) (6, 6) of a pose: rotation (3, 3), translation (3,)."""
-    return _lower(rotation.T, -rotation.T @ skew(translation))
-
-
-def _bracket(twist: Array) -> Array:
-    """Return ad(V) (6, 6) of a twist (6,)."""
-    return _lower(skew(twist[:3]), skew(twist[3:]))
 
 
 def _lower(turn: Array, shift: Array) -> Array:

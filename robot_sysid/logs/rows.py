@@ -164,7 +164,12 @@ class _Cleaner:
         usable = self._usable(block, cells)
         lines, cells = lines[usable], cells[usable]
         if len(cells):
-            self._new_piece(block.piece, cells)
+            if block.piece != self._piece:
+                # A piece has a clock of its own; it is put behind the one before.
+                self._piece, self._turns = block.piece, np.zeros(self._n)
+                if self._last is not None and self._columns.time is not None:
+                    self._offset = float(self._last[0] + APART - cells[0, 0])
+                self._last = None
             cells[:, 0] += self._offset
             later = self._later(lines, cells[:, 0])
             lines, cells = lines[later], cells[later]
@@ -191,15 +196,6 @@ class _Cleaner:
         self._count(MISSING, block.lines[missing])
         self.empty += (~np.isfinite(block.cells[missing])).sum(axis=0)
         return np.asarray(finite & ~noise)
-
-    def _new_piece(self, piece: int, cells: Array) -> None:
-        """Put a piece with a clock of its own behind the one before."""
-        if piece == self._piece:
-            return
-        self._piece, self._turns = piece, np.zeros(self._n)
-        if self._last is not None and self._columns.time is not None:
-            self._offset = float(self._last[0] + APART - cells[0, 0])
-        self._last = None
 
     def _later(self, lines: Lines, time: Array) -> NDArray[np.bool_]:
         """Return (R,) whether each row is later than all before; count the others."""

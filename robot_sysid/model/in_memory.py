@@ -58,7 +58,10 @@ def file_of(model: Any) -> Path:
         mujoco.mj_saveLastXML(str(path), model)
         # MuJoCo's first releases write the last model that was loaded, whichever is asked for.
         again = _loaded(path)
-        if (again is None or _alike(model, again)) and _names(model) <= _names_in(path):
+        bodies = {model.body(k).name for k in range(1, model.nbody)}
+        names = bodies | {model.joint(k).name for k in range(model.njnt)}
+        there = re.findall('\\bname="([^"]*)"', path.read_text(encoding="utf-8"))
+        if (again is None or _alike(model, again)) and names - {""} <= {*map(unescape, there)}:
             _WRITTEN[model] = path, again
             return path
     path, again = _WRITTEN.get(model, (folder, None))
@@ -110,12 +113,3 @@ def _alike(model: Any, other: Any) -> bool:
     """Tell whether two compiled models are the same arm to the digits that MuJoCo writes."""
     pairs = [(getattr(model, name), getattr(other, name)) for name in _COMPARED]
     return all(a.shape == b.shape and np.allclose(a, b, _SAME, 1e-9) for a, b in pairs)
-
-
-def _names(model: Any) -> set[str]:
-    bodies = (model.body(k).name for k in range(1, model.nbody))
-    return {*bodies, *(model.joint(k).name for k in range(model.njnt))} - {""}
-
-
-def _names_in(path: Path) -> set[str]:
-    return set(map(unescape, re.findall('\\bname="([^"]*)"', path.read_text(encoding="utf-8"))))

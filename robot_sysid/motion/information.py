@@ -115,7 +115,9 @@ class PredictedInformation:
         # The regression of each joint's rows on what only it has.
         transposed = own.transpose(0, 2, 1)
         normal = transposed @ own
-        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None] + self._precision
+        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None]
+        # What is known of what only one joint has is one more row, in units of it.
+        ridge = ridge + np.isfinite(self.own).T
         gain = np.linalg.solve(normal + ridge[:, None] * np.eye(len(OWN)), transposed @ rows)
         residual = rows - own @ gain
         information = np.zeros((self.theta.size, self.theta.size))
@@ -130,11 +132,6 @@ class PredictedInformation:
         """How many of the parameters each joint's equations have: those of links that it moves."""
         moved = np.any(self.chains.screws != 0.0, axis=0)[list(self.joints)]
         return (10 * np.sum(moved, axis=1)).tolist()
-
-    @property
-    def _precision(self) -> Array:
-        """Precision (rows, 7) of what only one joint has, in units of what is known of it."""
-        return np.isfinite(self.own).astype(float).T
 
     def _own(self, qd: Array, qdd: Array, torque: Array) -> tuple[Array, list[Array]]:
         """Return Z (rows, N, 7), and what it changes by with speed, acceleration and torque."""

@@ -14,7 +14,7 @@ from robot_sysid.motion.problem import ASKED, ASSUMED, LIMIT_NAMES, MODEL, Excit
 from robot_sysid.motion.solids import swept_space
 from robot_sysid.motion.static import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.figures import percent
+from robot_sysid.records.figures import THETA, percent
 from robot_sysid.records.progress import Detail
 from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
 
@@ -159,8 +159,7 @@ def _promise_lines(prediction: Prediction) -> Iterator[str]:
     if prediction.others:
         listed = ", ".join(f"{name} {percent(s)}" for name, s in prediction.others.items())
         yield f"  mass of the other links: {listed}"
-    units = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
-    for name, deviation, unit in zip(spatial.PARAMETER_NAMES, prediction.deviation, units):
+    for name, deviation, unit in zip(spatial.PARAMETER_NAMES, prediction.deviation, THETA):
         if np.isfinite(deviation):
             yield Detail(f"  {name:3s} ± {deviation:9.2e} {unit}")
 
@@ -184,8 +183,7 @@ def _advice_lines(prediction: Prediction) -> Iterator[str]:
 
 def remedy_figures(remedy: Remedy) -> str:
     """Return the errors that something leads to, in words."""
-    known = remedy.mass == 0.0
-    mass = "" if known else f"mass ± {remedy.mass:.2g} kg, "
+    mass = f"mass ± {remedy.mass:.2g} kg, " if remedy.mass else ""  # none where it is known
     return f"{mass}centre of mass ± {1e3 * remedy.centre:.2g} mm"
 
 

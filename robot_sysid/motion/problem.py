@@ -269,7 +269,10 @@ def build_problem(
     """
     motion_limits, origins = _limits(robot, limits, top_frequency_hz)
     rest = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
-    notes = _moved_rest_note(robot, rest)
+    names = zip(robot.joint_names, rest, robot.reference)
+    moved = [f"{name} at {q:.3f} instead of {own:.3f}" for name, q, own in names if q != own]
+    words = "the reference configuration is at or beyond a position limit; the motion starts and"
+    notes = (f"{words} ends with {', '.join(moved)}",) if moved else ()
     base = _above_base(robot, limits, rest)
     obstacles, more = _obstacles(robot, limits, rest, base)
     links, chains = link_chains(robot)
@@ -351,16 +354,6 @@ def _limits(
     }
     origins["torque"][~np.isfinite(limits.torque)] = NONE
     return limits, origins
-
-
-def _moved_rest_note(robot: RobotModel, rest: Array) -> tuple[str, ...]:
-    moved = ", ".join(
-        f"{name} at {q:.3f} instead of {reference:.3f}"
-        for name, q, reference in zip(robot.joint_names, rest, robot.reference)
-        if q != reference
-    )
-    words = "the reference configuration is at or beyond a position limit; the motion starts and"
-    return (f"{words} ends with {moved}",) if moved else ()
 
 
 def _above_base(robot: RobotModel, options: LimitOptions, rest: Array) -> tuple[HalfSpace, ...]:

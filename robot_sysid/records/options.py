@@ -136,14 +136,13 @@ def command_words(values: Mapping[str, Any], *records: Any) -> list[str]:
             continue
         for one in given if each.repeats else (given,):
             apart = each.several or isinstance(each.metavar, tuple)
-            parts = [_word(part) for part in (one if isinstance(one, tuple) else (one,))]
+            parts = [
+                f"{part:.12g}" if isinstance(part, float) else str(part)
+                for part in (one if isinstance(one, tuple) else (one,))
+            ]
             said = [] if each.parse is None else parts if apart else [",".join(parts)]
             words += [each.flag, *said]
     return words
-
-
-def _word(value: Any) -> str:
-    return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
 def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:

@@ -17,7 +17,7 @@ from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_
 from robot_sysid.records.progress import Detail
 from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.cards import NOT_KNOWN, load_errors
-from robot_sysid.results.record import BaseParameters, BodyEstimate, Payload, Result
+from robot_sysid.results.record import BaseParameters, Payload, Result
 from robot_sysid.results.tables import asked_rows, friction_text, link_rows, shown, table_lines
 from robot_sysid.results.verdict import limitations, verdict_lines
 
@@ -131,13 +131,6 @@ def _mass_line(result: Result) -> Iterator[str]:
     yield f"{line}; {alone}, as written in the file: {plan.theta[0]:.4g} kg"
 
 
-def _causes(body: BodyEstimate) -> Iterator[str]:
-    parts, least = body.mass_causes.items(), _SMALL * float(body.errors[0])
-    named = sorted((item for item in parts if item[1] > least), key=lambda i: -i[1])
-    if np.isfinite(least) and named:
-        yield "Error of the mass by cause, kg: " + ", ".join(f"{k} {v:.2g}" for k, v in named)
-
-
 def _payload_lines(payload: Payload) -> Iterator[str]:
     for words, body in (("without", payload.link), ("with", payload.total)):
         mass, *errors = load_errors(body)[:4].tolist()
@@ -211,7 +204,10 @@ def _beside(on: str, file: Validation, fit: Validation) -> Iterator[str]:
 
 
 def _details(result: Result) -> Iterator[str]:
-    yield from _causes(result.body)
+    parts, least = result.body.mass_causes.items(), _SMALL * float(result.body.errors[0])
+    causes = sorted((item for item in parts if item[1] > least), key=lambda item: -item[1])
+    if np.isfinite(least) and causes:
+        yield "Error of the mass by cause, kg: " + ", ".join(f"{k} {v:.2g}" for k, v in causes)
     yield from _joint_lines(result) if result.is_measured else ()
     estimate = result.estimate
     scaled = estimate.identifiability.scaled_condition_number
