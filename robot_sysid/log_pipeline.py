@@ -36,8 +36,7 @@ from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
 from robot_sysid.results.record import Result
 from robot_sysid.results.rollout import LAST_FIFTH, fitted_rows, play, split_time, torque_error
 from robot_sysid.signals.resampling import MOST_KEPT, bounded
-from robot_sysid.simulation.closed_loop import PlantSimulation
-from robot_sysid.simulation.loading import load_plant
+from robot_sysid.simulation.closed_loop import PlantSimulation, load_plant
 from robot_sysid.trajectory import CHUNK, sample_count
 
 _NOISE_STREAM = 1

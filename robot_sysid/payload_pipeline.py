@@ -23,8 +23,7 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.results.record import Figure, Payload, Result
 from robot_sysid.signals.poses import resting_poses
-from robot_sysid.simulation.closed_loop import PlantSimulation
-from robot_sysid.simulation.loading import load_plant
+from robot_sysid.simulation.closed_loop import PlantSimulation, load_plant
 
 SIMULATED_ORDER = "ABBA"
 _NOISE_STREAM = 1
@@ -35,11 +34,8 @@ cannot be told apart: 0 for A B, 0.2 for A A B B at equal distances, 1 for A B B
 
 @dataclass(frozen=True)
 class RawRecording(Piece):
-    """A whole log as it was read or simulated, its place not looked for yet.
-
-    Attributes:
-        pieces: it, cut at long holes.
-        notes: what reading it had to say, one sentence each.
+    """A whole log as it was read or simulated, its place not looked for yet; the same cut at long
+    holes, and what reading it had to say, one sentence each.
     """
 
     pieces: tuple[Measurement, ...] = ()

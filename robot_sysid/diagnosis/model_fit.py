@@ -234,10 +234,8 @@ class ModelFit:
         return Fit(cost / n, residual, *found)
 
     def _rows(self, sample: Sample, weightless: bool) -> tuple[Array, Array]:
-        """Return rows (K, n, 14 n) of links and friction, and ``_squares`` of them.
-
-        Those of the last motions are kept: many mistakes that are tried leave the motion as it is.
-        """
+        """Return rows (K, n, 14 n) of links and friction, and ``_squares`` of them."""
+        # Those of the last motions are kept: many mistakes that are tried leave the motion as it is.
         motion = sample.q, sample.qd, sample.qdd
         key = (weightless, *(each.tobytes() for each in motion))
         if key not in self._kept:

@@ -194,10 +194,8 @@ def scale_findings(log: ModelFit) -> Iterator[Finding]:
 
 
 def _better(log: ModelFit, scale: Array, known: NDArray[np.int64]) -> bool:
-    """Return whether the log is more likely with these scales than without.
-
-    With a wrong scale the terminal link has to make up for the whole arm's torque.
-    """
+    """Return whether the log is more likely with these scales than without."""
+    # With a wrong scale the terminal link has to make up for the whole arm's torque.
     before = log.fit(log.sample, known_links=True)
     asked = _without(log.sample, ~np.isin(np.arange(len(scale)), known))
     after = log.fit(asked.with_torque(1.0 / scale), known_links=True)

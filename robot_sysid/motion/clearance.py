@@ -66,13 +66,8 @@ class Closest:
 
 
 class _Nearest:
-    """The tightest pair of each of N configurations, at most the horizon away.
-
-    Attributes:
-        slack, distance: (N,), see ``Closest``.
-        normal, point: (N, 3) in which direction, and where.
-        bodies: (N, 2); the world and one where it is a half-space that is near.
-        space: (N,) which one; -1 where none is.
+    """The tightest pair of each of N configurations, at most the horizon away: in which direction
+    and where (N, 3), bodies (N, 2), the world and one where a half-space is near, which (N,) or -1.
     """
 
     def __init__(self, count: int) -> None:
@@ -198,13 +193,10 @@ class Clearance:
         return np.where(np.all(contact.geom >= 0, axis=1), contact.dist, np.inf), bodies
 
     def _learn_pairs(self, clearance: float) -> Mapping[str, Sequence[str]]:
-        """Settle the distance each pair has to keep, from what it has at rest, where the arm is.
-
-        Bodies of one part do not move against each other.
-        """
+        """Settle the distance each pair has to keep, from what it has at rest, where the arm is."""
         distances, part = dict[tuple[int, int], float](), self._part
         for distance, (a, b) in zip(*self._contact_bodies()):
-            if part[a] != part[b]:
+            if part[a] != part[b]:  # else they do not move against each other
                 pair = (min(int(a), int(b)), max(int(a), int(b)))
                 distances[pair] = min(distances.get(pair, np.inf), float(distance))
         touching = [pair for pair, distance in distances.items() if distance <= 0.0]
@@ -248,9 +240,8 @@ class Clearance:
         return Closest(min(apart, HORIZON), apart, label)
 
     def _sweep(self, rest: Array, joint: int, positions: Array, least: Array) -> float:
-        """Note the least distances (nbody, nbody) of pairs with just this joint between them.
-
-        Returns the position in which one of them is nearest.
+        """Note the least distances (nbody, nbody) of pairs with just this joint between them, and
+        return the position in which one of them is nearest.
         """
         q, nearest, at = rest.copy(), np.inf, float(rest[joint])
         for q[joint] in positions:

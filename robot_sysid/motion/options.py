@@ -208,12 +208,7 @@ class ExcitationOptions(OptionRecord):
 
 @dataclass(frozen=True)
 class PoseOptions(OptionRecord):
-    """What a plan is for.
-
-    Attributes:
-        poses: how many poses a payload is looked at in.
-        dwell: how long each rest lasts [s].
-    """
+    """What a plan is for, in how many poses a payload is looked at, and how long each rests [s]."""
 
     purpose: str = option(
         "link",

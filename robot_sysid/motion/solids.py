@@ -106,15 +106,13 @@ def _shape(mj_model: Any, geom: int) -> tuple[Array, Array]:
 
 
 def _hull_vertices(mj_model: Any, mesh: int) -> Array:
-    """Return the vertices (P, 3) of a mesh; of its convex hull where MuJoCo has computed one.
-
-    ``mesh_graph`` holds [P, F, P addresses, P vertex numbers, ...] for each mesh.
-    """
+    """Return the vertices (P, 3) of a mesh; of its convex hull where MuJoCo has computed one."""
     first, count = int(mj_model.mesh_vertadr[mesh]), int(mj_model.mesh_vertnum[mesh])
     vertices = np.array(mj_model.mesh_vert[first : first + count], dtype=float)
     graph = int(mj_model.mesh_graphadr[mesh])
     if graph < 0:
         return vertices
+    # For each mesh: P, F, P addresses, P vertex numbers, ...
     hull = int(mj_model.mesh_graph[graph])
     return vertices[mj_model.mesh_graph[graph + 2 + hull : graph + 2 + 2 * hull]]
 

@@ -15,11 +15,8 @@ from robot_sysid.records.arm import Array, InertialParameters, JointLimits, chec
 
 @dataclass(frozen=True)
 class Motion:
-    """Chain joint motion on a time grid.
-
-    Attributes:
-        time: (N,) [s].
-        q, qd, qdd: (N, n) positions, velocities, accelerations [rad, rad/s, rad/s^2].
+    """Chain joint motion at times (N,) [s]: positions, velocities and accelerations (N, n) [rad,
+    rad/s, rad/s^2].
     """
 
     time: Array
@@ -206,10 +203,8 @@ class Signals:
 
 @dataclass(frozen=True)
 class Traces(Signals):
-    """All instants of a result; the time starts anew with each log.
-
-    Attributes:
-        truth: what a simulated arm's link really is; None where nobody knows.
+    """All instants of a result; the time starts anew with each log. The truth is what a simulated
+    arm's link really is, None where nobody knows.
     """
 
     limits: JointLimits

@@ -50,11 +50,8 @@ _ONLY_MUJOCO = Detail(
 
 @dataclass(frozen=True)
 class ModelTarget:
-    """Where a model is written to, and what it is checked with.
-
-    Attributes:
-        checkpoints: motion on which the model must reproduce the predicted torque.
-        rmse: of the identification [N m], for the comments.
+    """Where a model is written to, the motion on which it must reproduce the predicted torque, and
+    the residual of the identification [N m], for its comments.
     """
 
     files: WholeFiles
@@ -71,13 +68,8 @@ def write_model(
 
     Links that are the model's own to the last digit are left alone. Where there is no
     ``result.file``, a payload is written onto the model's own links, or else the terminal link
-    alone. Returns notes, one sentence each.
-
-    Args:
-        as_body: name of a new body for the payload; None merges it into the terminal link.
-
-    Raises:
-        ExportError: the model cannot hold it; the draft is withdrawn.
+    alone. The payload gets a body of its own where that is named. Returns notes, one sentence each,
+    or raises ExportError where the model cannot hold it; the draft is withdrawn.
     """
     thetas, errors = _links(result, robot)
     found = {} if result.file is None else result.file.joints

@@ -201,11 +201,8 @@ class ModelFile:
 
 @dataclass(frozen=True)
 class OneRecording:
-    """The payload according to one recording alone, against all of the other kind.
-
-    Attributes:
-        mass, com: of the payload [kg], and (3,) in the flange frame [m].
-        noise_error, error: standard errors of the mass [kg]: of noise alone, and whole.
+    """The payload's mass [kg] and centre of mass (3,) in the flange frame [m] according to one
+    recording alone, against all of the other kind, and the mass's standard errors [kg].
     """
 
     name: str

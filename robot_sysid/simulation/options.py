@@ -22,10 +22,8 @@ def _plausible_delay(value: float) -> str | None:
 class SimulatedArmOptions(OptionRecord):
     """The model that plays the real arm, how it is moved, and how good its sensors are.
 
-    Attributes:
-        simulation: "inverse" computes the torques of the exact trajectory with Coulomb's law;
-            "forward" lets a controller follow it in MuJoCo's forward dynamics with MuJoCo's own
-            dry friction.
+    "inverse" computes the torques of the exact trajectory with Coulomb's law; "forward" lets a
+    controller follow it in MuJoCo's forward dynamics with MuJoCo's own dry friction.
     """
 
     plant_model: Path | None = option(

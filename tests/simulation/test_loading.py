@@ -7,7 +7,7 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.parser import load_robot_model
-from robot_sysid.simulation.loading import load_plant
+from robot_sysid.simulation.closed_loop import load_plant
 from tests.support.arms import FREE_OBJECT_BESIDE, SEVEN, THREE, X, Y, Z, serial_arm
 
 

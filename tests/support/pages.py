@@ -18,8 +18,7 @@ from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress
-from robot_sysid.simulation.closed_loop import PlantSimulation
-from robot_sysid.simulation.loading import load_plant
+from robot_sysid.simulation.closed_loop import PlantSimulation, load_plant
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, recorded
