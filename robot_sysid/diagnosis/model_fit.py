@@ -235,7 +235,7 @@ class ModelFit:
 
     def _rows(self, sample: Sample, weightless: bool) -> tuple[Array, Array]:
         """Return rows (K, n, 14 n) of links and friction, and ``_squares`` of them."""
-        # Those of the last motions are kept: many mistakes that are tried leave the motion as it is.
+        # Those of the last motions are kept: many mistakes that are tried leave them as they are.
         motion = sample.q, sample.qd, sample.qdd
         key = (weightless, *(each.tobytes() for each in motion))
         if key not in self._kept:

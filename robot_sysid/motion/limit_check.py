@@ -74,8 +74,8 @@ class Excess:
 
 @dataclass(frozen=True)
 class Peaks:
-    """Peaks of a trajectory against its limits, clearances apart: the largest absolute value of each
-    of ``problem.signals`` (4 n + 1,), when it is reached [s], and the range of positions (n,) [rad].
+    """Peaks of a trajectory against its limits, clearances apart: the largest absolute value of
+    each of ``problem.signals`` (4 n + 1,), when it is reached [s], and the range of positions (n,).
     """
 
     largest: Array

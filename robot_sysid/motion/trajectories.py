@@ -86,8 +86,8 @@ class FourierBasis:
 
 @dataclass(frozen=True)
 class FourierTrajectory:
-    """A Fourier series per joint, from rest in a configuration (n,) back to it [rad]: offset, K sine
-    and K cosine coefficients (n, 2 K + 1) [rad].
+    """A Fourier series per joint, from rest in a configuration (n,) back to it [rad]: offset, K
+    sine and K cosine coefficients (n, 2 K + 1) [rad].
     """
 
     basis: FourierBasis

@@ -40,8 +40,8 @@ def check_arrays(record: Any, **shapes: tuple[int | None, ...]) -> None:
 
 @dataclass(frozen=True)
 class InertialParameters:
-    """The ten inertial parameters of one rigid body: theta (10,) [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy,
-    Iyz, Izz] in the body frame, inertia about the body ORIGIN; kg, kg m, kg m^2.
+    """The ten inertial parameters of one rigid body: theta (10,) [m, hx, hy, hz, Ixx, Ixy, Ixz,
+    Iyy, Iyz, Izz] in the body frame, inertia about the body ORIGIN; kg, kg m, kg m^2.
     """
 
     theta: Array

@@ -99,8 +99,8 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Validation:
-    """Torque prediction error on data that was not fitted, of all joints and by joint name: root mean
-    square [N m], and relative, ||tau - prediction|| / ||tau||, None where torque is zero.
+    """Torque prediction error on data that was not fitted, of all joints and by joint name: root
+    mean square [N m], and relative, ||tau - prediction|| / ||tau||, None where torque is zero.
     """
 
     source: str
@@ -189,9 +189,9 @@ OPEN, CLOSED = "open loop", "closed loop"
 
 @dataclass(frozen=True)
 class RolloutError:
-    """Root mean square position errors of the two models (n,) [rad or m] over windows of one length
-    (horizon [s]), loop ``OPEN`` or ``CLOSED``; of each model, how many windows ran away, which count
-    with the largest error.
+    """Root mean square position errors of the two models (n,) [rad or m] over windows of a length
+    (horizon [s]), loop ``OPEN`` or ``CLOSED``; how many windows of each ran away, which count with
+    the largest error.
     """
 
     loop: str
