@@ -1,6 +1,8 @@
-"""Messages that come late, and arms whose joints come in messages of their own."""
+"""Messages that come late, joints in messages of their own, bags that unpack to far too much."""
 
 from __future__ import annotations
+
+import bz2
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs.formats import ros_bag, table
 from robot_sysid.logs.formats.ros_bag import Arm, in_order
 from tests.support import recorded
 from tests.support.log_files import JOINTS, motion, read_measurements
@@ -38,6 +41,7 @@ def test_a_clock_that_is_set_back_stays_backwards(back):
 
 
 def bag(path, messages):
+    pytest.importorskip("rosbags")
     store = recorded.typestore()
     made = [
         recorded.joint_state(store.types, time, *(np.asarray(each)[which] for each in values))
@@ -53,7 +57,6 @@ def rows(times, which=(0, 1, 2)):
 
 
 def test_a_bag_with_one_late_message_is_the_one_without(tmp_path):
-    pytest.importorskip("rosbags")
     late = [*range(20), *range(21, 33), 20, *range(33, 60)]
     log = read_measurements(bag(tmp_path / "late", rows(late)), JOINTS)
     for name in ("time", "q", "tau"):
@@ -65,7 +68,6 @@ def test_a_bag_with_one_late_message_is_the_one_without(tmp_path):
 
 
 def test_joints_in_messages_of_their_own_are_put_together(tmp_path):
-    pytest.importorskip("rosbags")
     split = [each for k in range(60) for each in (*rows([k], [0, 1]), *rows([k], [2]))]
     log = read_measurements(bag(tmp_path / "one", split), JOINTS)
     for name in ("time", "q", "qd", "tau"):
@@ -76,7 +78,6 @@ def test_joints_in_messages_of_their_own_are_put_together(tmp_path):
 
 def test_joints_that_are_sampled_at_times_of_their_own_keep_them(tmp_path):
     """The wrist comes every second time, between two rows of the others."""
-    pytest.importorskip("rosbags")
     between = 0.5 * (DATA.time[:-1] + DATA.time[1:])
     wrist = [(between[k], *rows([k], [2])[0][1:]) for k in range(0, 59, 2)]
     split = sorted([*rows(range(60), [0, 1]), *wrist], key=lambda each: each[0])
@@ -97,3 +98,48 @@ def test_a_part_that_stops_speaking_leaves_a_hole():
     assert list(arm.parts) == [{"a"}, {"b"}] and arm.own_time
     times = [time for time, _ in arm.samples(iter(both))]
     assert len(times) == 20 and max(np.diff(times)) == pytest.approx(0.21)
+
+
+BYTES = 300_000
+
+
+def bomb(folder, form):
+    """A sound bag of a form, one of whose messages is nothing but zeros."""
+    pytest.importorskip("rosbags")
+    ros1 = form in ("bz2", "lz4")
+    store = recorded.typestore(ros1)
+    states = list(recorded.shuffled_states(store.types, motion(40)))
+    if form == "message":
+        states[1] = recorded.joint_state(store.types, 0.0, ["a" * BYTES], [0.0], None, None)
+    image = store.types["std_msgs/msg/UInt8MultiArray"]
+    layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    zeros = [image(layout, np.zeros(BYTES, np.uint8))]
+    topics = [
+        ("/joint_states", recorded.STATE, states),
+        *([("/zeros", "std_msgs/msg/UInt8MultiArray", zeros)] if form != "message" else []),
+    ]
+    if ros1:
+        return recorded.write_bag1(folder / "log.bag", topics, store, form.upper())
+    storage = "MCAP" if form == "storage" else "SQLITE3"
+    return recorded.write_bag2(folder / "bag", topics, store, storage, form.upper())
+
+
+# The rosbags for Python 3.9 leaves its temporary folder to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("form", ["bz2", "lz4", "file", "message", "storage"])
+def test_a_bag_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, form):
+    path = bomb(tmp_path, form)
+    np.testing.assert_array_equal(read_measurements(path, JOINTS).samples.q, motion(40).q)
+    monkeypatch.setattr(table, "ALWAYS", 10**5)
+    monkeypatch.setattr(table, "MOST_RATIO", 2)
+    with pytest.raises(InputError, match="log.bag|bag as a ROS bag: a piece of it unpacks"):
+        read_measurements(path, JOINTS)
+
+
+def test_what_others_import_unpacks_as_ever():
+    pytest.importorskip("rosbags")
+    from rosbags.highlevel import anyreader
+    from rosbags.rosbag1 import reader
+
+    assert ros_bag.bounded_reader().Reader1 is not anyreader.Reader1 is reader.Reader
+    assert reader.bz2_decompress is bz2.decompress
