@@ -15,18 +15,11 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
+from robot_sysid.mjcf import inertial
 from robot_sysid.mjcf.assets import relocated_text
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
 from robot_sysid.mjcf.edits import Edits, attributes
-from robot_sysid.mjcf.inertial import (
-    check_settings,
-    let_inertials_count,
-    mjcf_inertial,
-    number,
-    numbers,
-    rmse_words,
-    urdf_inertial_about_com,
-)
+from robot_sysid.mjcf.inertial import mjcf_inertial, number, numbers, urdf_inertial_about_com
 from robot_sysid.mjcf.urdf import give_minimum
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange, ModelChange, WeldedBody
 from robot_sysid.records import Array
@@ -55,7 +48,7 @@ def changed_model_text(
         # Also what was added to get it compiled: MuJoCo has to load the text by itself.
         give_minimum(edits, but=written)
     else:
-        let_inertials_count(edits, written)
+        inertial.let_inertials_count(edits, written)
     return relocated_text(edits, folder, mesh_dir)
 
 
@@ -63,7 +56,7 @@ def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
     document, written = edits.document, list[Node]()
     for body in change.bodies:
         found, theta = find_element(document, "body", body.label), body.plan.theta
-        check_settings(document, found, theta)
+        inertial.check_settings(document, found, theta)
         edits.comment(found, _comment(f"body '{body.label}'", change.rmse, body.comment))
         edits.put_inertial(found, _inertial(document, theta, change.principal))
         lumped = [find_element(document, "body", other.name) for other in body.plan.lumped]
@@ -81,7 +74,7 @@ def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
 
 def _comment(what: str, rmse: float, addition: str | None) -> str:
     """Return the comment that says what was identified, of which body, say."""
-    words = f"System ID: {what} identified with {rmse_words(rmse)}"
+    words = f"System ID: {what} identified with {inertial.rmse_words(rmse)}"
     words += f"; {addition}" if addition else ""
     # A name may hold ends of lines, and dashes that would end the comment.
     return f"<!-- {re.sub('-(?=-)', '- ', ' '.join(words.split()))} -->"
@@ -91,7 +84,7 @@ def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
     """Add the new body of a change."""
     document, joint = edits.document, f"{body.name}_joint"
     carrier = find_element(document, "body", body.carrier)
-    check_settings(document, carrier, body.theta, gets_child=True)
+    inertial.check_settings(document, carrier, body.theta, gets_child=True)
     is_urdf = document.kind == "urdf"
     taken = {"world", *(node.get("name") or "" for node in document.walk("body", "link"))}
     joints = {node.get("name") for node in document.walk("joint")}
@@ -102,7 +95,7 @@ def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
             f"empty or taken; bodies of the model: {listed}"
         )
     comment = _comment(f"body '{body.name}'", change.rmse, body.words)
-    inertial = _inertial(document, body.theta, change.principal)
+    own = _inertial(document, body.theta, change.principal)
     name, place = attributes({"name": body.name}), numbers(body.translation)
     if is_urdf:
         # All links of a URDF stand side by side.
@@ -112,10 +105,10 @@ def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
             f'<joint{attributes({"name": joint})} type="fixed"><parent{parent}/>'
             f'<child{child}/><origin xyz="{place}" rpy="{turn}"/></joint>'
         )
-        edits.append(document.root, comment, f"<link{name}>{inertial}</link>", fixed)
+        edits.append(document.root, comment, f"<link{name}>{own}</link>", fixed)
     else:
         pose = f'pos="{place}" quat="{numbers(spatial.quaternion(body.rotation))}"'
-        edits.append(carrier, comment, f"<body{name} {pose}>", f"  {inertial}", "</body>")
+        edits.append(carrier, comment, f"<body{name} {pose}>", f"  {own}", "</body>")
 
 
 _MUJOCOS_OWN = "0 0 -9.81"

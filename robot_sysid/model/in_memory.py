@@ -57,7 +57,9 @@ def file_of(model: Any) -> Path:
         path = folder / "model.xml"
         mujoco.mj_saveLastXML(str(path), model)
         # MuJoCo's first releases write the last model that was loaded, whichever is asked for.
-        again = _loaded(path)
+        again = None
+        with contextlib.suppress(*FAILURES):  # of one whose meshes are elsewhere
+            again = mujoco.MjModel.from_xml_path(str(path))
         bodies = {model.body(k).name for k in range(1, model.nbody)}
         names = bodies | {model.joint(k).name for k in range(model.njnt)}
         there = re.findall('\\bname="([^"]*)"', path.read_text(encoding="utf-8"))
@@ -71,14 +73,6 @@ def file_of(model: Any) -> Path:
             "file, or the MjSpec that it was compiled from"
         )
     return path
-
-
-def _loaded(path: Path) -> Any:
-    """Return the compiled model of a file; None of one whose meshes are elsewhere."""
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except FAILURES:
-        return None
 
 
 def _file_of_spec(spec: Any, folder: Path) -> Path:

@@ -175,7 +175,9 @@ def _value(stated: Option, given: Any) -> Any:
     name = getattr(stated.parse, "__name__", "bool")
     kinds, said = _KINDS.get(name, ((object,), ""))
     many = stated.repeats or stated.several or rows or said.endswith(_PER_JOINT)
-    if not (many or alone) or not all(_is_one_of(kinds, each) for each in _leaves(value)):
+    # A bool is a number to Python, and none here.
+    fits = (isinstance(e, kinds) and isinstance(e, bool) <= (bool in kinds) for e in _leaves(value))
+    if not (many or alone) or not all(fits):
         raise InputError(f"{stated.flag} must be {said} (got {given!r:.60})")
     return value
 
@@ -194,10 +196,6 @@ def _leaves(value: Any) -> Iterator[Any]:
         yield from _leaves(each)
     if not isinstance(value, tuple):
         yield value
-
-
-def _is_one_of(kinds: tuple[type, ...], value: Any) -> bool:
-    return isinstance(value, kinds) and (isinstance(value, bool) <= (bool in kinds))
 
 
 def keys_of(*records: Any) -> set[str]:

@@ -29,15 +29,9 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import InertialParameters
 from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.records.results import RolloutTest
+from robot_sysid.results import record
 from robot_sysid.results.cards import ERROR_NAMES, INERTIA, Card, load_errors
-from robot_sysid.results.record import (
-    BodyEstimate,
-    Figure,
-    JointEstimate,
-    ModelFile,
-    Payload,
-    Result,
-)
+from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Payload, Result
 from robot_sysid.results.verdict import PRIOR_SHARE, limitations, verdict_lines
 
 SCHEMA_VERSION = 4
@@ -142,7 +136,7 @@ def _asked(result: Result) -> dict[str, Any]:
     }
 
 
-def _file(file: ModelFile | None) -> dict[str, Any] | None:
+def _file(file: record.ModelFile | None) -> dict[str, Any] | None:
     if file is None:
         return None
     pairs = [dict(zip(_WHEN, tests)) for tests in ((file.before, file.after), *file.others)]

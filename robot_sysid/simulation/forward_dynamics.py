@@ -256,26 +256,21 @@ class RampUse:
 
     def sentences(self) -> tuple[str, ...]:
         """Return what the user should know, one sentence each."""
-        found = []
+        found, viscous = [], self._ramp.inertia * self._ramp.rate
         for j in np.flatnonzero(self._ramp.coulomb > 0.0).tolist():
-            if self._speed[j] < STANDSTILL:
+            name, coulomb, speed = self._joints[j], self._ramp.coulomb[j], self._speed[j]
+            if speed < STANDSTILL:
+                found.append(f"{name} does not move, so its friction does not show in the data")
+            elif name in self.never_full:
                 found.append(
-                    f"{self._joints[j]} does not move, so its friction does not show in the data"
+                    f"the frictionloss of {name} ({coulomb:.3g} N m) is never reached: in MuJoCo "
+                    "it builds up with speed and is complete only above about "
+                    f"{coulomb / viscous[j]:.2g} rad/s, and this motion stays below {speed:.2g} "
+                    f"rad/s. It acts as {viscous[j]:.2g} N m s/rad of extra viscous friction, so "
+                    "its Coulomb coefficient cannot be identified; give the joint armature in the "
+                    "plant model or let it move faster"
                 )
-            elif self._joints[j] in self.never_full:
-                found.append(self._never(j))
         return tuple(found)
-
-    def _never(self, j: int) -> str:
-        coulomb, viscous = self._ramp.coulomb[j], self._ramp.inertia[j] * self._ramp.rate[j]
-        return (
-            f"the frictionloss of {self._joints[j]} ({coulomb:.3g} N m) is never reached: in "
-            "MuJoCo it builds up with speed and is complete only above about "
-            f"{coulomb / viscous:.2g} rad/s, and this motion stays below {self._speed[j]:.2g} "
-            f"rad/s. It acts as {viscous:.2g} N m s/rad of extra viscous friction, so its Coulomb "
-            "coefficient cannot be identified; give the joint armature in the plant model or let "
-            "it move faster"
-        )
 
 
 class ArmStepper:
