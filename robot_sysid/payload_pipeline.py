@@ -78,11 +78,9 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
 
 
 def _combined(payload: Payload, divided: Mapping[str, float], sought: Unknowns) -> Payload:
-    """Return a payload with the scales of the log's own torques, which were divided before.
-
-    Where what is found contradicts what they were divided by, errors are as many times as large as
-    the prior had to be widened (the Birge ratio of means that do not agree).
-    """
+    """Return a payload with the scales of the log's own torques, which were divided before."""
+    # Where what is found contradicts what they were divided by, errors are as many times as large
+    # as the prior had to be widened (the Birge ratio of means that do not agree).
     apart = max([1.0, *(group.widened for group in sought.groups if group.cause == SCALES)])
     scales = {
         joint: Figure(divided[joint] * each.value, divided[joint] * apart * each.error)

@@ -191,12 +191,10 @@ def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
 
 
 def _draw_sinusoids(rng: np.random.Generator, joints: int) -> tuple[Array, Array, Array]:
-    """Return frequencies, phases and relative amplitudes (joints, K).
-
-    The band is cut into as many slots as there are sinusoids and each gets a slot of its own, so
-    that no two frequencies of the whole arm coincide; within its slot a frequency is a random real
-    number, so ratios are not small fractions and the motion does not repeat.
-    """
+    """Return frequencies, phases and relative amplitudes (joints, K)."""
+    # The band is cut into as many slots as there are sinusoids and each gets a slot of its own, so
+    # that no two frequencies of the whole arm coincide; within its slot a frequency is a random
+    # real number, so ratios are not small fractions and the motion does not repeat.
     most = TERMS_PER_JOINT[1]
     terms = rng.integers(TERMS_PER_JOINT[0], most + 1, size=joints)
     used = np.arange(most) < terms[:, None]
@@ -219,11 +217,9 @@ def _peak(plan: MotionPlan, rate: float, quantity: TorqueFunction) -> Array:
 def _fit_torque(
     trajectory: SineTrajectory, robot: RobotModel, torque: TorqueFunction | None
 ) -> tuple[SineTrajectory, tuple[str, ...]]:
-    """Shrink the whole motion until the torque limits hold.
-
-    A joint whose weight and dry friction alone exceed its limit cannot be helped by a smaller
-    motion; it is named in a note and left out of the search.
-    """
+    """Shrink the whole motion until the torque limits hold."""
+    # A joint whose weight and dry friction alone exceed its limit cannot be helped by a smaller
+    # motion; it is named in a note and left out of the search.
     if torque is None or not np.any(np.isfinite(robot.limits.torque)):
         return trajectory, ()
     allowed = TORQUE_MARGIN * robot.limits.torque

@@ -359,11 +359,9 @@ def contact_findings(log: ModelFit, base: Fit) -> Iterator[Finding]:
 
 
 def _beyond_friction(log: ModelFit, base: Fit) -> Array:
-    """Return (K, n) residuals less what dry friction of a joint that hardly moves may account for.
-
-    An arm that creeps to its rest still has all of its dry friction, in a direction that the
-    low-passed speed does not tell.
-    """
+    """Return (K, n) residuals less what dry friction of a joint that hardly moves may explain."""
+    # An arm that creeps to its rest still has all of its dry friction, in a direction that the
+    # low-passed speed does not tell.
     speed = np.abs(log.sample.qd)
     unsure = np.where(speed < slow_speed(log.sample.qd), 2.0 * np.abs(base.friction[:, 0]), 0.0)
     return np.asarray(np.sign(base.residual) * np.maximum(np.abs(base.residual) - unsure, 0.0))

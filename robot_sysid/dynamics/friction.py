@@ -162,7 +162,7 @@ def friction_model(name: str) -> FrictionModel:
     return FrictionModel(terms)
 
 
-COUPLED_TERMS = ("coulomb", "viscous", "armature", "sqrt", "stribeck")
+_COUPLED = FrictionModel(("coulomb", "viscous", "armature", "sqrt", "stribeck"))
 """Friction terms of a motor's own speed; offset and load stay with the joints."""
 
 
@@ -178,12 +178,11 @@ class Coupling:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of its parameters, such as ``coulomb[joint_5+joint_6]``."""
-        return FrictionModel(COUPLED_TERMS).parameter_names(self.name)
+        return _COUPLED.parameter_names(self.name)
 
     def columns(self, qd: Array, qdd: Array) -> Array:
         """Return its torque (N, terms) per unit of each parameter, of the joints' velocities and
         accelerations (N, n); each joint feels it times its ratio.
         """
         speed = qd @ self.ratios
-        model = FrictionModel(COUPLED_TERMS)
-        return model.columns(speed, qdd @ self.ratios, np.zeros_like(speed))
+        return _COUPLED.columns(speed, qdd @ self.ratios, np.zeros_like(speed))

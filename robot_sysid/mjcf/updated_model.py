@@ -213,10 +213,8 @@ def find_element(document: ModelDocument, kind: str, label: str) -> Node:
 
 
 def _in_order(document: ModelDocument, kind: str) -> Iterator[Node]:
-    """Yield bodies or joints as MuJoCo numbers them, and the elements that multiply bodies.
-
-    Depth first, the joints of a body before those of the bodies in it; ``<frame>`` adds none.
-    """
+    """Yield bodies or joints as MuJoCo numbers them, and the elements that multiply bodies."""
+    # Depth first, the joints of a body before those of the bodies in it; <frame> adds none.
     if document.kind == "urdf":
         yield from document.tagged("link" if kind == "body" else "joint")
     for node in (each for world in document.tagged("worldbody") for each in world.walk()):

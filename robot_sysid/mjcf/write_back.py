@@ -143,10 +143,6 @@ def possible_body(
     return spatial.theta_from_com(mass, com, inertia + inflated * np.eye(3))
 
 
-JOINT_NUMBERS = ("armature", "damping", "frictionloss")
-"""What may be written into a joint, by its name in MJCF."""
-
-
 @dataclass(frozen=True)
 class BodyChange:
     """New inertia for a body, called "#7" where it has no name, and more words for its comment."""
@@ -183,7 +179,8 @@ class JointChange:
     @property
     def numbers(self) -> dict[str, float]:
         """What is to be written, by its name in MJCF."""
-        values = {name: getattr(self, name) for name in JOINT_NUMBERS}
+        names = ("armature", "damping", "frictionloss")
+        values = {name: getattr(self, name) for name in names}
         return {name: float(value) for name, value in values.items() if value is not None}
 
 

@@ -222,11 +222,8 @@ class Clearance:
         return left
 
     def _settle_neighbours(self, rest: Array) -> Closest:
-        """Drop pairs with one joint between them that keep their distance over all its range.
-
-        Links next to each other are always near; knowing beforehand that this is harmless saves
-        most collision tests. Returns the least distance of those dropped.
-        """
+        """Drop pairs that keep their distance over all of the joint between; return the least."""
+        # Links next to each other are always near; to know that this is harmless saves most tests.
         least = np.full_like(self._required, np.inf)
         for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
             nearest = self._sweep(rest, joint, np.linspace(low, high, _NEIGHBOUR_POSTURES), least)

@@ -183,10 +183,8 @@ class PredictedInformation:
 
 @lru_cache(maxsize=1)
 def _coefficients() -> tuple[Array, Array]:
-    """Return the constants of Y6 = A V' + B V V: (60, 6) and (60, 6, 6), symmetric in V V.
-
-    Read off ``regressor.wrench_regressor`` by polarisation, so that there is one derivation only.
-    """
+    """Return the constants of Y6 = A V' + B V V: (60, 6) and (60, 6, 6), symmetric in V V."""
+    # By polarisation, so that there is one derivation only.
     one, none = np.eye(6), np.zeros((6, 6))
     linear = wrench_regressor(none, one).reshape(60, 6)
     pairs = np.array([one[k] + one[m] for k in range(6) for m in range(6)])

@@ -196,11 +196,8 @@ def checked_time(plan: MotionPlan) -> float:
 
 
 def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ...]:
-    """Return what has to be looked at, from when to when [s].
-
-    All of it where a period holds no whole number of samples at a rate [Hz] that matters: each
-    period then has other samples.
-    """
+    """Return what has to be looked at, from when to when [s], at a rate [Hz] if that matters."""
+    # All of it where a period holds no whole number of samples: each then has other ones.
     period, ends = getattr(plan, "cycle", (np.inf, 0.0))
     short = SHORTEST_PERIOD <= period < plan.duration - 2.0 * ends
     if not short or abs(period * rate - round(period * rate)) > WHOLE:

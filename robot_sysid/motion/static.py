@@ -128,11 +128,9 @@ def _needed(problem: ExcitationProblem, poses: Array, creep: float = CREEP) -> A
 
 
 def _held(problem: ExcitationProblem) -> Iterator[Array]:
-    """Yield poses (n,) that keep torque limits and clearances: easy ones first, then near ones.
-
-    They are tried from near the model's to anywhere, more of them where holding is easy, with a
-    fixed set of random numbers, so that the start does not depend on any seed.
-    """
+    """Yield poses (n,) that keep torque limits and clearances: easy ones first, then near ones."""
+    # From near the model's to anywhere, more of them where holding is easy; the random numbers are
+    # fixed, so that the start does not depend on any seed.
     lower, upper, rng = problem.limits.lower, problem.limits.upper, np.random.default_rng(0)
     anywhere = rng.uniform(lower, upper, (STARTS, problem.n_joints))
     nearness = np.linspace(1.0 / STARTS, 1.0, STARTS)[:, None]

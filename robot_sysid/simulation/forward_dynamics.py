@@ -147,10 +147,8 @@ class ForwardPlant:
         return inverse_dynamics(self.model, data, chain, q, qd, qdd)
 
     def _read_friction(self) -> tuple[NDArray[np.int64], FrictionRamp]:
-        """Return which constraint rows are dry friction, they never change, and the ramps.
-
-        The ramps are read off MuJoCo's own constraint at unit velocities.
-        """
+        """Return which constraint rows are dry friction, they never change, and the ramps."""
+        # Read off MuJoCo's own constraint at unit velocities.
         self.reset(self._plant.reference, np.ones(self._plant.n_joints))
         kind = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
         # Nothing outside the chain has any, and MuJoCo goes from the base outwards as the chain.
@@ -173,11 +171,9 @@ class ForwardPlant:
         return substeps
 
     def _fastest_decay(self, configurations: Array) -> tuple[float, int]:
-        """Return the fastest rate [1/s] at which damping stops the chain, and the joint it stops.
-
-        It is the largest eigenvalue of M^-1 B over the configurations (K, n), M the mass matrix
-        and B the damping; the joint is the one that moves most in its eigenvector.
-        """
+        """Return the fastest rate [1/s] at which damping stops the chain, and which joint."""
+        # The largest eigenvalue of M^-1 B over the configurations (K, n), M the mass matrix and B
+        # the damping, and the joint that moves most in its eigenvector.
         units, passive, rates = np.eye(self._plant.n_joints), [], []
         for qd in (0.0 * units[0], *units):
             self.reset(self._plant.reference, qd)
@@ -339,11 +335,9 @@ class ArmStepper:
         return self._columns[:, dofs], bias
 
     def _with_dry_friction(self, matrix: Array, free: Array, impulse: Array) -> Array:
-        """Return the velocity v (n,) with matrix v = free - impulse f; f as in the module's text.
-
-        A joint slides in the direction it has, or would take without friction; one that would turn
-        round against its own friction sticks instead, until that needs more than fc.
-        """
+        """Return v (n,) with matrix v = free - impulse f, f as in the module's text."""
+        # A joint slides in the direction it has, or would take without friction; one that would
+        # turn round against its own friction sticks instead, until that needs more than fc.
         fc, rubs = self._coulomb, self._coulomb > 0.0
         unhindered = np.linalg.solve(matrix, free)
         direction = np.where(self.qd != 0.0, np.sign(self.qd), np.sign(unhindered))

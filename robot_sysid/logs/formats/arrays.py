@@ -332,10 +332,8 @@ def _frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
 
 
 def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
-    """Return what the columns of a Parquet file take [bytes]: as numbers, and while put together.
-
-    Pages of equal numbers say a few bytes of thousands, and a page may hold more than its numbers.
-    """
+    """Return what columns of a Parquet file take [bytes]: as numbers, and while put together."""
+    # Pages of equal numbers say a few bytes of thousands; a page may hold more than its numbers.
     size = 0.0
     for group in map(metadata.row_group, range(metadata.num_row_groups)):
         for chunk in map(group.column, range(group.num_columns)):
