@@ -194,7 +194,7 @@ def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(first, command, a
     def stop(*_, **__):
         signal.raise_signal(signal.SIGTERM)
 
-    monkeypatch.setattr("robot_sysid.results.model.require_reproduction", stop)
+    monkeypatch.setattr("robot_sysid.results.verification.require_reproduction", stop)
     command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
     assert files_in(arm.parent / "sysid_output") == first
 
