@@ -59,6 +59,9 @@ LEAST_SCALE, RATHER = 0.08, 1.0
 """Common torque scale that is worth a word, half as much again as links are off by default, and
 standard errors that it has to be away from none: torques that read 15 % too much or too little are
 1.15 and more away, links that are 2 % off at most 0.4 (benchmarks/wrong_log_table)."""
+CLEAR_OFFSET, OFFSET = 3.0, 0.01
+"""Standard errors that a sensor's offset has to be away from zero; beside such ones others may be
+off by this part of the joint's torque: of a KUKA LWR4+ and its links neither is known better."""
 # Below every squared error [N^2 m^2]; lifts normal equations of what nothing shows off zero.
 _TINY, _RIDGE = 1e-30, 1e-12
 
@@ -347,11 +350,37 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
     sought = _sought(fit, question, replace(choice, common_scale=COMMON_SCALE))
     if not any(group.cause == LINKS for group in sought.groups):
         return False
+    scales, spread = asked_of(fit, sought, [f"scale[{joint}]" for joint in fit.columns.joints])
+    return bool(abs(np.mean(scales)) > max(RATHER * np.sqrt(np.mean(spread)), LEAST_SCALE))
+
+
+def asked_of(fit: Fit, sought: Unknowns, names: Sequence[str]) -> tuple[Array, Array]:
+    """Return values (m,) and covariance (m, m) of some of what is sought, around a fit's point."""
     plain = restricted(fit.evidence.whole, sought.kept_names, sought.held)
     values, spread, _ = WithPriors(plain, 1.0 / fit.weights).solve(sought.groups)
-    places = [k for k, name in enumerate(sought.kept_names) if name.startswith("scale[")]
-    error = np.sqrt(np.mean(spread[np.ix_(places, places)]))
-    return bool(abs(np.mean(values[places])) > max(RATHER * error, LEAST_SCALE))
+    places = np.searchsorted(sought.kept, fit.columns.at(names))
+    return values[places], spread[np.ix_(places, places)]
+
+
+def shown_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
+    """Let those torque sensors have an offset of which the recordings show one.
+
+    An offset and the weight of links read alike in a small motion, so that noise alone would give
+    sensors what links weigh: offsets that are not clear are zero, the least clear first. Sensors of
+    an arm are of one kind: where one clearly has an offset, the others may have a small one.
+    """
+    size = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
+    while True:
+        sought = _sought(fit, question, choice)
+        free = [j for j in fit.columns.joints if j not in choice.offsets]
+        free = [j for j in free if f"offset[{j}]" in sought.kept_names]
+        if not free:
+            return choice
+        found, spread = asked_of(fit, sought, [f"offset[{joint}]" for joint in free])
+        clear = np.abs(found) / np.sqrt(np.diag(spread))
+        if np.min(clear) > CLEAR_OFFSET:
+            return replace(choice, offsets={joint: size[joint] for joint in choice.offsets})
+        choice = replace(choice, offsets={**choice.offsets, free[int(np.argmin(clear))]: 0.0})
 
 
 def prior_scale(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> float:

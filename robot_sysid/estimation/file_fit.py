@@ -20,6 +20,7 @@ from robot_sysid.estimation.choices import (
     held_out,
     is_clearly_lower,
     prior_scale,
+    shown_offsets,
     squared_errors,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
@@ -87,6 +88,7 @@ def fit_file(
     judge = held_out(fit)
     choice = replace(choice, friction=_polynomials(judge, fit, question, choice))
     choice = replace(choice, prior_scale=prior_scale(judge, fit, question, choice))
+    choice = shown_offsets(fit, question, choice)
     after, level = fit.next_point, None
     if FILE_GRAVITY not in kept and fit.unknowns.settle:
         as_it_is = replace(question, kept_parts=(*kept, FILE_GRAVITY))

@@ -7,7 +7,7 @@ and which are held; everything after that is the same for the last link, all lin
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -25,7 +25,7 @@ from robot_sysid.records.options import per_joint
 
 LINKS, SCALES, ZEROS, TILT = "links", "torque scale", "joint offsets", "gravity"
 DELAY, DRIFT, FRICTION = "delay", "drift of friction", "friction model"
-COMMON, WEIGHT = "common torque scale", "known mass"
+COMMON, WEIGHT, OFFSETS = "common torque scale", "known mass", "sensor offsets"
 """Causes of error, as they are called in results."""
 FILE_FRICTION, FILE_ROTORS, FILE_GRAVITY, FILE_LINKS = "friction", "rotors", "gravity", "links"
 """Parts of a model file that may be kept as they are."""
@@ -88,12 +88,14 @@ class Choice:
         couplings: motors that turn with several joints.
         prior_scale: by how much more than was said the other links may be off.
         common_scale: how far all torque scales may be off together, which only links tell.
+        offsets: joint to how far its torque sensor may be off [N m]; that of others is free.
     """
 
     friction: tuple[FrictionModel, ...]
     couplings: tuple[Coupling, ...] = ()
     prior_scale: float = 1.0
     common_scale: float = 0.0
+    offsets: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -289,6 +291,10 @@ def _groups(
     links = _link_group(columns, question, choice)
     if links is not None:
         yield links
+    if choice.offsets:
+        own = [f"offset[{joint}]" for joint in choice.offsets]
+        sizes = np.maximum([*choice.offsets.values()], _EXACT)
+        yield independent(OFFSETS, own, tuple(choice.offsets), sizes)
     tilts = tuple(name for name in TILT_NAMES if name in columns.place)
     if question.in_file:
         if tilts and FILE_GRAVITY not in question.kept_parts:

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, with_gravity
 from robot_sysid.estimation.file_fit import fit_file, holds_polynomial
 from robot_sysid.estimation.unknowns import FILE_FRICTION as FRICTION
@@ -78,6 +79,23 @@ def test_the_file_predicts_as_it_is_said_to(plant, robot):
     terms = {name.partition("[")[0] for name in fit.unknowns.kept_names if "[" in name}
     assert terms == {"coulomb", "viscous", "armature", "offset"}
     assert np.array_equal(fit.point.gravity, gravity(robot))
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.5])
+def test_links_and_sensor_offsets_do_not_take_each_other_s_part(plant, offset):
+    """They read alike where joints turn little: the file has to be right without the sensors."""
+    read = np.array([0.0, offset, 0.0])
+    log = log_of(plant, plan_of(plant, 2, 5.0), 2, noise_torque=0.02)
+    datasets, options = datasets_of(plant, replace(log, tau=log.tau + read))
+    fitter = fitter_of(plant, datasets)
+    fit = fit_file(fitter, options, (), fitter.columns.prior).fit
+    found = np.array([fit.value(f"offset[{joint}]") for joint in plant.joint_names])
+    assert found == pytest.approx(read, abs=0.02 if offset else 1e-6)
+    still = log.q[::50]
+    moves = LinkDynamics(plant).motion(still, 0.0 * still, 0.0 * still)
+    weight = moves.torque(np.array([link.theta for link in plant.links]))
+    off = moves.torque(fit.columns.thetas(fit.values)) - weight
+    assert np.linalg.norm(off) < 0.02 * np.linalg.norm(weight)
 
 
 def test_a_turned_gravity_is_found_and_kept_out_where_it_is_to_stay(plant, robot):

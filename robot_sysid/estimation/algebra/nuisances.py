@@ -193,7 +193,7 @@ class WithPriors:
 
     def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
         """Return (values (p,), covariance (p, p), misfit of data and priors)."""
-        known = np.vstack([group.rows(self.names) for group in groups])
+        known = np.vstack((self._triangle[:0], *(group.rows(self.names) for group in groups)))
         normal = self._gram + known.T @ known
         rows = np.vstack((self._triangle, known))
         root = inverse_root(normal[:-1, :-1])
