@@ -18,7 +18,7 @@ from robot_sysid.estimation.algebra.base_parameters import (
     essential,
 )
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
-from robot_sysid.estimation.algebra.information import residual_errors, restricted
+from robot_sysid.estimation.algebra.information import residual_errors, restricted, sample_counts
 from robot_sysid.estimation.choices import Errors, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
@@ -27,6 +27,7 @@ from robot_sysid.estimation.file_fit import FileFit
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.unknowns import FILE_FRICTION, LINKS
 from robot_sysid.estimation.unknowns import FRICTION as LACKING
+from robot_sysid.estimation.verdict import HARMLESS
 from robot_sysid.records import (
     DELAY_NAME,
     Array,
@@ -38,7 +39,7 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.records.data import Traces
-from robot_sysid.records.figures import with_error
+from robot_sysid.records.figures import percent, with_error
 from robot_sysid.results.cards import inertia_is_known, principal_moments
 from robot_sysid.results.record import (
     BaseParameters,
@@ -206,12 +207,30 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
                 f"{joint} does not move fast enough in these logs: nothing is learnt of its "
                 "friction and rotor inertia, the model's own stay"
             )
+    notes = [*([] if FILE_FRICTION in kept else notes), *_beside(own, file.after)]
     turned = fit.next_point.gravity if fit.unknowns.settle else None
     if turned is not None and np.array_equal(turned, gravity(robot)):
         turned = None
     said = file.before, file.after, (), tuple(sorted(kept))
-    found = ModelFile(thetas, spread, joints, turned, *said)
-    return found, () if FILE_FRICTION in kept else tuple(notes)
+    return ModelFile(thetas, spread, joints, turned, *said), tuple(notes)
+
+
+def _beside(file: Answer, after: Validation) -> Iterator[str]:
+    """Yield what a file's torques lack beside offsets of sensors, where that is most of it."""
+    fit, sought = file.fit, file.fit.unknowns.kept_names
+    free = [joint not in fit.choice.offsets for joint in fit.columns.joints]
+    names = [f"offset[{joint}]" for joint in fit.columns.joints]
+    found = {n: file.figure(n) for n, ok in zip(names, free) if ok and n in sought}
+    squares = [found[name].value ** 2 if name in found else 0.0 for name in names]
+    squared = squares @ sample_counts(fit.information) / np.sum(fit.evidence.squared_torque)
+    error = after.relative_error or 0.0
+    if squared > max(HARMLESS, error) ** 2:
+        listed = ", ".join(f"{n[7:-1]} {with_error(*each, 'N·m')}" for n, each in found.items())
+        yield (
+            f"no model file holds an offset of a torque sensor ({listed}), or friction that is "
+            "larger in one direction: with it left in, the written file's torque error on "
+            f"held-out data is {percent(float(np.sqrt(squared + error**2)))}"
+        )
 
 
 def written_payload(answer: Answer) -> tuple[Array, str]:

@@ -66,12 +66,21 @@ def test_the_estimate_leads_with_the_link_and_its_errors_add_up(result):
     assert estimate.samples.keys() == estimate.effective_samples.keys() == result.joints.keys()
 
 
-def test_a_still_joint_keeps_what_the_model_says_of_it(plant, robot):
+def test_a_still_joint_keeps_the_models_numbers_and_an_offset_is_told(plant, robot, result):
     plan = plan_of(plant).scaled(np.array([1.0, 1.0, 0.0]))
-    result = of_link(robot, log_of(plant, plan, noise_torque=0.05))
-    assert result.joints["joint2"].friction_model == "none" and not result.joints["joint2"].terms
-    assert "joint2" not in result.file.joints
-    assert any("joint2 does not move fast enough" in note for note in result.notes)
+    log = log_of(plant, plan, noise_torque=0.05)
+    found = of_link(robot, replace(log, tau=log.tau + [0.0, 1.0, 0.0]))
+    assert found.joints["joint2"].friction_model == "none" and not found.joints["joint2"].terms
+    assert "joint2" not in found.file.joints
+    assert any("joint2 does not move fast enough" in note for note in found.notes)
+    of = "no model file holds an offset of a torque sensor (joint1 "
+    ((_, said),) = [note.split(of) for note in found.notes if of in note]
+    assert float(said.split()[0]) == pytest.approx(1.0, abs=0.1)
+    lost = float(said.split()[-2]) / 100.0
+    size = found.file.after.rmse / found.file.after.relative_error
+    whole = np.hypot(found.file.after.rmse, 1.0 / np.sqrt(2.0))  # joint2 is still
+    assert lost == pytest.approx(whole / size, rel=0.1)
+    assert not any("torque sensor" in note for note in result.notes)
 
 
 def test_a_log_turned_in_its_joints_is_refused(robot, noisy):
