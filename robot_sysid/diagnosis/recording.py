@@ -98,26 +98,42 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 
 WINDOW = 1.0
 """Time over which recorded velocities are summed [s]: a drive's filter does little to such sums."""
-WRONG_TIME, OTHER_UNIT, ALIKE = 0.03, 0.5, 0.02
-"""Share by which time is off that is refused; from which velocities are in another unit; by how
+WRONG_TIME, OTHER, ALIKE = 0.03, 0.5, 0.02
+"""Share by which time is off that is refused; by which velocities are something else; by how
 much joints may differ in it. A right log has 0.001, one whose velocities pass 3 Hz 0.028."""
 
 
-def velocity_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
-    """Yield a finding where positions and recorded velocities disagree about the time."""
+def velocity_findings(
+    pieces: Sequence[Measurement], joint_names: Sequence[str]
+) -> Iterator[Finding]:
+    """Yield where positions and recorded velocities disagree about the time, or altogether."""
     found = [_ways(piece) for piece in pieces if piece.qd is not None]
     if not found:
         return
-    way, summed = (np.concatenate(same) for same in zip(*found))
+    joined = [np.concatenate(same) for same in zip(*found)]
+    # A drive's constant error of the speed is neither a time nor another motion.
+    way, summed = (each - np.sum(each, axis=0) / max(len(each), 1) for each in joined)
     size = np.sum(way**2, axis=0)
-    clear = size > 0.01 * np.max(size, initial=0.0)
-    each = np.sum(way * summed, axis=0)[clear] / size[clear] - 1.0
-    share = float(np.median(each)) if len(each) else 0.0
-    if WRONG_TIME < abs(share) < OTHER_UNIT and np.ptp(each) < ALIKE:
+    clear = np.flatnonzero(size > 0.01 * np.max(size, initial=0.0))
+    way, summed, size = way[:, clear], summed[:, clear], size[clear]
+    each = np.sum(way * summed, axis=0) / size
+    share = float(np.median(each)) - 1.0 if len(each) else 0.0
+    if WRONG_TIME < abs(share) < OTHER and np.ptp(each) < ALIKE:
         text = f"by the recorded velocities, time in the log is {100.0 * abs(share):.2g} % too "
         text += f"{'long' if share > 0.0 else 'short'}; record the controller's own time stamps, "
         text += f"or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
         yield Finding("clock", Level.REFUSE, text)
+    off = np.flatnonzero(np.sum((summed - way) ** 2, axis=0) > OTHER**2 * size)
+    rest = np.sum((summed - each * way) ** 2, axis=0) > OTHER**2 * np.sum(summed**2, axis=0)
+    said = [
+        f"{joint_names[clear[k]]} {'another motion' if rest[k] else f'{each[k]:.3g} times that'}"
+        for k in off
+    ]
+    if said:
+        name = "order" if np.any(rest[off]) else "sign" if np.any(each[off] < 0.0) else "angle-unit"
+        text = f"recorded velocities are not how positions change ({', '.join(said)}); nothing is "
+        text += "made from them, but look which column is wrong, and name it with --columns FILE"
+        yield Finding(name, Level.NOTE, text)
 
 
 def _ways(piece: Measurement) -> tuple[Array, Array]:

@@ -36,7 +36,7 @@ def check_against_model(
         InputError: the log is too short to be looked at.
     """
     raw = [*recording.length_findings(pieces), *recording.clock_findings(pieces)]
-    raw += recording.velocity_findings(pieces)
+    raw += recording.velocity_findings(pieces, robot.joint_names)
     raw += recording.sensor_findings(pieces, robot.joint_names)
     if any(each.level is Level.REFUSE for each in raw):
         return tuple(raw)

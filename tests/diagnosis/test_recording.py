@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import butter, sosfiltfilt
 
 from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.recording import clock_findings, sensor_findings, velocity_findings
@@ -45,13 +46,31 @@ def test_a_jump_of_the_clock_is_told_from_a_hole(at, jump):
 @given(st.floats(0.8, 1.3))
 def test_a_stretched_time_contradicts_recorded_velocities(factor):
     qd = np.gradient(DATA.q, DATA.time, axis=0)
-    found = list(velocity_findings([replace(DATA, time=factor * DATA.time, qd=qd)]))
+    found = list(velocity_findings([replace(DATA, time=factor * DATA.time, qd=qd)], JOINTS))
     if abs(factor - 1.0) > 0.035:
         said = re.search(r"time = ([0-9.]+) \* TITLE", found[0].text)
         assert float(said[1]) == pytest.approx(1.0 / factor, rel=0.01)
     elif abs(factor - 1.0) < 0.025:
         assert found == []
-    assert list(velocity_findings([replace(DATA, time=factor * DATA.time, qd=None)])) == []
+    assert list(velocity_findings([replace(DATA, time=factor * DATA.time, qd=None)], JOINTS)) == []
+
+
+@pytest.mark.parametrize(
+    ("recorded", "name", "said"),
+    [
+        (lambda qd: -qd, "sign", " -1 times that"),
+        (lambda qd: qd * [1.0, -1.0, *[1.0] * (len(JOINTS) - 2)], "sign", f"({JOINTS[1]} -1 times"),
+        (np.degrees, "angle-unit", " 57.3 times that"),
+        (lambda qd: qd[:, ::-1], "order", f"({JOINTS[0]} another motion"),
+        (lambda qd: np.roll(np.round(qd, 2), 10, axis=0) + 0.2, None, ""),
+        (lambda qd: sosfiltfilt(butter(2, 3.0, fs=200.0, output="sos"), qd, 0), None, ""),
+    ],
+)
+def test_velocities_of_another_motion_are_named_late_and_smooth_ones_are_not(recorded, name, said):
+    qd = recorded(np.gradient(DATA.q, DATA.time, axis=0))
+    found = list(velocity_findings([replace(DATA, qd=qd)], JOINTS))
+    assert [each.name for each in found] == [name] * (name is not None)
+    assert all(said in each.text and each.level is Level.NOTE for each in found)
 
 
 def test_repeated_samples_are_found():
