@@ -24,6 +24,7 @@ from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
+from robot_sysid.simulation.playback import interpolated
 from robot_sysid.simulator import ArmTorque
 
 # Relative; for limits and trajectories that came out of the same numbers.
@@ -43,7 +44,7 @@ class SampledTrajectory:
 
     def evaluate(self, time: Array) -> Motion:
         """Return the motion at times (N,) [s]; the acceleration is left at zero."""
-        q = np.stack([np.interp(time, self.time, column) for column in self.q.T], axis=1)
+        q = interpolated(time, self.time, self.q)
         between = np.searchsorted(self.time, time, side="right") - 1
         qd = self.slope[np.clip(between, 0, len(self.slope) - 1)]
         return Motion(time, q, qd, np.zeros_like(q))

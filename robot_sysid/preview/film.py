@@ -21,6 +21,7 @@ from robot_sysid.preview.studio import NO_RENDERER, Colour, Picture, Studio, add
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.progress import Progress
+from robot_sysid.simulation.playback import interpolated
 
 RATE = 20.0
 """Pictures per second."""
@@ -76,8 +77,8 @@ def shown_log(robot: RobotModel, log: Measurement) -> Shown:
     """Return the motion of a log with the model's limits."""
     time = log.time - log.time[0]
     at = np.linspace(0.0, float(time[-1]), _count(float(time[-1])))
-    q, tau = (at_times(at, time, values) for values in (log.q, log.tau))
-    qd = np.gradient(q, at, axis=0) if log.qd is None else at_times(at, time, log.qd)
+    q, tau = (interpolated(at, time, values) for values in (log.q, log.tau))
+    qd = np.gradient(q, at, axis=0) if log.qd is None else interpolated(at, time, log.qd)
     limits = robot.limits
     span = 0.5 * (limits.upper - limits.lower)
     center = np.where(np.isfinite(span), limits.upper, 0.0) - np.where(np.isfinite(span), span, 0.0)
@@ -97,11 +98,6 @@ def _shares(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Strip
         yield Strip(title, shares if np.any(np.isfinite(limit)) else shares * np.nan, 100.0)
 
 
-def at_times(at: Array | float, time: Array, values: Array, outside: float | None = None) -> Array:
-    """Return values (N, n) at times (N,) at other times (M,) or one, ``outside`` beyond them."""
-    return np.stack([np.interp(at, time, column, outside, outside) for column in values.T], axis=-1)
-
-
 def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[Array, str]:
     """Return (a log's positions beside a motion, at the shift that fits best; how they fit)."""
     time = log.time - log.time[0]
@@ -110,9 +106,9 @@ def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[
     shifts = np.arange(overlap - played, longest - overlap + _STEP, _STEP)
     thin = slice(None, None, max(1, len(motion.time) // 200))
     planned, when = motion.q[thin], motion.time[thin]
-    off_by = (planned - at_times(when + shift, time, log.q, np.nan) for shift in shifts)
+    off_by = (planned - interpolated(when + shift, time, log.q, np.nan) for shift in shifts)
     shift = float(shifts[int(np.argmin([np.nanmean(off**2) for off in off_by]))])
-    ghost = at_times(motion.time + shift, time, log.q, np.nan)
+    ghost = interpolated(motion.time + shift, time, log.q, np.nan)
     off = np.nanmax(np.abs(ghost - motion.q), axis=0)
     worst = int(np.argmax(off))
     note = (
@@ -226,12 +222,12 @@ def _play_once(robot: RobotModel, shown: Shown, data: Any, window: Any) -> None:
         now = time.monotonic() - began
         if now > shown.time[-1] + _PAUSE:
             return
-        q = at_times(now, shown.time, shown.q)
+        q = interpolated(now, shown.time, shown.q)
         with window.lock():
             data.qpos[robot.qpos_index] = q
             mujoco.mj_forward(robot.mj_model, data)
             if shown.ghost is not None and window.user_scn is not None:
                 window.user_scn.ngeom = 0
-                add_ghost(robot, at_times(now, shown.time, shown.ghost), GHOST, window.user_scn)
+                add_ghost(robot, interpolated(now, shown.time, shown.ghost), GHOST, window.user_scn)
         window.sync()
         time.sleep(0.01)

@@ -17,6 +17,7 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.memory import autocovariance
 from robot_sysid.json_files import read_json
 from robot_sysid.logs.formats.arrays import npz_arrays
 from robot_sysid.records import Array, Validation
@@ -162,20 +163,9 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
     step = (float(np.median(np.diff(time))) if len(time) > 1 else 0.0) or 1.0
     last = int(min(LONGEST_LAG / step, len(time) // 4))
     shifts = np.unique(np.linspace(0, last, min(last, _MOST_LAGS) + 1).round().astype(int))
-    used = np.isfinite(residual)
-    values, size = np.where(used, residual, 0.0), 1 << (len(time) + last).bit_length()
-
-    def products(signal: Array) -> Array:
-        """Return sum_k x_k x_{k+l} (L, n), all shifts at once by Fourier's transform."""
-        spectrum = np.fft.rfft(signal, size, axis=0)
-        return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, size, axis=0)[shifts])
-
-    count = np.maximum(np.sum(used, axis=0), 1)
-    power = np.sum(values**2, axis=0) / count
-    scale = power * np.maximum(np.rint(products(used.astype(float))), 1.0)
-    total = np.where(scale > 0.0, products(values), 0.0)
-    correlation = (total / np.where(scale > 0.0, scale, 1.0)).T
-    independent = 1.96 / np.sqrt(count)
+    found = [autocovariance(column, last)[0] for column in residual.T]
+    correlation = np.array([(each / (each[0] or 1.0))[shifts] for each in found])
+    independent = 1.96 / np.sqrt(np.maximum(np.sum(np.isfinite(residual), axis=0), 1))
     return {"lags": shifts * step, "correlation": correlation, "independent": independent}
 
 

@@ -194,9 +194,11 @@ def starts(pieces: Sequence[Measurement], horizon: float) -> list[Start]:
     return [found[k] for k in keep]
 
 
-def interpolated(at: Array, time: Array, values: Array) -> Array:
-    """Return values (N, n) at other times (K, n), those at the ends beyond them."""
-    return np.stack([np.interp(at, time, column) for column in values.T], axis=-1)
+def interpolated(
+    at: Array | float, time: Array, values: Array, outside: float | None = None
+) -> Array:
+    """Return values (N, n) at other times (K,) or one, ``outside`` or those at the ends beyond."""
+    return np.stack([np.interp(at, time, column, outside, outside) for column in values.T], axis=-1)
 
 
 def played(
