@@ -197,11 +197,9 @@ def friction_lines(
     except InputError:
         return
     for term, unit in (("coulomb", "N·m"), ("viscous", "N·m·s/rad")):
-        names = [f"{term}[{joint}]" for joint in problem.joint_names]
-        known = [n for n in names if n in sought.kept_names]
-        errors = [float(found.standard_errors[sought.kept_names.index(n)]) for n in known]
-        pairs = zip(known, errors)
-        listed = ", ".join(f"{n.partition('[')[2][:-1]} {e:.2g}" for n, e in pairs)
+        errors = dict(zip(sought.kept_names, found.standard_errors))
+        names = {joint: f"{term}[{joint}]" for joint in problem.joint_names}
+        listed = ", ".join(f"{j} {errors[n]:.2g}" for j, n in names.items() if n in errors)
         yield f"{term.capitalize()} friction will be known to ± {listed} {unit}"
 
 

@@ -193,10 +193,6 @@ def _typed(parse: Callable[[str], Any]) -> Callable[[str], Any]:
     return typed
 
 
-def _frozen(value: Any) -> Any:
-    return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
-
-
 def parsed(
     build_parser: Callable[[bool], Parser], arguments: Sequence[str]
 ) -> tuple[dict[str, Any], Console]:
@@ -209,7 +205,7 @@ def parsed(
     asked.add_argument("--config", nargs="?", type=Path)
     file = asked.parse_known_args(arguments)[0].config
     given = parser.with_config(file, arguments) if file else vars(parser.parse_args(arguments))
-    values = {key: _frozen(value) for key, value in given.items()}
+    values = {key: options.frozen(value) for key, value in given.items()}
     console = options.record_from(Console, values)
     for name in options.options_of(Console):
         values.pop(name, None)

@@ -240,12 +240,19 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
         raise InputError(f"{path} is not a text file") from None
     for number, line in enumerate(lines, start=1):
         if not line.startswith("#"):
-            _check_columns(line, len(joints), path, number)
-            filled = [(k, row) for k, row in enumerate(lines[number:], number + 1) if row.strip()]
-            return _with_rows(path, tuple(joints), filled)
+            break
         if "motor_type" in line:
             joints.append(_parse_joint(line, path, number))
-    raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
+    else:
+        raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
+    _check_columns(line, len(joints), path, number)
+    filled = [(k, row) for k, row in enumerate(lines[number:], number + 1) if row.strip()]
+    table = _table(filled, 1 + 3 * len(joints), path)
+    numbers, time = np.array([k for k, _ in filled], int), table[:, 0].copy()
+    for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
+        raise InputError(f"{path}, near line {numbers[row + 1]}: time does not increase")
+    q, qd, tau = (table[:, k::3] for k in (1, 2, 3))
+    return DamiaoTrajectory(path, tuple(joints), numbers, time, q, qd, tau)
 
 
 def together(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTrajectory:
@@ -279,17 +286,6 @@ def _merged(times: Sequence[Array]) -> Array:
     # The last one stays: files end at rest there.
     kept[-1] = max(each[-1] for each in times)
     return np.array(kept)
-
-
-def _with_rows(
-    path: Path, joints: tuple[DamiaoJoint, ...], filled: Sequence[tuple[int, str]]
-) -> DamiaoTrajectory:
-    table = _table(filled, 1 + 3 * len(joints), path)
-    number, time = np.array([k for k, _ in filled], int), table[:, 0].copy()
-    for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
-        raise InputError(f"{path}, near line {number[row + 1]}: time does not increase")
-    q, qd, tau = (table[:, k::3] for k in (1, 2, 3))
-    return DamiaoTrajectory(path, joints, number, time, q, qd, tau)
 
 
 def _table(filled: Sequence[tuple[int, str]], width: int, path: Path) -> Array:

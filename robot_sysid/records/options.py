@@ -163,7 +163,7 @@ def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:
 def _value(stated: Option, given: Any) -> Any:
     """Return what was given as the record holds it, or raise InputError."""
     try:
-        value = _frozen(given, stated.parse)
+        value = frozen(given, stated.parse)
     except ValueError:
         value = given
     except InputError as error:
@@ -182,12 +182,12 @@ def _value(stated: Option, given: Any) -> Any:
     return value
 
 
-def _frozen(given: Any, parse: Callable[[str], Any] | None) -> Any:
+def frozen(given: Any, parse: Callable[[str], Any] | None = None) -> Any:
     """Return lists and arrays as tuples, and texts as what they are on the command line."""
     if hasattr(given, "tolist"):  # numpy's
         given = given.tolist()
     if isinstance(given, (list, tuple)):
-        return tuple(_frozen(each, parse) for each in given)
+        return tuple(frozen(each, parse) for each in given)
     return parse(given) if isinstance(given, str) and parse is not None else given
 
 
