@@ -1,7 +1,7 @@
 """Types of the keywords, for type checkers and editors; no run imports this.
 
 Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
-A class holds the keywords of one record, as far as one function or several take them.
+A class holds the keywords that the functions in its name take, and no others.
 """
 # ruff: noqa: D101
 
@@ -26,211 +26,193 @@ Interface = Literal[
 ]  # fmt: skip
 
 
-class ModelOptions(TypedDict, total=False):
-    mesh_dir: File | None
-    joint: str | None
-    keyframe: str | None
-
-
-class ReadLogLogOptions(TypedDict, total=False):
-    columns: File | None
-    units: str | None
-    torque_scale: float | Numbers | File | None
-    torque_constants: float | Numbers | File | None
-    topic: str | None
-    episode: int | Sequence[int]
-
-
-class PayloadLogOptions(ReadLogLogOptions, total=False):
+class _IdentifyPayloadInformation(TypedDict, total=False):
     accept: Accept | Sequence[Accept]
-
-
-class LogOptions(PayloadLogOptions, total=False):
-    append: File | None
-
-
-class PlanEstimationOptions(TypedDict, total=False):
-    torques: Literal["chain", "terminal"]
-    link_uncertainty: float
-    scale_uncertainty: float | Numbers | None
-    zero_uncertainty: float
-    gravity_uncertainty: float
-    delay_uncertainty: float
-    friction_uncertainty: float
-
-
-class EstimationOptions(PlanEstimationOptions, total=False):
-    no_friction: bool
-    friction_model: str | None
-    cutoff: float | None
-    velocity_deadband: float | Numbers | None
-    delay: Literal["off", "auto"]
-    tilt: Literal["off", "auto"]
     coupling: File | None
+    cutoff: float | None
+    delay: Literal["off", "auto"]
+    friction_model: str | None
+    no_friction: bool
+    tilt: Literal["off", "auto"]
+    velocity_deadband: float | Numbers | None
 
 
-class PayloadOutputOptions(TypedDict, total=False):
-    keep: Keep | Sequence[Keep]
-
-
-class OutputOptions(PayloadOutputOptions, total=False):
+class _Identify(TypedDict, total=False):
+    append: File | None
     links: bool
-
-
-class PayloadTrajectoryOptions(TypedDict, total=False):
-    duration: float
-    sample_rate: float
-    seed: int | None
-    speed: float
-    trajectory: File | None
-
-
-class TrajectoryOptions(PayloadTrajectoryOptions, total=False):
-    save_trajectory: File | None
-
-
-class ExcitationOptions(TypedDict, total=False):
-    excitation: Literal["sines", "optimal"]
-    excitation_time_budget: float | None
-
-
-class PlayLimitOptions(TypedDict, total=False):
-    max_velocity: float | Numbers
-    max_acceleration: float | None
-    max_torque: float | Numbers | None
-    workspace: Numbers | None
-    keep_out: Numbers | Sequence[Numbers]
-    clearance: float
-
-
-class LimitOptions(PlayLimitOptions, total=False):
-    payload_reserve: float
-    max_tool_speed: float | None
-    below_base: bool
-
-
-class PlanSimulatedArmOptions(TypedDict, total=False):
-    noise_torque: float | Numbers
-
-
-class PayloadSimulatedArmOptions(PlanSimulatedArmOptions, total=False):
-    simulation: Literal["inverse", "forward"]
-    noise_position: float | Numbers
-    encoder_resolution: float
-    torque_delay: float
-
-
-class SimulatedArmOptions(PayloadSimulatedArmOptions, total=False):
     plant_model: File | None
     save_measurements: File | None
 
 
-class MotorOptions(TypedDict, total=False):
-    export_damiao: bool
-    motor_type: str | Sequence[str]
+class _IdentifyPlanPayload(TypedDict, total=False):
+    below_base: bool
+    duration: float
+    excitation: Literal["sines", "optimal"]
+    excitation_time_budget: float | None
+    max_tool_speed: float | None
+    noise_torque: float | Numbers
+    payload_reserve: float
+    sample_rate: float
+    seed: int | None
+    trajectory: File | None
+
+
+class _IdentifyPlan(TypedDict, total=False):
     can_id: int | Sequence[int]
+    export_damiao: bool
     master_id: int | Sequence[int]
+    motor_type: str | Sequence[str]
+    save_trajectory: File | None
 
 
-class PoseOptions(TypedDict, total=False):
+class _IdentifyPlanPayloadPlay(TypedDict, total=False):
+    clearance: float
+    keep_out: Numbers | Sequence[Numbers]
+    max_acceleration: float | None
+    max_torque: float | Numbers | None
+    max_velocity: float | Numbers
+    workspace: Numbers | None
+
+
+class _IdentifyPayloadReadLogInformation(TypedDict, total=False):
+    columns: File | None
+    episode: int | Sequence[int]
+    topic: str | None
+    torque_constants: float | Numbers | File | None
+    torque_scale: float | Numbers | File | None
+    units: str | None
+
+
+class _IdentifyPlanPayloadInformation(TypedDict, total=False):
+    delay_uncertainty: float
+    friction_uncertainty: float
+    gravity_uncertainty: float
+    link_uncertainty: float
+    scale_uncertainty: float | Numbers | None
+    torques: Literal["chain", "terminal"]
+    zero_uncertainty: float
+
+
+class _IdentifyPayload(TypedDict, total=False):
+    encoder_resolution: float
+    keep: Keep | Sequence[Keep]
+    noise_position: float | Numbers
+    simulation: Literal["inverse", "forward"]
+    torque_delay: float
+
+
+class _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold(TypedDict, total=False):
+    joint: str | None
+    keyframe: str | None
+    mesh_dir: File | None
+
+
+class _IdentifyPlanPayloadPlayHold(TypedDict, total=False):
+    speed: float
+
+
+class _Plan(TypedDict, total=False):
     for_: Literal["link", "payload", "friction", "arm"]
+
+
+class _PlanPayload(TypedDict, total=False):
     static: bool
 
 
-class PayloadOptions(TypedDict, total=False):
+class _Payload(TypedDict, total=False):
+    as_body: str | None
     empty_model: File | None
+    flange: str | None
+    known_mass: float | None
     loaded_model: File | None
     order: str | None
-    flange: str | None
-    as_body: str | None
-    known_mass: float | None
     save_torque_scale: File | None
-    static: bool
 
 
-class BusAddress(TypedDict, total=False):
-    interface: Interface
-    channel: str | Sequence[str]
-    bus_option: str | Sequence[str]
-
-
-class BusTiming(TypedDict, total=False):
-    fd: bool
-    bitrate: float
-    data_bitrate: float
-
-
-class PlaySettings(TypedDict, total=False):
-    kp: float | Sequence[float]
-    kd: float | Sequence[float]
-    rate: float | None
-    speed: float
-    approach_speed: float
-    start_tolerance: float
-    max_tracking_error: float
-    max_speed_error: float
-    max_torque_error: float | Sequence[float]
-    max_temperature: float
-    park: str | None
-    others: Literal["limp", "hold"]
-
-
-class Permissions(TypedDict, total=False):
-    accept_register_limits: bool
-    set_watchdog: float | None
+class _PlayHold(TypedDict, total=False):
     accept_directions: bool
-
-
-class RecordingOptions(TypedDict, total=False):
-    record: File | None
-    raw_log: File | None
-    overwrite: bool
-
-
-class HoldSecondArm(TypedDict, total=False):
+    accept_register_limits: bool
     also_joint: str | None
+    approach_speed: float
+    bitrate: float
+    bus_option: str | Sequence[str]
+    channel: str | Sequence[str]
+    data_bitrate: float
+    fd: bool
+    interface: Interface
+    kd: float | Sequence[float]
+    kp: float | Sequence[float]
+    max_speed_error: float
+    max_temperature: float
+    max_torque_error: float | Sequence[float]
+    max_tracking_error: float
+    others: Literal["limp", "hold"]
+    overwrite: bool
+    park: str | None
+    rate: float | None
+    raw_log: File | None
+    record: File | None
+    set_watchdog: float | None
+    start_tolerance: float
 
 
-class SecondArm(HoldSecondArm, total=False):
+class _Play(TypedDict, total=False):
     also: File | None
 
 
 class IdentifyKeywords(
-    ModelOptions, LogOptions, EstimationOptions, OutputOptions, TrajectoryOptions,
-    ExcitationOptions, LimitOptions, SimulatedArmOptions, MotorOptions
-): ...  # fmt: skip
-
-
-class PlanKeywords(
-    ModelOptions, PlanEstimationOptions, TrajectoryOptions, ExcitationOptions, LimitOptions,
-    PlanSimulatedArmOptions, MotorOptions, PoseOptions
+    _IdentifyPayloadInformation, _Identify, _IdentifyPlanPayload, _IdentifyPlan,
+    _IdentifyPlanPayloadPlay, _IdentifyPayloadReadLogInformation,
+    _IdentifyPlanPayloadInformation, _IdentifyPayload,
+    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold, _IdentifyPlanPayloadPlayHold
 ): ...  # fmt: skip
 
 
 class PayloadKeywords(
-    ModelOptions, PayloadLogOptions, EstimationOptions, PayloadOutputOptions,
-    PayloadTrajectoryOptions, ExcitationOptions, LimitOptions, PayloadSimulatedArmOptions,
-    PayloadOptions
+    _IdentifyPayloadInformation, _IdentifyPlanPayload, _IdentifyPlanPayloadPlay,
+    _IdentifyPayloadReadLogInformation, _IdentifyPlanPayloadInformation, _IdentifyPayload,
+    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold,
+    _IdentifyPlanPayloadPlayHold, _PlanPayload, _Payload
 ): ...  # fmt: skip
 
 
 class InformationKeywords(
-    ModelOptions, PayloadLogOptions, EstimationOptions
+    _IdentifyPayloadInformation, _IdentifyPayloadReadLogInformation,
+    _IdentifyPlanPayloadInformation,
+    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold
+): ...  # fmt: skip
+
+
+class PlanKeywords(
+    _IdentifyPlanPayload, _IdentifyPlan, _IdentifyPlanPayloadPlay,
+    _IdentifyPlanPayloadInformation,
+    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold,
+    _IdentifyPlanPayloadPlayHold, _Plan, _PlanPayload
 ): ...  # fmt: skip
 
 
 class PlayKeywords(
-    BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions,
-    SecondArm, PlayLimitOptions
+    _IdentifyPlanPayloadPlay, _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold,
+    _IdentifyPlanPayloadPlayHold, _PlayHold, _Play
+): ...  # fmt: skip
+
+
+class ReadLogKeywords(
+    _IdentifyPayloadReadLogInformation
+): ...  # fmt: skip
+
+
+class IdentifyFromKeywords(
+    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold
+): ...  # fmt: skip
+
+
+class RegressorKeywords(
+    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold
 ): ...  # fmt: skip
 
 
 class HoldKeywords(
-    BusAddress, BusTiming, PlaySettings, Permissions, RecordingOptions, ModelOptions,
-    HoldSecondArm
+    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold,
+    _IdentifyPlanPayloadPlayHold, _PlayHold
 ): ...  # fmt: skip
-
-
-ReadLogKeywords = ReadLogLogOptions
-IdentifyFromKeywords = ModelOptions
-RegressorKeywords = ModelOptions

@@ -8,18 +8,17 @@ writes ``robot_sysid/api/keyword_types.py`` anew.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Container, Iterator, Mapping
 from typing import Any
 
-from robot_sysid.api.keywords import ELSEWHERE, RECORDS, refused_by
-from robot_sysid.records.options import Option, default_of, keys_of, options_of
+from robot_sysid.api.keywords import RECORDS, refused_by
+from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 
 PATH = ROOT / "robot_sysid" / "api" / "keyword_types.py"
 HEAD = '''"""Types of the keywords, for type checkers and editors; no run imports this.
 
 Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
-A class holds the keywords of one record, as far as one function or several take them.
+A class holds the keywords that the functions in its name take, and no others.
 """
 # ruff: noqa: D101
 
@@ -73,55 +72,31 @@ def _quoted(word: str) -> str:
     return f'"{word}"'
 
 
-def _classes(record: Any, kinds: Mapping[str, Container[str]]) -> Iterator[tuple[str, str]]:
-    """Yield (class, its text), each with what is refused by all before it; "" for no keyword more.
-
-    Args:
-        kinds: name of a class to what it refuses; each refuses all that another does, or less.
-    """
-    fields = {
-        each.key: f"    {each.key}: {type_of(each, default_of(record, attribute))}\n"
-        for attribute, each in options_of(record).items()
-    }
-    taken = {name: {*fields} - {*refused} for name, refused in kinds.items()}
-    base, told = "TypedDict", set[str]()
-    for name in sorted(taken, key=lambda name: len(taken[name])):
-        assert told <= taken[name]
-        lines = [line for key, line in fields.items() if key in taken[name] - told]
-        yield name, f"class {name}({base}, total=False):\n{''.join(lines)}" if lines else ""
-        base, told = name if lines else base, taken[name]
-
-
 def text() -> str:
-    """Return the module: a class per record, and one per function that puts them together."""
-    records = list(dict.fromkeys(each for records in RECORDS.values() for each in records))
-    options = (each for record in records for each in options_of(record).values())
-    aliases = (_alias(each) for each in options if _has_alias(each))
+    """Return the module: a class for what the same functions take, and one for each function."""
+    aliases, takers = dict[str, None](), dict[str, list[str]]()
+    for function, records in RECORDS.items():
+        refused, name = refused_by(function), function.title().replace("_", "")
+        named = [(each, n, o) for each in records for n, o in options_of(each).items()]
+        aliases.update((_alias(option), None) for _, _, option in named if _has_alias(option))
+        lines = {
+            f"    {option.key}: {type_of(option, default_of(record, attribute))}\n"
+            for record, attribute, option in named
+            if option.key not in refused
+        }
+        for line in sorted(lines) if function != "identify_arm" else ():  # the same as of identify
+            takers.setdefault(line, []).append(name)
+    shared = dict[tuple[str, ...], str]()
+    for line, names in takers.items():
+        shared[tuple(names)] = shared.get(tuple(names), "") + line
     parts = [HEAD + "".join(aliases)]
-    kinds: dict[Any, dict[str, Any]] = {each: {each.__name__: ELSEWHERE} for each in records}
-    functions = dict[str, list[str]]()
-    for function, taken in RECORDS.items():
-        if function != "identify_arm":  # the same as of identify
-            refused, name = refused_by(function), function.title().replace("_", "")
-            names = functions[name] = []
-            for record in taken:
-                partly = not keys_of(record).isdisjoint({*refused} - {*ELSEWHERE})
-                names.append(f"{name * partly}{record.__name__}")
-                kinds[record][names[-1]] = refused if partly else ELSEWHERE
-    same, last = dict[str, str](), ""
-    for record, own in kinds.items():
-        for name, each in _classes(record, own):
-            parts += [each] if each else []
-            last = name if each else last
-            same[name] = last
-    alone = ""
-    for name, names in functions.items():
-        bases = textwrap.indent(textwrap.fill(", ".join(map(same.__getitem__, names)), 90), "    ")
-        if len(names) > 1:
-            parts.append(f"class {name}Keywords(\n{bases}\n): ...  # fmt: skip\n")
-        else:
-            alone += f"{name}Keywords = {bases.strip()}\n"
-    return "\n\n".join([*parts, alone])
+    for names, lines in shared.items():
+        parts.append(f"class _{''.join(names)}(TypedDict, total=False):\n{lines}")
+    for name in dict.fromkeys(name for names in shared for name in names):
+        bases = ", ".join(f"_{''.join(names)}" for names in shared if name in names)
+        wrapped = textwrap.indent(textwrap.fill(bases, 90), "    ")
+        parts.append(f"class {name}Keywords(\n{wrapped}\n): ...  # fmt: skip\n")
+    return "\n\n".join(parts)
 
 
 if __name__ == "__main__":
