@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.config import config_from
+from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.logs.reader import write_measurement_csv
@@ -47,7 +47,7 @@ def main(*names: str) -> None:
         begun = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             logs = write_logs(robot, Path(folder), np.random.default_rng(7))
-            config = config_from(
+            config = SysidConfig.of(
                 robot.path,
                 joint=joint,
                 measurements=logs,

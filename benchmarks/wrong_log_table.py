@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.wrong_logs import ARMS, KINDS, robot_of
-from robot_sysid.config import config_from
+from robot_sysid.config import SysidConfig
 from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.run import check_against_model
 from robot_sysid.errors import SysidError
@@ -95,7 +95,7 @@ def identified(truth, log, folder: Path) -> Outcome:
     write_measurement_csv(file, truth.robot.joint_names, [log])
     listener = Listener()
     try:
-        config = config_from(truth.robot.path, measurements=(file,))
+        config = SysidConfig.of(truth.robot.path, measurements=(file,))
         result = analysed(config, truth.robot, listener).result
     except SysidError as error:
         return Outcome(error.exit_code, " ".join([*listener.said, str(error)]), None)

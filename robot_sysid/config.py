@@ -5,7 +5,7 @@ One record for an identification, another for finding a payload.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
@@ -97,6 +97,17 @@ class Config:
     limits: LimitOptions = LimitOptions()
     arm: SimulatedArmOptions = SimulatedArmOptions()
 
+    @classmethod
+    def of(cls: type[AnyConfig], path: Path, **values: Any) -> AnyConfig:
+        """Return the configuration of a run on a model file: ``max_velocity=1.0`` for an option.
+
+        InputError where one is unknown, its value cannot be used, or it does not go with another.
+        """
+        records = get_type_hints(cls)
+        options.refuse_unknown(values, options.keys_of(*records.values()))
+        made = {name: options.record_from(record, values) for name, record in records.items()}
+        return cls(**{**made, "model": replace(made["model"], path=Path(path))})
+
     def __post_init__(self) -> None:
         for both, first, second in self._pairs():
             if both:
@@ -170,16 +181,11 @@ class Config:
             yield "--output-dir", self.output.output_dir / name
 
 
-ANY_TORQUE = ("torques", "no_friction")
-"""Keys of the estimation that count for simulated torques of the model itself as well."""
 OF_TORQUE = (
     *("report", "plots", "keep", "links", "torque_scale", "torque_constants", "append"),
     "save_measurements",
 )
 """Keys of options that mean nothing where no torque was measured."""
-OF_AN_ESTIMATE = ("bundle", "report", "plots", "plant_model", "save_measurements")
-"""Keys of options that mean nothing where a motion is only planned."""
-
 PREDICTED = (
     *("torques", "noise_torque", "link_uncertainty", "scale_uncertainty", "zero_uncertainty"),
     *("gravity_uncertainty", "delay_uncertainty", "friction_uncertainty"),
@@ -195,6 +201,13 @@ class SysidConfig(Config):
 
     motors: MotorOptions = MotorOptions()
     poses: PoseOptions = PoseOptions()
+
+    @classmethod
+    def of_plan(cls, path: Path, **values: Any) -> SysidConfig:
+        """Return the configuration of a plan; where no motion is given, one is designed."""
+        rests = values.get("static") or values.get("for_") == "friction"
+        usual = {} if values.get("trajectory") or rests else PLANNED
+        return cls.of(path, **{**usual, **values, "plan_only": True})
 
     @property
     def is_measured(self) -> bool:
@@ -231,7 +244,8 @@ class SysidConfig(Config):
         yield log, "describes a log; add --measurements LOG.csv", about_log
         estimate = "is about an estimate; a plan stops before it"
         of_torque = _given(self.estimation, only=("no_friction",))
-        of_files = _given(self.output, self.arm, only=OF_AN_ESTIMATE)
+        files = ("bundle", "report", "plots", "plant_model", "save_measurements")
+        of_files = _given(self.output, self.arm, only=files)
         yield not plan, estimate, [*of_torque, *of_files]
         plant = "belongs to a simulated plant; add --plant-model (the model file itself will do)"
         simulated = self.arm.plant_model is not None
@@ -241,7 +255,9 @@ class SysidConfig(Config):
         yield judged, plant, _given(self.arm, only=("noise_torque",))
         measured = "is about measured torques; add --measurements or --plant-model"
         kept = _given(self.output, only=("keep", "links"))
-        yield self.is_measured, measured, [*_given(self.estimation, but=ANY_TORQUE), *kept]
+        # These two count for simulated torques of the model itself as well.
+        fitted = _given(self.estimation, but=("torques", "no_friction"))
+        yield self.is_measured, measured, [*fitted, *kept]
         servos = self.estimation.torque_from is not None
         torque = _given(self.output, self.log, self.arm, only=OF_TORQUE)
         yield not servos, "is about measured torques; leave it off with --torque-from", torque
@@ -384,28 +400,5 @@ NOT_OF_A_PAYLOAD = ("links", "append", "save_trajectory", "plant_model", "save_m
 """Keys of options that mean nothing for a payload."""
 
 
-def config_from(path: Path, **values: Any) -> SysidConfig:
-    """Return the configuration of a run on one model file: ``max_velocity=1.0`` is --max-velocity.
-
-    InputError where an option is unknown, its value cannot be used, or it does not go with another.
-    """
-    return _configured(SysidConfig, path, values)
-
-
-def plan_config_from(path: Path, **values: Any) -> SysidConfig:
-    """Return the configuration of a plan; where no motion is given, one is designed."""
-    rests = values.get("static") or values.get("for_") == "friction"
-    usual = {} if values.get("trajectory") or rests else PLANNED
-    return config_from(path, **{**usual, **values, "plan_only": True})
-
-
-def payload_config_from(path: Path, **values: Any) -> PayloadConfig:
-    """Return the configuration of one payload on an arm's model file, see ``config_from``."""
-    return _configured(PayloadConfig, path, values)
-
-
-def _configured(kind: type[AnyConfig], path: Path, values: Mapping[str, Any]) -> AnyConfig:
-    records = get_type_hints(kind)
-    options.refuse_unknown(values, options.keys_of(*records.values()))
-    made = {name: options.record_from(record, values) for name, record in records.items()}
-    return kind(**{**made, "model": replace(made["model"], path=Path(path))})
+config_from = SysidConfig.of
+"""The name by which programs know it."""

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.config import SysidConfig, config_from, payload_config_from
+from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import CHOSEN, DEFAULT_TERMINAL, EstimationOptions
@@ -29,7 +29,7 @@ EMPTY_AND_LOADED = {"empty": (Path("a.csv"),), "loaded": (Path("b.csv"),)}
 MODELS = {"empty_model": Path("a.xml"), "loaded_model": Path("b.xml")}
 
 
-def refused(make=config_from, **values):
+def refused(make=SysidConfig.of, **values):
     """The one line with which options are refused."""
     with pytest.raises(InputError) as caught:
         make(MODEL, **values)
@@ -38,7 +38,7 @@ def refused(make=config_from, **values):
 
 
 def test_every_option_is_accepted_in_some_run_and_kept():
-    config = config_from(MODEL)
+    config = SysidConfig.of(MODEL)
     assert config == SysidConfig(config.model) and config.model.path == MODEL
     samples = list(option_samples.samples())
     assert len({sample.option.key for sample in samples}) == len(samples)
@@ -46,7 +46,7 @@ def test_every_option_is_accepted_in_some_run_and_kept():
         for there in ({}, OPTIMAL, STATIC, PLANT, LOG, SERVOS, MOTORS):
             values = {"motor_type": ("DM4340",), **there} if there is MOTORS else there
             try:
-                config = config_from(MODEL, **{**values, sample.option.key: sample.value})
+                config = SysidConfig.of(MODEL, **{**values, sample.option.key: sample.value})
             except InputError:
                 continue
             assert getattr(getattr(config, sample.record), sample.field) == sample.value
@@ -90,7 +90,7 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
     write_torque_scale(path, {"two": (2.0, 0.02), "other": (3.0, 1.0), "one": (1.1, 0.0055)})
 
     def sure(**values):
-        made = payload_config_from(MODEL, **EMPTY_AND_LOADED, **values)
+        made = PayloadConfig.of(MODEL, **EMPTY_AND_LOADED, **values)
         return made.calibrated(("one", "two")).estimation.scale_uncertainty
 
     assert sure(torque_scale=path) == pytest.approx((0.5, 1.0))
@@ -120,7 +120,7 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
     ],
 )
 def test_of_a_payload_as_well(values, message):
-    assert refused(payload_config_from, **values).startswith(message)
+    assert refused(PayloadConfig.of, **values).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -142,12 +142,12 @@ def test_options_that_exclude_each_other_are_refused(values):
 
 def test_what_goes_together_is_accepted():
     for values in ({**PLANT, **OPTIMAL}, {**PLANT, **FILE}, {**PLAN, **OPTIMAL}, {**PLAN, **FILE}):
-        config_from(MODEL, **values)
+        SysidConfig.of(MODEL, **values)
     for values, measured in (({}, False), (OPTIMAL, False), (LOG, True), (PLANT, True)):
-        assert config_from(MODEL, **values).is_measured == measured
-    config_from(MODEL, save_trajectory=Path("a.json"), save_measurements=Path("b.csv"))
-    config_from(MODEL, **LOG, save_measurements=Path("other/log.csv"))
-    payload_config_from(MODEL, **MODELS, noise_torque=0.1, seed=1)
+        assert SysidConfig.of(MODEL, **values).is_measured == measured
+    SysidConfig.of(MODEL, save_trajectory=Path("a.json"), save_measurements=Path("b.csv"))
+    SysidConfig.of(MODEL, **LOG, save_measurements=Path("other/log.csv"))
+    PayloadConfig.of(MODEL, **MODELS, noise_torque=0.1, seed=1)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
     if duration * rate > MOST_SAMPLES:
         assert "more than the 1e+09 a run can take" in refused(**values)
     elif duration * rate >= 1.0:
-        assert config_from(MODEL, **values).trajectory.duration == duration
+        assert SysidConfig.of(MODEL, **values).trajectory.duration == duration
     else:
         assert "less than two samples" in refused(**values)
 

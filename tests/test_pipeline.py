@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_sysid.config import SysidConfig, config_from
+from robot_sysid.config import SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.parser import load_robot_model
@@ -39,7 +39,7 @@ def arm(arm_file):
 
 def config(arm: Path, **more) -> SysidConfig:
     values = {"duration": 3.0, "sample_rate": 200.0, "seed": 1, "output_dir": arm.parent / "out"}
-    return config_from(arm, **{**values, **more})
+    return SysidConfig.of(arm, **{**values, **more})
 
 
 def test_a_run_returns_what_its_files_say(arm):
@@ -76,7 +76,7 @@ def test_an_updated_model_moves_together_with_the_original(tmp_path):
     home = tmp_path / "home"
     shutil.copytree(GUESS.parent, home / "model")
     values = {"duration": 1.0, "sample_rate": 100.0, "seed": 1, "output_dir": home / "out"}
-    run(config_from(home / "model" / GUESS.name, **values))
+    run(SysidConfig.of(home / "model" / GUESS.name, **values))
     home.rename(tmp_path / "moved")
     assert load_robot_model(tmp_path / "moved" / "out" / "updated_model.xml").n_joints == 7
 

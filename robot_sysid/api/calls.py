@@ -18,14 +18,7 @@ import numpy as np
 
 from robot_sysid.api.keywords import Model, arm_of, path_of, python_words, with_keywords
 from robot_sysid.api.results import Identified, PlanResult, one_thread
-from robot_sysid.config import (
-    PLANNED,
-    Config,
-    SysidConfig,
-    config_from,
-    payload_config_from,
-    plan_config_from,
-)
+from robot_sysid.config import PLANNED, Config, PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.estimation import sums
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -164,7 +157,7 @@ def identify(
     values = {**options, **_logs(measurements=log)}
     if validation is not None:
         values["validation_measurements"] = _log(validation)
-    return _answered(config_from(path_of(model), **values))
+    return _answered(SysidConfig.of(path_of(model), **values))
 
 
 @with_keywords()
@@ -196,7 +189,7 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     Raises:
         InputError: an option or the model cannot be used.
     """
-    config = plan_config_from(path_of(model), **options)
+    config = SysidConfig.of_plan(path_of(model), **options)
     with _quietly() as notes:
         robot = load(config, notes)
         made, _ = designed(config, robot, notes)
@@ -224,7 +217,7 @@ def payload(
         InputError: an option, the model or a recording cannot be used.
     """
     logs = _logs(empty=empty, loaded=loaded)
-    return _answered(payload_config_from(path_of(model), **{**options, **logs}))
+    return _answered(PayloadConfig.of(path_of(model), **{**options, **logs}))
 
 
 @with_keywords()

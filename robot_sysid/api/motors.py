@@ -16,6 +16,7 @@ from robot_sysid.damiao.execution import MotorRun, lasting, run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import Plan, require_no_stop
+from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
 from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
@@ -68,8 +69,8 @@ def play(
         plan = asked.plan()
         require_no_stop(asked.checks(plan), "not played")
         asked.require_free(plan)
-        bus = asked.simulated(asked.simulated_arm(plan)) if simulate else asked.bus()
-        with bus as link:
+        arm = asked.simulated_arm(plan, DEFAULT_WATCHDOG) if simulate else None
+        with asked.bus() if arm is None else asked.simulated(arm) as link:
             return _played(asked, link, plan, say, real=not simulate)
 
 

@@ -11,7 +11,7 @@ from shlex import quote
 
 import robot_sysid
 from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.config import config_from
+from robot_sysid.config import SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.records.atomic_files import draft_folder, temporary_folder
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
@@ -107,4 +107,4 @@ def _record(model: Path, log: Path) -> None:
 
     arm = {"plant_model": model / TRUTH, "save_measurements": log}
     with temporary_folder() as nowhere:
-        run(config_from(model / GUESS, **RECORDING, **arm, output_dir=nowhere))
+        run(SysidConfig.of(model / GUESS, **RECORDING, **arm, output_dir=nowhere))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.run import add_model, carry_out
-from robot_sysid.config import OutputOptions, config_from
+from robot_sysid.config import OutputOptions, SysidConfig
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.model.options import ModelOptions
@@ -44,4 +44,4 @@ def main(arguments: Sequence[str], with_links: bool = False) -> int:
         console.note("arm is identify --links now; both do the same")
         # Where no torque was measured, links are not sought.
         values["links"] = "torque_from" not in values
-    return carry_out(config_from(**values), console)
+    return carry_out(SysidConfig.of(**values), console)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.run import EXCITATION, add_model, carry_out
-from robot_sysid.config import NOT_OF_A_PAYLOAD, OutputOptions, PayloadOptions, payload_config_from
+from robot_sysid.config import NOT_OF_A_PAYLOAD, OutputOptions, PayloadConfig, PayloadOptions
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.model.options import ModelOptions
@@ -51,4 +51,4 @@ def build_parser(full: bool = True) -> Parser:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parsed(build_parser, arguments)
-    return carry_out(payload_config_from(**values), console)
+    return carry_out(PayloadConfig.of(**values), console)

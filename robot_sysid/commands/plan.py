@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.run import add_model, carry_out
-from robot_sysid.config import PLANNED, PREDICTED, MotorOptions, OutputOptions, plan_config_from
+from robot_sysid.config import PLANNED, PREDICTED, MotorOptions, OutputOptions, SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.model.options import ModelOptions
@@ -94,7 +94,7 @@ def main(arguments: Sequence[str]) -> int:
             shown = shown_plan(checked.problem, checked.plan)
             show_preview(checked.problem.robot, shown, wanted, console)
 
-    return carry_out(plan_config_from(**values), console, show)
+    return carry_out(SysidConfig.of_plan(**values), console, show)
 
 
 def require_preview(wanted: PreviewOptions) -> None:

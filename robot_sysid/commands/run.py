@@ -20,7 +20,6 @@ from robot_sysid.config import (
     OutputOptions,
     PayloadConfig,
     SysidConfig,
-    config_from,
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -76,7 +75,7 @@ def add_model(parser: Parser) -> None:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parsed(build_parser, arguments)
-    return carry_out(config_from(**values), console)
+    return carry_out(SysidConfig.of(**values), console)
 
 
 def carry_out(

@@ -32,15 +32,10 @@ from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, read_joint_map
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
-from robot_sysid.damiao.references import STRAIGHT, HoldingCheck, alongside, sampled
+from robot_sysid.damiao.references import STRAIGHT, FileHolding, HoldingCheck, alongside, sampled
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings, SecondArm
-from robot_sysid.damiao.simulated import (
-    DEFAULT_WATCHDOG,
-    SimulatedArm,
-    SimulatedLink,
-    simulated_motor,
-)
+from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, words_of
@@ -79,8 +74,11 @@ class MotorRun:
     def _two(self) -> bool:
         """Whether both arms of the model are meant."""
         second, values = record_from(SecondArm, self.values), self.values
-        plays = values.get("trajectory") is not None
-        second.require_named(values.get("model"), values.get("joint"), plays)
+        if second.also is None and second.also_joint and values.get("trajectory") is not None:
+            raise InputError("--also-joint is about a second arm; add --also")
+        named = second.also_joint and values.get("model") and values.get("joint")
+        if (second.also or second.also_joint) and not named:
+            raise InputError("two arms need --model, --joint and --also-joint: which they are")
         return second.also_joint is not None
 
     def hold_plan(self, inspection: asked.Inspection) -> Plan:
@@ -250,9 +248,7 @@ class MotorRun:
             raise InputError(f"--joint and --also-joint are of one arm: both move {name}")
         return arms
 
-    def simulated_arm(
-        self, plan: Plan, watchdog: float = DEFAULT_WATCHDOG, *timestep: float
-    ) -> SimulatedArm:
+    def simulated_arm(self, plan: Plan, watchdog: float, *timestep: float) -> SimulatedArm:
         """Return the model's arm at the plan's first point, driven by simulated motors."""
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
@@ -331,7 +327,7 @@ def run(
                 client, seconds = asked.RegisterClient(link), plan.allowed.watchdog
                 stack.enter_context(asked.watchdogs_set_to(client, motors, seconds, session.is_off))
             stack.enter_context(session)
-            carried = holding or plan.holding
+            carried = holding or FileHolding(plan.trajectory)
             player = Player(session, settings, stop, recorder, *told, park, carried, orders)
             own = sampled(plan.trajectory, settings.speed)
             report = player.play(alongside(own, places), plan.duration)

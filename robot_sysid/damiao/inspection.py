@@ -71,6 +71,11 @@ class RegisterClient:
                     return frame
         return None
 
+    def state_of(self, motor: InspectedMotor) -> Feedback | None:
+        """Ask a motor for its state, without any effect on it; None where it does not tell."""
+        frame = self.refresh(motor.address, motor.reply_ids[0])
+        return None if frame is None else motor.meaning(frame.data)
+
     def seconds_to_refresh(self, motors: Sequence[tuple[frames.Address, int]]) -> float | None:
         """Return the time until all motors, asked at once, have answered [s], or None."""
         self._link.drain()
@@ -219,7 +224,7 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         reply_ids = tuple(answer.reply_id for answer in answers)
         channel = link.channels[address.bus] if len(link.channels) > 1 else ""
         motor = InspectedMotor(address, reply_ids, registers, None, channel)
-        motors[address] = replace(motor, feedback=state_of(client, motor))
+        motors[address] = replace(motor, feedback=client.state_of(motor))
     asked, round_trip = [(each.address, each.reply_ids[0]) for each in motors.values()], None
     if all(each.feedback for each in motors.values()):
         times = [client.seconds_to_refresh(asked) for _ in range(_ROUNDS)]
@@ -227,9 +232,3 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         if len(answered) > _ROUNDS // 2:
             round_trip = float(np.percentile(answered, 90.0))
     return Inspection(motors, unsolicited, client.error_frames, round_trip)
-
-
-def state_of(client: RegisterClient, motor: InspectedMotor) -> Feedback | None:
-    """Ask a motor for its state, without any effect on it; None where it does not tell."""
-    frame = client.refresh(motor.address, motor.reply_ids[0])
-    return None if frame is None else motor.meaning(frame.data)

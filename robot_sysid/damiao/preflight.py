@@ -142,11 +142,6 @@ class Plan:
         if rest is not None:
             yield "on the way to where it is parked", self.trajectory.q[-1], rest
 
-    @property
-    def holding(self) -> HoldingCheck:
-        """What the trajectory itself says that holds the arm."""
-        return FileHolding(self.trajectory)
-
     def places(self, inspection: Inspection) -> Array:
         """Return where the joints stand (n,) [rad]; NaN where a motor does not tell."""
         joints, motors = self.trajectory.joints, inspection.motors
@@ -468,7 +463,8 @@ def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
 
 def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
     """Yield which joints' directions nothing has shown, and what to do."""
-    unseen = [joint.label for joint in (model or plan.holding).unjudged(plan.scan.first)]
+    known = model or FileHolding(plan.trajectory)
+    unseen = [joint.label for joint in known.unjudged(plan.scan.first)]
     if not unseen:
         yield Check(OK, "gravity shows which way each joint turns, or somebody has verified it")
         return

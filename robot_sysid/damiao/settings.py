@@ -12,7 +12,6 @@ import numpy as np
 from robot_sysid.damiao.protocol.codec import KD_MAX, KD_STEP, KP_MAX
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.protocol.motors import MotorSpec
-from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option, per_joint, speed_factor
 
@@ -150,10 +149,3 @@ class SecondArm(OptionRecord):
         None, "trajectory of the model's other arm, played at the same time", "FILE"
     )
     also_joint: str | None = option(None, "terminal joint of the model's other arm", "NAME")
-
-    def require_named(self, model: object, joint: str | None, plays: bool) -> None:
-        """Raise InputError where it is not clear which two arms are meant, or what one plays."""
-        if self.also is None and self.also_joint and plays:
-            raise InputError("--also-joint is about a second arm; add --also")
-        if (self.also or self.also_joint) and not (self.also_joint and model and joint):
-            raise InputError("two arms need --model, --joint and --also-joint: which they are")

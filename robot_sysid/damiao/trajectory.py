@@ -245,9 +245,14 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
             joints.append(_parse_joint(line, path, number))
     else:
         raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
-    _check_columns(line, len(joints), path, number)
+    n = len(joints)
+    if n == 0:
+        raise InputError(f"{path} has no '# motor_type=...' lines; it is not a Damiao trajectory")
+    if [name.strip() for name in line.split(",")] != ["time", *trajectory_columns(n)]:
+        expected = f"expected the columns time,j0_pos,j0_vel,j0_tau,... for {n} joints"
+        raise InputError(f"{path}, line {number}: {expected}")
     filled = [(k, row) for k, row in enumerate(lines[number:], number + 1) if row.strip()]
-    table = _table(filled, 1 + 3 * len(joints), path)
+    table = _table(filled, 1 + 3 * n, path)
     numbers, time = np.array([k for k, _ in filled], int), table[:, 0].copy()
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
         raise InputError(f"{path}, near line {numbers[row + 1]}: time does not increase")
@@ -318,16 +323,6 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
     if mode != "MIT":
         raise InputError(f"{path}, line {number}: mode {mode!r} cannot be played, only MIT")
     return DamiaoJoint(motor_type, can_id, master_id)
-
-
-def _check_columns(line: str, n_joints: int, path: Path, number: int) -> None:
-    if n_joints == 0:
-        raise InputError(f"{path} has no '# motor_type=...' lines; it is not a Damiao trajectory")
-    if [name.strip() for name in line.split(",")] != ["time", *trajectory_columns(n_joints)]:
-        raise InputError(
-            f"{path}, line {number}: expected the columns time,j0_pos,j0_vel,j0_tau,... for "
-            f"{n_joints} joints"
-        )
 
 
 @dataclass(frozen=True)

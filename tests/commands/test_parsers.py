@@ -12,7 +12,7 @@ from robot_sysid import __version__
 from robot_sysid.cli import main
 from robot_sysid.commands import identify, log, payload, plan, run
 from robot_sysid.commands.arguments import PYTHON_ONLY, parsed
-from robot_sysid.config import PayloadConfig, SysidConfig, config_from
+from robot_sysid.config import PayloadConfig, SysidConfig
 from tests.support import option_samples
 
 MODULES = {"": run, "plan": plan, "identify": identify, "payload": payload, "log": log}
@@ -49,19 +49,21 @@ def asked(monkeypatch):
 
 
 def test_a_command_says_what_it_does_with_the_options(asked):
-    assert asked("arm.xml") == config_from("arm.xml")
+    assert asked("arm.xml") == SysidConfig.of("arm.xml")
     logs = (Path("a.csv"), Path("b.csv"))
-    assert asked("identify", "arm.xml", "a.csv", "b.csv") == config_from(
+    assert asked("identify", "arm.xml", "a.csv", "b.csv") == SysidConfig.of(
         "arm.xml", measurements=logs
     )
-    assert asked("arm", "arm.xml", "a.csv") == config_from(
+    assert asked("arm", "arm.xml", "a.csv") == SysidConfig.of(
         "arm.xml", measurements=logs[:1], links=True
     )
     torque = asked("arm", "arm.xml", "a.csv", "--torque-from", "position-error")
     assert torque.estimation.torque_from and not torque.output.links
-    assert asked("plan", "arm.xml") == config_from("arm.xml", plan_only=True, excitation="optimal")
+    assert asked("plan", "arm.xml") == SysidConfig.of(
+        "arm.xml", plan_only=True, excitation="optimal"
+    )
     saved = asked("plan", "arm.xml", "--trajectory", "p.json")
-    assert saved == config_from("arm.xml", plan_only=True, trajectory="p.json")
+    assert saved == SysidConfig.of("arm.xml", plan_only=True, trajectory="p.json")
     assert asked("plan", "arm.xml", "--excitation", "sines").excitation.kind == "sines"
 
 

@@ -9,7 +9,7 @@ import pytest
 from robot_sysid.commands import plan
 from robot_sysid.commands.arguments import parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.config import plan_config_from
+from robot_sysid.config import SysidConfig
 from robot_sysid.motion.trajectories import LineTrajectory, load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, witness
@@ -34,7 +34,7 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(command, arm_file):
     assert isinstance(saved.plan, SineTrajectory)
     assert saved.joint_names == ("joint0", "joint1", "joint2")
     file = path.parent / "sysid_output" / "trajectory.toml"
-    repeated = plan_config_from(**parsed(plan.build_parser, ["--config", str(file)])[0])
+    repeated = SysidConfig.of_plan(**parsed(plan.build_parser, ["--config", str(file)])[0])
     assert repeated.excitation.kind == "sines"
 
 

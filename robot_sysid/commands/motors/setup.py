@@ -21,13 +21,7 @@ import numpy as np
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors.asked import Asked, answer, motor_table, said_yes, state_table
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.inspection import (
-    InspectedMotor,
-    Inspection,
-    RegisterClient,
-    inspect_bus,
-    state_of,
-)
+from robot_sysid.damiao.inspection import InspectedMotor, Inspection, RegisterClient, inspect_bus
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import refuse_motion
 from robot_sysid.damiao.protocol.joints import BY_HAND, DamiaoJoint, id_problems, write_joint_map
@@ -49,11 +43,7 @@ def _within(low: float, high: float, words: str) -> Callable[[float], str | None
     return lambda value: None if low <= value <= high else f"must be from {words}"
 
 
-def _bit_rate(value: int) -> str | None:
-    listed = ", ".join(map(str, frames.BIT_RATES))
-    return None if value in frames.BIT_RATES else f"must be one of {listed}"
-
-
+_BIT_RATES = f"must be one of {', '.join(map(str, frames.BIT_RATES))}"
 _ID: dict[str, Any] = {"metavar": "ID", "parse": whole_number, "check": _within(1, 15, "1 to 15")}
 
 
@@ -76,7 +66,7 @@ class SetupOptions(OptionRecord):
         "set its bit rate; it listens at the new one from then on",
         "RATE [bit/s]",
         parse=whole_number,
-        check=_bit_rate,
+        check=lambda rate: None if rate in frames.BIT_RATES else _BIT_RATES,
     )
     set_zero: bool = option(False, "make where it stands its zero; asks twice")
     clear_error: bool = option(False, "clear its error, once you know its cause")
@@ -228,7 +218,7 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
             raise HardwareAbort(f"{motor.name} is enabled or does not tell; the arm has to be limp")
 
     def positions() -> Positions:
-        states = [state_of(client, motor) for motor in by_address.values()]
+        states = [client.state_of(motor) for motor in by_address.values()]
         told = [float(state.position[0]) for state in states if state]
         if len(told) < len(states):
             raise HardwareAbort("a motor does not answer any more; nothing was written")
@@ -384,7 +374,7 @@ def _watch(
     client, clock = RegisterClient(link), link.clock
     ends = clock.now() + (options.lifetime or float("inf"))
     while True:
-        lines = list(state_table([(motor, state_of(client, motor)) for motor in motors]))
+        lines = list(state_table([(motor, client.state_of(motor)) for motor in motors]))
         console.lines(lines)
         if clock.now() + options.interval > ends:
             return
