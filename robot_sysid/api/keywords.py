@@ -30,14 +30,8 @@ from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import RobotModel
-from robot_sysid.records.options import (
-    Option,
-    default_of,
-    keys_of,
-    options_of,
-    record_from,
-    refuse_unknown,
-)
+from robot_sysid.records import options as option_records
+from robot_sysid.records.options import Option, default_of, keys_of, options_of
 from robot_sysid.simulation.options import SimulatedArmOptions
 
 Model = Union[str, "os.PathLike[str]", InMemory]
@@ -60,7 +54,7 @@ def path_of(model: Model) -> Path:
 
 def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
     """Return the arm in a model, with the options of ``ModelOptions``; see ``path_of``."""
-    chosen = record_from(ModelOptions, values)
+    chosen = option_records.record_from(ModelOptions, values)
     if is_in_memory(model):
         compiled = compiled_in_memory(model)
         return robot_from_compiled(compiled, Path("model"), chosen.joint, keyframe=chosen.keyframe)
@@ -138,7 +132,7 @@ def with_keywords(**usual: Any) -> Callable[[Function], Function]:
                 for key in asked:
                     if key in refused:
                         raise InputError(f"{key} {refused[key]}")
-                refuse_unknown(asked, {*known, *own.parameters} - {"options"})
+                option_records.refuse_unknown(asked, {*known, *own.parameters} - {"options"})
                 return function(*given, **options)
 
         shown = [each for each in own.parameters.values() if each.name != "options"]

@@ -19,8 +19,8 @@ from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress
 from robot_sysid.report.drawing import Section, inline, png, svg
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
-from robot_sysid.report.sections import comparison, signals, verdict
-from robot_sysid.report.sections.parameters import card, parameters, scatter, visibility
+from robot_sysid.report.sections import signals, verdict
+from robot_sysid.report.sections.parameters import COMPARISON, card, parameters, scatter, visibility
 from robot_sysid.report.sections.picture import picture
 
 _TEMPLATE = Path(__file__).with_name("template.html")
@@ -45,7 +45,7 @@ def sections_of(
     found: list[Section | None] = []
     try:
         if len(runs) > 1:
-            return [maker(runs) for maker in comparison.PARTS]
+            return [maker(runs) for maker in COMPARISON]
         for maker in alone:
             (progress or Progress()).advance("Drawing the report", len(found), len(alone), "")
             found.append(maker(runs[0]))

@@ -30,8 +30,7 @@ from robot_sysid.report.runs import (
     load_run,
     report_data,
 )
-from robot_sysid.report.sections.comparison import compared, predicted
-from robot_sysid.report.sections.parameters import card, visibility
+from robot_sysid.report.sections.parameters import card, compared, predicted, visibility
 from robot_sysid.report.sections.signals import errors, rollout
 from robot_sysid.report.sections.verdict import verdict
 from robot_sysid.results.cards import NOT_KNOWN
