@@ -71,9 +71,7 @@ _MOST_SHIFTED = 20000
 
 
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
-    """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad], of links
-    known as theta (n, 10).
-    """
+    """Return (K, n, n) torque per radian that a joint's reading is too large, of links (n, 10)."""
     count, dynamics = motion.q.shape[1], LinkDynamics(robot)
     # Many shifted motions at once: a call's cost hardly depends on its samples, memory does.
     parts = -(-2 * motion.q.size // _MOST_SHIFTED)

@@ -31,9 +31,7 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
 def subtree_bodies(
     mj_model: Any, qpos: Array, body_id: int, without: Collection[int] = ()
 ) -> tuple[SubtreeBody, ...]:
-    """Return a body and everything below it, held at ``qpos`` (nq,), in that body's frame; of
-    those ``without`` nothing.
-    """
+    """Return a body and all below it but some, held at ``qpos`` (nq,), in that body's frame."""
     data = posed(mj_model, qpos)
     top_rotation = data.xmat[body_id].reshape(3, 3)
     bodies: dict[int, SubtreeBody] = {}

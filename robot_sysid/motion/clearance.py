@@ -37,10 +37,8 @@ HORIZON = 0.05
 KEPT_SHARE = 0.5
 """Share of its distance at rest that a pair nearer than the clearance must keep."""
 DEEPEST_TOUCH = 1e-3
-"""How deep two bodies may be inside each other at rest to count as touching, as parked arms do [m].
-
-Deeper they collide, and no motion may start there.
-"""
+"""How deep two bodies may be inside each other at rest to count as touching, as parked arms do [m];
+deeper they collide, and no motion may start there."""
 _TOUCH_ROOM = 1e-4
 """How much deeper than at rest a touching pair may get: how well depths are known [m]."""
 _NEIGHBOUR_POSTURES, _FINER = 181, 41

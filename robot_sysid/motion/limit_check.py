@@ -33,8 +33,7 @@ from robot_sysid.trajectory import SineTrajectory, sample_times
 LEAST_RATE_HZ, FEW_RATE_HZ = 1000.0, 100.0
 """How densely a motion is checked, and by how few samples most that break a limit are told."""
 CLEARANCE_RESOLUTION, DISTANCE_RESOLUTION = 1e-3, 1e-4
-"""How exactly the reported clearance is that of the tightest moment; and the smallest distance [m].
-"""
+"""How exactly the clearance that is told is that of the tightest moment; the least distance [m]."""
 EXACT_UP_TO, LEAST_EXACT = 15.0, 3e-3
 """Duration up to which it is that exact [s]; less where longer, but never less than this [m]."""
 TOUCH = 1e-6
@@ -44,10 +43,8 @@ apart."""
 SMALLEST, BISECTIONS = 2.0**-9, 4
 """Share of a random motion below which it is not made smaller; halvings of the last factor of 2."""
 RESERVE = 1e-4
-"""Share of speed and acceleration limits that is left for peaks between samples.
-
-Of a 0.6 Hz motion at 1 kHz 1 - cos(pi 0.6 / 1000) = 2e-6 is missed; a window bends ten times more.
-"""
+"""Share of speed and acceleration limits that is left for peaks between samples: of a 0.6 Hz motion
+at 1 kHz 1 - cos(pi 0.6 / 1000) = 2e-6 is missed; a window bends ten times more."""
 FINEST_RATE_HZ = 4000.0
 """How densely clearance is tested where it is tight: 0.5 mm at 2 m/s."""
 WHOLE, SHORTEST_PERIOD = 1e-9, 1.0

@@ -23,15 +23,11 @@ if TYPE_CHECKING:
 
 EXCITATIONS = ("sines", "optimal")
 LONGEST_FADE = 1.5
-"""Fade of a designed trajectory [s]; shorter where the trajectory is short.
-
-It takes 7.5 / 1.5^2 = 3.3 / s^2 of an offset, a quarter of what a swing as wide at 0.6 Hz takes.
-"""
+"""Fade of a designed trajectory [s], shorter where that is short: it takes 7.5 / 1.5^2 = 3.3 / s^2
+of an offset, a quarter of what a swing as wide at 0.6 Hz takes."""
 TOP_FREQUENCY_HZ = 0.6
-"""Highest harmonic: the top of the band of the random sinusoids.
-
-Full speed at this frequency takes the usual acceleration limit.
-"""
+"""Highest harmonic: the top of the band of the random sinusoids, where full speed takes the usual
+acceleration limit."""
 FEWEST_HARMONICS = 3
 LONGEST_PERIOD = 60.0
 """A longer motion repeats itself, so that a search costs in proportion to its length [s]."""

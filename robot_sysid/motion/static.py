@@ -33,10 +33,8 @@ from robot_sysid.regressor import joint_regressor
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 STARTS, PARENTS, SPREADS = 1000, 50, (0.1, 0.05, 0.02, 0.01, 0.005)
-"""Poses that are tried at a time; how many of the lightest get others near them, and how near.
-
-As share of the joints' ranges, one after the other.
-"""
+"""Poses that are tried at a time; how many of the lightest get others near them, and how near one
+after the other, as share of the joints' ranges."""
 EASY_SHARE = 0.8
 """Share of the torque limits up to which moving off leaves room for a motion."""
 CREEP = 1e-3
@@ -156,9 +154,7 @@ def _fits(problem: ExcitationProblem, poses: Array) -> Array:
 def design_poses(
     problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
 ) -> LineTrajectory:
-    """Return a motion through informative poses that keeps all limits, or raise InputError where
-    too few can be reached.
-    """
+    """Return a motion through informative poses within all limits, or raise InputError: too few."""
     # Random poses that leave room to approach them from both sides.
     lower, upper = problem.limits.lower + 2.0 * APPROACH, problem.limits.upper - 2.0 * APPROACH
     lower, upper = np.minimum(lower, problem.rest), np.maximum(upper, problem.rest)

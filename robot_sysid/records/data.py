@@ -15,9 +15,7 @@ from robot_sysid.records.arm import Array, InertialParameters, JointLimits, chec
 
 @dataclass(frozen=True)
 class Motion:
-    """Chain joint motion at times (N,) [s]: positions, velocities and accelerations (N, n) [rad,
-    rad/s, rad/s^2].
-    """
+    """Chain joint motion at times (N,) [s], and its derivatives (N, n) [rad, rad/s, rad/s^2]."""
 
     time: Array
     q: Array

@@ -40,10 +40,7 @@ def figure(value: float, error: float | None = None) -> str:
 
 
 def with_error(value: float, error: float | None, unit: str = "") -> str:
-    """Return "1.551 ± 0.087 kg", or "1.551 kg (± not known)" where the error is not finite.
-
-    None states no error.
-    """
+    """Return "1.551 ± 0.087 kg"; "1.551 kg (± not known)" for an infinite error; none for None."""
     if not error:
         return f"{figure(value)} {unit}".rstrip()
     if not math.isfinite(error):

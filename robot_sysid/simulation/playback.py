@@ -151,10 +151,7 @@ class Servo:
 
 
 def pieces_of_signals(signals: ProcessedSignals, first: float = -np.inf) -> list[Measurement]:
-    """Return what can be played of a processed log from a time [s] on, cut at its long holes.
-
-    All of it is low-passed.
-    """
+    """Return what can be played, low-passed, of a log from a time [s] on, cut at its long holes."""
     half = signals.low_pass.half_width
     inner = slice(half, len(signals) - half)
     time, bridged = signals.time[inner], signals.bridged[inner]
