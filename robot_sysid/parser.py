@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import os
+import pkgutil
+import re
+import sys
 from collections.abc import Iterator
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from robot_sysid.errors import InputError, ModelError
+from robot_sysid.errors import InputError, ModelError, words_of
 from robot_sysid.model.chain import (
     arm_without_base,
     body_label,
@@ -21,7 +27,6 @@ from robot_sysid.model.chain import (
     resolve_joint,
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
-from robot_sysid.model.descriptions import model_file
 from robot_sysid.model.inertia import arm_links, composite_theta
 from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint
@@ -49,7 +54,7 @@ def load_robot_model(
         AmbiguousJointError: several joints could be the terminal one.
         InputError: there is no such keyframe; lists those there are.
     """
-    path = model_file(Path(model))
+    path = _model_file(Path(model))
     compiled = compile_model(path, None if mesh_dir is None else Path(mesh_dir))
     return robot_from_compiled(compiled, path, joint, max_velocity, keyframe)
 
@@ -158,3 +163,38 @@ def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:
         while bodies[index] > 0 and bodies[index] not in links:
             bodies[index] = int(mj_model.body_parentid[bodies[index]])
     return bodies[0] != bodies[1]
+
+
+_PACKAGE = "robot_descriptions"
+_NAME = re.compile(r"\w+_description", re.ASCII)
+"""``ur5e_mj_description``, an MJCF, and ``panda_description``, a URDF."""
+
+
+def _model_file(path: Path) -> Path:
+    """Return a path as it is, or, where nothing is there, the file of the model of that name;
+    InputError if robot_descriptions is missing, knows no such model, or cannot fetch it.
+    """
+    name = str(path)
+    if not _NAME.fullmatch(name) or os.path.lexists(path):
+        return path
+    try:
+        package = importlib.import_module(_PACKAGE)
+    except ImportError:
+        remedy = "models by name need pip install 'robot-sysid[descriptions]'"
+        raise InputError(f"there is no file {name}; {remedy}") from None
+    names = [each.name for each in pkgutil.iter_modules(package.__path__)]
+    if name not in names:
+        near = get_close_matches(name, names, 3)
+        meant = f"did you mean {' or '.join(near)}?" if near else "its page lists those it has"
+        raise InputError(f"there is no file {name}, and no such model in {_PACKAGE}; {meant}")
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # it tells what it fetches
+            found = importlib.import_module(f"{_PACKAGE}.{name}")
+    except Exception as error:
+        # Whatever git says where there is no network, or no git.
+        fault = f"{_PACKAGE} cannot fetch {name}: {words_of(error)}"
+        raise InputError(f"{fault}; check the network, or give a model file") from None
+    place = getattr(found, "MJCF_PATH", None) or getattr(found, "URDF_PATH", None)
+    if place is None:
+        raise InputError(f"{_PACKAGE} has {name} as Xacro only; make a URDF of it and give that")
+    return Path(place)

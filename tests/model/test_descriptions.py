@@ -7,9 +7,9 @@ import sys
 import pytest
 
 import robot_sysid as rs
-from robot_sysid.model.descriptions import PACKAGE, model_file
 from tests.support import arms
 
+PACKAGE = "robot_descriptions"
 TEXT = arms.serial_arm((arms.Z, arms.Y), joint='range="-2 2"')
 MODULES = {
     "__init__": "",
@@ -63,4 +63,5 @@ def test_without_the_package_it_is_said_how_to_get_it(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, PACKAGE, None)
     with pytest.raises(rs.InputError, match=r"pip install 'robot-sysid\[descriptions\]'"):
         rs.load_robot_model("ur5e_mj_description")
-    assert model_file(tmp_path) == tmp_path
+    with pytest.raises(rs.InputError, match="is a folder"):
+        rs.load_robot_model(tmp_path)
