@@ -34,19 +34,16 @@ _DEFLATE = 1032.0
 """So many bytes at most come out of one that was compressed."""
 
 
-def refuse_hazards(document: ModelDocument, mesh_dir: Path | None = None) -> None:
-    """Raise ModelError for a document that MuJoCo must not even be shown."""
-    _memory(document, mesh_dir, (), {})
-
-
-def _memory(
+def refuse_hazards(
     document: ModelDocument,
-    mesh_dir: Path | None,
-    above: tuple[Path, ...],
-    known: dict[Path, float],
+    mesh_dir: Path | None = None,
+    above: tuple[Path, ...] = (),
+    known: dict[Path, float] | None = None,
 ) -> float:
-    """Return the memory that a document takes [bytes] with all that it attaches, or raise."""
-    own, attached = document.path.resolve(), Counter[str]()
+    """Raise ModelError for a document that MuJoCo must not even be shown; return the memory that it
+    takes [bytes] with all that it attaches, but for what it is attached by and what is known.
+    """
+    own, attached, known = document.path.resolve(), Counter[str](), {} if known is None else known
     needed: list[tuple[float, str]] = []
     for node, times in _repeated(document, document.root, 1.0):
         needed.append((_stated(node), f"<{node.tag}> in line {node.line}"))
@@ -62,7 +59,7 @@ def _memory(
                 fault = f"attaches itself by way of {asset.name}; take it out"
                 raise ModelError(f"{document.path} {fault}")
             if path not in known:
-                known[path] = _memory(read_document(path), None, (*above, own), known)
+                known[path] = refuse_hazards(read_document(path), None, (*above, own), known)
             memory = known[path] * (1 + attached[asset.node.get("name") or ""])
         needed.append((memory, asset.name))
     # Each use of a file is read anew; a URDF's uses of a mesh are one.

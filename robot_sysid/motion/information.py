@@ -69,12 +69,8 @@ def known_arm(problem: ExcitationProblem) -> Known:
 
 
 class Information(NamedTuple):
-    """Information of a motion.
-
-    Attributes:
-        information: (10 L, 10 L) about all links with mass, the terminal one first.
-        vjp: gives the gradient of a scalar whose derivative with respect to it is -G G^T, from
-            G (10 L, r).
+    """Information (10 L, 10 L) of a motion about all links with mass, the terminal one first. From
+    G (10 L, r), ``vjp`` gives the gradient of a scalar whose derivative by it is -G G^T.
     """
 
     information: Array

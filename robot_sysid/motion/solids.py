@@ -118,12 +118,8 @@ def _hull_vertices(mj_model: Any, mesh: int) -> Array:
 
 
 class HalfSpaces:
-    """How far some bodies are from the boundaries of half-spaces.
-
-    Attributes:
-        required: (B, K) distance that each body has to keep from each boundary [m]; minus infinite
-            where a half-space does not bind it.
-        solids, normals: the B bodies, and the boundaries' (K, 3).
+    """How far B bodies are from K boundaries with normals (K, 3), and which distance each has to
+    keep (B, K) [m], minus infinite where a half-space does not bind it.
     """
 
     def __init__(self, mj_model: Any, spaces: Sequence[HalfSpace]) -> None:

@@ -82,12 +82,8 @@ class InertialParameters:
 
 @dataclass(frozen=True)
 class SubtreeBody:
-    """One body of the terminal link, the terminal body itself or one below it.
-
-    Attributes:
-        theta: (10,) its inertial parameters in the TERMINAL body's frame, inertia about that
-            frame's origin; kg, kg m, kg m^2.
-        welded: whether no joint lies between it and the terminal body.
+    """One body of the terminal link, the terminal body itself or one below it, welded where no
+    joint lies between: theta (10,) in the TERMINAL body's frame, inertia about that one's origin.
     """
 
     body_id: int

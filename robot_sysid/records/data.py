@@ -93,11 +93,8 @@ class BodyMotion:
 
 @dataclass(frozen=True)
 class JointInformation:
-    """Square-root information of one joint's equations: R^T R = [Y tau]^T [Y tau].
-
-    Attributes:
-        columns: (k,) which global parameters this joint's equations contain.
-        triangle: (k+1, k+1) upper triangle R of the QR factorisation of [Y tau].
+    """Square-root information of one joint's equations, which contain the global parameters in
+    ``columns`` (k,): the upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau].
     """
 
     joint: str

@@ -11,7 +11,6 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
@@ -44,7 +43,6 @@ from tests.support.model_files import (
 from tests.support.places import SHARED
 from tests.support.releases import since
 
-seeds = st.integers(0, 2**32 - 1)
 THETA = random_theta(np.random.default_rng(1), 2.0)
 URDF = urdf_robot(
     urdf_link("base"),

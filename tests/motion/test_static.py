@@ -122,18 +122,15 @@ def test_the_way_to_another_start_is_looked_at_too():
     assert "wall" in contact_on_the_way(some, through)
 
 
-POSING = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
-OPTIONS = PoseOptions("payload", True, poses=6, dwell=1.0)
-
-
 @pytest.fixture(scope="module")
 def posing():
-    return build_problem(POSING, LimitOptions())
+    return built(robot_of(arms.serial_arm((Z, Y, Y, X))))
 
 
 @pytest.fixture(scope="module")
 def poses(posing):
-    return design_poses(posing, OPTIONS, np.random.default_rng(0))
+    options = PoseOptions("payload", True, poses=6, dwell=1.0)
+    return design_poses(posing, options, np.random.default_rng(0))
 
 
 @pytest.mark.slow
@@ -152,12 +149,9 @@ def test_each_pose_is_approached_from_both_sides(poses):
         np.testing.assert_allclose(poses.points[second] - poses.points[second - 1], -APPROACH)
 
 
-SWEEPING = arms.robot_of(arms.serial_arm((arms.Z, arms.Y)))
-
-
 @pytest.fixture(scope="module")
 def sweeping():
-    return build_problem(SWEEPING, LimitOptions())
+    return built(robot_of(arms.serial_arm((Z, Y))))
 
 
 @pytest.fixture(scope="module")
