@@ -155,16 +155,13 @@ def save(
 
 
 def remove_earlier(
-    files: atomic_files.WholeFiles,
-    folder: Path,
-    written: Collection[Path],
-    inputs: Collection[Path],
+    files: atomic_files.WholeFiles, folder: Path, written: Collection[Path], read: Collection[Path]
 ) -> tuple[str, ...]:
     """Have results of an earlier run removed once this run's are in place; returns notes.
 
     What this run writes, and what it reads, stays.
     """
-    kept = {os.path.realpath(path) for path in (*written, *inputs)}
+    kept = {os.path.realpath(path) for path in (*written, *read)}
     there = [folder / name for name in (*RESULT_NAMES, *_BESIDE) if (folder / name).is_file()]
     stale = [path for path in there if os.path.realpath(path) not in kept]
     for path in stale:

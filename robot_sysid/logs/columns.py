@@ -123,10 +123,7 @@ class Title:
 
 
 def with_meaning(
-    titles: Sequence[Title],
-    joint_names: Sequence[str],
-    currents: bool = False,
-    commanded: bool = False,
+    titles: Sequence[Title], joint_names: Sequence[str], currents: bool, commanded: bool
 ) -> list[Title]:
     """Return the titles with what they stand for, and with units that no joint's name holds.
 

@@ -132,10 +132,10 @@ class Clearance:
 
     def slack(self, q: Array) -> Slack:
         """Return the slack at positions q (N, n)."""
-        axes, anchors = np.empty((2, len(q), self._model.njnt, 3))
-        near = self._nearest(q, axes=axes, anchors=anchors)
+        frames = np.empty((2, len(q), self._model.njnt, 3))
+        near = self._nearest(q, frames=frames)
         # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
-        axes, anchors = (each[:, self._joints].transpose(2, 0, 1) for each in (axes, anchors))
+        axes, anchors = (each[:, self._joints].transpose(2, 0, 1) for each in frames)
         normal, point = near.normal.T[:, :, None], near.point.T[:, :, None]
         lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
         rates = np.sum(axes * lever, axis=0)
@@ -251,16 +251,12 @@ class Clearance:
         return at
 
     def _nearest(
-        self,
-        q: Array,
-        budget: Array | None = None,
-        axes: Array | None = None,
-        anchors: Array | None = None,
+        self, q: Array, budget: Array | None = None, frames: Array | None = None
     ) -> _Nearest:
         """Return what is nearest, among contacts and half-spaces, at configurations q (N, n).
 
         Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs, and tells
-        the axes and anchors (N, joints of the model, 3) where there is room for them.
+        the joints' frames, axes and anchors (2, N, joints of the model, 3), where there is room.
         """
         near, spaces, data = _Nearest(len(q)), self._spaces, self._data
         places, turns = (np.empty((len(q), self._model.nbody, width)) for width in (3, 9))
@@ -271,8 +267,8 @@ class Clearance:
             # Whole arrays: choosing from each posture's takes ten times as long.
             if spaces is not None:
                 places[k], turns[k] = data.xpos, data.xmat
-            if axes is not None and anchors is not None:
-                axes[k], anchors[k] = data.xaxis, data.xanchor
+            if frames is not None:
+                frames[:, k] = data.xaxis, data.xanchor
         if spaces is not None:
             self._note_spaces(spaces, places, turns, near, budget)
         return near

@@ -137,13 +137,9 @@ def check_limits(
     if closest.slack < -TOUCH:
         share = 1.0 - closest.slack / OBSTACLE_LENGTH
         excesses.append(Excess(f"clearance of {closest.label}", share, closest.time))
-    excesses.sort(key=lambda excess: -excess.share)
+    worst = tuple(sorted(excesses, key=lambda excess: -excess.share))
     return LimitCheck(
-        **vars(peaks),
-        closest=closest,
-        nearest=nearest,
-        resolution=resolution,
-        excesses=tuple(excesses),
+        **vars(peaks), closest=closest, nearest=nearest, resolution=resolution, excesses=worst
     )
 
 

@@ -9,22 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_sysid import trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import PerJoint, given_options
 from robot_sysid.records.progress import Detail, Progress
-from robot_sysid.records.sampling import require_countable
+from robot_sysid.records.sampling import TrajectoryOptions, require_countable
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import (
-    CHUNK,
-    TORQUE_MARGIN,
-    TrajectoryOptions,
-    generate_excitation_trajectory,
-    motion_chunks,
-    sample_count,
-)
 
 if TYPE_CHECKING:  # A random motion that nothing plays takes none of what checks and designs.
     from robot_sysid.motion.information import Known
@@ -162,14 +155,14 @@ def _random(
 ) -> CheckedPlan:
     rate = request.trajectory.sample_rate
     # Ends on a sample, so that the last one is at rest.
-    duration = (sample_count(request.trajectory.duration, rate) - 1) / rate
+    duration = (trajectory.sample_count(request.trajectory.duration, rate) - 1) / rate
     problem = _problem(request, robot) if request.is_checked else None
     arm = robot
     if problem is not None:
-        torque, qpos = problem.limits.torque / TORQUE_MARGIN, robot.reference_qpos.copy()
+        torque, qpos = problem.limits.torque / trajectory.TORQUE_MARGIN, robot.reference_qpos.copy()
         qpos[robot.qpos_index] = problem.rest
         arm = replace(robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos)
-    plan, notes = generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
+    plan, notes = trajectory.generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
     for note in notes:
         progress.note(note)
     if problem is None:
@@ -223,7 +216,7 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
 
 def _counted(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:
     """Yield the motion that is checked for contacts, and tell how far it is."""
-    total = math.ceil(sample_count(plan.duration, CHECK_RATE_HZ) / CHUNK)
-    for done, motion in enumerate(motion_chunks(plan, CHECK_RATE_HZ), start=1):
+    total = math.ceil(trajectory.sample_count(plan.duration, CHECK_RATE_HZ) / trajectory.CHUNK)
+    for done, motion in enumerate(trajectory.motion_chunks(plan, CHECK_RATE_HZ), start=1):
         yield motion
         progress.advance("Looking for contacts", done, total, "")

@@ -249,12 +249,7 @@ _LEAST_SHARE = 1e-3
 
 
 def require_reproduction(
-    robot: RobotModel,
-    thetas: Array,
-    change: ModelChange,
-    written_model: Any,
-    motion: Motion,
-    path: Path,
+    robot: RobotModel, thetas: Array, change: ModelChange, written: Any, motion: Motion, path: Path
 ) -> None:
     """Raise ExportError where a written model takes other torques than those of the links (n, 10)
     that were identified, in their bodies' frames.
@@ -267,7 +262,7 @@ def require_reproduction(
     predicted = LinkDynamics(asked).motion(*samples).torque(thetas)
     predicted += ArmDynamics(asked).beyond_rigid_bodies(*samples)
     del asked  # with its meshes
-    actual = ArmDynamics(robot, written_model).torque(*samples)
+    actual = ArmDynamics(robot, written).torque(*samples)
     peak = np.max(np.abs(predicted), axis=0)
     scale = np.maximum(peak, _LEAST_SHARE * np.max(peak, initial=0.0))
     relative = np.max(np.abs(actual - predicted), axis=0) / np.where(scale > 0.0, scale, 1.0)

@@ -125,7 +125,7 @@ COMMANDS = ("q_des[{}]", "action[{}]", "joint{}_command", "j{} goal_position", "
 )  # fmt: skip
 def test_what_a_title_says_where_commands_are_asked_for_and_where_not(title, measured, commanded):
     assert read_title(title).kind == measured
-    (found,) = with_meaning([read_title(title)], ("ref_joint", "joint1"), commanded=True)
+    (found,) = with_meaning([read_title(title)], ("ref_joint", "joint1"), False, commanded=True)
     assert joint_kind(found) == commanded
 
 
