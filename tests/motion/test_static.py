@@ -11,20 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
+from robot_sysid.motion import static
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.options import LimitOptions, PoseOptions
 from robot_sysid.motion.problem import build_problem
-from robot_sysid.motion.static import (
-    APPROACH,
-    FASTEST,
-    GENTLE,
-    SPEEDS,
-    contact_on_the_way,
-    design_poses,
-    design_sweeps,
-    startable,
-    sweep_lines,
-)
 from robot_sysid.records import Motion
 from tests.support import arms
 from tests.support.arms import X, Y, Z, robot_of
@@ -58,7 +48,7 @@ def held(some, pose):
 
 def test_a_motion_starts_where_nothing_collides():
     some = problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP)))
-    found = startable(some)
+    found = static.startable(some)
     (note,) = set(found.notes) - set(some.notes)
     assert "at rest the model is in a collision: link3 and shelf (10 mm deep)" in note
     assert some.obstacles.slack_at(some.rest)[0] < 0.0 <= found.obstacles.slack_at(found.rest)[0]
@@ -67,7 +57,7 @@ def test_a_motion_starts_where_nothing_collides():
 def test_where_every_pose_collides_the_bodies_are_named():
     room = '<body name="block"><geom type="box" size="2 2 .5" pos="0 0 .75"/></body>'
     with pytest.raises(InputError, match=r"in a collision: link0 and block.*touches nothing; ch"):
-        startable(problem(tube_arm((Z, Y, X, Y), room)))
+        static.startable(problem(tube_arm((Z, Y, X, Y), room)))
 
 
 def weakened(some, share):
@@ -88,7 +78,7 @@ def leaning(lean):
 def test_what_cannot_be_held_starts_where_it_can_be(lean, share):
     """These tubes need no torque where they stand upright: there is always such a pose."""
     some = weakened(leaning(lean), share)
-    found = startable(some)
+    found = static.startable(some)
     assert held(found, found.rest) < 1.0
     assert found.obstacles.slack_at(found.rest)[0] >= 0.0
     assert np.all((found.rest >= some.limits.lower) & (found.rest <= some.limits.upper))
@@ -100,9 +90,9 @@ def test_dry_friction_counts_where_the_arm_moves_off():
     """A pose that is just held cannot be left: the motion starts where there is room to."""
     stiff = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" frictionloss="0.3"')
     some = weakened(built(arm(stiff)), 1.01)
-    (note,) = set(startable(some).notes) - set(some.notes)
+    (note,) = set(static.startable(some).notes) - set(some.notes)
     assert "moving off against gravity and dry friction takes" in note
-    assert held(startable(some), startable(some).rest) < held(some, some.rest)
+    assert held(static.startable(some), static.startable(some).rest) < held(some, some.rest)
 
 
 def test_where_no_pose_can_be_held_the_joint_is_named():
@@ -110,16 +100,16 @@ def test_where_no_pose_can_be_held_the_joint_is_named():
     stiff = TUBES.replace('range="-2.5 2.5"', 'range="-.2 .2"')
     flat = stiff.replace('pos="0 0 .25" quat="1 0 0 0"', 'pos="0 0 .25" quat=".7 0 .7 0"', 1)
     with pytest.raises(InputError, match="at joint joint1, more than 95 % of its torque limit of"):
-        startable(built(robot_of(flat), max_torque=0.5))
+        static.startable(built(robot_of(flat), max_torque=0.5))
 
 
 def test_the_way_to_another_start_is_looked_at_too():
     """The arm leans left of a wall; straight to where it leans right of it goes through."""
     some = built(arm(tube_arm((Z, Y, X, Y), WALL), (0.0, -0.9, 0.0, 0.0)))
     through = np.array([0.0, 0.9, 0.0, 0.0])
-    assert contact_on_the_way(some, some.rest) is None
-    assert contact_on_the_way(some, np.array([0.5, -0.5, 0.2, 0.1])) is None
-    assert "wall" in contact_on_the_way(some, through)
+    assert static.contact_on_the_way(some, some.rest) is None
+    assert static.contact_on_the_way(some, np.array([0.5, -0.5, 0.2, 0.1])) is None
+    assert "wall" in static.contact_on_the_way(some, through)
 
 
 @pytest.fixture(scope="module")
@@ -130,14 +120,14 @@ def posing():
 @pytest.fixture(scope="module")
 def poses(posing):
     options = PoseOptions("payload", True, poses=6, dwell=1.0)
-    return design_poses(posing, options, np.random.default_rng(0))
+    return static.design_poses(posing, options, np.random.default_rng(0))
 
 
 @pytest.mark.slow
 def test_all_limits_are_kept_and_the_motion_is_gentle(posing, poses):
     check = check_limits(posing, poses)
     assert check.failure is None
-    assert np.max(check.joints[1]) <= GENTLE
+    assert np.max(check.joints[1]) <= static.GENTLE
 
 
 def test_each_pose_is_approached_from_both_sides(poses):
@@ -145,8 +135,10 @@ def test_each_pose_is_approached_from_both_sides(poses):
     assert len(rests) == 12
     for first, second in rests.reshape(-1, 2):
         np.testing.assert_array_equal(poses.points[first], poses.points[second])
-        np.testing.assert_allclose(poses.points[first] - poses.points[first - 1], APPROACH)
-        np.testing.assert_allclose(poses.points[second] - poses.points[second - 1], -APPROACH)
+        np.testing.assert_allclose(poses.points[first] - poses.points[first - 1], static.APPROACH)
+        np.testing.assert_allclose(
+            poses.points[second] - poses.points[second - 1], -static.APPROACH
+        )
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +148,7 @@ def sweeping():
 
 @pytest.fixture(scope="module")
 def sweeps(sweeping):
-    return design_sweeps(sweeping)
+    return static.design_sweeps(sweeping)
 
 
 @pytest.mark.slow
@@ -173,23 +165,23 @@ def test_one_joint_moves_at_a_time_both_ways_at_every_speed(sweeps):
     for own in speeds.T:
         held = np.round(own[own != 0.0], 9)
         both = set(held[held > 0.0]) & set(-held[held < 0.0])
-        assert len(both) >= SPEEDS and max(both) == pytest.approx(FASTEST)
+        assert len(both) >= static.SPEEDS and max(both) == pytest.approx(static.FASTEST)
 
 
 def test_a_joint_without_room_is_left_out_and_said(sweeping):
     upper = np.where([True, False], sweeping.rest + 0.005, sweeping.limits.upper)
     lower = np.where([True, False], sweeping.rest - 0.005, sweeping.limits.lower)
     tight = replace(sweeping, limits=replace(sweeping.limits, lower=lower, upper=upper))
-    sweeps = design_sweeps(tight)
+    sweeps = static.design_sweeps(tight)
     assert not np.any(sweeps.speeds[:, 0])
-    assert "No room to sweep joint0" in " ".join(sweep_lines(tight, sweeps))
+    assert "No room to sweep joint0" in " ".join(static.sweep_lines(tight, sweeps))
     none = np.full(2, 0.005)
     shut = replace(tight.limits, lower=sweeping.rest - none, upper=sweeping.rest + none)
     with pytest.raises(InputError, match="no joint has room"):
-        design_sweeps(replace(tight, limits=shut))
+        static.design_sweeps(replace(tight, limits=shut))
 
 
 def test_a_joint_that_starts_at_its_limit_is_swept_the_other_way(sweeping):
     start = np.append(sweeping.rest[:1], sweeping.limits.upper[1])
-    points = design_sweeps(replace(sweeping, rest=start)).points
+    points = static.design_sweeps(replace(sweeping, rest=start)).points
     assert np.max(points[:, 1]) <= start[1] and np.min(points[:, 1]) < start[1] - 0.1

@@ -12,12 +12,7 @@ from hypothesis import strategies as st
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
-from robot_sysid.dynamics.spatial import (
-    aluminium_ball,
-    com_from_theta,
-    six_from_symmetric,
-    theta_from_com,
-)
+from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records import Flange, InertialParameters
 from robot_sysid.results.cards import (
@@ -136,7 +131,7 @@ READERS = {
 
 def body_of(mass, com, inertia, covariance=COVARIANCE, seen=10):
     """A body of whose parameters the first are shown."""
-    theta = InertialParameters(theta_from_com(mass, np.array(com), inertia))
+    theta = InertialParameters(spatial.theta_from_com(mass, np.array(com), inertia))
     return BodyEstimate("it", theta, covariance, np.arange(10) < seen, np.zeros(10))
 
 
@@ -200,8 +195,8 @@ def test_a_whole_card_says_what_it_has_to():
 
 
 def test_a_round_body_is_not_turned():
-    body = aluminium_ball(0.3, np.array([-0.0011, -0.0033, 0.1445]))
-    card = cards_of(*com_from_theta(body))["kuka_load"]
+    body = spatial.aluminium_ball(0.3, np.array([-0.0011, -0.0033, 0.1445]))
+    card = cards_of(*spatial.com_from_theta(body))["kuka_load"]
     assert [card.values["CM"][name] for name in "ABC"] == [0.0, 0.0, 0.0]
 
 
@@ -256,8 +251,8 @@ def test_errors_of_place_and_inertia_follow_from_those_of_theta(seed):
     body, factor = random_estimate(seed)
 
     def outcome(theta):
-        mass, com, inertia = com_from_theta(theta)
-        return np.array([mass, *com, *six_from_symmetric(inertia)])
+        mass, com, inertia = spatial.com_from_theta(theta)
+        return np.array([mass, *com, *spatial.six_from_symmetric(inertia)])
 
     found = load_errors(body)
     expected = spread_of(outcome, body.inertial.theta, factor)
@@ -275,7 +270,7 @@ def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
 
     def outcome(theta):
         """Moments, and by how much each axis leans to the next one."""
-        own, now = np.linalg.eigh(com_from_theta(theta)[2])
+        own, now = np.linalg.eigh(spatial.com_from_theta(theta)[2])
         lean = np.cross(axes[:, order].T, (now * np.sign(np.sum(now * axes, axis=0)))[:, order].T)
         about = np.stack([lean[(k + 1) % 3] @ axes[:, order[k]] for k in range(3)])
         return np.array([*own[order], *np.degrees(about)])

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid import records
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
@@ -19,28 +20,10 @@ from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import find_flange
 from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import (
-    DataOrigin,
-    Estimate,
-    Identifiability,
-    InertialParameters,
-    Motion,
-    Source,
-    Validation,
-)
 from robot_sysid.records.atomic_files import whole_files
 from robot_sysid.results import model as model_module
+from robot_sysid.results import record
 from robot_sysid.results.model import ModelTarget, most_inflated, write_model
-from robot_sysid.results.record import (
-    LINK,
-    PAYLOAD,
-    BodyEstimate,
-    Figure,
-    ModelFile,
-    Payload,
-    Result,
-    Verdict,
-)
 from tests.support import arms
 from tests.support.model_files import (
     ARM,
@@ -88,7 +71,7 @@ def robots(tmp_path_factory):
 
 def checkpoints(robot, seed=0):
     q, qd, qdd = arms.random_motion(np.random.default_rng(seed), robot.n_joints, 5)
-    return Motion(np.arange(5.0), 0.3 * q, qd, qdd)
+    return records.Motion(np.arange(5.0), 0.3 * q, qd, qdd)
 
 
 @contextmanager
@@ -105,15 +88,17 @@ def own_thetas(robot):
 
 def body_estimate(theta, errors=None):
     errors = np.full(10, 1e-4) if errors is None else errors
-    inertial, covariance = InertialParameters(theta), np.diag(np.square(errors))
-    return BodyEstimate("b", inertial, covariance, np.ones(10, bool), 0.5 * errors)
+    inertial, covariance = records.InertialParameters(theta), np.diag(np.square(errors))
+    return record.BodyEstimate("b", inertial, covariance, np.ones(10, bool), 0.5 * errors)
 
 
 def file_of(robot, thetas=None, joints=None, gravity=None):
     """What a written model should hold."""
     thetas = own_thetas(robot) if thetas is None else thetas
-    said = Validation("a log", 10, 0.1, 0.2, {}, {})
-    return ModelFile(thetas, np.full(thetas.shape, np.inf), joints or {}, gravity, said, None)
+    said = records.Validation("a log", 10, 0.1, 0.2, {}, {})
+    return record.ModelFile(
+        thetas, np.full(thetas.shape, np.inf), joints or {}, gravity, said, None
+    )
 
 
 def payload_of(robot, theta, place=None, link=None):
@@ -122,26 +107,28 @@ def payload_of(robot, theta, place=None, link=None):
     link = robot.prior.theta if link is None else link
     total = body_estimate(link + flange.from_flange(theta))
     names = {"empty": ("a",), "loaded": ("b", "c")}
-    return Payload(flange, body_estimate(theta), body_estimate(link), total, names)
+    return record.Payload(flange, body_estimate(theta), body_estimate(link), total, names)
 
 
 def result_of(robot, theta=None, file=None, payload=None, **changes):
     """A result that found theta of the terminal link."""
     theta = robot.prior.theta if theta is None else theta
-    seen = Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
-    estimate = Estimate(PARAMETER_NAMES, theta, seen, 1e-4, {})
+    seen = records.Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
+    estimate = records.Estimate(PARAMETER_NAMES, theta, seen, 1e-4, {})
     fields = {
         **about(robot),
-        "question": LINK if payload is None else PAYLOAD,
+        "question": record.LINK if payload is None else record.PAYLOAD,
         "estimate": estimate,
-        "verdict": Verdict.OK,
+        "verdict": record.Verdict.OK,
         "torques": "chain",
-        "data": DataOrigin(Source.ITSELF if file is None else Source.LOG, "", 10.0, 100.0),
+        "data": records.DataOrigin(
+            records.Source.ITSELF if file is None else records.Source.LOG, "", 10.0, 100.0
+        ),
         "versions": {},
         "file": file,
         "payload": payload,
     }
-    return Result(**{**fields, **changes})
+    return record.Result(**{**fields, **changes})
 
 
 def written(robot, result, folder=None, **options):
@@ -216,7 +203,7 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(robots, suffix, name
     if with_file:  # what it says of the terminal link counts, not what the payload does
         thetas[0] += random_theta(rng, 0.3)
         thetas[-1] = link = link + random_theta(rng, 0.1)
-        joints = {joint: {"coulomb": Figure(0.25, 0.01)} for joint in robot.joint_names}
+        joints = {joint: {"coulomb": record.Figure(0.25, 0.01)} for joint in robot.joint_names}
         file = file_of(robot, thetas, joints, TURNED)
     result = result_of(robot, file=file, payload=payload)
     found, notes = written(robot, result, as_body=name)
@@ -267,7 +254,9 @@ def new_links(robot, rng):
 
 def new_joints(robot, rng, terms=tuple(TERMS)):
     return {
-        joint: {term: Figure(value, 0.01) for term, value in zip(terms, rng.uniform(0.1, 2.0, 3))}
+        joint: {
+            term: record.Figure(value, 0.01) for term, value in zip(terms, rng.uniform(0.1, 2.0, 3))
+        }
         for joint in robot.joint_names
     }
 
@@ -301,7 +290,7 @@ def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_w
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.THREE}))
     rng, thetas = np.random.default_rng(2), own_thetas(robot)
     thetas[-1] += random_theta(rng, 0.2)
-    joints = {name: {"coulomb": Figure(0.3, np.nan)} for name in robot.joint_names}
+    joints = {name: {"coulomb": record.Figure(0.3, np.nan)} for name in robot.joint_names}
     text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints)))
     assert text.count("System ID") == 1
     parts = (f"frictionloss 0.3 of joint '{name}'" for name in robot.joint_names)

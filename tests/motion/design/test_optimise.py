@@ -10,15 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.design.optimise import (
-    GRID_PER_CYCLE,
-    TOLD_BY,
-    Candidate,
-    constraints_of,
-    first_candidate,
-    improve,
-    penalised,
-)
+from robot_sysid.motion.design import optimise
 from robot_sysid.motion.design.search import draw_trajectories
 from robot_sysid.motion.information import known_arm, predicted_information
 from robot_sysid.motion.limit_check import check_limits, keeps_limits
@@ -36,12 +28,12 @@ def best_draw(some, seed=0):
 def test_rounds_keep_the_best_that_keeps_all_limits():
     """Also where the start is beyond its limits."""
     some = design(TUBES_AND_POST, iterations=8)
-    candidate = first_candidate(some, 1.5 * best_draw(some).x)
+    candidate = optimise.first_candidate(some, 1.5 * best_draw(some).x)
     assert not keeps_limits(some.problem, some.trajectory(candidate.x))
     assert np.linalg.norm(candidate.feasible_x) < np.linalg.norm(candidate.x)
     scores = [candidate.feasible_score]
     for _ in range(2):
-        candidate = improve(some, candidate)
+        candidate = optimise.improve(some, candidate)
         scores.append(candidate.feasible_score)
         assert check_limits(some.problem, some.trajectory(candidate.feasible_x)).holds
     assert scores[0] >= scores[1] >= scores[2] == some.criterion_of(candidate.feasible_x)
@@ -49,7 +41,7 @@ def test_rounds_keep_the_best_that_keeps_all_limits():
 
 
 def objective_of(some, multipliers):
-    return partial(penalised, some, Candidate(None, multipliers, 10.0))
+    return partial(optimise.penalised, some, optimise.Candidate(None, multipliers, 10.0))
 
 
 @given(SEEDS)
@@ -81,7 +73,7 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
     for draw in draw_trajectories(some, 2, range(4)):
         plan = some.trajectory(draw.x)
         fine = deviations(some, plan, 500.0, smooth=False)
-        rate = GRID_PER_CYCLE / TOLD_BY.step * some.basis.top_frequency_hz
+        rate = optimise.GRID_PER_CYCLE / optimise.TOLD_BY.step * some.basis.top_frequency_hz
         coarse = deviations(some, plan, rate, smooth=True)
         assert np.max(np.abs(coarse / fine - 1.0)) < 0.03
 
@@ -130,7 +122,7 @@ LIMITED = ({}, {"max_tool_speed": 0.7}, {"payload_reserve": 2.0})
 
 @given(st.sampled_from(LIMITED), SEEDS)
 def test_the_gradient_of_constraints_equals_differences(limits, seed):
-    constraints = partial(constraints_of, problem(STRONG_MOTORS, **limits), share=0.99)
+    constraints = partial(optimise.constraints_of, problem(STRONG_MOTORS, **limits), share=0.99)
     rng = np.random.default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
     cache = constraints(motion)
@@ -154,11 +146,11 @@ def test_gradient_of_the_clearance_equals_differences():
         q, direction = rng.uniform(-1.5, 1.5, size=(2, 1, 4))
 
         def value(at):
-            return constraints_of(some, (at, still, still)).value[0, -1]
+            return optimise.constraints_of(some, (at, still, still)).value[0, -1]
 
         if value(q) <= -0.9:
             continue
-        exact = np.sum(constraints_of(some, (q, still, still)).vjp(weight)[0] * direction)
+        exact = np.sum(optimise.constraints_of(some, (q, still, still)).vjp(weight)[0] * direction)
         if value(q + 1e-4 * direction) + value(q - 1e-4 * direction) - 2 * value(q) < 1e-6:
             checked += 1
             assert exact == pytest.approx(slope(value, q, direction), rel=1e-3, abs=1e-3)
@@ -169,7 +161,7 @@ def test_values_are_shares_of_the_limits_minus_one():
     limits = some.limits
     q = np.vstack((limits.upper, limits.lower, 0.5 * (limits.lower + limits.upper)))
     qd, qdd = np.tile(limits.velocity, (3, 1)), np.tile(-0.5 * limits.acceleration, (3, 1))
-    value = constraints_of(some, (q, qd, qdd)).value
+    value = optimise.constraints_of(some, (q, qd, qdd)).value
     expected = np.full((3, 14), -1.0)
     expected[:2, :3], expected[:, 3:6], expected[:, 6:9] = 0.0, 0.0, -0.5
     assert np.allclose(value[:, :13], expected[:, :13])
