@@ -37,8 +37,12 @@ def places(module: str, *names: str) -> tuple[Place, ...]:
 
 ONLY = {"identify": places("log_pipeline", "of_logs") + places("servo.run", "run_servo")}
 """Command to the stage that it takes of those that all questions share."""
-UNSAID = {"motors simulate": "; give --yes"}
-"""Command to what it does not say of what it shares: a simulated arm is not asked for."""
+UNSAID = {
+    "motors simulate": "; give --yes",
+    "motors hold": "--also-joint is about a second arm; add --also",
+}
+"""Command to what it does not say of what it shares: a simulated arm is not asked for, and an arm
+that is held has no file of its own."""
 RUNS = ("run", "identify", "payload")
 """Commands whose options a page speaks of."""
 OF_PLANS = places("pipeline", "_plan_outcome")
