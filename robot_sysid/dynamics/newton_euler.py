@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.screws import bracket_transposed
+from robot_sysid.dynamics.screws import bracket, bracket_transposed
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, skew, symmetric_from_six
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
@@ -76,6 +76,38 @@ class LinksMotion:
             wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
         return tau
 
+    def slopes(self, thetas: Array, qd: Array) -> Array:
+        """Return (N, n, n) by how much each joint's torque grows per turn of another one, of links
+        theta (n, 10), at joint speeds (N, n) [N m/rad].
+
+        With d_j the derivative by q_j: d_j V_j = -ad(S_j) V_j, d_j A_j = -ad(S_j) A_j, which pass
+        on as V and A do, and d_j Ad(T_j^-1) = -ad(S_j) Ad(T_j^-1).
+        """
+        samples, count = qd.shape
+        twists, slopes = np.zeros((2, 6, 0, samples)), np.zeros((samples, count, count))
+        bodies = []
+        for link, theta in enumerate(thetas):
+            screw, here = self.screws[link][:, None], self.velocity[link][:, None]
+            twists = np.einsum("abn,mbjn->majn", self.steps[link], twists)
+            twists[1] -= bracket(screw[:, None], twists[0] * qd[:, link])
+            moves = self.velocity[link], self.acceleration[link]
+            own = -np.stack([bracket(screw, each) for each in moves])
+            twists = np.concatenate((twists, own[:, :, None]), axis=2)
+            inertia, (velocity, acceleration) = _inertia(theta), twists
+            change = np.tensordot(inertia, acceleration, 1)
+            change -= bracket_transposed(velocity, np.tensordot(inertia, here, 1))
+            change -= bracket_transposed(here, np.tensordot(inertia, velocity, 1))
+            bodies.append(change)
+        wrench, turned = np.zeros((6, samples)), np.zeros((6, count, samples))
+        for link in reversed(range(count)):
+            wrench = wrench + _wrench(thetas[link], self.velocity[link], self.acceleration[link])
+            turned[:, : link + 1] += bodies[link]
+            slopes[:, link] = np.tensordot(self.screws[link], turned, 1).T
+            turned[:, link] -= bracket_transposed(self.screws[link][:, None], wrench)
+            turned = np.einsum("abn,ajn->bjn", self.steps[link], turned)
+            wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
+        return slopes
+
 
 class LinkDynamics:
     """Recursive Newton-Euler of one arm; another gravity (3,) may stand for its own [m/s^2]."""
@@ -119,10 +151,16 @@ def _lower(turn: Array, shift: Array) -> Array:
     return found
 
 
-def _wrench(theta: Array, velocity: Array, acceleration: Array) -> Array:
-    """Return G A - ad(V)^T G V (6, N) with G = [[I, [h]x], [-[h]x, m 1]]."""
+def _inertia(theta: Array) -> Array:
+    """Return G = [[I, [h]x], [-[h]x, m 1]] (6, 6)."""
     inertia = np.diag(np.repeat((0.0, theta[0]), 3))
     inertia[:3, :3] = symmetric_from_six(theta[4:])
     inertia[:3, 3:] = skew(theta[1:4])
     inertia[3:, :3] = -inertia[:3, 3:]
+    return inertia
+
+
+def _wrench(theta: Array, velocity: Array, acceleration: Array) -> Array:
+    """Return G A - ad(V)^T G V (6, N)."""
+    inertia = _inertia(theta)
     return inertia @ acceleration - bracket_transposed(velocity, inertia @ velocity)

@@ -64,23 +64,16 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
     return np.stack([arm.motion(q, still, still).torque(thetas) for arm in arms], axis=-1)
 
 
-_STEP = 1e-5
-"""Shift of a central difference [rad]: error and rounding are both about 1e-11 of the torque."""
-_MOST_SHIFTED = 20000
-"""Samples of shifted motions at once: a few tens of MB."""
+_MOST_NUMBERS = 500_000
+"""Numbers in an array of turned motions at once: some ten arrays of 4 MB."""
 
 
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
-    """Return (K, n, n) torque per radian that a joint's reading is too large, of links (n, 10)."""
-    count, dynamics = motion.q.shape[1], LinkDynamics(robot)
-    # Many shifted motions at once: a call's cost hardly depends on its samples, memory does.
-    parts = -(-2 * motion.q.size // _MOST_SHIFTED)
-    columns = []
-    for directions in np.array_split(np.eye(count), min(parts, count)):
-        steps = _STEP * np.concatenate((-directions, directions))
-        size = (len(steps), *motion.q.shape)
-        qd, qdd = (np.broadcast_to(v, size).reshape(-1, count) for v in (motion.qd, motion.qdd))
-        q = (motion.q + steps[:, None]).reshape(qd.shape)
-        below, above = np.split(dynamics.motion(q, qd, qdd).torque(thetas).reshape(size), 2)
-        columns.append(np.moveaxis(below - above, 0, -1) / (2.0 * _STEP))
-    return np.concatenate(columns, axis=-1)
+    """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad], of links
+    known as theta (n, 10).
+    """
+    dynamics, joints = LinkDynamics(robot), motion.q.shape[1]
+    parts = -(-6 * joints * motion.q.size // _MOST_NUMBERS)
+    split = [np.array_split(each, parts) for each in (motion.q, motion.qd, motion.qdd)]
+    slopes = (dynamics.motion(q, qd, qdd).slopes(thetas, qd) for q, qd, qdd in zip(*split))
+    return -np.concatenate([*slopes])

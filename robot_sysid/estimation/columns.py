@@ -97,7 +97,7 @@ class Columns:
         self.couplings = tuple(couplings)
         self._base: tuple[Array, float, list[DecimatedSamples]] | None = None
         self._arm: tuple[Array, RobotModel] | None = None
-        self._known: dict[int, tuple[Any, Array, Array]] = {}
+        self._known: dict[int, tuple[Any, dict[bool, Array], Array]] = {}
         arm = self._equations(robot)
         self._arm_names = arm.names
         self.rows_of, self.joints = arm.rows_of, arm.joints
@@ -302,36 +302,45 @@ class Columns:
         They depend on the links alone, so that trials of friction share them.
         """
         thetas = self.thetas(point.values, dataset.is_loaded)
-        key = (point.delay, point.exact_load, point.gravity.tobytes(), thetas.tobytes())
+        key = (point.delay, point.gravity.tobytes(), thetas.tobytes())
         if number not in self._known or self._known[number][0] != key:
+            # They are smooth and small, so that the motion at a row's own instant stands for all
+            # that its filter sees.
+            motion = dataset.motion
+            tilt = self._tilt(arm, thetas, motion.q)
+            common = np.concatenate((zero_columns(arm, thetas, motion), tilt), axis=-1)
+            self._known[number] = key, {}, common
+        _, loads, common = self._known[number]
+        if point.exact_load not in loads:
             dynamics, rows = LinkDynamics(arm), list(self.rows_of)
 
             def load(motion: Motion) -> Array:
                 torque = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
                 return (np.sign(motion.qd) * np.abs(torque))[:, rows]
 
-            motion = dataset.motion
-            # They are smooth and small, so that the motion at a row's own instant stands for all
-            # that its filter sees.
-            tilt = self._tilt(arm, thetas, motion.q)
-            common = np.concatenate((zero_columns(arm, thetas, motion), tilt), axis=-1)
-            self._known[number] = key, _filtered(dataset, point, load), common
-        return self._known[number][1:]
+            loads[point.exact_load] = _filtered(dataset, point, load)
+        return loads[point.exact_load], common
 
     def _nonlinear(self, dataset: Dataset, point: Point) -> Array:
         """Return (K, rows, 4) the columns of nonlinear friction in its own joint's equation."""
         rows, speed = list(self.rows_of), point.speed or {}
+        sizes = {t: point.values[self.at([f"{t}[{joint}]" for joint in self.joints])] for t in BENT}
+        # What is not there has no slope.
+        there = np.array([each for size in sizes.values() for each in (True, np.any(size))])
 
         def made(motion: Motion) -> Array:
             columns = []
             for term, bent in BENT.items():
-                at = [f"{term}[{joint}]" for joint in self.joints]
-                slope = bent.slope(motion.qd, speed[term])[:, rows]
                 columns.append(bent.column(motion.qd, speed[term])[:, rows])
-                columns.append(point.values[self.at(at)] * slope)
+                if np.any(sizes[term]):
+                    slope = bent.slope(motion.qd, speed[term])[:, rows]
+                    columns.append(sizes[term] * slope)
             return np.stack(columns, axis=-1)
 
-        return _filtered(dataset, point, made)
+        seen = _filtered(dataset, point, made)
+        found = np.zeros((*seen.shape[:2], len(there)))
+        found[..., there] = seen
+        return found
 
 
 def _late(dataset: Dataset, time: Array, torque: Array) -> Array:

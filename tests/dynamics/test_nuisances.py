@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.nuisances import tilt_axes, turned
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.nuisances import tilt_axes, turned, zero_columns
 from robot_sysid.errors import InputError
-from tests.support.arms import SEEDS
+from robot_sysid.records import Motion
+from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
 
 angle = st.floats(-0.3, 0.3)
 
@@ -27,3 +29,18 @@ def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
 def test_without_gravity_there_is_no_tilt():
     with pytest.raises(InputError, match="--tilt auto needs gravity"):
         tilt_axes(np.zeros(3))
+
+
+@given(random_chain(), SEEDS)
+def test_a_zero_changes_the_torque_as_differences_of_it_say(xml, seed):
+    robot, rng, step = robot_of(xml), np.random.default_rng(seed), 1e-5
+    q, qd, qdd = random_motion(rng, robot.n_joints, 5)
+    thetas = np.array([link.theta for link in robot.links])
+    dynamics, own = LinkDynamics(robot), step * np.eye(robot.n_joints)
+    below, above = (
+        np.stack([dynamics.motion(q + at, qd, qdd).torque(thetas) for at in side], axis=-1)
+        for side in (-own, own)
+    )
+    found = zero_columns(robot, thetas, Motion(np.arange(5.0), q, qd, qdd))
+    rounding = 1e-9 * np.max(np.abs(above), initial=1.0)
+    np.testing.assert_allclose(found, (below - above) / (2.0 * step), rtol=1e-6, atol=rounding)
