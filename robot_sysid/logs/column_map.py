@@ -15,11 +15,11 @@ The file behind ``--columns`` says what titles do not tell, in lines of ``key = 
     torque.joint3 = 0.95 * I3      a number scales
     velocity = none                keep a quantity out
 
-Keys: time, position, velocity, acceleration, torque, joint_time (a time stamp of each joint's own),
-command (position a servo is asked for), units (rad, deg; s, ms, us, ns) and rate (samples per
-second, for a log without a time column). ``#3`` is the third column, for a log without titles, and
-``#3-9`` are seven of them. Where columns cannot be recognised, a ``draft`` of such a file says what
-could.
+Keys: time, position, velocity, acceleration (which nothing is made of), torque, joint_time (a time
+stamp of each joint's own), command (position a servo is asked for), units (rad, deg; s, ms, us, ns)
+and rate (samples per second, for a log without a time column). ``#3`` is the third column, for a
+log without titles, and ``#3-9`` are seven of them. Where columns cannot be recognised, a ``draft``
+of such a file says what could.
 """
 
 from __future__ import annotations
@@ -168,7 +168,6 @@ class ColumnMap:
     position: tuple[Source, ...]
     torque: tuple[Source, ...]
     velocity: tuple[Source, ...] | None
-    acceleration: tuple[Source, ...] | None
     joint_time: tuple[Source, ...] | None
     unused: tuple[str, ...]
     angle_declared: bool
@@ -176,8 +175,7 @@ class ColumnMap:
 
     def groups(self) -> tuple[tuple[Source, ...], ...]:
         """Return the columns of each quantity: position, torque, then what there may be."""
-        extra = (self.velocity, self.acceleration, self.joint_time)
-        return self.position, self.torque, *(group or () for group in extra)
+        return self.position, self.torque, self.velocity or (), self.joint_time or ()
 
     def sources(self) -> list[Source]:
         """Return all columns: time, where there is one, and the groups."""
@@ -195,8 +193,7 @@ class ColumnMap:
         taken = f"log columns: time from {time}; position from {_quoted(self.position)}; velocity "
         taken += f"{'from ' if self.velocity else ''}{velocity}; "
         taken += f"{'command' if self.commanded else 'torque'} from {_quoted(self.torque)}"
-        for name, extra in (("acceleration", self.acceleration), ("own time", self.joint_time)):
-            taken += f"; {name} from {_quoted(extra)}" if extra else ""
+        taken += f"; own time from {_quoted(self.joint_time)}" if self.joint_time else ""
         return (
             taken,
             *([f"log columns not used: {', '.join(self.unused)}"] if self.unused else ()),
@@ -290,7 +287,7 @@ class _Columns:
         faults, time = list[str](), None
         sources: dict[str, tuple[Source, ...] | None] = {}
         other = "torque" if self._commanded else "command"
-        for kind in (kind for kind in naming.QUANTITIES if kind != other):
+        for kind in (kind for kind in naming.QUANTITIES if kind not in (other, "acceleration")):
             with naming.collected(faults):
                 sources[kind] = self.of_joints(kind, found)
         with naming.collected(faults):
@@ -305,9 +302,8 @@ class _Columns:
             raise InputError(f"position and {self.asked} cannot be left out; {naming.REMEDY}")
         has_unit = self._chosen.angle_unit or all(self._titles[s.index].unit for s in position)
         return ColumnMap(
-            time, self._chosen.rate, position, torque, sources["velocity"],
-            sources["acceleration"], sources["joint_time"], unused, bool(has_unit),
-            self._commanded,
+            time, self._chosen.rate, position, torque, sources["velocity"], sources["joint_time"],
+            unused, bool(has_unit), self._commanded,
         )  # fmt: skip
 
     def of_joints(self, kind: str, found: naming.Found) -> tuple[Source, ...] | None:

@@ -1,7 +1,7 @@
 """Logs of real arms to Measurement records, and back.
 
 A log is a table with a row per sample: time, and position and torque of every chain joint;
-velocity, acceleration and other columns as they come (see ``formats`` for what kind of file it
+velocity and other columns as they come (see ``formats`` for what kind of file it
 may be, ``columns`` and ``column_map`` for how columns are found, ``checks`` for what is checked).
 It is read in blocks; what is left of it after thinning is held in memory.
 """

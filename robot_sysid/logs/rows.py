@@ -96,9 +96,9 @@ def read_rows(
     empty = {t: int(n) for t, n in zip(titles, cleaner.empty) if n}
     told = cleaner.n_read, cleaner.odd, empty, cleaner.foreign
     lines, time, q, tau, *others = kept.taken()
-    qd, qdd, stamps = (values if values.shape[1] else None for values in others)
+    qd, stamps = (values if values.shape[1] else None for values in others)
     command, tau = (tau, tau - q) if columns.commanded else (None, tau)
-    samples = Measurement(time[:, 0], q, qd, tau, qdd, stamps, command)
+    samples = Measurement(time[:, 0], q, qd, tau, None, stamps, command)
     numbers = np.round(lines[:, 0]).astype(np.int64)
     return LogRows(numbers, samples, *told, thinning.every if thinning else 1, table.word)
 
