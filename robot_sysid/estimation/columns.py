@@ -102,16 +102,20 @@ class Columns:
         self._arm_names = arm.names
         self.rows_of, self.joints = arm.rows_of, arm.joints
         later = ("load", *(name for term in BENT for name in (term, f"{term}_speed")))
-        self._later = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
         self._scales = tuple(f"scale[{joint}]" for joint in self.joints)
         self._drifts = tuple(f"drift[{joint}]" for joint in self.joints)
         self._zeros = tuple(f"zero[{joint}]" for joint in robot.joint_names)
         self._tilts = TILT_NAMES if np.any(gravity(robot)) else ()
-        own = (*self._later, *self._scales, *self._drifts)
+        own = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
+        own += (*self._scales, *self._drifts)
         common = (*self._zeros, *self._tilts, DELAY_NAME, *PAYLOAD_NAMES)
         self.names = (*arm.names, *own, *common)
         self.prior = np.append(arm.prior, np.zeros(len(own) + len(common)))
         self.place = {name: index for index, name in enumerate(self.names)}
+        # What no recording shows has no columns: they would make every triangle larger.
+        still = () if any(each.place for each in datasets) else self._drifts
+        empty = () if any(each.is_loaded for each in datasets) else PAYLOAD_NAMES
+        self._nowhere = {*still, *empty}
         terms = [name.partition("[") for name in arm.names]
         joints = {f"{joint}]" for joint in self.joints}
         self._of_bodies = np.array([not bracket for _, bracket, _ in terms])
@@ -241,7 +245,7 @@ class Columns:
         self, base: DecimatedSamples, dataset: Dataset, point: Point, load: Array, common: Array
     ) -> DecimatedSamples:
         """Return one recording's rows with the columns that depend on what is known."""
-        later = np.concatenate((load[..., None], self._nonlinear(dataset, point)), axis=-1)
+        later = {"load": load, **self._nonlinear(dataset, point)}
         values = self._arm_values(point, dataset.is_loaded)
         blocks, right, columns = [], [], []
         for row, joint in enumerate(self.rows_of):
@@ -254,25 +258,25 @@ class Columns:
             scale, drift = point.values[self.at((self._scales[row], self._drifts[row]))]
             linear = block[:, bodies] @ known[bodies]
             gear = linear + base.measured[row] - tau
-            own = self.at(self._later[5 * row : 5 * row + 5])
+            own = {term: f"{term}[{self.joints[row]}]" for term in later}
             friction = block[:, drifting] @ known[drifting]
-            friction += later[:, row, [0, 1, 3]] @ point.values[own[[0, 1, 3]]]
+            for term in ("load", *BENT):
+                friction += later[term][:, row] * point.values[self.place[own[term]]]
             drifted = 1.0 + drift * dataset.place
             factor = np.where(bodies, 1.0 + scale, np.where(drifting, drifted, 1.0))
-            sides = (
-                later[:, row] * drifted,
-                gear[:, None],
-                dataset.place * friction[:, None],
-                common[:, joint] * (1.0 + scale),
-                _late(dataset, base.time, block[:, smooth] @ known[smooth])[:, None],
-            )
-            payload = block[:, :N_INERTIAL] * ((1.0 + scale) * dataset.is_loaded)
-            blocks.append(np.hstack((block * factor, *sides, payload)))
+            late = _late(dataset, base.time, block[:, smooth] @ known[smooth])
+            sides = {
+                (*own.values(),): drifted * np.stack([c[:, row] for c in later.values()], axis=1),
+                (self._scales[row],): gear[:, None],
+                (self._drifts[row],): dataset.place * friction[:, None],
+                (*self._zeros, *self._tilts): common[:, joint] * (1.0 + scale),
+                (DELAY_NAME,): late[:, None],
+                PAYLOAD_NAMES: block[:, :N_INERTIAL] * ((1.0 + scale) * dataset.is_loaded),
+            }
+            there = {names: part for names, part in sides.items() if names[0] not in self._nowhere}
+            blocks.append(np.hstack((block * factor, *there.values())))
             right.append(tau + scale * linear + drift * dataset.place * friction)
-            names = (self._scales[row], self._drifts[row], *self._zeros, *self._tilts, DELAY_NAME)
-            columns.append(
-                np.concatenate((base.columns[row], own, self.at((*names, *PAYLOAD_NAMES))))
-            )
+            columns.append(np.concatenate((base.columns[row], *map(self.at, there))))
         return replace(
             base, names=self.names, columns=tuple(columns), rows=tuple(blocks), tau=tuple(right)
         )
@@ -282,9 +286,10 @@ class Columns:
     ) -> DecimatedSamples:
         """Return one recording's rows in what a model file holds, and in gravity."""
         tilt = self._tilt(arm, self.thetas(point.values, dataset.is_loaded), dataset.motion.q)
-        places = self.at((*self._tilts, *PAYLOAD_NAMES))
+        loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
+        places, own = self.at((*self._tilts, *loaded)), slice(len(loaded))
         blocks = (
-            np.hstack((block, tilt[:, joint], block[:, :N_INERTIAL] * dataset.is_loaded))
+            np.hstack((block, tilt[:, joint], block[:, own] * dataset.is_loaded))
             for block, joint in zip(base.rows, self.rows_of)
         )
         columns = tuple(np.append(each, places) for each in base.columns)
@@ -321,26 +326,21 @@ class Columns:
             loads[point.exact_load] = _filtered(dataset, point, load)
         return loads[point.exact_load], common
 
-    def _nonlinear(self, dataset: Dataset, point: Point) -> Array:
-        """Return (K, rows, 4) the columns of nonlinear friction in its own joint's equation."""
+    def _nonlinear(self, dataset: Dataset, point: Point) -> dict[str, Array]:
+        """Return the columns (K, rows) of nonlinear friction in its own joint's equation, and their
+        slopes where it is there.
+        """
         rows, speed = list(self.rows_of), point.speed or {}
         sizes = {t: point.values[self.at([f"{t}[{joint}]" for joint in self.joints])] for t in BENT}
-        # What is not there has no slope.
-        there = np.array([each for size in sizes.values() for each in (True, np.any(size))])
+        sloped = [term for term, size in sizes.items() if np.any(size)]
 
         def made(motion: Motion) -> Array:
-            columns = []
-            for term, bent in BENT.items():
-                columns.append(bent.column(motion.qd, speed[term])[:, rows])
-                if np.any(sizes[term]):
-                    slope = bent.slope(motion.qd, speed[term])[:, rows]
-                    columns.append(sizes[term] * slope)
-            return np.stack(columns, axis=-1)
+            columns = [bent.column(motion.qd, speed[t])[:, rows] for t, bent in BENT.items()]
+            slopes = [sizes[t] * BENT[t].slope(motion.qd, speed[t])[:, rows] for t in sloped]
+            return np.stack((*columns, *slopes), axis=-1)
 
-        seen = _filtered(dataset, point, made)
-        found = np.zeros((*seen.shape[:2], len(there)))
-        found[..., there] = seen
-        return found
+        found = np.moveaxis(_filtered(dataset, point, made), -1, 0)
+        return dict(zip((*BENT, *(f"{term}_speed" for term in sloped)), found))
 
 
 def _late(dataset: Dataset, time: Array, torque: Array) -> Array:
