@@ -14,7 +14,7 @@ a gear that grows with its load, and speeds that friction is nonlinear in.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -198,8 +198,8 @@ class Columns:
             for number, (each, base) in enumerate(pairs)
         )
 
-    def _under(self, point: Point, delayed: Sequence[Dataset]) -> Sequence[DecimatedSamples]:
-        """Return the rows under a point's gravity that do not depend on what else is known.
+    def _under(self, point: Point, delayed: Sequence[Dataset]) -> Iterator[DecimatedSamples]:
+        """Yield the rows under a point's gravity that do not depend on what else is known.
 
         They are linear in gravity. What a small turn of it adds is slow, as the positions are, so
         that a row's own instant stands for all that its filter sees: within 1e-4 of the change.
@@ -211,13 +211,13 @@ class Columns:
             base = down, point.delay, [each.samples(equations) for each in delayed]
             self._base = base
         if np.array_equal(base[0], down):
-            return base[2]
+            yield from base[2]
+            return
         # Made anew each time: what holds MuJoCo's data cannot be pickled.
-        found, arm = [], self._equations(self.robot)
+        arm = self._equations(self.robot)
         for rows, log in zip(base[2], delayed):
             more = arm.rows_of_gravity(log.motion.q, down - base[0])
-            found.append(replace(rows, rows=tuple(map(np.add, rows.rows, more))))
-        return found
+            yield replace(rows, rows=tuple(map(np.add, rows.rows, more)))
 
     def _arm_at(self, down: Array) -> RobotModel:
         """Return the arm under some gravity (3,) [m/s^2]."""

@@ -168,6 +168,10 @@ class Fit:
         """The rows of what was sought."""
         return ChosenRows(self.samples, self.unknowns)
 
+    def without_rows(self) -> Fit:
+        """Return what is left where no rows are needed any more."""
+        return replace(self, samples=())
+
     def value(self, name: str) -> float:
         """Return one parameter, with what the point holds of it."""
         return float(self.final[self.columns.place[name]])
@@ -218,6 +222,7 @@ class Fitter:
         """Return the rows around a point, and what they say."""
         if self._last is None or self._last[0] is not point:
             self.told()
+            self._last = None  # rows go before others are made: they take most of the memory
             samples = self.columns.samples(point)
             self._last = point, samples, evidence(samples, self.torque)
         return self._last[1], self._last[2]
@@ -247,14 +252,15 @@ class Fitter:
         options, noise = question.options, None
         sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
         rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds
-        for _ in range(rounds):
+        for left in reversed(range(rounds)):
             samples, data = self.around(point)
-            given = self.columns, question, choice, point, data, samples, self.visits
-            fit = solved(*given, noise=noise)
+            given = self.columns, question, choice, point, data
+            fit = solved(*given, samples, self.visits, noise=noise)
             noise, after = fit.noise, fit.next_point
             if _rests(fit, after):
                 return fit
-            point = after
+            if left:
+                point, fit, samples = after, fit.without_rows(), ()
         if rounds == _SOUGHT_ROUNDS:
             raise SysidError(
                 f"the estimates of {' and '.join(sought)} do not settle within {rounds} rounds "
