@@ -24,6 +24,8 @@ from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
 # Largest lag that is looked at [samples], and bins over the lags: chosen for cost.
 _MAX_LAG, _LAG_BINS = 2000, 60
+# Rows that are filtered at a time: some MB.
+_CHUNK = 250
 # Largest share of a kernel's noise that a fit is said to take out: noise is divided by the rest.
 _MOST_ABSORBED = 0.8
 
@@ -161,18 +163,13 @@ def joint_residuals(
         residual: (N,) [N m]; NaN where a sample is left out.
         to_add: keep all lags, however few samples there are.
     """
-    from scipy.linalg import solve_banded
-
     kept = np.isfinite(residual)
     count = int(np.count_nonzero(kept))
     lags, kernels = _reach(10 * _MAX_LAG if to_add else count)
     products, pairs = autocovariance(residual, lags)
     rows = np.where(kept[:, None], rows, 0.0)
     decay = np.exp(-1.0 / 2.0 ** np.arange(kernels))
-    normal = rows.T @ rows
-    # rows^T u with the filter u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i): half of Q_i - Q_0.
-    before, own = np.vstack((np.zeros_like(rows[:1]), rows[:-1])), np.ones(len(rows))
-    cross = [rows.T @ solve_banded((1, 0), (own, -a * own), a * before) for a in decay]
+    normal, cross = rows.T @ rows, _crossed(rows, decay)
     return JointResiduals(
         columns=columns,
         count=count,
@@ -183,6 +180,22 @@ def joint_residuals(
         hats=lagged(rows @ root, lags) / np.maximum(pairs, 1.0),
         pairs=pairs,
     )
+
+
+def _crossed(rows: Array, decay: Array) -> Array:
+    """Return rows^T u (m, k, k) with the filters u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i), of
+    rows y (N, k): half of Q_i - Q_0.
+    """
+    width, state = rows.shape[1], np.zeros((len(decay), rows.shape[1]))
+    found = np.zeros((width, state.size))
+    for part in np.array_split(rows, len(rows) // _CHUNK + 1):
+        passed = np.empty((len(part), *state.shape))
+        for row, now in zip(part, passed):
+            now[:] = state
+            state += row
+            state *= decay[:, None]
+        found += part.T @ passed.reshape(len(part), -1)
+    return np.moveaxis(found.reshape(width, *state.shape), 1, 0)
 
 
 def _reach(count: int) -> tuple[int, int]:
