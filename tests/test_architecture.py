@@ -60,7 +60,8 @@ LAYERS = (
 )
 MAY_PRINT = {"cli", "commands"}
 LIBRARIES = {
-    "mujoco": {"model", "parser", "dynamics", "simulation", "motion", "results", "preview"},
+    "mujoco": {"model", "parser", "dynamics", "simulation", "motion", "results", "preview"}
+    | {"estimation.algebra"},  # its solver of quadratic programs
     "can": {"damiao.bus", "damiao.serial_adapter"},
     "matplotlib": {"report", "preview", "api"},
     "imageio": {"preview"},

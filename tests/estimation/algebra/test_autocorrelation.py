@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import nnls
 
-from robot_sysid.estimation.algebra.autocorrelation import joint_residuals
+from robot_sysid.estimation.algebra.autocorrelation import joint_residuals, non_negative
 from tests.support.smooth_arm import remembering_noise
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -27,6 +28,21 @@ def test_kernel_sums_are_those_of_the_dense_kernels(seed):
     np.testing.assert_allclose(found.sums[0], rows.T @ rows, rtol=0.0, atol=1e-11)
     for decay, total in zip(found.decay, found.sums[1:]):
         np.testing.assert_allclose(total, rows.T @ decay**lag @ rows, rtol=0.0, atol=1e-10)
+
+
+@given(SEEDS, st.integers(1, 10), st.sampled_from(("any", "like kernels", "twice", "nothing")))
+def test_what_is_not_negative_fits_as_well_as_by_scipy(seed, size, kind):
+    rng = np.random.default_rng(seed)
+    matrix, right = rng.normal(size=(40, size)), rng.normal(size=40)
+    if kind == "like kernels":
+        matrix = np.exp(-np.arange(40)[:, None] / 2.0 ** np.arange(size)) + 1e-3 * matrix
+        right = matrix @ np.maximum(rng.normal(size=size), 0.0) + 0.01 * right
+    elif kind != "any":
+        matrix[:, -1] = matrix[:, 0] if kind == "twice" else 0.0
+    found, misfit = non_negative(matrix, right)
+    assert np.all(found >= 0.0)
+    assert misfit == pytest.approx(np.linalg.norm(matrix @ found - right), abs=1e-9)
+    assert misfit == pytest.approx(nnls(matrix, right)[1], abs=1e-9)
 
 
 def test_lagged_products_are_means_over_the_pairs_that_exist():
