@@ -62,7 +62,9 @@ class BentTerm:
 
 
 def _stribeck(qd: Array, speed: Array | float) -> Array:
-    return np.asarray(np.sign(qd) * np.exp(-((qd / speed) ** 2)))
+    # Numbers near 1e-308 take a hundred times as long to multiply.
+    size = (qd / speed) ** 2
+    return np.asarray(np.sign(qd) * np.where(size < 200.0, np.exp(-size), 0.0))
 
 
 _STRIBECK = BentTerm(
