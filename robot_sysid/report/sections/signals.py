@@ -49,9 +49,8 @@ def _by_joint(
 
 def _torque(data: ReportData, joint: int, before: str) -> Figure:
     unit, name = torque(data.is_slide[joint]), data.joints[joint]
-    measured, earlier, after = (
-        each[:, joint] for each in (data.measured, data.before, data.predicted)
-    )
+    above = _before_after(data, joint)
+    measured, earlier, after = (values for values, _ in above.values())
     left = measured - after
     rms, whole, old = map(_rms, (left, measured, measured - earlier))
     caption = (
@@ -59,7 +58,6 @@ def _torque(data: ReportData, joint: int, before: str) -> Figure:
         f"root mean square {rms:.3g} {unit} of {whole:.3g} {unit} "
         f"({before} leaves {old:.3g} {unit})."
     )
-    above = _before_after(data, joint)
     below: Curves = {f"residual [{unit}]": (left, {"color": drawing.INK, "lw": 0.7})}
     panels = Panel(f"torque [{unit}]", above, height=2.5), Panel(f"residual [{unit}]", below)
     return drawing.curves(f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6)
