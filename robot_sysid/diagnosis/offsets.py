@@ -147,8 +147,7 @@ def strongest_sine(log: ModelFit) -> Offsets:
     columns[:, joint] = np.stack((waves[at].real, waves[at].imag), axis=1)
     size = log.sample.sigma[joint] / model_fit.TOLERANCE
     after = log.fit(extra=columns, prior=np.full(2, size))
-    value = np.array([joint, rates[at], np.hypot(*after.extra)])
-    return Offsets(value, np.zeros(3), after)
+    return Offsets(np.array([joint, rates[at], np.hypot(*after.extra)]), np.zeros(3), after)
 
 
 def offset_findings(log: ModelFit, base: Fit) -> list[Finding]:

@@ -143,8 +143,7 @@ class Equations:
             motion = self._kinematics.evaluate(q, qd, qdd)
             inertial = [*joint_regressor(motion, self.rows_of)]
             return inertial, np.zeros((*qd.shape, 0)), motion.tau_rest
-        links = (*self._links, qd.shape[1] - 1)
-        columns = self._others.motion(q, qd, qdd).columns(links)
+        columns = self._others.motion(q, qd, qdd).columns((*self._links, qd.shape[1] - 1))
         inertial = [columns[:, j, -N_INERTIAL:] for j in self.rows_of]
         rest = self._kinematics.beyond_rigid_bodies(q, qd, qdd)
         return inertial, columns[..., :-N_INERTIAL], rest

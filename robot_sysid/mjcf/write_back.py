@@ -179,8 +179,7 @@ class JointChange:
     @property
     def numbers(self) -> dict[str, float]:
         """What is to be written, by its name in MJCF."""
-        names = ("armature", "damping", "frictionloss")
-        values = {name: getattr(self, name) for name in names}
+        values = {name: getattr(self, name) for name in ("armature", "damping", "frictionloss")}
         return {name: float(value) for name, value in values.items() if value is not None}
 
 

@@ -226,8 +226,7 @@ def _write(
     written += [] if welded is None else [welded.theta]
     exact = all(map(verification.reads_fullinertia_exactly, written))
     change = replace(change, principal=not exact)
-    folder = target.path.absolute().parent
-    text = changed_model_text(robot.path, change, folder, target.mesh_dir)
+    text = changed_model_text(robot.path, change, target.path.absolute().parent, target.mesh_dir)
     try:
         draft = target.files.write(target.path, text)
         compiled = verification.verify_written_model(robot.mj_model, draft, change).mj_model

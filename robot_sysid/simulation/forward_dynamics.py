@@ -331,8 +331,7 @@ class ArmStepper:
         mujoco.mj_fwdPosition(self._model, data)
         mujoco.mj_fwdVelocity(self._model, data)
         mujoco.mj_solveM(self._model, data, self._columns, self._units)
-        bias = data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
-        return self._columns[:, dofs], bias
+        return self._columns[:, dofs], data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
 
     def _with_dry_friction(self, matrix: Array, free: Array, impulse: Array) -> Array:
         """Return v (n,) with matrix v = free - impulse f, f as in the module's text."""

@@ -222,8 +222,7 @@ class Design:
         if x is None or not np.any(x):
             return ""
         covariance = self.criterion.covariance(self.told(self.motion(x)).information)
-        theta = self.problem.robot.prior.theta
-        mass, centre = spread_of(theta, covariance)
+        mass, centre = spread_of(self.problem.robot.prior.theta, covariance)
         return f"mass ± {mass:.2g} kg, centre of mass ± {1e3 * centre:.2g} mm"
 
     def criterion_of(self, x: Array) -> float:
