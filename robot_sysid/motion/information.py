@@ -161,10 +161,8 @@ class PredictedInformation:
     ) -> Gradient:
         """Reverse mode. C needs no derivative: it minimises what is left."""
         rows_adjoint = (-2.0 * residual @ factor) @ factor.T
-        own_adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
-        by_speed, by_acceleration, by_torque = (
-            np.sum(own_adjoint * slope, axis=2) for slope in slopes
-        )
+        adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
+        by_speed, by_acceleration, by_torque = (np.sum(adjoint * slope, axis=2) for slope in slopes)
         rows_adjoint += by_torque[:, :, None] * self.theta.ravel()
         used, links = list(self.joints), len(self.theta)
         blocks = rows_adjoint.reshape(*rows_adjoint.shape[:2], links, 10).transpose(2, 1, 0, 3)
@@ -235,9 +233,8 @@ class Criterion:
         precision[range(seen, seen + others), range(seen, seen + others)] += 1.0
         cross = precision[:count, count:]
         best = np.linalg.solve(precision[count:, count:], cross.T)
-        return change[:, :count] - change[:, count:] @ best, precision[
-            :count, :count
-        ] - cross @ best
+        asked = change[:, :count] - change[:, count:] @ best
+        return asked, precision[:count, :count] - cross @ best
 
     def evaluate(self, information: Array) -> tuple[float, Array]:
         """Return (ln det C / 2r, G) of information (10 L, 10 L); infinite if singular.

@@ -117,12 +117,10 @@ def _mass_line(result: Result) -> Iterator[str]:
         return
     rest = len(names) - _NAMED
     told = names if rest < 2 else [*names[:_NAMED], f"{rest} more"]
-    found = result.estimate.inertial.theta
+    theta = result.estimate.inertial.theta if result.file is None else result.file.thetas[-1]
     line = f"The mass is that of {' + '.join(told)}"
     try:
-        plan = plan_write_back(
-            found if result.file is None else result.file.thetas[-1], result.bodies
-        )
+        plan = plan_write_back(theta, result.bodies)
     except ExportError:
         yield line
         return
