@@ -1,6 +1,8 @@
-"""Public models of real arms: the tool finds the arm and identifies its last link exactly.
+"""Public models of real arms: the tool finds the arm and identifies its last link exactly, and each
+gets a trajectory that breaks no limit and touches nothing.
 
-Skipped where the models are not beside the checkout.
+Skipped where the models are not beside the checkout. A trajectory is checked at 1 kHz by code the
+search does not use: the model's own limits, and contacts as MuJoCo reports them.
 """
 
 from __future__ import annotations
@@ -16,7 +18,12 @@ from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, frictio
 from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.model.contacts import find_new_contacts
 from robot_sysid.model.inertia import body_theta, composite_theta
+from robot_sysid.motion.design.optimise import Design
+from robot_sysid.motion.design.search import design_excitation
+from robot_sysid.motion.options import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.regressor import joint_regressor
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
@@ -137,3 +144,41 @@ def test_another_link_than_the_models_is_found(model, joint):
     assert np.max(np.abs(estimate.values[:10] - theta) / scale) < 1e-6
     friction = [robot.friction.coulomb[-1], robot.friction.viscous[-1]]
     np.testing.assert_allclose(estimate.values[10:], friction, rtol=0.0, atol=1e-8)
+
+
+# The most different ones: ``excitation_table`` in benchmarks has all.
+TO_PLAN_FOR = [
+    ("franka_panda/scene.xml", None),
+    ("franka_fr3/FrankaFR3_7DoF.urdf", None),
+    ("universal_robots_ur5e/scene.xml", None),
+    ("openarm_v2/openarm_bimanual.xml", "openarm_left_joint7"),
+    ("so101/so101_new_calib.xml", "wrist_roll"),
+]
+FEW_DRAWS = {"draws": 60, "starts": 1, "rounds": 6, "iterations": 30}
+
+
+def violations(robot, plan):
+    """Sentences on limits of the model that a trajectory breaks at 1 kHz."""
+    limits, torque = robot.limits, ArmTorque(robot)
+    for motion in motion_chunks(plan, 1000.0):
+        for name, value, limit in (
+            ("upper", motion.q, limits.upper),
+            ("lower", -motion.q, -limits.lower),
+            ("velocity", np.abs(motion.qd), limits.velocity),
+            ("torque", np.abs(torque(motion)), limits.torque),
+        ):
+            for k, j in np.argwhere(value > limit * (1.0 + 1e-9) + 1e-12):
+                yield f"{name} of {robot.joint_names[j]} at {motion.time[k]:.3f} s"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "joint"), TO_PLAN_FOR)
+def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
+    robot, options = load_robot_model(MODELS / model, joint=joint), ExcitationOptions(**FEW_DRAWS)
+    problem = build_problem(robot, LimitOptions(), top_frequency_hz=TOP_FREQUENCY_HZ)
+    design = Design(problem, options, TrajectoryOptions())
+    result = design_excitation(design, np.random.default_rng(1))
+    assert result.limit_check.holds
+    assert list(violations(robot, result.trajectory)) == []
+    assert find_new_contacts(robot, motion_chunks(result.trajectory, 1000.0)) == ()
+    assert result.objective < 0.8 * result.start_objective
