@@ -42,9 +42,11 @@ _EARLY = 2.0
 """Standard errors before zero beyond which a delay is called early: once in 44 times by noise."""
 _REMEDIES = {
     **dict.fromkeys(
-        ("noise", "links", "delay", "filtering"),
+        ("noise", "delay", "filtering"),
         "robot-sysid plan {model} (a wider, faster motion of all joints shows more)",
     ),
+    "links": "robot-sysid plan {model} (a wider, faster motion of all joints shows more; after "
+    "one, robot-sysid plan --for payload weighs what is bolted on)",
     "other links": "record the empty arm as long and as widely as the loaded one",
     **dict.fromkeys(
         ("torque scale", "common torque scale"),

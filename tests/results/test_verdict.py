@@ -37,7 +37,10 @@ from tests.support.results import (
     without_mass,
 )
 
-PLAN = "Next: robot-sysid plan arm.xml (a wider, faster motion of all joints shows more)"
+PLAN = (
+    "Next: robot-sysid plan arm.xml (a wider, faster motion of all joints shows more; after one, "
+    "robot-sysid plan --for payload weighs what is bolted on)"
+)
 TEST = (
     "Next: robot-sysid identify arm.xml LOG --validation-measurements OTHER_LOG (another motion "
     "tests the written model)"
