@@ -1,8 +1,8 @@
 """What a model file is given: bodies, friction, rotors and gravity, fitted as a file holds them.
 
 What a file cannot hold (torque scales, encoder zeros, a delay, friction that grows with the load)
-is left out of the model of the torque, but for sensor offsets of joints. A part is written where
-the held-out error of all that is written together says so.
+is left out of the model of the torque, but for sensor offsets that the recordings show. A part is
+written where the held-out error of all that is written together says so.
 """
 
 from __future__ import annotations
