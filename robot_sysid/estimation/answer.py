@@ -218,14 +218,13 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
 def _beside(file: Answer, after: Validation) -> Iterator[str]:
     """Yield what a file's torques lack beside offsets of sensors, where that is most of it."""
     fit, sought = file.fit, file.fit.unknowns.kept_names
-    free = [joint not in fit.choice.offsets for joint in fit.columns.joints]
-    names = [f"offset[{joint}]" for joint in fit.columns.joints]
-    found = {n: file.figure(n) for n, ok in zip(names, free) if ok and n in sought}
-    squares = [found[name].value ** 2 if name in found else 0.0 for name in names]
-    squared = squares @ sample_counts(fit.information) / np.sum(fit.evidence.squared_torque)
-    error = after.relative_error or 0.0
+    counts = zip(fit.columns.joints, sample_counts(fit.information))
+    free = {j: count for j, count in counts if j not in fit.choice.offsets}
+    found = {j: file.figure(f"offset[{j}]") for j in free if f"offset[{j}]" in sought}
+    squares = sum(found[joint].value ** 2 * free[joint] for joint in found)
+    squared, error = squares / np.sum(fit.evidence.squared_torque), after.relative_error or 0.0
     if squared > max(HARMLESS, error) ** 2:
-        listed = ", ".join(f"{n[7:-1]} {with_error(*each, 'N·m')}" for n, each in found.items())
+        listed = ", ".join(f"{joint} {with_error(*each, 'N·m')}" for joint, each in found.items())
         yield (
             f"no model file holds an offset of a torque sensor ({listed}), or friction that is "
             "larger in one direction: with it left in, the written file's torque error on "
