@@ -25,11 +25,10 @@ from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Progress
-from robot_sysid.results.console import result_lines
+from robot_sysid.results.console import HEADINGS, BeforeAfter, asked_rows, result_lines
 from robot_sysid.results.json import params_json_text
 from robot_sysid.results.model import model_in_memory, write_bundle
 from robot_sysid.results.record import Result
-from robot_sysid.results.tables import HEADINGS, BeforeAfter, asked_rows
 from robot_sysid.trajectory import sample_count
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.records import InertialParameters
 from robot_sysid.results.cards import load_errors
-from robot_sysid.results.tables import BeforeAfter, asked_rows, table_lines, theta_rows
+from robot_sysid.results.console import BeforeAfter, asked_rows, table_lines, theta_rows
 from tests.support.results import THETA, body, estimate, found, itself, payload, terminal
 
 
