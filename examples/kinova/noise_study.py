@@ -32,7 +32,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, MotionPlan, RobotModel, SquareRootInformation
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.simulation.closed_loop import PlantSimulation
-from robot_sysid.simulation.sensors import SimulatedArmOptions
+from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 

@@ -17,7 +17,7 @@ from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.closed_loop import ClosedLoop, PlantSimulation, load_plant
 from robot_sysid.simulation.forward_dynamics import ForwardPlant
-from robot_sysid.simulation.sensors import SimulatedArmOptions
+from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms
 from tests.support.arms import FREE_OBJECT_BESIDE, SEVEN, THREE, X, Y, Z, robot_of, serial_arm

@@ -11,7 +11,7 @@ from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import InertialParameters
 from robot_sysid.simulation.closed_loop import PlantSimulation
-from robot_sysid.simulation.sensors import SimulatedArmOptions
+from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
