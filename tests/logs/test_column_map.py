@@ -11,12 +11,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs.column_map import (
-    ColumnChoices,
-    ColumnMap,
-    read_columns_file,
-    recognise_columns,
-)
+from robot_sysid.logs import column_map
 from robot_sysid.logs.columns import joint_kind, read_title, with_meaning
 from tests.support.log_files import motion, read_measurements, write
 
@@ -26,12 +21,12 @@ UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 
 def recognise(
     titles: str, joints=JOINTS, chosen=None, first_row=(), is_slide=(False,) * 3
-) -> ColumnMap:
-    chosen = chosen or ColumnChoices()
-    return recognise_columns(titles.split(","), joints, chosen, first_row, is_slide)
+) -> column_map.ColumnMap:
+    chosen = chosen or column_map.ColumnChoices()
+    return column_map.recognise_columns(titles.split(","), joints, chosen, first_row, is_slide)
 
 
-def where(found: ColumnMap) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def where(found: column_map.ColumnMap) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return tuple(s.index for s in found.position), tuple(s.index for s in found.torque)
 
 
@@ -156,7 +151,7 @@ def test_units_in_titles_become_factors():
 
 
 def test_declared_degrees_leave_slides_alone():
-    chosen = ColumnChoices(angle_unit="deg", time_unit="us")
+    chosen = column_map.ColumnChoices(angle_unit="deg", time_unit="us")
     found = recognise("t,q1,q2,q3,tau1,tau2,tau3", JOINTS, chosen, is_slide=(False, True, False))
     assert [s.factor for s in found.position] == [math.pi / 180, 1.0, math.pi / 180]
     assert found.time is not None and found.time.factor == 1e-6
@@ -192,10 +187,10 @@ def test_what_is_missing_or_ambiguous_is_said(titles, words):
     assert all(word in str(caught.value) for word in words)
 
 
-def choices(tmp_path, text: str) -> ColumnChoices:
+def choices(tmp_path, text: str) -> column_map.ColumnChoices:
     path = tmp_path / "columns.txt"
     path.write_text(text)
-    return read_columns_file(path, JOINTS)
+    return column_map.read_columns_file(path, JOINTS)
 
 
 def test_a_columns_file_names_flips_and_scales(tmp_path):

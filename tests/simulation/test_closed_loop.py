@@ -20,17 +20,8 @@ from robot_sysid.simulation.forward_dynamics import ForwardPlant
 from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms
+from tests.support import closed_loop_proof as proof
 from tests.support.arms import FREE_OBJECT_BESIDE, SEVEN, THREE, X, Y, Z, robot_of, serial_arm
-from tests.support.closed_loop_proof import (
-    differentiated,
-    errors_of,
-    excitation,
-    identified,
-    plant_from,
-    proof_run,
-    ramp_torque,
-    recorded,
-)
 
 # The heaviest, one of two arms, the lightest with stiff damping.
 
@@ -52,10 +43,10 @@ def test_the_log_obeys_the_equations_of_motion_and_the_trajectory_is_followed(na
     robot = robot_of(arms.MODELS[name])
     plan = swing(robot, duration=1.0)
     loop = ClosedLoop(robot, plan, 500.0)
-    log = recorded(loop)
+    log = proof.recorded(loop)
     ramp = ForwardPlant(robot, loop.period, robot.reference[None]).ramp
     expected = ArmDynamics(robot).torque(log.q, log.qd, log.qdd)
-    expected += robot.friction.viscous * log.qd + ramp_torque(ramp, log.qd, log.qdd)
+    expected += robot.friction.viscous * log.qd + proof.ramp_torque(ramp, log.qd, log.qdd)
     scale = np.max(np.abs(expected))
     np.testing.assert_allclose(log.tau, expected, rtol=0.0, atol=1e-8 * scale)
     assert np.max(np.abs(log.q - plan.evaluate(log.time).q)) < 1e-3
@@ -64,7 +55,7 @@ def test_the_log_obeys_the_equations_of_motion_and_the_trajectory_is_followed(na
 def effective_torque_error(robot, sample_rate):
     """RMS of (reported torque - inverse dynamics of the differentiated positions) [N m]."""
     loop = ClosedLoop(robot, swing(robot, speed=2.0), sample_rate)
-    log = differentiated(recorded(loop), sample_rate)
+    log = proof.differentiated(proof.recorded(loop), sample_rate)
     expected = ArmDynamics(robot).torque(log.q, log.qd, log.qdd) + robot.friction.viscous * log.qd
     return float(np.sqrt(np.mean((log.tau - expected) ** 2)))
 
@@ -95,10 +86,10 @@ def with_torque_limit(robot, limit):
 def test_torque_limits_are_obeyed_and_reported():
     robot = robot_of(arms.THREE)
     plan = swing(robot, speed=2.0)
-    free = recorded(ClosedLoop(robot, plan, 200.0))
+    free = proof.recorded(ClosedLoop(robot, plan, 200.0))
     peak = np.max(np.abs(free.tau))
     loop = ClosedLoop(with_torque_limit(robot, 0.98 * peak), plan, 200.0)
-    log = recorded(loop)
+    log = proof.recorded(loop)
     assert np.max(np.abs(log.tau)) <= 0.98 * peak
     (note,) = loop.notes()
     assert "was at its torque limit of" in note
@@ -106,11 +97,11 @@ def test_torque_limits_are_obeyed_and_reported():
 
 def test_an_arm_too_weak_for_the_motion_stops_the_run_with_time_joint_and_cause():
     robot = robot_of(arms.THREE)
-    peak = np.max(np.abs(recorded(ClosedLoop(robot, swing(robot, 2.0), 200.0)).tau))
+    peak = np.max(np.abs(proof.recorded(ClosedLoop(robot, swing(robot, 2.0), 200.0)).tau))
     weak = with_torque_limit(robot, 0.3 * peak)
     words = r"joint joint\d is .* rad off its trajectory at \d\.\d+ s: the torque limit of joint"
     with pytest.raises(SimulationError, match=words):
-        recorded(ClosedLoop(weak, swing(weak, 2.0), 200.0))
+        proof.recorded(ClosedLoop(weak, swing(weak, 2.0), 200.0))
 
 
 @pytest.mark.parametrize(
@@ -123,7 +114,7 @@ def test_an_arm_too_weak_for_the_motion_stops_the_run_with_time_joint_and_cause(
 def test_a_plant_that_runs_away_stops_the_run_quietly(stiffness, words, capfd):
     stiff = robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=f'stiffness="{stiffness}"'))
     with pytest.raises(SimulationError, match=words):
-        recorded(ClosedLoop(stiff, swing(stiff), 200.0))
+        proof.recorded(ClosedLoop(stiff, swing(stiff), 200.0))
     assert capfd.readouterr().err == ""
 
 
@@ -143,21 +134,21 @@ def arm():
 
 
 @pytest.fixture(scope="module")
-def proof(arm):
+def proven(arm):
     """Closed-loop run of a plant with armature and dry friction."""
-    return proof_run(arm, excitation(arm, duration=8.0), 500.0)
+    return proof.proof_run(arm, proof.excitation(arm, duration=8.0), 500.0)
 
 
-def test_mass_and_friction_come_back_from_positions_and_torques(proof):
-    errors, _, _ = proof
+def test_mass_and_friction_come_back_from_positions_and_torques(proven):
+    errors, _, _ = proven
     assert errors.mass < 0.002
     assert errors.coulomb < 0.02 and errors.viscous < 0.02 and errors.armature < 0.02
 
 
-def test_without_leaving_out_the_ramp_friction_would_be_wrong(arm, proof):
-    _, log, loop = proof
-    plant = plant_from(arm)
-    assert errors_of(identified(arm, log, 0.0), plant).viscous > 0.2
+def test_without_leaving_out_the_ramp_friction_would_be_wrong(arm, proven):
+    _, log, loop = proven
+    plant = proof.plant_from(arm)
+    assert proof.errors_of(proof.identified(arm, log, 0.0), plant).viscous > 0.2
     assert loop.ramp_use.never_full == () == loop.notes()
 
 
@@ -174,7 +165,7 @@ def plant():
 @pytest.fixture(scope="module")
 def plan(plant):
     """Five seconds of motion."""
-    return excitation(plant, duration=5.0)
+    return proof.excitation(plant, duration=5.0)
 
 
 def run(plant, plan, simulation, **sensors):
