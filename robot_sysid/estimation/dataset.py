@@ -93,7 +93,7 @@ def _samples_of(equations: Equations, time: Array, tables: Sequence[Array]) -> D
         time,
         tuple(table[:, :-2] for table in tables),
         tuple(table[:, -2] for table in tables),
-        tuple(table[:, -1] for table in tables),
+        tuple(table[:, -1].copy() for table in tables),  # a view would keep the whole table
     )
 
 
