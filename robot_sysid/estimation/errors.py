@@ -210,7 +210,7 @@ def filtering_bias(
     pull = np.zeros((len(samples.joints), len(samples.names)))
     if dataset.signals is None:
         return pull
-    rows, again = dataset.signals.refiltered()
+    rows, again = dataset.signals.refiltered
     once = dataset.signals.decimated_motion()
     first = Motion(once.time[rows], once.q[rows], once.qd[rows], once.qdd[rows])
     same = np.sign(first.qd) == np.sign(again.qd)

@@ -133,6 +133,7 @@ class ProcessedSignals:
         """Return the motion (K, n), low-passed once, at the instants of the decimated rows."""
         return self.motion(self.low_pass.centres(len(self)))
 
+    @cached_property
     def refiltered(self) -> tuple[NDArray[np.int64], Motion]:
         """Return the motion (R, n) as it might also be, and at which decimated rows but the ends:
         after a second pass of its low-pass; where it passed none, by the next lower derivatives.
@@ -263,7 +264,8 @@ def process(
         slow = per_joint(deadband, qd.shape[1], "--velocity-deadband")
     time = uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate
     bridged = bridged if corners is None else bridged | corners
-    q, tau = q[reach:-reach], uniform.tau[lost:-lost]
+    # A view would keep the torque of the whole log.
+    q, tau = q[reach:-reach], uniform.tau[lost:-lost].copy()
     signals = ProcessedSignals(time, q, qd, qdd, tau, bridged, slow, low_pass, flat, (), expected)
     notes = (*uniform.notes, Detail(reason), *_notes(signals, joint_names))
     return replace(signals, notes=notes)

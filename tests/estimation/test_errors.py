@@ -99,7 +99,7 @@ def test_where_a_joint_turns_round_between_two_passes_its_friction_says_nothing(
         once = signals.decimated_motion()
         return np.arange(len(once.time)), replace(once, qd=-once.qd)
 
-    monkeypatch.setattr(ProcessedSignals, "refiltered", reversed_motion)
+    monkeypatch.setattr(ProcessedSignals, "refiltered", property(reversed_motion))
     point = replace(fit.point, values=fit.values)
     assert not np.any(filtering_bias(fit.columns, point, recording, fit.samples[0]))
 

@@ -110,7 +110,7 @@ def test_exact_motion_as_it_might_also_be_is_further_off_than_it_is():
     time = seconds(20.0, 10.0)
     q = np.sin(2.0 * np.pi * 1.6 * time)[:, None]
     signals = process(Measurement(time, q, None, q + 1.0), cutoff=3.0)
-    rows, again = signals.refiltered()
+    rows, again = signals.refiltered
     once = signals.decimated_motion()
     assert signals.exact and len(rows) > 0.7 * len(once.time)
     np.testing.assert_array_equal(again.q, once.q[rows])
@@ -124,7 +124,7 @@ def test_a_second_pass_changes_what_the_first_one_did():
     time = seconds(20.0, 100.0)
     q = np.sin(2.0 * np.pi * 0.7 * time)[:, None]
     signals = process(Measurement(time, np.round(q, 4), None, q + 1.0), cutoff=1.2)
-    rows, again = signals.refiltered()
+    rows, again = signals.refiltered
     once = signals.decimated_motion()
     assert len(rows) > 0.5 * len(once.time)
     np.testing.assert_array_equal(again.time, once.time[rows])
