@@ -231,7 +231,7 @@ def choose(
     else all those that have columns are taken.
     """
     choice = _simplest(fitter, given, fitter.columns.couplings if couplings is None else couplings)
-    fit = fitter.fit(question, choice, rounds=1).without_rows()
+    fit = replace(fitter.fit(question, choice, rounds=1), samples=())
     errors: Errors = {}
     if given is None and fitter.columns.torques == "chain":
         choice, errors, fit = _with_friction(fitter, question, choice, fit)
@@ -296,7 +296,8 @@ def _with_friction(
             speed[term][index] = speeds[best][place]
     choice = replace(choice, friction=tuple(friction))
     point = replace(fit.point, speed=speed, values=fit.values)
-    return choice, errors, fitter.fit(question, choice, point, rounds=1).without_rows()
+    fit = fitter.fit(question, choice, point, rounds=1)
+    return choice, errors, replace(fit, samples=())
 
 
 def _tried(

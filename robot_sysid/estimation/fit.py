@@ -168,10 +168,6 @@ class Fit:
         """The rows of what was sought."""
         return ChosenRows(self.samples, self.unknowns)
 
-    def without_rows(self) -> Fit:
-        """Return what is left where no rows are needed any more."""
-        return replace(self, samples=())
-
     def value(self, name: str) -> float:
         """Return one parameter, with what the point holds of it."""
         return float(self.final[self.columns.place[name]])
@@ -260,7 +256,7 @@ class Fitter:
             if _rests(fit, after):
                 return fit
             if left:
-                point, fit, samples = after, fit.without_rows(), ()
+                point, fit, samples = after, replace(fit, samples=()), ()
         if rounds == _SOUGHT_ROUNDS:
             raise SysidError(
                 f"the estimates of {' and '.join(sought)} do not settle within {rounds} rounds "

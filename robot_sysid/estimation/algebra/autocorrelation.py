@@ -227,20 +227,17 @@ def non_negative(matrix: Array, right: Array) -> tuple[Array, float]:
     """Return (x >= 0, |A x - b|) of least squares, by MuJoCo, which is there: SciPy's solver takes
     a tenth of a second and 20 MB to import. It takes over where that one stops too early.
     """
-    length = np.linalg.norm(matrix, axis=0)
-    unit = matrix / np.where(length > 0.0, length, 1.0)
-    size = len(length)
+    size, goal = matrix.shape[1], matrix.T @ right
     found, room = np.zeros(size), np.zeros((size, size + 7))
-    goal = unit.T @ right
-    given = unit.T @ unit, -goal, np.zeros(size), None
+    given = matrix.T @ matrix, -goal, np.zeros(size), None
     failed = mujoco.mju_boxQP(found, room, None, *given) < 0
-    slope = goal - unit.T @ (unit @ found)
+    slope = goal - matrix.T @ (matrix @ found)
     uphill = np.max(np.where(found > 0.0, np.abs(slope), slope))
     if failed or uphill > _FLAT * np.max(np.abs(goal)):
         from scipy.optimize import nnls
 
-        found = nnls(unit, right)[0]
-    return found / np.where(length > 0.0, length, 1.0), float(np.linalg.norm(unit @ found - right))
+        found = nnls(matrix, right)[0]
+    return found, float(np.linalg.norm(matrix @ found - right))
 
 
 def _pooled(values: Array, bins: NDArray[np.int64]) -> Array:
