@@ -36,7 +36,7 @@ from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import columns as naming
 from robot_sysid.records import Array
 
-_KEYS = ("time", *naming.QUANTITIES, "units", "rate")
+_KEYS = ("time", *naming.QUANTITIES, "acceleration", "units", "rate")
 _SCALED = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII)
 _ANGLES = ("rad", "deg")
 _LONGEST = 1_000_000
@@ -287,7 +287,7 @@ class _Columns:
         faults, time = list[str](), None
         sources: dict[str, tuple[Source, ...] | None] = {}
         other = "torque" if self._commanded else "command"
-        for kind in (kind for kind in naming.QUANTITIES if kind not in (other, "acceleration")):
+        for kind in (kind for kind in naming.QUANTITIES if kind != other):
             with naming.collected(faults):
                 sources[kind] = self.of_joints(kind, found)
         with naming.collected(faults):

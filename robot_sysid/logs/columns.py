@@ -58,7 +58,6 @@ _IN_SI = {
     "position": {1.0: "rad rads radians m", _DEGREE: "deg degree degrees °", 1e-3: "mm"},
     "velocity": {1.0: "rads radsec rad rads1 ms", _DEGREE: "degs deg dps degsec °s"}
     | {_RPM: "rpm", 1e-3: "mms"},
-    "acceleration": {1.0: "rads2 rads rad ms2", _DEGREE: "degs2 degs deg °s2"},
     "torque": {1.0: "nm n", 1e-3: "mnm", 1e-2: "ncm", 1e3: "knm"},
 }
 _IN_SI["command"] = _IN_SI["position"]
@@ -191,7 +190,7 @@ def collected(faults: list[str]) -> Iterator[None]:
 Found = dict[tuple[str, int], list[int]]
 """(quantity, joint number) to the columns that could be it."""
 
-QUANTITIES = ("position", "velocity", "acceleration", "torque", "joint_time", "command")
+QUANTITIES = ("position", "velocity", "torque", "joint_time", "command")
 REMEDY = "name the columns with --columns FILE"
 
 
