@@ -8,7 +8,7 @@ is clearly better on its own held-out torques.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
@@ -92,18 +92,20 @@ class HeldOut:
     def _grams(self) -> Array:
         """Gram matrices (blocks, p+1, p+1) of all whitened equations without each block in turn."""
         size = len(self.data.whole.names) + 1
-        each = np.zeros((len(self.data.blocks), size, size))
-        for joint, rows, noise in zip(self.data.whole.joints, self.data.triangles, self.noise):
-            at = np.append(joint.columns, -1)
-            each[:, at[:, None], at] += rows.swapaxes(1, 2) @ rows / noise**2
-        return np.array(_others(list(each), np.add))
+        found = np.zeros((len(self.data.blocks), size, size))
+        for noise, *same in zip(self.noise, *(block.joints for block in self.data.blocks)):
+            at = np.append(same[0].columns, -1)
+            rests = _others([j.triangle.T @ j.triangle / noise**2 for j in same], np.add)
+            for gram, rest in zip(found, rests):
+                gram[np.ix_(at, at)] += rest
+        return found
 
     def squared(self, sought: Unknowns) -> Array:
         """Return (blocks, joints) squared error of each block, predicted from the others."""
         return self.data.squared_residuals(self._predicted(sought)[..., None])[..., 0]
 
-    def _normal(self, sought: Unknowns) -> tuple[Array, Array, Array]:
-        """Return normal equations (blocks, k, k), right sides (blocks, k) and their scale.
+    def _normal(self, sought: Unknowns) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield normal equations (k, k), right side (k,) and their scale (k,) of each block.
 
         What the other blocks do not show stays near zero; priors and friction terms leave nothing
         else.
@@ -112,44 +114,43 @@ class HeldOut:
         held[kept] = 0.0
         prior = _prior_rows(sought)
         known, rest = prior.T @ prior, np.flatnonzero(held)
-        right = self._grams[:, kept, -1] - self._grams[:, kept[:, None], rest] @ held[rest]
-        right += known[:-1, -1]
-        normal = self._grams[:, kept[:, None], kept] + known[:-1, :-1]
-        size = np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
-        scale = 1.0 / np.where(size > 0.0, size, 1.0)
-        scaled = scale[:, :, None] * normal * scale[:, None] + _RIDGE * np.eye(len(kept))
-        return scaled, scale * right, scale
+        for gram in self._grams:
+            right = gram[kept, -1] - gram[np.ix_(kept, rest)] @ held[rest] + known[:-1, -1]
+            scaled = gram[np.ix_(kept, kept)] + known[:-1, :-1]
+            size = np.sqrt(np.diagonal(scaled))
+            scale = 1.0 / np.where(size > 0.0, size, 1.0)
+            scaled *= scale[:, None] * scale
+            scaled[np.diag_indices_from(scaled)] += _RIDGE
+            yield scaled, scale * right, scale
 
     def _predicted(self, sought: Unknowns) -> Array:
         """Return the values (blocks, p) that all other blocks ask for."""
-        scaled, right, scale = self._normal(sought)
-        values = np.tile(sought.held, (len(scaled), 1))
-        values[:, sought.kept] = scale * np.linalg.solve(scaled, right[..., None])[..., 0]
-        return values
+        each = self._normal(sought)
+        found = [scale * np.linalg.solve(scaled, right) for scaled, right, scale in each]
+        return np.array([sought.full(values) for values in found])
 
     def with_each(self, sought: Unknowns, motors: Sequence[Coupling]) -> Array:
         """Return (motors, blocks, joints) squared errors as of ``squared``, each with one of some
         motors that are sought alone: all others are eliminated once.
         """
-        scaled, right, scale = self._normal(sought)
         names = sought.kept_names
         own = [[names.index(n) for n in each.parameter_names if n in names] for each in motors]
         new = np.array([place for each in own for place in each], dtype=np.int64)
         base = np.delete(np.arange(len(names)), new)
-        crossed, goal = scaled[:, base][:, :, new], right[:, base, None]
-        solved = np.linalg.solve(
-            scaled[:, base][:, :, base], np.concatenate((goal, crossed), axis=-1)
-        )
-        left = scaled[:, new][:, :, new] - crossed.swapaxes(1, 2) @ solved[:, :, 1:]
-        goal = right[:, new, None] - crossed.swapaxes(1, 2) @ solved[:, :, :1]
-        values = np.tile(sought.held[:, None], (len(scaled), 1, len(motors)))
-        values[:, sought.kept[new]] = 0.0
         ends = np.cumsum([0, *map(len, own)])
-        for number, some in enumerate(map(slice, ends[:-1], ends[1:])):
-            found = np.linalg.solve(left[:, some, some], goal[:, some])[..., 0]
-            rest = solved[:, :, 0] - (solved[:, :, 1:][:, :, some] @ found[..., None])[..., 0]
-            values[:, sought.kept[base], number] = scale[:, base] * rest
-            values[:, sought.kept[new[some]], number] = scale[:, new[some]] * found
+        values = np.tile(sought.held[:, None], (len(self.data.blocks), 1, len(motors)))
+        values[:, sought.kept[new]] = 0.0
+        for each, (scaled, right, scale) in zip(values, self._normal(sought)):
+            crossed = scaled[np.ix_(base, new)]
+            goal = np.column_stack((right[base], crossed))
+            solved = np.linalg.solve(scaled[np.ix_(base, base)], goal)
+            left = scaled[np.ix_(new, new)] - crossed.T @ solved[:, 1:]
+            goal = right[new] - crossed.T @ solved[:, 0]
+            for number, some in enumerate(map(slice, ends[:-1], ends[1:])):
+                found = np.linalg.solve(left[some, some], goal[some])
+                rest = solved[:, 0] - solved[:, 1:][:, some] @ found
+                each[sought.kept[base], number] = scale[base] * rest
+                each[sought.kept[new[some]], number] = scale[new[some]] * found
         return np.moveaxis(self.data.squared_residuals(values), -1, 0)
 
     def of(self, fit: Fit) -> Array:
@@ -166,13 +167,13 @@ class HeldOut:
         return self.data.squared_residuals(values[..., None])[..., 0]
 
     def _rests(self, sought: Unknowns) -> Sequence[Array]:
-        """Return triangles (k+1, k+1) of all equations of what is sought without each block."""
+        """Return triangles (., k+1) of all equations of what is sought without each block."""
         key = sought.kept.tobytes(), sought.held.tobytes()
         if key not in self._known:
             wanted = sought.kept_names, sought.held
             parts = (restricted(part, *wanted) for part in self.data.blocks)
             rows = (np.column_stack(part.stacked(1.0 / self.noise)) for part in parts)
-            nothing = np.zeros((len(sought.kept) + 1,) * 2)
+            nothing = np.zeros((0, len(sought.kept) + 1))
             each = [update_triangle(nothing, block) for block in rows]
             self._known[key] = _others(each, update_triangle)
         return self._known[key]

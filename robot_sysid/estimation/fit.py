@@ -13,12 +13,7 @@ from robot_sysid.dynamics.friction import BENT
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.information import combined, restricted
-from robot_sysid.estimation.algebra.least_squares import (
-    joint_noise,
-    least_squares,
-    noise_floor,
-    weighted,
-)
+from robot_sysid.estimation.algebra.least_squares import least_squares, sharpened, weighted
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
@@ -33,9 +28,6 @@ _MOST_ROUNDS, _MOST_BOUNDS = 8, 6
 _SOUGHT_ROUNDS = 20
 _SETTLED, _SETTLED_DELAY, _SETTLED_ANGLE = 0.05, 1e-6, 1e-6
 _SPEED_SETTLED = 0.02
-# Noise within one per cent of its floor is at it; there it may be as small as a hundredth of the
-# floor, found in so many rounds.
-_AT_FLOOR, _SHARPEST, _SHARPER = 1.01, 0.01, 2
 
 
 @dataclass(frozen=True)
@@ -57,20 +49,12 @@ class Evidence:
         """The information of all parts."""
         return combined(self.blocks)
 
-    @cached_property
-    def triangles(self) -> tuple[Array, ...]:
-        """Each joint's triangles (blocks, k+1, k+1)."""
-        same = zip(*(block.joints for block in self.blocks))
-        return tuple(np.stack([joint.triangle for joint in each]) for each in same)
-
     def squared_residuals(self, values: Array) -> Array:
         """Return (blocks, joints, m) squared residuals of each block at values (blocks, p, m) of
         its own [N^2 m^2].
         """
-        ones = np.ones((len(values), 1, values.shape[-1]))
-        pairs = zip(self.blocks[0].joints, self.triangles)
-        each = [t @ np.concatenate((values[:, j.columns], -ones), axis=1) for j, t in pairs]
-        return np.stack([np.sum(left**2, axis=1) for left in each], axis=1)
+        pairs = zip(self.blocks, values)
+        return np.array([part.squared_residuals(own) for part, own in pairs])
 
     @cached_property
     def shown(self) -> np.ndarray:
@@ -272,13 +256,14 @@ def _rests(fit: Fit, after: Point) -> bool:
     steady = [k for k in kept if fit.columns.names[k] not in fit.unknowns.settle]
     moved = np.zeros(len(fit.values))
     moved[steady] = (after.values - before.values)[steady]
-    effect = fit.information.stacked(fit.weights)[0] @ moved[kept]
+    change = moved[kept]
+    effect = [rows[:, :-1] @ change for rows in fit.information.blocks(fit.weights)]
     turn = float(np.linalg.norm(np.cross(after.gravity, before.gravity)))
     turn /= float(after.gravity @ after.gravity) or 1.0
     speeds = zip((after.speed or {}).values(), (before.speed or {}).values())
     faster = max((float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0)
     late = abs(after.delay - before.delay)
-    small = float(effect @ effect) < _SETTLED**2 and late < _SETTLED_DELAY
+    small = float(sum(map(np.vdot, effect, effect))) < _SETTLED**2 and late < _SETTLED_DELAY
     return small and turn < _SETTLED_ANGLE and faster < _SPEED_SETTLED
 
 
@@ -345,29 +330,12 @@ def _bounded(
         wide = widened_groups(plain, counts * np.sqrt(memory), sought.groups)
         sought = replace(sought, groups=wide)
         known = with_prior(plain, sought.groups)
-        counts = _sharpened(known, counts, prior)
+        counts = sharpened(known, prior, counts)
         values = sought.full(least_squares(known, prior, 1.0 / counts))
         inside = sought.bounded(values)
         if inside is None:
             return sought, known, np.clip(values, sought.lower, sought.upper), counts
         sought = inside
-
-
-def _sharpened(information: SquareRootInformation, noise: Array, prior: Array) -> Array:
-    """Return less noise (joints,) where there is hardly any [N m].
-
-    Beside priors no noise is taken to be smaller than a floor. Of exact data the priors would then
-    weigh more than they need to.
-    """
-    bare, floor = replace(information, prior=None), noise_floor(information)
-    at_floor, found = noise <= _AT_FLOOR * floor, noise
-    if information.prior is None or not np.any(at_floor):
-        return noise
-    for _ in range(_SHARPER):
-        values = least_squares(information, prior, 1.0 / found)
-        least = np.maximum(joint_noise(bare, values, 1.0 / found), _SHARPEST * floor)
-        found = np.where(at_floor, least, noise)
-    return found
 
 
 def possible(

@@ -94,7 +94,8 @@ class BodyMotion:
 @dataclass(frozen=True)
 class JointInformation:
     """Square-root information of one joint's equations, which contain the global parameters in
-    ``columns`` (k,): the upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau].
+    ``columns`` (k,): the upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau], or what there
+    is of its rows where there are fewer equations.
     """
 
     joint: str
@@ -103,7 +104,8 @@ class JointInformation:
     n_samples: int
 
     def __post_init__(self) -> None:
-        check_arrays(self, triangle=(len(self.columns) + 1,) * 2)
+        size = len(self.columns) + 1
+        check_arrays(self, triangle=(min(len(self.triangle), size), size))
 
 
 @dataclass(frozen=True)
@@ -147,10 +149,9 @@ class SquareRootInformation:
             yield self.prior
 
     def squared_residuals(self, values: Array) -> Array:
-        """Return sum of squared residuals per joint (joints,) [N^2 m^2] at values (p,)."""
-        return np.array(
-            [np.sum((j.triangle @ np.append(values[j.columns], -1.0)) ** 2) for j in self.joints]
-        )
+        """Return sums of squared residuals (joints, ...) [N^2 m^2] at values (p, ...)."""
+        pairs = ((j.triangle, values[j.columns]) for j in self.joints)
+        return np.array([np.sum((((t[:, :-1] @ x).T - t[:, -1]) ** 2).T, axis=0) for t, x in pairs])
 
 
 class SampleSource(Protocol):

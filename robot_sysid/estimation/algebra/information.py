@@ -31,7 +31,7 @@ class InformationAccumulator:
         self._names = tuple(names)
         self._joints = tuple(joints)
         self._columns = [np.asarray(c, dtype=np.int64) for c in columns]
-        self._triangles = [np.zeros((len(c) + 1, len(c) + 1)) for c in self._columns]
+        self._triangles = [np.zeros((0, len(c) + 1)) for c in self._columns]
         self._counts = [0] * len(self._joints)
 
     def add(self, index: int, rows: Array, tau: Array) -> None:
@@ -53,13 +53,24 @@ class InformationAccumulator:
 
 
 def update_triangle(triangle: Array, rows: Array) -> Array:
-    """Return the (k, k) triangle of all rows so far and the new ones (N, k)."""
-    size = triangle.shape[1]
+    """Return the triangle (k, k) of all rows so far and the new ones (N, k); of fewer than k rows
+    that are not zero, its upper part.
+    """
     stacked = np.vstack((triangle, rows))
-    # Where there are fewer equations than parameters most of a triangle is empty.
-    stacked = stacked[np.any(stacked != 0.0, axis=1)]
-    made = np.asarray(np.linalg.qr(stacked, mode="r"))
-    return np.vstack((made, np.zeros((size - len(made), size))))
+    return np.asarray(np.linalg.qr(stacked[np.any(stacked != 0.0, axis=1)], mode="r"))
+
+
+def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
+    """Return (p+1, p+1) [A b]^T [A b] of the data's equations, weighted as in ``stacked``.
+
+    Where there are many joints, each has but few of all columns, and this is far less work than a
+    triangle of all equations.
+    """
+    found = np.zeros((len(information.names) + 1,) * 2)
+    for joint, weight in zip(information.joints, weights):
+        at, rows = np.append(joint.columns, -1), weight * joint.triangle
+        found[np.ix_(at, at)] += rows.T @ rows
+    return found
 
 
 def sample_counts(information: SquareRootInformation) -> Array:

@@ -19,12 +19,18 @@ _NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR, _RIDGE = 1e-9, 1e-4, 1e-12
 # Length of the inverse below which nothing is cut: the least singular value is above 1e-8, the cut
 # at 1e-10 of the largest, which is at most the root of the number of unit columns.
 _WELL_SEEN = 1e8
+# Ridge of a solution that is found in steps (measured: up to ten), and what counts as no step any
+# more, as a share of all right-hand sides.
+_LEAST_RIDGE, _ROUNDING = 1e-14, 1e-14
+# Noise within one per cent of its floor is at it; there it may be as small as a hundredth of the
+# floor, found in so many rounds.
+_AT_FLOOR, _SHARPEST, _SHARPER = 1.01, 0.01, 2
 
 
 def ordinary(information: SquareRootInformation, prior: Array) -> Array:
     """Return the noise (joints,) that all joints have in common, from all residuals [N m]."""
     ones, common = np.ones(len(information.joints)), 1.0
-    solved = _solver(information, prior)
+    solved = solver(information, prior)
     for _ in range(_MOST_ROUNDS):
         values, paid = solved(ones / common)
         freedom = max(information.n_samples - float(np.sum(paid)), 1.0)
@@ -45,6 +51,8 @@ def least_squares(information: SquareRootInformation, prior: Array, weights: Arr
         prior: (p,) values to stay at where the data shows nothing.
         weights: (joints,) by which each joint's equations are multiplied [1/(N m)].
     """
+    if information.prior is not None:
+        return solver(information, prior)(weights)[0]
     matrix, right = information.stacked(weights)
     size, rows = len(prior), np.column_stack((matrix, right - matrix @ prior))
     triangle = np.asarray(np.linalg.qr(rows, mode="r"))
@@ -64,19 +72,20 @@ def weighted(information: SquareRootInformation, prior: Array, start: Array | No
     the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
     """
     noise = ordinary(information, prior) if start is None else start
-    solved = _solver(information, prior)
+    solved, floor = solver(information, prior), noise_floor(information)
     for _ in range(_MOST_ROUNDS):
-        values, paid = solved(1.0 / noise)
-        before, noise = noise, _noise(information, values, paid)
+        before, noise = noise, joint_noise(information, *solved(1.0 / noise), floor)
         if np.max(np.abs(noise / before - 1.0)) < _SETTLED:
             break
     return noise
 
 
-def _solver(
+def solver(
     information: SquareRootInformation, prior: Array
 ) -> Callable[[Array], tuple[Array, Array]]:
-    """Return ``_solved`` as a function of weights (joints,), by the fastest way there is."""
+    """Return a function of weights (joints,), by the fastest way there is, which returns
+    (``least_squares``, how many parameters each joint's equations pay for (joints,)).
+    """
     plain = partial(_solved, information, prior)
     if information.prior is None:
         return plain
@@ -84,7 +93,7 @@ def _solver(
     return lambda weights: normal.solved(weights) or plain(weights)
 
 
-def inverse_root(normal: Array) -> Array | None:
+def inverse_root(normal: Array, ridge: float = _RIDGE) -> Array | None:
     """Return G (p, p) with G G^T the inverse of a normal matrix; None where it is not definite.
 
     A tenth of the time of a decomposition. Half of the digits are lost, which noise and widths of
@@ -94,7 +103,7 @@ def inverse_root(normal: Array) -> Array | None:
 
     length = np.sqrt(np.diag(normal))
     scale = 1.0 / np.where(length > 0.0, length, 1.0)
-    scaled = scale[:, None] * normal * scale + _RIDGE * np.eye(len(normal))
+    scaled = scale[:, None] * normal * scale + ridge * np.eye(len(normal))
     try:
         root, failed = dtrtri(np.linalg.cholesky(scaled).T)
     except np.linalg.LinAlgError:
@@ -109,25 +118,42 @@ class _Normal:
         assert information.prior is not None
         known = (np.append(np.arange(len(information.names)), -1), information.prior)
         parts = [(np.append(joint.columns, -1), joint.triangle) for joint in information.joints]
-        self._parts = [(columns, rows.T @ rows) for columns, rows in (*parts, known)]
+        self._parts = [(columns, rows, rows.T @ rows) for columns, rows in (*parts, known)]
         self._prior = prior
 
     def solved(self, weights: Array) -> tuple[Array, Array] | None:
-        """Return what ``_solved`` returns; None where the equations are not definite."""
-        size = len(self._prior) + 1
-        normal = np.zeros((size, size))
-        for (columns, gram), weight in zip(self._parts, (*weights, 1.0)):
-            normal[np.ix_(columns, columns)] += weight**2 * gram
-        root = inverse_root(normal[:-1, :-1])
+        """Return what ``_solved`` returns; None where the equations show something too badly.
+
+        What rounding of the squares and the ridge have left is taken off by conjugate gradients of
+        the equations themselves, in coordinates in which their squares are next to one (Bjorck,
+        "Numerical methods for least squares problems", 1996, ch. 7.4).
+        """
+        normal, squares = np.zeros((len(self._prior) + 1,) * 2), np.append(weights, 1.0) ** 2
+        for (at, _, gram), square in zip(self._parts, squares):
+            normal[np.ix_(at, at)] += square * gram
+        root = inverse_root(normal[:-1, :-1], _LEAST_RIDGE)
         if root is None:
             return None
+        values, way, before = np.append(self._prior, -1.0), np.zeros(len(root)), np.inf
+        for _ in range(_MOST_ROUNDS):
+            slope = np.zeros_like(values)
+            for (at, rows, _), square in zip(self._parts, squares):
+                slope[at] -= square * ((rows @ values[at]) @ rows)
+            steep = root.T @ slope[:-1]
+            left = float(steep @ steep)
+            if left <= _ROUNDING**2 * normal[-1, -1]:
+                break
+            way, before = steep + left / before * way, left
+            step = root @ way
+            values[:-1] += left / (step @ normal[:-1, :-1] @ step) * step
+        else:
+            return None
         spread = root @ root.T
-        values = self._prior + spread @ (normal[:-1, -1] - normal[:-1, :-1] @ self._prior)
+        pairs = zip(self._parts, squares[:-1])
         paid = [
-            weight**2 * np.sum(gram[:-1, :-1] * spread[np.ix_(at[:-1], at[:-1])])
-            for (at, gram), weight in zip(self._parts, weights)
+            q * np.vdot(g[:-1, :-1], spread[np.ix_(at[:-1], at[:-1])]) for (at, _, g), q in pairs
         ]
-        return values, np.array(paid)
+        return values[:-1], np.array(paid)
 
 
 def noise_floor(information: SquareRootInformation) -> float:
@@ -141,27 +167,41 @@ def noise_floor(information: SquareRootInformation) -> float:
     return float(share * rms) or 1.0
 
 
-def joint_noise(information: SquareRootInformation, values: Array, weights: Array) -> Array:
+def sharpened(information: SquareRootInformation, prior: Array, noise: Array) -> Array:
+    """Return less noise (joints,) where there is hardly any [N m].
+
+    Beside priors no noise is taken to be smaller than a floor. Of exact data the priors would then
+    weigh more than they need to.
+    """
+    floor = noise_floor(information)
+    at_floor, found = noise <= _AT_FLOOR * floor, noise
+    if information.prior is None or not np.any(at_floor):
+        return noise
+    solved = solver(information, prior)
+    for _ in range(_SHARPER):
+        least = joint_noise(information, *solved(1.0 / found), _SHARPEST * floor)
+        found = np.where(at_floor, least, noise)
+    return found
+
+
+def joint_noise(
+    information: SquareRootInformation, values: Array, paid: Array, floor: float
+) -> Array:
     """Return (joints,) noise standard deviation of each joint's torque [N m].
 
     sigma_j^2 = |r_j|^2 / (n_j - l_j), with the leverage l_j = w_j^2 tr(Y_j C Y_j^T): how many
     parameters this joint's equations pay for (Seber, Lee, "Linear Regression Analysis", 2003), at
-    the solution (p,) by weights (joints,).
+    the solution (p,).
     """
-    space = visible_space(information.stacked(weights)[0])
-    return _noise(information, values, _paid(information, weights, space))
-
-
-def _noise(information: SquareRootInformation, values: Array, paid: Array) -> Array:
     squared = information.squared_residuals(values)
     freedom = np.maximum(sample_counts(information) - paid, 1.0)
-    return np.maximum(np.sqrt(squared / freedom), noise_floor(information))
+    return np.maximum(np.sqrt(squared / freedom), floor)
 
 
 def _solved(
     information: SquareRootInformation, prior: Array, weights: Array
 ) -> tuple[Array, Array]:
-    """Return (``least_squares``, how many parameters each joint's equations pay for)."""
+    """Return what ``solver`` says, by a decomposition."""
     matrix, right = information.stacked(weights)
     space = visible_space(matrix)
     return prior + space.solve(right - matrix @ prior), _paid(information, weights, space)

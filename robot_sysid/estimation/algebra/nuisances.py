@@ -20,6 +20,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.identifiability import visible_space
+from robot_sysid.estimation.algebra.information import normal_matrix
 from robot_sysid.estimation.algebra.least_squares import inverse_root
 from robot_sysid.records import Array, PriorConflict, SquareRootInformation
 
@@ -186,22 +187,21 @@ class WithPriors:
     """Whitened data, to be solved under different priors."""
 
     def __init__(self, information: SquareRootInformation, noise: Array) -> None:
-        matrix, right = replace(information, prior=None).stacked(1.0 / noise)
-        self.names = information.names
-        self._triangle = np.asarray(np.linalg.qr(np.column_stack((matrix, right)), mode="r"))
-        self._gram = self._triangle.T @ self._triangle
+        self.names, self._weights = information.names, 1.0 / noise
+        self._data = replace(information, prior=None)
+        self._gram = normal_matrix(information, self._weights)
 
     def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
         """Return (values (p,), covariance (p, p), misfit of data and priors)."""
-        known = np.vstack((self._triangle[:0], *(group.rows(self.names) for group in groups)))
+        known = np.vstack((self._gram[:0], *(group.rows(self.names) for group in groups)))
         normal = self._gram + known.T @ known
-        rows = np.vstack((self._triangle, known))
         root = inverse_root(normal[:-1, :-1])
         if root is None:
-            root = visible_space(rows[:, :-1]).inverse_root()
+            rows, _ = self._data.stacked(self._weights)
+            root = visible_space(np.vstack((rows, known[:, :-1]))).inverse_root()
         values = root @ (root.T @ normal[:-1, -1])
-        misfit = float(np.sum((rows[:, :-1] @ values - rows[:, -1]) ** 2))
-        return values, root @ root.T, misfit
+        left = self._weights**2 @ self._data.squared_residuals(values)
+        return values, root @ root.T, float(left + np.sum((known @ np.append(values, -1.0)) ** 2))
 
 
 def _asked(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.algebra.least_squares import joint_noise
+from robot_sysid.estimation.algebra.least_squares import joint_noise, least_squares, solver
 from tests.support.estimates import identified
 from tests.support.synthetic_data import Samples, noisy_samples
 
@@ -49,6 +51,19 @@ def test_parameters_that_the_joints_pay_for_sum_to_the_rank(seed):
     """What is taken off each joint's number of samples, whatever the weights and the values."""
     samples, names, _, rng = noisy_samples(seed)
     information, values = samples.information(names), rng.normal(size=16)
-    noise = joint_noise(information, values, rng.uniform(0.1, 10.0, 3))
+    _, each = solver(information, PRIOR)(rng.uniform(0.1, 10.0, 3))
+    noise = joint_noise(information, values, each, 0.0)
     paid = 200.0 - information.squared_residuals(values) / noise**2
     assert np.sum(paid) == pytest.approx(16.0, rel=1e-9)
+
+
+@given(SEEDS)
+def test_equations_with_a_prior_are_solved_to_rounding(seed):
+    """Through their squares, as accurate as without them."""
+    samples, names, truth, rng = noisy_samples(seed)
+    known = np.column_stack((np.diag(10.0 ** rng.uniform(-3, 0, 16)), np.zeros(16)))
+    information, weights = samples.information(names), rng.uniform(0.1, 10.0, 3)
+    information = replace(information, prior=known)
+    best = np.linalg.lstsq(*information.stacked(weights), rcond=None)[0]
+    found = least_squares(information, PRIOR, weights)
+    np.testing.assert_allclose(found, best, rtol=0.0, atol=1e-11 * np.max(np.abs(truth)))
