@@ -98,13 +98,12 @@ def fit_errors(
             works it out from the rows.
     """
     information, weights = fit.information, fit.weights
-    left = list(residuals)
+    left, space = list(residuals), joint_space(information, weights)
     if fit.samples and not left:
-        values, root = fit.values[fit.unknowns.kept], joint_space(information, weights)
-        given = fit.rows, values, root.inverse_root(), weights
+        given = fit.rows, fit.values[fit.unknowns.kept], space.inverse_root(), weights
         left = collect_residuals(information, *given)
     left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
-    whole = uncertainty(information, weights, 1.0 / weights, left)
+    whole = uncertainty(information, weights, 1.0 / weights, left, space)
     causes = {
         group.cause: whole.inverse @ group.precision(information.names) @ whole.inverse
         for group in fit.unknowns.groups

@@ -99,14 +99,14 @@ class JointResiduals:
         lost = 2.0 * np.tensordot(self.sums, own, axes=2) - np.tensordot(self.sums, twice, axes=2)
         return np.clip(lost / max(self.count, 1), 0.0, _MOST_ABSORBED)
 
-    def fit(self, own: Array, leaked: float) -> Array:
+    def fit(self, absorbed: Array, leaked: float) -> Array:
         """Return kernel coefficients c >= 0 (1 + m,) [N^2 m^2].
 
         The fit takes slow noise out of the residuals in the shape of ``hats``; that is part of what
         each kernel is expected to look like.
 
         Args:
-            own: as in ``absorbed``.
+            absorbed: see there.
             leaked: mean square that errors caused by other joints' noise add [N^2 m^2].
         """
         energy = float(self.products[0])
@@ -115,7 +115,7 @@ class JointResiduals:
         if energy <= 0.0:
             return np.zeros(1 + len(self.decay))
         kernels = np.column_stack((self.lags == 0, self.decay ** self.lags[:, None])).astype(float)
-        shapes = kernels - np.outer(shape, self.absorbed(own))
+        shapes = kernels - np.outer(shape, absorbed)
         # The first lag of each bin; bins widen in proportion to the lag.
         count = len(self.lags)
         edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(np.int64)

@@ -24,6 +24,9 @@ from robot_sysid.records import Array, Identifiability, SquareRootInformation
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
+WELL_SEEN = 1e8
+"""Length of the inverse below which nothing is cut: the least singular value is above 1e-8, the cut
+at 1e-10 of the largest, which is at most the root of the number of unit columns."""
 # Components of unit vectors below this count as rounding; chosen, far above that (1e-13).
 _COMPONENT_TOLERANCE = 1e-6
 N_INERTIAL = 10

@@ -7,7 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.estimation.algebra.identifiability import VisibleSpace, column_scale, visible_space
+from robot_sysid.estimation.algebra.identifiability import (
+    WELL_SEEN,
+    VisibleSpace,
+    column_scale,
+    visible_space,
+)
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.records import Array, SquareRootInformation
 
@@ -16,9 +21,6 @@ _MOST_ROUNDS, _SETTLED = 30, 1e-6
 # Shares of the root mean square torque, see ``noise_floor``; what keeps a scaled matrix, whose
 # diagonal is 1, definite in spite of rounding.
 _NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR, _RIDGE = 1e-9, 1e-4, 1e-12
-# Length of the inverse below which nothing is cut: the least singular value is above 1e-8, the cut
-# at 1e-10 of the largest, which is at most the root of the number of unit columns.
-_WELL_SEEN = 1e8
 # Ridge of a solution that is found in steps (measured: up to ten), and what counts as no step any
 # more, as a share of all right-hand sides.
 _LEAST_RIDGE, _ROUNDING = 1e-14, 1e-14
@@ -60,7 +62,7 @@ def least_squares(information: SquareRootInformation, prior: Array, weights: Arr
     if len(triangle) > size and not np.any(zero | (np.diag(triangle)[:size] == 0.0)):
         # Where all is seen well a triangle alone tells it; its inverse bounds the condition.
         inverse = np.linalg.inv(triangle[:size, :size] * scale)
-        if np.linalg.norm(inverse) < _WELL_SEEN:
+        if np.linalg.norm(inverse) < WELL_SEEN:
             return np.asarray(prior + scale * (inverse @ triangle[:size, size]))
     return prior + visible_space(triangle[:, :size]).solve(triangle[:, size])
 

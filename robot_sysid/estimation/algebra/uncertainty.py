@@ -20,7 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals
-from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
+from robot_sysid.estimation.algebra.identifiability import (
+    WELL_SEEN,
+    VisibleSpace,
+    column_scale,
+    visible_space,
+)
 from robot_sysid.estimation.algebra.information import sample_counts, update_triangle
 from robot_sysid.records import Array, SquareRootInformation
 
@@ -55,6 +60,7 @@ def uncertainty(
     weights: Array,
     noise: Array,
     residuals: Sequence[JointResiduals] = (),
+    space: VisibleSpace | None = None,
 ) -> Uncertainty:
     """Return how far an estimate may be off.
 
@@ -63,12 +69,14 @@ def uncertainty(
         noise: (joints,) standard deviation of noise without memory [N m], where there are no
             residuals.
         residuals: what a pass over the samples left, which says how noise is correlated in time.
+        space: ``joint_space``, where it is known.
     """
-    space = joint_space(information, weights)
+    space = space or joint_space(information, weights)
     inverse, score = space.inverse(), np.zeros((len(information.names),) * 2)
     effective = sample_counts(information).tolist()
+    alone = [_alone(*pair, inverse) for pair in zip(residuals, weights)]
     for _ in range(_ROUNDS if residuals else 0):
-        kernels = list(_kernels(residuals, weights, inverse, score))
+        kernels = list(_kernels(residuals, alone, inverse @ score @ inverse))
         omegas = [np.tensordot(c, joint.sums, axes=1) for c, joint in zip(kernels, residuals)]
         score = _score([joint.columns for joint in residuals], omegas, weights, len(score))
         effective = [joint.effective_samples(c) for c, joint in zip(kernels, residuals)]
@@ -97,7 +105,14 @@ def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSp
         waiting.append(block[np.any(block != 0.0, axis=1)])
         if sum(map(len, waiting)) > _AT_ONCE * size:
             triangle, waiting = update_triangle(triangle, np.vstack(waiting)), []
-    return visible_space(np.vstack((triangle, *waiting))[:, :-1])
+    matrix = update_triangle(triangle[:0], np.vstack((triangle, *waiting)))[:, :-1]
+    scale, zero = column_scale(matrix)
+    if len(matrix) >= size - 1 and not np.any(zero | (np.diag(matrix) == 0.0)):
+        # Where all is seen well, nothing is hidden and any root of the inverse does.
+        root, every = np.asarray(np.linalg.inv(matrix[: size - 1] * scale)), np.ones(size - 1)
+        if np.linalg.norm(root) < WELL_SEEN:
+            return VisibleSpace(scale, matrix[:, :0], every, root, np.zeros((size - 1, 0)), zero)
+    return visible_space(matrix)
 
 
 def _score(
@@ -110,15 +125,22 @@ def _score(
     return score
 
 
+def _alone(joint: JointResiduals, weight: float, inverse: Array) -> tuple[Array, Array, float]:
+    """Return what a joint's fit takes out of each kernel, its noise if it is alone, and the energy
+    of the errors that this makes in its torque.
+    """
+    own = weight**2 * inverse[np.ix_(joint.columns, joint.columns)]
+    absorbed = joint.absorbed(own)
+    kernels = joint.fit(absorbed, 0.0)
+    errors = own @ np.tensordot(kernels, joint.sums, axes=1) @ own
+    return absorbed, kernels, float(np.vdot(errors, joint.sums[0]))
+
+
 def _kernels(
-    residuals: Sequence[JointResiduals], weights: Array, inverse: Array, score: Array
+    residuals: Sequence[JointResiduals], alone: Sequence[tuple[Array, Array, float]], spread: Array
 ) -> Iterator[Array]:
-    """Yield each joint's noise; ``score`` of the last round tells what others' noise adds."""
-    spread = inverse @ score @ inverse
-    for joint, weight in zip(residuals, weights):
-        at = np.ix_(joint.columns, joint.columns)
-        own, leaked = weight**2 * inverse[at], 0.0
-        if np.any(score):
-            mine = own @ np.tensordot(joint.fit(own, 0.0), joint.sums, axes=1) @ own
-            leaked = float(np.sum((spread[at] - mine) * joint.sums[0])) / max(joint.count, 1)
-        yield joint.fit(own, max(leaked, 0.0))
+    """Yield each joint's noise; the spread (p, p) of the last round tells what others' adds."""
+    for joint, (absorbed, kernels, energy) in zip(residuals, alone):
+        errors = spread[np.ix_(joint.columns, joint.columns)]
+        leaked = float(np.vdot(errors, joint.sums[0]) - energy) / max(joint.count, 1)
+        yield joint.fit(absorbed, leaked) if leaked > 0.0 else kernels

@@ -62,7 +62,7 @@ def test_effective_samples_of_noise_with_a_known_memory(memory):
     count = 40_000
     residual = remembering_noise(rng, count, 1, memory)[:, 0]
     found = collected(np.zeros((count, 1)), residual)
-    kernels = found.fit(np.zeros((1, 1)), 0.0)
+    kernels = found.fit(found.absorbed(np.zeros((1, 1))), 0.0)
     decay = np.exp(-1.0 / memory) if memory else 0.0
     expected = count * (1.0 - decay) / (1.0 + decay)
     assert np.all(kernels >= 0.0)
