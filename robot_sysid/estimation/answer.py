@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -286,16 +287,21 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     names = fit.columns.bodies()
     order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
     sought = fit.unknowns
-    matrix, right = fit.evidence.whole.stacked(fit.weights)
-    found = base_combinations(matrix[:, order], parameter_scale(len(order) // 10))
+    # Of many joints all columns of all rows are far more than fit into memory several times.
+    each = [rows[:, order] for rows in fit.evidence.whole.blocks(fit.weights)]
+    found = base_combinations(np.vstack(each), parameter_scale(len(order) // 10))
     rest = np.setdiff1d(sought.kept, order)
     inside = np.flatnonzero(np.isin(order, sought.kept))
     change, at = found.matrix[:, inside], np.searchsorted(sought.kept, order[inside])
     spread = change @ errors.whole.covariance[np.ix_(at, at)] @ change.T
     # What is known of sensors counts; free torque scales would explain all torques by themselves.
     known = [g.rows(fit.columns.names) for g in sought.groups if g.cause != LINKS]
-    rows = np.vstack((np.column_stack((matrix, right)), *known))
-    kept = essential(rows[:, order[found.leading]], rows[:, rest], rows[:, -1])
+    some = np.concatenate((rest, [-1], order[found.leading]))
+    every = itertools.chain(fit.evidence.whole.blocks(fit.weights), known)
+    others, right, base = np.split(
+        np.vstack([rows[:, some] for rows in every]), (len(rest), len(rest) + 1), axis=1
+    )
+    kept = essential(base, others, right[:, 0])
     return BaseParameters(
         combinations=found.names([fit.columns.names[index] for index in order]),
         values=found.matrix @ fit.values[order],

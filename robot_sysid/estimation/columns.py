@@ -78,6 +78,24 @@ class Point:
     in_file: bool = False
 
 
+class _Rows(Sequence[Array]):
+    """Each joint's rows, from parts side by side, each with what it is multiplied by.
+
+    They are put together when they are asked for: most of them are the same around any point.
+    """
+
+    def __init__(self, parts: Sequence[tuple[tuple[Array, Any], ...]]) -> None:
+        self._parts, self._last = parts, (-1, np.zeros((0, 0)))
+
+    def __len__(self) -> int:
+        return len(self._parts)
+
+    def __getitem__(self, joint: Any) -> Any:
+        if self._last[0] != joint:
+            self._last = joint, np.hstack([part * factor for part, factor in self._parts[joint]])
+        return self._last[1]
+
+
 class Columns:
     """Names of all parameters, and the rows of recordings in them.
 
@@ -266,19 +284,19 @@ class Columns:
             factor = np.where(bodies, 1.0 + scale, np.where(drifting, drifted, 1.0))
             late = _late(dataset, base.time, block[:, smooth] @ known[smooth])
             sides = {
-                (*own.values(),): drifted * np.stack([c[:, row] for c in later.values()], axis=1),
-                (self._scales[row],): gear[:, None],
-                (self._drifts[row],): dataset.place * friction[:, None],
-                (*self._zeros, *self._tilts): common[:, joint] * (1.0 + scale),
-                (DELAY_NAME,): late[:, None],
-                PAYLOAD_NAMES: block[:, :N_INERTIAL] * ((1.0 + scale) * dataset.is_loaded),
+                (*own.values(),): (np.stack([c[:, row] for c in later.values()], axis=1), drifted),
+                (self._scales[row],): (gear[:, None], 1.0),
+                (self._drifts[row],): (friction[:, None], dataset.place),
+                (*self._zeros, *self._tilts): (common[:, joint], 1.0 + scale),
+                (DELAY_NAME,): (late[:, None], 1.0),
+                PAYLOAD_NAMES: (block[:, :N_INERTIAL], (1.0 + scale) * dataset.is_loaded),
             }
             there = {names: part for names, part in sides.items() if names[0] not in self._nowhere}
-            blocks.append(np.hstack((block * factor, *there.values())))
+            blocks.append(((block, factor), *there.values()))
             right.append(tau + scale * linear + drift * dataset.place * friction)
             columns.append(np.concatenate((base.columns[row], *map(self.at, there))))
         return replace(
-            base, names=self.names, columns=tuple(columns), rows=tuple(blocks), tau=tuple(right)
+            base, names=self.names, columns=tuple(columns), rows=_Rows(blocks), tau=tuple(right)
         )
 
     def _held_by_file(
@@ -288,12 +306,12 @@ class Columns:
         tilt = self._tilt(arm, self.thetas(point.values, dataset.is_loaded), dataset.motion.q)
         loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
         places, own = self.at((*self._tilts, *loaded)), slice(len(loaded))
-        blocks = (
-            np.hstack((block, tilt[:, joint], block[:, own] * dataset.is_loaded))
+        blocks = [
+            ((block, 1.0), (tilt[:, joint], 1.0), (block[:, own], dataset.is_loaded))
             for block, joint in zip(base.rows, self.rows_of)
-        )
+        ]
         columns = tuple(np.append(each, places) for each in base.columns)
-        return replace(base, names=self.names, columns=columns, rows=tuple(blocks))
+        return replace(base, names=self.names, columns=columns, rows=_Rows(blocks))
 
     def _tilt(self, arm: RobotModel, thetas: Array, q: Array) -> Array:
         """Return the columns of gravity's direction (K, n, 2); none (K, n, 0) without gravity."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,7 +41,7 @@ class DecimatedSamples:
     joints: tuple[str, ...]
     columns: tuple[NDArray[np.int64], ...]
     time: Array
-    rows: tuple[Array, ...]
+    rows: Sequence[Array]
     tau: tuple[Array, ...]
     measured: tuple[Array, ...]
 
@@ -53,7 +54,7 @@ class DecimatedSamples:
 
     def information(self) -> SquareRootInformation:
         """Return the square-root information of the samples in use."""
-        return information_of([self])
+        return information_of([[self]])[0]
 
     def where(self, used: Mask) -> DecimatedSamples:
         """Return the samples without those for which ``used``, (K,) or (K, joints), is false."""
@@ -73,15 +74,21 @@ class DecimatedSamples:
         return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
 
 
-def information_of(parts: Sequence[DecimatedSamples]) -> SquareRootInformation:
-    """Return the square-root information of all samples in use of several recordings."""
-    first = parts[0]
-    accumulator = InformationAccumulator(first.names, first.joints, first.columns)
-    for index, same in enumerate(zip(*(zip(part.rows, part.tau) for part in parts))):
-        used = [np.isfinite(tau) for _, tau in same]
-        rows, tau = (np.concatenate([s[k][u] for s, u in zip(same, used)]) for k in (0, 1))
+def information_of(
+    parts: Collection[Sequence[DecimatedSamples]],
+) -> tuple[SquareRootInformation, ...]:
+    """Return the square-root information of all samples in use, of several recordings in each."""
+    (first, *_), *_ = parts
+    found = [InformationAccumulator(first.names, first.joints, first.columns) for _ in parts]
+    # Joint by joint: most rows are made when they are asked for.
+    for index, (accumulator, part) in itertools.product(
+        range(len(first.joints)), zip(found, parts)
+    ):
+        used = [np.isfinite(each.tau[index]) for each in part]
+        rows = np.concatenate([each.rows[index][some] for each, some in zip(part, used)])
+        tau = np.concatenate([each.tau[index][some] for each, some in zip(part, used)])
         accumulator.add(index, rows, tau)
-    return accumulator.result()
+    return tuple(each.result() for each in found)
 
 
 def _samples_of(equations: Equations, time: Array, tables: Sequence[Array]) -> DecimatedSamples:

@@ -73,9 +73,8 @@ def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
 
 def evidence_of(parts: Collection[Sequence[DecimatedSamples]], torque: Array) -> Evidence:
     """Return what rows say, each part of them in a block of its own."""
-    blocks = tuple(information_of(part) for part in parts)
     squares = [np.sum([each.squared_torque() for each in part], axis=0) for part in parts]
-    return Evidence(blocks, np.array(squares), torque)
+    return Evidence(information_of(parts), np.array(squares), torque)
 
 
 @dataclass(frozen=True)
