@@ -20,7 +20,7 @@ BLOCKS, LONGEST_STRETCH = 5, 10.0
 """How many parts recordings are predicted in, each from the others. A part is every fifth stretch
 of a recording; stretches are less than so long [s], as a motion may show a joint for a while."""
 # Samples and numbers per pass: memory stays small, results are the same for any.
-_CHUNK, _NUMBERS = 2048, 4_000_000
+_CHUNK, _NUMBERS = 2048, 8_000_000
 
 
 @dataclass(frozen=True)

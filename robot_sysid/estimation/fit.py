@@ -13,7 +13,7 @@ from robot_sysid.dynamics.friction import BENT
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.information import combined, restricted
-from robot_sysid.estimation.algebra.least_squares import least_squares, sharpened, weighted
+from robot_sysid.estimation.algebra.least_squares import sharpened, solver, weighted
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
@@ -329,8 +329,9 @@ def _bounded(
         wide = widened_groups(plain, counts * np.sqrt(memory), sought.groups)
         sought = replace(sought, groups=wide)
         known = with_prior(plain, sought.groups)
-        counts = sharpened(known, prior, counts)
-        values = sought.full(least_squares(known, prior, 1.0 / counts))
+        best = solver(known, prior)
+        counts = sharpened(known, best, counts)
+        values = sought.full(best(1.0 / counts)[0])
         inside = sought.bounded(values)
         if inside is None:
             return sought, known, np.clip(values, sought.lower, sought.upper), counts

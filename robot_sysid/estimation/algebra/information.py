@@ -56,8 +56,8 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
     """Return the triangle (k, k) of all rows so far and the new ones (N, k); of fewer than k rows
     that are not zero, its upper part.
     """
-    stacked = np.vstack((triangle, rows))
-    return np.asarray(np.linalg.qr(stacked[np.any(stacked != 0.0, axis=1)], mode="r"))
+    stacked = np.vstack([each[np.any(each != 0.0, axis=1)] for each in (triangle, rows)])
+    return np.asarray(np.linalg.qr(stacked, mode="r"))
 
 
 def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:

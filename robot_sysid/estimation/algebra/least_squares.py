@@ -29,6 +29,9 @@ _LEAST_RIDGE, _ROUNDING = 1e-14, 1e-14
 _AT_FLOOR, _SHARPEST, _SHARPER = 1.01, 0.01, 2
 
 
+Solved = Callable[[Array], tuple[Array, Array]]
+
+
 def ordinary(information: SquareRootInformation, prior: Array) -> Array:
     """Return the noise (joints,) that all joints have in common, from all residuals [N m]."""
     ones, common = np.ones(len(information.joints)), 1.0
@@ -82,9 +85,7 @@ def weighted(information: SquareRootInformation, prior: Array, start: Array | No
     return noise
 
 
-def solver(
-    information: SquareRootInformation, prior: Array
-) -> Callable[[Array], tuple[Array, Array]]:
+def solver(information: SquareRootInformation, prior: Array) -> Solved:
     """Return a function of weights (joints,), by the fastest way there is, which returns
     (``least_squares``, how many parameters each joint's equations pay for (joints,)).
     """
@@ -169,8 +170,8 @@ def noise_floor(information: SquareRootInformation) -> float:
     return float(share * rms) or 1.0
 
 
-def sharpened(information: SquareRootInformation, prior: Array, noise: Array) -> Array:
-    """Return less noise (joints,) where there is hardly any [N m].
+def sharpened(information: SquareRootInformation, solved: Solved, noise: Array) -> Array:
+    """Return less noise (joints,) where there is hardly any [N m], by ``solver``.
 
     Beside priors no noise is taken to be smaller than a floor. Of exact data the priors would then
     weigh more than they need to.
@@ -179,7 +180,6 @@ def sharpened(information: SquareRootInformation, prior: Array, noise: Array) ->
     at_floor, found = noise <= _AT_FLOOR * floor, noise
     if information.prior is None or not np.any(at_floor):
         return noise
-    solved = solver(information, prior)
     for _ in range(_SHARPER):
         least = joint_noise(information, *solved(1.0 / found), _SHARPEST * floor)
         found = np.where(at_floor, least, noise)

@@ -102,7 +102,7 @@ def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSp
     triangle, waiting = np.zeros((0, size)), [np.zeros((0, size))]
     # Of many joints the rows of all are far more than fit into memory several times.
     for block in information.blocks(weights):
-        waiting.append(block[np.any(block != 0.0, axis=1)])
+        waiting.append(block)
         if sum(map(len, waiting)) > _AT_ONCE * size:
             triangle, waiting = update_triangle(triangle, np.vstack(waiting)), []
     matrix = update_triangle(triangle[:0], np.vstack((triangle, *waiting)))[:, :-1]
