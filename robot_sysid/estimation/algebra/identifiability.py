@@ -24,9 +24,9 @@ from robot_sysid.records import Array, Identifiability, SquareRootInformation
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
-WELL_SEEN = 1e8
-"""Length of the inverse below which nothing is cut: the least singular value is above 1e-8, the cut
-at 1e-10 of the largest, which is at most the root of the number of unit columns."""
+# Length of the inverse below which nothing is cut: the least singular value is above 1e-8, the cut
+# at 1e-10 of the largest, which is at most the root of the number of unit columns.
+_WELL_SEEN = 1e8
 # Components of unit vectors below this count as rounding; chosen, far above that (1e-13).
 _COMPONENT_TOLERANCE = 1e-6
 N_INERTIAL = 10
@@ -87,6 +87,20 @@ def visible_space(matrix: Array) -> VisibleSpace:
     rank = int(np.count_nonzero(singular > RELATIVE_CUT * np.max(singular, initial=0.0)))
     left = left[: len(matrix), :rank]
     return VisibleSpace(scale, left, singular[:rank], right[:rank].T, right[rank:].T, zero)
+
+
+def triangle_space(triangle: Array) -> VisibleSpace:
+    """Return ``visible_space`` of an upper triangle (M, p), faster where all of it is seen well:
+    nothing is hidden then, and its inverse is as good a basis as any.
+    """
+    size = triangle.shape[1]
+    scale, zero = column_scale(triangle)
+    if len(triangle) >= size and not np.any(zero | (np.diag(triangle)[:size] == 0.0)):
+        inverse = np.asarray(np.linalg.inv(triangle[:size] * scale))
+        if np.linalg.norm(inverse) < _WELL_SEEN:
+            left, hidden = np.eye(len(triangle), size), np.zeros((size, 0))
+            return VisibleSpace(scale, left, np.ones(size), inverse, hidden, zero)
+    return visible_space(triangle)
 
 
 def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:

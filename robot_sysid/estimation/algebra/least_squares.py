@@ -7,12 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.estimation.algebra.identifiability import (
-    WELL_SEEN,
-    VisibleSpace,
-    column_scale,
-    visible_space,
-)
+from robot_sysid.estimation.algebra.identifiability import triangle_space
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.records import Array, SquareRootInformation
 
@@ -56,18 +51,7 @@ def least_squares(information: SquareRootInformation, prior: Array, weights: Arr
         prior: (p,) values to stay at where the data shows nothing.
         weights: (joints,) by which each joint's equations are multiplied [1/(N m)].
     """
-    if information.prior is not None:
-        return solver(information, prior)(weights)[0]
-    matrix, right = information.stacked(weights)
-    size, rows = len(prior), np.column_stack((matrix, right - matrix @ prior))
-    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-    scale, zero = column_scale(triangle[:, :size])
-    if len(triangle) > size and not np.any(zero | (np.diag(triangle)[:size] == 0.0)):
-        # Where all is seen well a triangle alone tells it; its inverse bounds the condition.
-        inverse = np.linalg.inv(triangle[:size, :size] * scale)
-        if np.linalg.norm(inverse) < WELL_SEEN:
-            return np.asarray(prior + scale * (inverse @ triangle[:size, size]))
-    return prior + visible_space(triangle[:, :size]).solve(triangle[:, size])
+    return solver(information, prior)(weights)[0]
 
 
 def weighted(information: SquareRootInformation, prior: Array, start: Array | None = None) -> Array:
@@ -205,15 +189,9 @@ def _solved(
 ) -> tuple[Array, Array]:
     """Return what ``solver`` says, by a decomposition."""
     matrix, right = information.stacked(weights)
-    space = visible_space(matrix)
-    return prior + space.solve(right - matrix @ prior), _paid(information, weights, space)
-
-
-def _paid(information: SquareRootInformation, weights: Array, space: VisibleSpace) -> Array:
-    root = space.inverse_root()
-    return np.array(
-        [
-            weight**2 * np.sum((joint.triangle[:, :-1] @ root[joint.columns]) ** 2)
-            for joint, weight in zip(information.joints, weights)
-        ]
-    )
+    rows = np.column_stack((matrix, right - matrix @ prior))
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    space = triangle_space(triangle[:, :-1])
+    root, pairs = space.inverse_root(), zip(information.joints, weights)
+    paid = [w**2 * np.sum((j.triangle[:, :-1] @ root[j.columns]) ** 2) for j, w in pairs]
+    return prior + space.solve(triangle[:, -1]), np.array(paid)

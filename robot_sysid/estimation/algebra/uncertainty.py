@@ -20,12 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals
-from robot_sysid.estimation.algebra.identifiability import (
-    WELL_SEEN,
-    VisibleSpace,
-    column_scale,
-    visible_space,
-)
+from robot_sysid.estimation.algebra.identifiability import VisibleSpace, triangle_space
 from robot_sysid.estimation.algebra.information import sample_counts, update_triangle
 from robot_sysid.records import Array, SquareRootInformation
 
@@ -105,14 +100,7 @@ def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSp
         waiting.append(block)
         if sum(map(len, waiting)) > _AT_ONCE * size:
             triangle, waiting = update_triangle(triangle, np.vstack(waiting)), []
-    matrix = update_triangle(triangle[:0], np.vstack((triangle, *waiting)))[:, :-1]
-    scale, zero = column_scale(matrix)
-    if len(matrix) >= size - 1 and not np.any(zero | (np.diag(matrix) == 0.0)):
-        # Where all is seen well, nothing is hidden and any root of the inverse does.
-        root, every = np.asarray(np.linalg.inv(matrix[: size - 1] * scale)), np.ones(size - 1)
-        if np.linalg.norm(root) < WELL_SEEN:
-            return VisibleSpace(scale, matrix[:, :0], every, root, np.zeros((size - 1, 0)), zero)
-    return visible_space(matrix)
+    return triangle_space(update_triangle(triangle, np.vstack((triangle[:0], *waiting)))[:, :-1])
 
 
 def _score(
