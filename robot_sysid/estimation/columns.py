@@ -99,9 +99,8 @@ class _Rows(Sequence[Array]):
 class Columns:
     """Names of all parameters, and the rows of recordings in them.
 
-    Args:
-        torques: "chain" for every joint that carries the link, "terminal" for the last one only.
-        couplings: motors that turn with several joints, or may do so.
+    Torques are "chain" for every joint that carries the link, "terminal" for the last one only;
+    couplings are motors that turn with several joints, or may do so.
     """
 
     def __init__(

@@ -139,11 +139,8 @@ def equations_at(equations: Equations, measurement: Measurement) -> DecimatedSam
 
 @dataclass(frozen=True)
 class RestingPoses:
-    """Poses at which the arm rests: no speed, no friction but what was averaged away.
-
-    Attributes:
-        poses: one sample per pose, with zero velocities and accelerations.
-        used: (K, n) where a joint's friction cancels.
+    """Poses at which the arm rests: one sample each, without speed or acceleration, ``used`` (K, n)
+    where a joint's friction was averaged away.
     """
 
     poses: Measurement

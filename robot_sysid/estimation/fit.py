@@ -34,10 +34,8 @@ _SPEED_SETTLED = 0.02
 class Evidence:
     """What recordings say around a point: nothing that grows with their length.
 
-    Attributes:
-        blocks: the information of each part that is held out in turn.
-        squared_torque: (blocks, joints) sum of squares of the measured torque [N^2 m^2].
-        torque: (n,) root mean square of each joint's measured torque [N m].
+    There are the information of each part that is held out in turn, the sum of squares of its
+    measured torque (blocks, joints) [N^2 m^2], and each joint's root mean square (n,) [N m].
     """
 
     blocks: tuple[SquareRootInformation, ...]
@@ -79,11 +77,8 @@ def evidence_of(parts: Collection[Sequence[DecimatedSamples]], torque: Array) ->
 
 @dataclass(frozen=True)
 class ChosenRows:
-    """Rows of what is sought, the rest taken off; iterating over it is one pass.
-
-    Attributes:
-        parts: each recording's rows of all parameters.
-        unknowns: which are sought.
+    """Rows of what is sought, the rest taken off, from each recording's rows of all parameters;
+    iterating over it is one pass.
     """
 
     parts: tuple[DecimatedSamples, ...]
@@ -184,11 +179,8 @@ class Fit:
 class Fitter:
     """Fits one question to recordings; it remembers what a fit before it has settled.
 
-    Attributes:
-        columns: makes the rows.
-        torque: (n,) root mean square of each joint's measured torque [N m].
-        visits: which rows pass the same states; None where there are no rows.
-        told: called before every pass over the recordings.
+    ``columns`` makes the rows, ``visits`` tells which pass the same states (None where there are
+    none), and ``told`` is called before every pass. Torques (n,) are root mean squares [N m].
     """
 
     columns: Columns

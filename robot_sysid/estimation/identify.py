@@ -40,14 +40,9 @@ _PASSES = 18
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a recording without long holes, as it was measured.
-
-    Attributes:
-        name: what the recording is called in messages.
-        samples: the stretch.
-        is_loaded: whether the recording carries the payload.
-        place: its place in the order of recording, see ``Dataset``.
-        least_deadband: (n,) see ``signals.process.process``.
+    """A stretch of a recording without long holes, as it was measured: the recording's name in
+    messages, whether it carries the payload, its place as in ``Dataset``, and (n,) the least
+    deadband of ``signals.process.process``.
     """
 
     name: str

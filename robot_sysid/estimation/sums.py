@@ -53,13 +53,9 @@ MOST_NOTES = 20
 
 @dataclass(frozen=True)
 class Settled:
-    """What has to be the same in all that is added.
-
-    Attributes:
-        model: hash of the model's files.
-        joint: the terminal joint.
-        around: hash of the first round's sum; "" in the first round itself.
-        estimation: cut-off, friction model and all other options of the estimate.
+    """What has to be the same in all that is added: the hash of the model's files, the terminal
+    joint, the hash of the first round's sum that all is made ``around`` ("" in that round itself),
+    and all options of the estimate.
     """
 
     model: str
@@ -182,10 +178,8 @@ def settled_options(options: EstimationOptions) -> EstimationOptions:
 
 
 class _Fixed(Fitter):
-    """A fitter of what is left of logs: it cannot make their rows anew.
-
-    Args:
-        point: around which their rows were; None for the model.
+    """A fitter of what is left of logs, whose rows were around a point, None for the model: it
+    cannot make them anew.
     """
 
     def __init__(

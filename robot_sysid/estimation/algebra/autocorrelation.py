@@ -90,10 +90,8 @@ class JointResiduals:
     def absorbed(self, own: Array) -> Array:
         """Return (1 + m,) the share of each kernel's noise that the fit takes out of residuals.
 
-        With H = Y own Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H.
-
-        Args:
-            own: (k, k) w^2 C, weight times the estimate's inverse normal matrix.
+        With H = Y own Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H; own
+        (k, k) is w^2 C, weight times the estimate's inverse normal matrix.
         """
         twice = own @ self.sums[0] @ own
         lost = 2.0 * np.tensordot(self.sums, own, axes=2) - np.tensordot(self.sums, twice, axes=2)
@@ -103,11 +101,8 @@ class JointResiduals:
         """Return kernel coefficients c >= 0 (1 + m,) [N^2 m^2].
 
         The fit takes slow noise out of the residuals in the shape of ``hats``; that is part of what
-        each kernel is expected to look like.
-
-        Args:
-            absorbed: see there.
-            leaked: mean square that errors caused by other joints' noise add [N^2 m^2].
+        each kernel is expected to look like. Errors that others' noise makes add ``leaked``, a mean
+        square [N^2 m^2].
         """
         energy = float(self.products[0])
         shape = self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(len(self.lags))
@@ -138,11 +133,8 @@ def collect_residuals(
     weights: Array,
     to_add: bool = False,
 ) -> list[JointResiduals]:
-    """Return each joint's sums, from one pass.
-
-    Args:
-        values, root: (p,) the estimate, and (p, r) with C = root root^T.
-        weights, to_add: (joints,) of the fit [1/(N m)], and see ``joint_residuals``.
+    """Return each joint's sums, from one pass: of the estimate (p,) by weights (joints,) [1/(N m)]
+    with C = root root^T, root (p, r); ``to_add`` as in ``joint_residuals``.
     """
     results = []
     for index, rows, tau in samples:

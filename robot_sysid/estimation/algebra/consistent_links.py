@@ -87,15 +87,10 @@ End = tuple[float, Array, Array]
 
 
 class ConsistentLinks:
-    """Solves one set of data for any weight of the model.
+    """Solves A x = b, (M, p) and (M,), residuals of unit variance, for any weight of the model.
 
-    Args:
-        matrix: (M, p) A, residuals of unit variance.
-        right: (M,) b.
-        near: ``first`` of a solved problem that is much alike: where to begin.
-
-    Attributes:
-        first: where the path ended first; None before that.
+    ``first`` is where the path ended first, None before that; ``near``, that of a solved problem
+    much alike, is where to begin.
     """
 
     def __init__(
@@ -217,12 +212,8 @@ class ConsistentLinks:
 class ScaledBodies:
     """The links' K at one point and their duals Z, which are to be t K^-1, both as one diagonal D.
 
-    Args:
-        z: (10 links,) coordinates.
-        duals: (links, 4, 4) roots of the duals: squared, rounding would hide what is least.
-
-    Raises:
-        numpy.linalg.LinAlgError: a matrix is not positive definite.
+    From coordinates z (10 links,) and roots of the duals (links, 4, 4): squared, rounding would
+    hide what is least. LinAlgError where a matrix is not positive definite.
     """
 
     def __init__(self, z: Array, duals: Array) -> None:
@@ -286,11 +277,8 @@ class _Step:
 class _Newton:
     """Newton's equations at one point, as least squares: squared, rounding would hide what is weak.
 
-    Args:
-        cone: the bodies there.
-        singular: (k,) singular values of the data.
-        unexplained: (k,) what is left there of what they see.
-        turn: (k, k) the axes they belong to, as columns.
+    The data has singular values (k,), whose axes are the columns of ``turn`` (k, k); (k,) is left
+    unexplained there of what they see.
     """
 
     def __init__(

@@ -59,12 +59,9 @@ def uncertainty(
 ) -> Uncertainty:
     """Return how far an estimate may be off.
 
-    Args:
-        weights: (joints,) 1 / (what each joint's equations were divided by) [1/(N m)].
-        noise: (joints,) standard deviation of noise without memory [N m], where there are no
-            residuals.
-        residuals: what a pass over the samples left, which says how noise is correlated in time.
-        space: ``joint_space``, where it is known.
+    Weights (joints,) are 1 / (what each joint's equations were divided by) [1/(N m)]; ``space`` is
+    ``joint_space``, where it is known. Residuals say how noise is correlated in time; without them
+    it has no memory, and a standard deviation (joints,) [N m].
     """
     space = space or joint_space(information, weights)
     inverse, score = space.inverse(), np.zeros((len(information.names),) * 2)
