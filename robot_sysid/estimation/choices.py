@@ -372,17 +372,20 @@ def shown_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
     an arm are of one kind: where one clearly has an offset, the others may have a small one.
     """
     size = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
-    while True:
-        sought = _sought(fit, question, choice)
-        free = [j for j in fit.columns.joints if j not in choice.offsets]
-        free = [j for j in free if f"offset[{j}]" in sought.kept_names]
-        if not free:
-            return choice
-        found, spread = asked_of(fit, sought, [f"offset[{joint}]" for joint in free])
+    sought, gone = _sought(fit, question, choice), list(choice.offsets)
+    free = [j for j in fit.columns.joints if j not in gone and f"offset[{j}]" in sought.kept_names]
+    found, spread = asked_of(fit, sought, [f"offset[{joint}]" for joint in free])
+    while free:
         clear = np.abs(found) / np.sqrt(np.diag(spread))
-        if np.min(clear) > CLEAR_OFFSET:
-            return replace(choice, offsets={joint: size[joint] for joint in choice.offsets})
-        choice = replace(choice, offsets={**choice.offsets, free[int(np.argmin(clear))]: 0.0})
+        least = int(np.argmin(clear))
+        if clear[least] > CLEAR_OFFSET:
+            return replace(choice, offsets={joint: size[joint] for joint in gone})
+        # What the others are where this one is zero.
+        gain, stay = spread[:, least] / spread[least, least], np.arange(len(free)) != least
+        found = (found - gain * found[least])[stay]
+        spread = (spread - np.outer(gain, spread[least]))[stay][:, stay]
+        gone.append(free.pop(least))
+    return replace(choice, offsets=dict.fromkeys(gone, 0.0))
 
 
 def prior_scale(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> float:
