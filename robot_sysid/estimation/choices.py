@@ -71,11 +71,8 @@ Errors = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Recordings in blocks, each to be predicted from the others.
-
-    Attributes:
-        data: the blocks.
-        noise: (joints,) standard deviation of each joint's torque, as it counts [N m].
+    """Recordings in blocks, each to be predicted from the others; the noise (joints,) is the
+    standard deviation of each joint's torque, as it counts [N m].
     """
 
     data: Evidence

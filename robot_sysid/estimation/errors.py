@@ -35,13 +35,11 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class FitErrors:
-    """The errors of the k parameters of a fit that are sought.
+    """The errors of the k parameters of a fit that are sought: ``whole`` of all causes, noise
+    correlated in time, and the covariance (k, k) of what each cause explains.
 
-    Attributes:
-        whole: of all causes, noise correlated in time.
-        causes: cause to the covariance (k, k) of what it explains.
-        common: how far all torque scales may be off together, where nothing tells it (a share).
-        conflicts: causes that the data asks for more clearly than chance does.
+    ``common`` is how far all torque scales may be off together, where nothing tells it (a share),
+    ``conflicts`` are causes that the data asks for more clearly than chance does.
     """
 
     whole: Uncertainty

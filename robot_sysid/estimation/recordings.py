@@ -51,13 +51,11 @@ def within(part: DecimatedSamples, sought: Unknowns) -> DecimatedSamples:
 def alone(
     parts: Sequence[DecimatedSamples], groups: Sequence[NuisanceGroup], prior: Array
 ) -> tuple[Array, Array, Array]:
-    """Return what some recordings say by themselves, with what is known beforehand.
+    """Return (values (k,), covariance (k, k) of noise, whole covariance; infinite where nothing is
+    seen) of some recordings by themselves, with what is known beforehand.
 
     Their noise and its memory are those of what they leave themselves: what they do not agree on
     with others is no noise of theirs.
-
-    Returns:
-        (values (k,), covariance (k, k) of noise, whole covariance; infinite where nothing is seen).
     """
     plain = combined([part.information() for part in parts])
     known = with_prior(plain, groups)

@@ -35,11 +35,8 @@ _ROUNDING = 1e-5
 
 @dataclass(frozen=True)
 class BaseCombinations:
-    """Which combinations a regressor shows.
-
-    Attributes:
-        matrix: (r, p) x_base = matrix x.
-        leading: (r,) which parameter each combination is named after.
+    """Which combinations a regressor shows, x_base = matrix x, matrix (r, p), and which parameter
+    each of them is named after, ``leading`` (r,).
     """
 
     matrix: Array

@@ -60,11 +60,8 @@ _RESOLUTION, _SHORTEST = 1e-15, 1e-18
 
 @dataclass(frozen=True)
 class LinksProblem:
-    """What is known beside the data and the priors among its equations.
-
-    Attributes:
-        links: per link, where its ten parameters stand among all.
-        prior: (p,) usual bodies at those places, zero elsewhere.
+    """What is known beside the data and the priors among its equations: where the ten parameters of
+    each link stand among all, and usual bodies there, zero elsewhere (p,).
     """
 
     links: tuple[NDArray[np.int64], ...]

@@ -61,11 +61,7 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
 
 
 def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
-    """Return (p+1, p+1) [A b]^T [A b] of the data's equations, weighted as in ``stacked``.
-
-    Where there are many joints, each has but few of all columns, and this is far less work than a
-    triangle of all equations.
-    """
+    """Return (p+1, p+1) [A b]^T [A b] of the data's equations, weighted as in ``stacked``."""
     found = np.zeros((len(information.names) + 1,) * 2)
     for joint, weight in zip(information.joints, weights):
         at, rows = np.append(joint.columns, -1), weight * joint.triangle
