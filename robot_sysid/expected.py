@@ -8,18 +8,20 @@ search for a motion gets these priors from here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.common_scale import doubted_share
 from robot_sysid.estimation.algebra.identifiability import describe
 from robot_sysid.estimation.algebra.information import restricted
 from robot_sysid.estimation.algebra.nuisances import with_prior
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.possible_errors import once_possible, possible_covariance
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, uncertainty
 from robot_sysid.estimation.choices import CANDIDATES
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
@@ -28,8 +30,10 @@ from robot_sysid.estimation.dataset import Dataset, mean_torque
 from robot_sysid.estimation.fit import evidence_of
 from robot_sysid.estimation.identify import Piece, filtered
 from robot_sysid.estimation.unknowns import (
+    COMMON_SCALE,
     DRIFTS,
     LINKS,
+    SCALES,
     Choice,
     Question,
     Unknowns,
@@ -43,6 +47,7 @@ from robot_sysid.motion.information import Criterion, Known
 from robot_sysid.motion.prediction import Prediction, Remedy
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, Measurement, MotionPlan
+from robot_sysid.records.figures import percent
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_count
 
@@ -57,9 +62,17 @@ _INSTANTS, _FEWEST, _MOST = 10.0, 100, 4000
 """Instants of a motion per second that a remedy is worked out from, and at least and at most."""
 _NOISELESS = 1e-4
 """Torque noise that hides nothing [N m]."""
+_NEARLY = 1.0 - 1e-6
+"""Share of the variance of a mass that weighing takes away."""
 _NOTHING = 100.0
 """How many times its size a parameter may be off where all that is told is rounding."""
 NOISE = "torque noise"
+DOUBTED = (
+    "links that are all off alike look like a scale of all torques (--scale-uncertainty says how "
+    "far those may be off at most)"
+)
+_OFTEN = 0.05
+"""Share of recordings from which on that is told."""
 _PAYLOAD = prediction.WEIGHED * np.eye(10)[0]
 """One at the origin of the last link."""
 _How = tuple[float, EstimationOptions, str]
@@ -124,9 +137,9 @@ def expect(
     if asked == "payload":
         of, theta = f"a payload of {prediction.WEIGHED:g} kg", _PAYLOAD
         size, scaled = own_size / robot.prior.mass, _read_alike(problem, options)
-    others, missing = dict[str, float](), ""
+    others, missing, doubt = dict[str, float](), "", None
     try:
-        sought, found, causes = _posterior(problem, plan, sample_rate, options, asked)
+        after = _posterior(problem, plan, sample_rate, options, asked)
     except InputError as error:
         missing = f"{UNUSABLE}: {error}"
         covariance = told.covariance(_told(problem, plan, sample_rate, known)).copy()
@@ -137,13 +150,18 @@ def expect(
         causes = {NOISE: covariance}
     else:
         names = PAYLOAD_NAMES if asked == "payload" else PARAMETER_NAMES
+        sought, found = after.sought, after.found
         places = [sought.kept_names.index(name) for name in names]
-        causes = {cause: part[np.ix_(places, places)] for cause, part in causes.items()}
-        covariance = found.covariance[np.ix_(places, places)]
+        own = np.ix_(places, places)
+        causes = {cause: part[own] for cause, part in after.causes.items()}
+        covariance = found.covariance[own]
         np.fill_diagonal(covariance, found.standard_errors[places] ** 2)
         others = dict(_masses(problem, sought, found)) if asked == "arm" else {}
+        if after.doubted > _OFTEN:
+            words = f"In about {percent(after.doubted)} of recordings {DOUBTED}"
+            doubt = Remedy(words, *information.spread_of(theta, after.then.covariance[own]))
     remedies = _best_first(problem, plan, (sample_rate, options, asked), known, told)
-    about = others, _never(problem, told), remedies, missing, scaled
+    about = others, _never(problem, told), remedies, missing, scaled, doubt
     return Prediction(of, theta, size, covariance, causes, *about)
 
 
@@ -153,14 +171,27 @@ def _read_alike(problem: ExcitationProblem, options: EstimationOptions) -> float
     return common_error(scale_spread(columns, options, loaded=True))
 
 
+@dataclass(frozen=True)
+class _Posterior:
+    """What is sought, how well it is known, and why; in which share of recordings all torque
+    scales are doubted, and how well it is known then.
+    """
+
+    sought: Unknowns
+    found: Uncertainty
+    causes: Mapping[str, Array]
+    doubted: float
+    then: Uncertainty
+
+
 def _posterior(
     problem: ExcitationProblem,
     plan: MotionPlan,
     sample_rate: float,
     options: EstimationOptions,
     asked: str,
-) -> tuple[Unknowns, Uncertainty, dict[str, Array]]:
-    """Return what an estimate from a recording seeks, how well it knows that, and why."""
+) -> _Posterior:
+    """Return what an estimate from a recording knows."""
     rate = min(sample_rate, HIGHEST_RATE_HZ)
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
     robot, choice, is_loaded = problem.robot, _choice(problem, options), asked == "payload"
@@ -173,19 +204,35 @@ def _posterior(
     torque = mean_torque(datasets)
     data = evidence_of([columns.samples(columns.start())], torque)
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
-    sought = unknowns(columns, question, choice, torque, data.shown)
+    told = torque, data.shown
+    sought = unknowns(columns, question, choice, *told)
     plain = restricted(data.whole, sought.kept_names, sought.held)
-    known, low_pass = with_prior(plain, sought.groups), dataset.signals.low_pass
     # Rows count by the noise that is left in each. They are slow: what counts of white noise that
     # passed the filter is its density at low frequencies, which the filter leaves alone, spread
     # over the samples each row stands for.
+    low_pass = dataset.signals.low_pass
     left = sigma * np.sqrt(np.sum(low_pass.kernel**2))
-    found = uncertainty(known, 1.0 / left, sigma / np.sqrt(low_pass.step))
-    causes = {
-        group.cause: found.inverse @ group.precision(known.names) @ found.inverse
-        for group in sought.groups
-    }
-    return sought, found, {NOISE: found.noise, **causes}
+    counts = 1.0 / left, sigma / np.sqrt(low_pass.step)
+    found = uncertainty(with_prior(plain, sought.groups), *counts)
+    causes = {NOISE: found.noise}
+    for group in sought.groups:
+        causes[group.cause] = found.inverse @ group.precision(plain.names) @ found.inverse
+    doubt = 0.0, found
+    if sought.may_be_scaled(question):
+        wider = unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
+        again = uncertainty(with_prior(plain, wider.groups), *counts)
+        doubt = doubted_share(_scales(sought, found), _scales(wider, again)), again
+    if not is_loaded:
+        at, usual = sought.bodies[robot.body_name]
+        found, causes = once_possible(found, causes, np.searchsorted(sought.kept, at), usual, usual)
+    return _Posterior(sought, found, causes, *doubt)
+
+
+def _scales(sought: Unknowns, found: Uncertainty) -> tuple[Array, Array]:
+    """Return the covariance of torque scales (joints, joints) beforehand, and of what is left."""
+    group = next(group for group in sought.groups if group.cause == SCALES)
+    places = group.places(sought.kept_names)
+    return group.factor @ group.factor.T, found.inverse[np.ix_(places, places)]
 
 
 def friction_lines(
@@ -193,11 +240,11 @@ def friction_lines(
 ) -> Iterator[str]:
     """Say how well an identification of one recording will know each joint's friction."""
     try:
-        sought, found, _ = _posterior(problem, plan, rate, options, "link")
+        after = _posterior(problem, plan, rate, options, "link")
     except InputError:
         return
     for term, unit in (("coulomb", "N·m"), ("viscous", "N·m·s/rad")):
-        errors = dict(zip(sought.kept_names, found.standard_errors))
+        errors = dict(zip(after.sought.kept_names, after.found.standard_errors))
         names = {joint: f"{term}[{joint}]" for joint in problem.joint_names}
         listed = ", ".join(f"{j} {errors[n]:.2g}" for j, n in names.items() if n in errors)
         yield f"{term.capitalize()} friction will be known to ± {listed} {unit}"
@@ -252,8 +299,9 @@ def _remedies(
     here, quick = tell(known), tell(known, faster=FASTER)
 
     def remedy(words: str, covariance: Array, loaded: bool = asked == "payload") -> Remedy:
-        mass, centre = information.spread_of(theta, covariance)
         scaled = loaded * _read_alike(problem, options) * theta[0]
+        covariance = covariance if loaded else possible_covariance(theta, covariance)
+        mass, centre = information.spread_of(theta, covariance)
         return Remedy(words, float(np.hypot(mass, scaled)), centre)
 
     yield remedy(f"a motion {LONGER:g} times as long", told.covariance(LONGER * here))
@@ -265,8 +313,9 @@ def _remedies(
         half = f"{BETTER * options.link_uncertainty:g}"
         yield remedy(f"other links known to {half} % (--link-uncertainty)", better)
     covariance = told.covariance(here)
-    sure = covariance - np.outer(covariance[0], covariance[0]) / covariance[0, 0]
-    yield Remedy("its mass known, by weighing the part", 0.0, information.spread_of(theta, sure)[1])
+    sure = covariance - _NEARLY * np.outer(covariance[0], covariance[0]) / covariance[0, 0]
+    weighed = remedy("its mass known, by weighing the part", sure)
+    yield replace(weighed, mass=0.0)
     apart = known_of(problem, options, "payload")
     difference = information.criterion(problem, apart).covariance(tell(apart))
     bolted = "what is bolted to it as a payload by difference (plan --for payload)"
@@ -295,6 +344,7 @@ def outlook(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> str:
     known, mass = known_of(problem, options, asked), problem.robot.prior.mass
     told = information.criterion(problem, known)
     least = told.covariance(information.random_information(problem, known, _NOISELESS))
+    least = least if asked == "payload" else possible_covariance(problem.robot.prior.theta, least)
     floor, centre = information.spread_of(problem.robot.prior.theta, least)
     if asked == "payload" or not floor > prediction.LOOSE_SHARE * mass:
         return ""

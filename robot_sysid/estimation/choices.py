@@ -18,19 +18,13 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT, Coupling, FrictionModel, friction_model
+from robot_sysid.estimation.algebra.common_scale import is_worth_a_word
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks
 from robot_sysid.estimation.algebra.information import restricted, sample_counts, update_triangle
 from robot_sysid.estimation.algebra.nuisances import WithPriors
 from robot_sysid.estimation.columns import Point
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
-from robot_sysid.estimation.unknowns import (
-    COMMON_SCALE,
-    LINKS,
-    Choice,
-    Question,
-    Unknowns,
-    unknowns,
-)
+from robot_sysid.estimation.unknowns import COMMON_SCALE, Choice, Question, Unknowns, unknowns
 from robot_sysid.records import Array, Validation
 from robot_sysid.records.results import validation_of
 
@@ -55,10 +49,6 @@ OWN_SOURCE = "the logs, each fifth predicted from the others"
 CLEAR_SHARE, CLEARLY = 0.1, 2.0
 """A term (or a coupling) has to lower the held-out squared error by this share, and by this many
 standard errors of the mean over the blocks."""
-LEAST_SCALE, RATHER = 0.08, 1.0
-"""Common torque scale that is worth a word, half as much again as links are off by default, and
-standard errors that it has to be away from none: torques that read 15 % too much or too little are
-1.15 and more away, links that are 2 % off at most 0.4 (benchmarks/wrong_log_table)."""
 CLEAR_OFFSET, OFFSET = 3.0, 0.01
 """Standard errors that a sensor's offset has to be away from zero; beside such ones others may be
 off by this part of the joint's torque: of a KUKA LWR4+ and its links neither is known better."""
@@ -344,13 +334,9 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
 
     Where the links are the only witness neither is more likely than the other.
     """
-    if question.loaded or question.options.scale_uncertainty is not None:
-        return False
     sought = _sought(fit, question, replace(choice, common_scale=COMMON_SCALE))
-    if not any(group.cause == LINKS for group in sought.groups):
-        return False
-    scales, spread = asked_of(fit, sought, [f"scale[{joint}]" for joint in fit.columns.joints])
-    return bool(abs(np.mean(scales)) > max(RATHER * np.sqrt(np.mean(spread)), LEAST_SCALE))
+    names = [f"scale[{joint}]" for joint in fit.columns.joints]
+    return sought.may_be_scaled(question) and is_worth_a_word(*asked_of(fit, sought, names))
 
 
 def asked_of(fit: Fit, sought: Unknowns, names: Sequence[str]) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from robot_sysid.dynamics.equations import Equations
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
 from robot_sysid.estimation.algebra.information import restricted, sample_counts
 from robot_sysid.estimation.algebra.nuisances import misfits
+from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
@@ -27,7 +28,7 @@ from robot_sysid.estimation.fit import ChosenRows, Fit
 from robot_sysid.estimation.unknowns import COMMON, SCALES, common_error
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
-FILTERING, HELD, BODIES = "filtering", "friction at its bound", "possible bodies"
+FILTERING, HELD = "filtering", "friction at its bound"
 """What these causes of error are called in results."""
 # Weight of a hidden parameter in a combination that is rounding alone.
 _ROUNDING = 1e-9
@@ -115,8 +116,17 @@ def fit_errors(
     more = _more(fit, whole.inverse, causes, found)
     for name, part in (*more, (FILTERING, np.outer(bias, bias))):
         causes[name] = causes.get(name, 0.0) + part
-        spread = np.hypot(whole.standard_errors, np.sqrt(np.maximum(np.diag(part), 0.0)))
-        whole = replace(whole, covariance=whole.covariance + part, standard_errors=spread)
+        whole = whole.with_part(part)
+    if not (fit.question.in_file or fit.question.loaded):
+        at, usual = fit.unknowns.bodies[fit.columns.robot.body_name]
+        places = np.searchsorted(fit.unknowns.kept, at)
+        whole, causes = once_possible(whole, causes, places, fit.values[at], usual)
+    # The best possible body is the edge of what is possible, and the truth is inside: it may be as
+    # far off as it was moved.
+    moved = (fit.values - fit.free)[fit.unknowns.kept]
+    if np.any(moved):
+        causes[BODIES] = causes.get(BODIES, 0.0) + np.outer(moved, moved)
+        whole = whole.with_part(np.outer(moved, moved))
     counts = tuple(n / d for n, d in zip(whole.effective, fit.inflation.tolist()))
     whole = replace(whole, effective=counts)
     return FitErrors(whole, causes, _common(fit), found)
@@ -142,12 +152,8 @@ def _more(
     """Yield (cause, (k, k) covariance) of what stands in no prior.
 
     A prior that the data contradicts counts as wide as the data asks for. What is held at a bound
-    counts as if it were free: the bound may be where noise has pushed it. The best possible body is
-    the edge of what is possible, and the truth is inside: it may be as far off as it was moved.
+    counts as if it were free: the bound may be where noise has pushed it.
     """
-    moved = (fit.values - fit.free)[fit.unknowns.kept]
-    if np.any(moved):
-        yield BODIES, np.outer(moved, moved)
     for conflict in found:
         asked = (conflict.asked / conflict.scale) ** 2 - 1.0
         if asked > 0.0:

@@ -135,6 +135,11 @@ class Unknowns:
         values[self.kept] = found
         return values
 
+    def may_be_scaled(self, question: Question) -> bool:
+        """Tell whether a common torque scale is looked for: links are sought that tell it."""
+        said = question.loaded or question.options.scale_uncertainty is not None
+        return not said and any(group.cause == LINKS for group in self.groups)
+
     def bounded(self, values: Array) -> Unknowns | None:
         """Return the unknowns with what crosses a bound held there; None where nothing does."""
         inside = np.clip(values, self.lower, self.upper)

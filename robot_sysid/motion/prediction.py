@@ -34,7 +34,7 @@ WEIGHED = 1.0
 
 @dataclass(frozen=True)
 class Remedy:
-    """What would tell more: in words, with the errors of mass [kg] and centre of mass [m] then."""
+    """What would change the errors: in words, with those of mass [kg] and centre of mass [m]."""
 
     words: str
     mass: float
@@ -57,6 +57,7 @@ class Prediction:
         remedies: what would tell more, what helps most first.
         missing: why it is only a bound, from all samples; "" where it is none.
         scaled: share of a payload's own mass that torque scales leave open beside.
+        doubt: how often all torque scales are doubted, with the errors that are stated then.
     """
 
     of: str
@@ -69,6 +70,7 @@ class Prediction:
     remedies: tuple[Remedy, ...] = ()
     missing: str = ""
     scaled: float = 0.0
+    doubt: Remedy | None = None
 
     @property
     def deviation(self) -> Array:
@@ -149,6 +151,8 @@ def _promise_lines(prediction: Prediction) -> Iterator[str]:
     if np.isfinite(centre):
         of_centre = ", ".join(f"{cause} {1e3 * part:.2g}" for cause, _, part in parts)
         yield f"  centre of mass ± {1e3 * centre:.2g} mm: {of_centre}"
+    if prediction.doubt:
+        yield f"  {prediction.doubt.words}: {remedy_figures(prediction.doubt)}"
     pairs = list(zip(spatial.PARAMETER_NAMES, prediction.share))
     shown = ", ".join(f"{name} {percent(share)}" for name, share in pairs if np.isfinite(share))
     if shown:

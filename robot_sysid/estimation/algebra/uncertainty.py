@@ -14,7 +14,7 @@ nothing is known: the covariance is zero there, the standard errors are infinite
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,11 @@ class Uncertainty:
     data_share: Array
     inverse: Array
     effective: tuple[float, ...]
+
+    def with_part(self, part: Array) -> Uncertainty:
+        """Return the same with one more part (p, p) of the whole error."""
+        spread = np.hypot(self.standard_errors, np.sqrt(np.maximum(np.diag(part), 0.0)))
+        return replace(self, covariance=self.covariance + part, standard_errors=spread)
 
 
 def uncertainty(

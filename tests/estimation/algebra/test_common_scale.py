@@ -1,0 +1,73 @@
+"""How often right recordings are doubted is how often they are, drawn from what is believed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.estimation.algebra import common_scale
+from robot_sysid.estimation.algebra.common_scale import doubted_share
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.unknowns import (
+    LINKS,
+    SCALES,
+    Question,
+    Unknowns,
+    independent,
+    with_common,
+)
+
+JOINTS, MASSES = [f"scale[{k}]" for k in range(3)], ["mass", "other mass"]
+NAMES = (*MASSES, *JOINTS)
+
+
+def beliefs():
+    """Masses are known to 6 and 4 %, scales to 2 %, without and with 15 % in common."""
+    masses = independent(LINKS, MASSES, MASSES, np.array([0.06, 0.04]))
+    scales = independent(SCALES, JOINTS, JOINTS, 0.02)
+    return (masses, scales), (masses, with_common(scales, 0.15))
+
+
+def precision(groups):
+    return np.sum([group.precision(NAMES) for group in groups], axis=0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_share_is_that_of_drawn_arms(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    # Each joint feels its own scale, and both masses by its own arms.
+    rows = np.hstack((rng.uniform(0.3, 1.0, (3, 2)), np.eye(3))) / 0.01
+    before, after = beliefs()
+    spreads = [np.linalg.inv(rows.T @ rows + precision(each)) for each in (before, after)]
+    monkeypatch.setattr(common_scale, "LEAST_SCALE", 0.05)
+    known = [each[1].factor @ each[1].factor.T for each in (before, after)]
+    told = doubted_share(*((k, each[2:, 2:]) for k, each in zip(known, spreads)))
+    drawn = rng.multivariate_normal(np.zeros(5), np.linalg.inv(precision(before)), 20000)
+    seen = drawn @ rows.T + rng.normal(size=(20000, 3))
+    scale = np.mean((seen @ rows @ spreads[1])[:, 2:], axis=1)
+    asked = max(0.05, np.sqrt(np.mean(spreads[1][2:, 2:])))
+    assert 0.01 < told < 0.5
+    assert np.mean(np.abs(scale) > asked) == pytest.approx(told, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("question", "asked"),
+    [
+        (Question(EstimationOptions()), True),
+        (Question(EstimationOptions(), loaded=True), False),
+        (Question(EstimationOptions(scale_uncertainty=2.0)), False),
+    ],
+    ids=["link", "payload", "scales are known"],
+)
+def test_it_is_asked_where_links_tell_it_and_nobody_said(question, asked, found_unknowns):
+    assert found_unknowns.may_be_scaled(question) is asked
+    none = tuple(group for group in found_unknowns.groups if group.cause != LINKS)
+    assert not replace(found_unknowns, groups=none).may_be_scaled(question)
+
+
+@pytest.fixture
+def found_unknowns():
+    nothing = np.zeros(0)
+    return Unknowns(NAMES, np.arange(5), nothing, beliefs()[0], nothing, nothing, {})

@@ -1,0 +1,77 @@
+"""What a body's being possible leaves of errors, by many plain estimates made possible."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
+from robot_sysid.estimation.algebra.possible_errors import (
+    BODIES,
+    once_possible,
+    possible_covariance,
+)
+from robot_sysid.estimation.algebra.uncertainty import Uncertainty
+
+LIGHT = spatial.theta_from_com(0.2, np.array([0.02, 0.01, 0.05]), 2e-4 * np.eye(3))
+PLACES = np.arange(10)
+
+
+def covariance(share, seed=0):
+    """Of all ten, off by a share of a usual size, correlated."""
+    mixed = np.random.default_rng(seed).normal(size=(10, 10)) / np.sqrt(10.0) + np.eye(10)
+    root = share * spatial.parameter_scale(0.2, 0.1)[:, None] * mixed
+    return root @ root.T
+
+
+def whole_of(spread, causes):
+    size = len(spread)
+    given = np.zeros((size, size)), np.sqrt(np.diag(spread)), np.ones(size), np.eye(size), (1.0,)
+    return Uncertainty(spread, *given), causes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_left_is_the_spread_of_possible_bodies(seed):
+    spread, rng = covariance(0.8, seed), np.random.default_rng([seed, 1])
+    root = np.linalg.cholesky(spread)
+    rows, problem, squares = np.linalg.inv(root), LinksProblem((PLACES,), LIGHT), np.zeros(10)
+    for off in rng.normal(size=(200, 10)) @ root.T:
+        found = LIGHT + off
+        if not spatial.is_consistent(found):
+            found = ConsistentLinks(rows, rows @ found, problem).best()
+        squares += (found - LIGHT) ** 2 / 200.0
+    told = np.diag(possible_covariance(LIGHT, spread))
+    # 200 draws know a spread to 5 %, the 60 of the code to 9 %.
+    assert np.median(np.sqrt(told / squares)) == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(np.sqrt(told / squares), 1.0, atol=0.35)
+    assert told[0] < 0.8 * spread[0, 0]
+
+
+def test_where_every_body_is_possible_nothing_changes():
+    spread = covariance(1e-3)
+    whole, causes = whole_of(spread, {"noise": spread})
+    again, parts = once_possible(whole, causes, PLACES, LIGHT, LIGHT)
+    assert again is whole and parts == causes
+    np.testing.assert_array_equal(possible_covariance(LIGHT, spread), spread)
+
+
+def test_causes_still_add_up_and_what_hangs_on_the_body_follows_it():
+    """An eleventh parameter is the mass and something of its own, a twelfth has nothing of it."""
+    body, own = covariance(0.8), 0.01
+    change = np.vstack((np.eye(10), np.eye(10)[:1], np.zeros((1, 10))))
+    spread = change @ body @ change.T + np.diag([0.0] * 10 + [own**2] * 2)
+    parts = {"links": 0.7 * spread, "noise": 0.3 * spread}
+    whole, parts = once_possible(*whole_of(spread, parts), PLACES, LIGHT, LIGHT)
+    assert set(parts) == {"links", "noise", BODIES}
+    np.testing.assert_allclose(sum(parts.values()), whole.covariance, atol=1e-9 * spread.max())
+    np.testing.assert_allclose(whole.standard_errors**2, np.diag(whole.covariance), rtol=1e-9)
+    assert whole.covariance[10, 10] == pytest.approx(whole.covariance[0, 0] + own**2)
+    assert whole.covariance[11, 11] == pytest.approx(own**2)
+
+
+def test_a_body_of_which_something_stays_hidden_keeps_its_errors():
+    whole, causes = whole_of(covariance(0.8), {})
+    whole.standard_errors[4] = np.inf
+    assert once_possible(whole, causes, PLACES, LIGHT, LIGHT)[0] is whole
