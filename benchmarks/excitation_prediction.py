@@ -62,8 +62,11 @@ def beliefs(problem, motion):
 
 
 def drawn_links(robot, rng):
-    """Other links of an arm that may be, drawn from what is believed of them (``link_factor``):
-    inertias until they are possible, so that thin links come out thicker on average.
+    """Other links of an arm that may be, drawn from what is believed of them (``link_factor``).
+
+    Drawn until they are possible, thin links would on average be thicker than the model's, and all
+    arms heavier to turn. So what an inertia is off by is halved until it could be off the other way
+    round as well.
     """
     share = 0.01 * OPTIONS.link_uncertainty
     found, heavier, longer = [], *(share * rng.normal(size=2))
@@ -76,9 +79,9 @@ def drawn_links(robot, rng):
         size = float(moves[1, 0]) / mass
         outward = com / max(float(np.linalg.norm(com)), 1e-9)
         moved = com + size * (longer * outward + share * rng.normal(size=3))
-        off = np.inf
-        while not is_body(grown * inertia + off):
-            off = spatial.symmetric_from_six(np.diag(turns) * rng.normal(size=6))
+        off = spatial.symmetric_from_six(np.diag(turns) * rng.normal(size=6))
+        while not all(is_body(grown * inertia + sign * off) for sign in (1.0, -1.0)):
+            off *= 0.5
         found.append(spatial.theta_from_com(grown * mass, moved, grown * inertia + off))
     return np.concatenate(found)
 
