@@ -45,4 +45,6 @@ def doubted_share(before: tuple[Array, Array], after: tuple[Array, Array]) -> fl
     (known, left), (alike, wider) = before, after
     change = np.eye(len(known)) + wider @ (np.linalg.inv(known) - np.linalg.inv(alike))
     asked = np.mean(change, axis=0)
-    return erfc(_least(wider) / sqrt(2.0 * asked @ (known - left) @ asked))
+    # A recording that tells nothing of scales leaves rounding.
+    variance = float(asked @ (known - left) @ asked)
+    return erfc(_least(wider) / sqrt(2.0 * variance)) if variance > 0.0 else 0.0

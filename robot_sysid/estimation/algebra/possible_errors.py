@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty
 from robot_sysid.records import Array
@@ -69,7 +70,9 @@ def possible_covariance(theta: Array, covariance: Array) -> Array:
 
 
 def _left(theta: Array, covariance: Array, usual: Array) -> tuple[Array, Array] | None:
-    """Return (T, R), both (10, 10), of a body; None where all that is drawn is possible."""
+    """Return (T, R), both (10, 10), of a body; None where all that is drawn is possible, or cannot
+    be made so: plain errors are larger.
+    """
     half = np.random.default_rng(0).standard_normal((_DRAWS // 2, 10))
     draws = np.vstack((half, -half))
     # Of unit covariance exactly: where everything is possible, nothing changes.
@@ -82,8 +85,11 @@ def _left(theta: Array, covariance: Array, usual: Array) -> tuple[Array, Array] 
     left = off.copy()
     for k in [k for k, each in enumerate(off) if not spatial.is_consistent(theta + each)]:
         right, problem = rows @ (theta + off[k]), LinksProblem((np.arange(10),), usual)
-        solver = ConsistentLinks(rows, right, problem, near)
-        left[k], near = solver.best() - theta, solver.first
+        try:
+            solver = ConsistentLinks(rows, right, problem, near)
+            left[k], near = solver.best() - theta, solver.first
+        except SysidError:
+            return None
     if near is None:
         return None
     turn = left.T @ draws @ rows / _DRAWS

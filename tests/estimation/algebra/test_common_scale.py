@@ -52,6 +52,11 @@ def test_the_share_is_that_of_drawn_arms(seed, monkeypatch):
     assert np.mean(np.abs(scale) > asked) == pytest.approx(told, abs=0.01)
 
 
+def test_a_recording_that_tells_nothing_of_scales_is_never_doubted():
+    known, alike = 4e-4 * np.eye(3), 4e-4 * np.eye(3) + 0.0225
+    assert doubted_share((known, known), (alike, alike)) == 0.0
+
+
 @pytest.mark.parametrize(
     ("question", "asked"),
     [

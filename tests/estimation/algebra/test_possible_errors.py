@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.possible_errors import (
     BODIES,
@@ -75,3 +76,12 @@ def test_a_body_of_which_something_stays_hidden_keeps_its_errors():
     whole, causes = whole_of(covariance(0.8), {})
     whole.standard_errors[4] = np.inf
     assert once_possible(whole, causes, PLACES, LIGHT, LIGHT)[0] is whole
+
+
+def test_where_a_drawn_body_cannot_be_made_possible_errors_stay(monkeypatch):
+    def fails(solver):
+        raise SysidError("does not converge")
+
+    monkeypatch.setattr(ConsistentLinks, "best", fails)
+    spread = covariance(0.8)
+    np.testing.assert_array_equal(possible_covariance(LIGHT, spread), spread)
