@@ -82,11 +82,10 @@ def _left(theta: Array, covariance: Array, usual: Array) -> tuple[Array, Array] 
     except np.linalg.LinAlgError:
         return None
     off, rows, near = draws @ root.T, np.linalg.inv(root), None
-    left = off.copy()
+    left, problem = off.copy(), LinksProblem((np.arange(10),), usual)
     for k in [k for k, each in enumerate(off) if not spatial.is_consistent(theta + each)]:
-        right, problem = rows @ (theta + off[k]), LinksProblem((np.arange(10),), usual)
         try:
-            solver = ConsistentLinks(rows, right, problem, near)
+            solver = ConsistentLinks(rows, rows @ (theta + off[k]), problem, near)
             left[k], near = solver.best() - theta, solver.first
         except SysidError:
             return None
