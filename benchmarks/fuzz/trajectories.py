@@ -13,11 +13,8 @@ import numpy as np
 
 from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged_json, damaged_table
-from robot_sysid.damiao.trajectory import (
-    export_damiao_trajectory,
-    read_damiao_trajectory,
-    scan_trajectory,
-)
+from robot_sysid.damiao.preflight import Plan, plan_checks
+from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import (
@@ -93,7 +90,7 @@ def use(case: Case, folder: Path) -> None:
     """Read it, and check it against an arm as a run does."""
     place = written(case, folder)
     if "motors.csv" in case:
-        scan_trajectory(read_damiao_trajectory(place / "motors.csv"))
+        plan_checks(Plan(read_damiao_trajectory(place / "motors.csv")))
         return
     path = place / "motion.json"
     saved = load_trajectory(path)

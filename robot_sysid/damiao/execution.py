@@ -164,7 +164,7 @@ class MotorRun:
 
         fits = [*model_checks(plan, self._contacts)]
         if plan.pose is not None:
-            *_, (words, begin, end) = plan.ways(plan.scan.first)
+            *_, (words, begin, end) = plan.ways(plan.trajectory.q[0])
             fits += way_check(words, *self._order(begin, end))
         return [*own, *fits, *torque_checks(plan.trajectory, plan.settings, self.robot)]
 
@@ -255,7 +255,7 @@ class MotorRun:
         from robot_sysid.simulation.forward_dynamics import ArmStepper
 
         motors = [simulated_motor(each, watchdog) for each in plan.trajectory.joints]
-        return SimulatedArm(ArmStepper(self.robot, plan.scan.first, *timestep), motors)
+        return SimulatedArm(ArmStepper(self.robot, plan.trajectory.q[0], *timestep), motors)
 
     @contextlib.contextmanager
     def simulated(self, arm: SimulatedArm) -> Iterator[GuardedLink]:

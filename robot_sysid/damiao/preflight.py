@@ -7,7 +7,7 @@ it is put right), each with what was found and what to do.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -105,18 +105,18 @@ class Plan:
     recording: RecordingOptions = RecordingOptions()
     inertia: Array | None = None
     limits: LimitOptions = motion.NO_LIMITS
-    scan: motion.TrajectoryScan = field(init=False)
 
     def __post_init__(self) -> None:
+        if len(self.trajectory.time) < 2:
+            raise InputError(f"{self.trajectory.path} needs at least two rows to be played")
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(specs, self.timing, self.inertia)
         object.__setattr__(self, "settings", settings)
-        object.__setattr__(self, "scan", motion.scan_trajectory(self.trajectory))
 
     @property
     def duration(self) -> float:
         """How long playing takes [s]."""
-        return self.scan.duration / self.settings.speed
+        return float(np.ptp(self.trajectory.time)) / self.settings.speed
 
     @property
     def pose(self) -> Array | None:
@@ -138,7 +138,7 @@ class Plan:
     def ways(self, here: Array) -> Iterator[tuple[str, Array, Array]]:
         """Yield from where to where (n,) an arm at ``here`` goes to begin and to park [rad]."""
         rest = here if self.settings.park == "start" else self.pose
-        yield "on the way to the first point", here, self.scan.first
+        yield "on the way to the first point", here, self.trajectory.q[0]
         if rest is not None:
             yield "on the way to where it is parked", self.trajectory.q[-1], rest
 
@@ -206,31 +206,31 @@ def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
 
 def _motion(plan: Plan) -> Iterator[Check]:
     """Yield whether it begins and ends at rest, and whether velocities belong to positions."""
-    worst = float(np.max(plan.scan.end_velocity)) * plan.settings.speed
+    played = plan.trajectory
+    worst = float(np.max(np.abs(played.qd[[0, -1]]))) * plan.settings.speed
     moving = f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest"
     at_rest = f"starts and ends at rest, {plan.duration:.1f} s"
     yield _first((STOP, worst > _REST_SPEED, moving), (OK, True, at_rest))
-    if (found := plan.scan.mismatch) is None:
+    if (found := motion.velocity_mismatch(played.time, played.q, played.qd)) is None:
         yield Check(OK, "velocities and positions agree")
     else:
-        label = plan.trajectory.joints[found.joint].label
+        label, line = played.joints[found.joint].label, played.line[found.row]
         yield _stop(
-            f"line {found.line}: velocity {found.stated:.4g} rad/s of {label}, but the positions "
+            f"line {line}: velocity {found.stated:.4g} rad/s of {label}, but the positions "
             f"change by {found.shown:.4g} rad/s; export the file again, with at least four decimals"
         )
 
 
 def _motors(plan: Plan) -> Iterator[Check]:
     """Yield what is beyond motors' ratings, and which joints a step of torque throws about."""
-    joints, scan, settings = plan.trajectory.joints, plan.scan, plan.settings
+    played, joints, settings = plan.trajectory, plan.trajectory.joints, plan.settings
     steps = Scaling(joint.spec.limits for joint in joints).steps[2]
     moves = [np.inf] * len(joints) if plan.inertia is None else plan.inertia
-    if scan.shake is not None:
-        doubt = torque_doubt(joints)
-        yield from map(_stop, motion.rotor_problems(joints, scan.shake, settings.speed, doubt))
+    yield from map(_stop, motion.rotor_problems(played, settings.speed, torque_doubt(joints)))
+    fastest, strongest = (np.abs(each).max(axis=0) for each in (played.qd, played.tau))
     for j, (joint, step, moved) in enumerate(zip(joints, steps, moves)):
-        torque = scan.peak_torque[j] / joint.torque_ratio
-        for text in motion.rating_warnings(joint, scan.peak_velocity[j] * settings.speed, torque):
+        torque = strongest[j] / joint.torque_ratio
+        for text in motion.rating_warnings(joint, fastest[j] * settings.speed, torque):
             yield Check(STOP if motion.CANNOT_FOLLOW in text else NOTE, text)
         if joint.spec.note:
             yield _note(f"{joint.label}, {joint.motor_type}: {joint.spec.note}")
@@ -257,26 +257,23 @@ def _load(
 def _within_limits(
     plan: Plan, limits: Sequence[tuple[float, float, float]], whose: str
 ) -> Sequence[Check]:
-    joints, scan, speed = plan.trajectory.joints, plan.scan, plan.settings.speed
-    space = JointSpace.of(joints)
+    played, speed, remedy = plan.trajectory, plan.settings.speed, "export a smaller trajectory"
+    space, places = JointSpace.of(played.joints), played.q
     # Where it is parked counts as well.
-    reach = [scan.lowest, scan.highest]
-    remedy = "export a smaller trajectory"
     if plan.pose is not None:
-        reach, remedy = [*reach, plan.pose], f"{remedy}, or choose another --park"
+        places, remedy = np.vstack([places, plan.pose]), f"{remedy}, or choose another --park"
+    step = np.diff(played.q, axis=0) / np.diff(played.time)[:, None]
     asked = (
-        ("position", "rad", np.max(np.abs([*map(space.motor_position, reach)]), axis=0)),
-        ("velocity", "rad/s", scan.peak_velocity * speed),
-        ("torque", "N m", np.abs(space.motor_torque(scan.peak_torque))),
-        ("position step", "rad/s", scan.peak_step * speed),
+        ("position", "rad", space.motor_position(places)),
+        ("velocity", "rad/s", speed * played.qd),
+        ("torque", "N m", space.motor_torque(played.tau)),
+        ("position step", "rad/s", speed * step),
     )
     beyond = [
-        _stop(
-            f"{joint.label}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g}; {remedy}"
-        )
-        for j, (joint, limit) in enumerate(zip(joints, limits))
-        for (what, unit, peaks), top in zip(asked, (*limit, limit[1]))
-        if peaks[j] > top * (1.0 + _FLOAT32_SLACK)
+        _stop(f"{joint.label}: {what} {peak:.4g} {unit} is beyond {whose} limit {top:g}; {remedy}")
+        for j, (joint, limit) in enumerate(zip(played.joints, limits))
+        for (what, unit, values), top in zip(asked, (*limit, limit[1]))
+        if (peak := np.abs(values[:, j]).max()) > top * (1.0 + _FLOAT32_SLACK)
     ]
     return beyond or [Check(OK, f"the trajectory stays within {whose} limits")]
 
@@ -464,7 +461,7 @@ def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
 def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
     """Yield which joints' directions nothing has shown, and what to do."""
     known = model or FileHolding(plan.trajectory)
-    unseen = [joint.label for joint in known.unjudged(plan.scan.first)]
+    unseen = [joint.label for joint in known.unjudged(plan.trajectory.q[0])]
     if not unseen:
         yield Check(OK, "gravity shows which way each joint turns, or somebody has verified it")
         return
@@ -482,7 +479,7 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
 def _near_start(plan: Plan, motors: Sequence[InspectedMotor]) -> Iterator[Check]:
     joints, tolerance = plan.trajectory.joints, plan.settings.start_tolerance
     places = JointSpace.of(joints).joint_position(np.array([m.position for m in motors]))
-    for joint, here, first in zip(joints, places, plan.scan.first):
+    for joint, here, first in zip(joints, places, plan.trajectory.q[0]):
         away = abs(here - first)
         if away > tolerance:
             whole = abs(away - 2.0 * np.pi) < tolerance

@@ -1,4 +1,4 @@
-"""The trajectory file that Damiao motors play: written in a stream, read back, its extremes.
+"""The trajectory file that Damiao motors play: written in a stream, read back, looked at.
 
 ::
 
@@ -23,6 +23,7 @@ A difference quotient instead of the derivative (half a row early or late) passe
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -186,44 +187,26 @@ def rating_warnings(joint: DamiaoJoint, velocity: float, torque: float) -> Itera
 _MOMENT = 0.1
 
 
-class Shake(NamedTuple):
-    """Where each joint (n,) accelerates most: when [s], how much [rad/s^2], and what changes there.
-
-    That is the difference to the opposite acceleration within a moment, and to the torque fed
-    forward then [N m].
-    """
-
-    time: Array
-    peak: Array
-    change: Array
-    fed: Array
-
-
-def _shaken(time: Array, qd: Array, tau: Array) -> Shake:
-    acceleration, columns = np.gradient(qd, time, axis=0), np.arange(qd.shape[1])
-    peak = np.argmax(np.abs(acceleration), axis=0)
-    most = acceleration[peak, columns]
-    far = np.abs(time[:, None] - time[peak]) > _MOMENT
-    other = np.argmin(np.where(far, np.inf, np.sign(most) * acceleration), axis=0)
-    change, fed = (x[peak, columns] - x[other, columns] for x in (acceleration, tau))
-    return Shake(time[peak] - time[0], most, change, np.sign(most) * fed)
-
-
-def rotor_problems(
-    joints: Sequence[DamiaoJoint], shake: Shake, speed: float, doubt: Array
-) -> Iterator[str]:
+def rotor_problems(played: DamiaoTrajectory, speed: float, doubt: Array) -> Iterator[str]:
     """Yield which joints cannot follow, played at a share of their speed: known without a model.
 
-    A motor turns its own rotor at least. Where that takes more than the ``doubt`` (n,) [N m] to and
-    fro, half of it is in the torque that is fed forward: less is that of another motion.
+    A motor turns its own rotor at least. Where that takes more than the ``doubt`` (n,) [N m] from
+    where a joint accelerates most to the opposite within a moment, half of it is in the torque that
+    is fed forward: less is that of another motion.
     """
-    for joint, time, peak, change, fed, unsure in zip(joints, *shake, doubt):
-        takes = speed**2 * joint.spec.rotor * abs(change)
+    time, shaken = played.time, np.gradient(played.qd, played.time, axis=0)
+    for joint, own, tau, unsure in zip(played.joints, shaken.T, played.tau.T, doubt):
+        peak = int(np.argmax(np.abs(own)))
+        sign, far = np.sign(own[peak]), np.abs(time - time[peak]) > _MOMENT
+        other = int(np.argmin(np.where(far, np.inf, sign * own)))
+        takes = speed**2 * joint.spec.rotor * abs(own[peak] - own[other])
+        fed = sign * (tau[peak] - tau[other])
         if takes > 2.0 * unsure and fed < 0.5 * takes:
             yield (
-                f"{joint.label}: at {time:.2f} s it is to turn with {speed**2 * peak:.0f} rad/s^2; "
-                f"its rotor alone takes {takes:.1f} N m to and fro, and the file feeds forward "
-                f"{fed:.1f}, the torque of another motion; {CANNOT_FOLLOW}, export it again"
+                f"{joint.label}: at {time[peak] - time[0]:.2f} s it is to turn with "
+                f"{speed**2 * own[peak]:.0f} rad/s^2; its rotor alone takes {takes:.1f} N m to and "
+                f"fro, and the file feeds forward {fed:.1f}, the torque of another motion; "
+                f"{CANNOT_FOLLOW}, export it again"
             )
 
 
@@ -252,7 +235,8 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
         expected = f"expected the columns time,j0_pos,j0_vel,j0_tau,... for {n} joints"
         raise InputError(f"{path}, line {number}: {expected}")
     filled = [(k, row) for k, row in enumerate(lines[number:], number + 1) if row.strip()]
-    table = _table(filled, 1 + 3 * n, path)
+    width = 1 + 3 * n
+    table = np.array([_numbers(row, width, path, k) for k, row in filled]).reshape(-1, width)
     numbers, time = np.array([k for k, _ in filled], int), table[:, 0].copy()
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
         raise InputError(f"{path}, near line {numbers[row + 1]}: time does not increase")
@@ -293,19 +277,14 @@ def _merged(times: Sequence[Array]) -> Array:
     return np.array(kept)
 
 
-def _table(filled: Sequence[tuple[int, str]], width: int, path: Path) -> Array:
-    """Return the numbers (N, width) of numbered lines; halves them down to a line that is bad."""
-    lines = [line for _, line in filled]
-    # NumPy before 1.23 reads 1_0 as 10, as Python does.
-    if not any("_" in line for line in lines):
-        with contextlib.suppress(ValueError):
-            table = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, width))
-            if table.shape == (len(lines), width) and np.all(np.isfinite(table)):
-                return np.asarray(table)
-    if len(lines) == 1:
-        raise InputError(f"{path}, line {filled[0][0]}: expected {width} finite numbers")
-    half = len(lines) // 2
-    return np.vstack([_table(part, width, path) for part in (filled[:half], filled[half:])])
+def _numbers(line: str, width: int, path: Path, number: int) -> list[float]:
+    """Return the numbers in a line, or raise InputError unless there are so many."""
+    with contextlib.suppress(ValueError):
+        row = [*map(float, line.partition("#")[0].split(","))]
+        # Python takes 1_0 for 10.
+        if len(row) == width and "_" not in line and math.isfinite(sum(row)):
+            return row
+    raise InputError(f"{path}, line {number}: expected {width} finite numbers")
 
 
 def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
@@ -323,44 +302,6 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
     if mode != "MIT":
         raise InputError(f"{path}, line {number}: mode {mode!r} cannot be played, only MIT")
     return DamiaoJoint(motor_type, can_id, master_id)
-
-
-@dataclass(frozen=True)
-class TrajectoryScan:
-    """What a trajectory asks of the motors; arrays are (n,) [rad, rad/s, N m].
-
-    ``end_velocity`` is the larger of the speeds at the first and the last row, ``peak_step`` the
-    largest position change per time between two rows [rad/s]; ``mismatch`` is where the velocity
-    column does not say how the positions change, or None.
-    """
-
-    duration: float
-    first: Array
-    end_velocity: Array
-    lowest: Array
-    highest: Array
-    peak_velocity: Array
-    peak_torque: Array
-    peak_step: Array
-    mismatch: Mismatch | None = None
-    shake: Shake | None = None
-
-
-def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
-    """Return the extremes of a trajectory, or raise InputError for a single row."""
-    time, q, qd = trajectory.time, trajectory.q, trajectory.qd
-    if len(time) < 2:
-        raise InputError(f"{trajectory.path} needs at least two rows to be played")
-    slope = np.diff(q, axis=0) / np.diff(time)[:, None]
-    parts = qd[[0, -1]], qd, trajectory.tau, slope
-    ends, velocity, torque, step = (np.abs(part).max(axis=0) for part in parts)
-    reach = q.min(axis=0), q.max(axis=0)
-    found = velocity_mismatch(time, q, qd)
-    if found is not None:
-        found = found._replace(line=int(trajectory.line[found.line]))
-    length = float(time[-1] - time[0])
-    shake = _shaken(time, qd, trajectory.tau)
-    return TrajectoryScan(length, q[0], ends, *reach, velocity, torque, step, found, shake)
 
 
 NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
@@ -402,14 +343,14 @@ _AROUND = 2
 class Mismatch(NamedTuple):
     """Where the velocity column states a velocity, and the positions show another [rad/s]."""
 
-    line: int
+    row: int
     joint: int
     stated: float
     shown: float
 
 
 def velocity_mismatch(time: Array, q: Array, qd: Array) -> Mismatch | None:
-    """Return where velocities (N, n) first differ from the positions' changes, by row, or None."""
+    """Return where velocities (N, n) first differ from the positions' changes, or None."""
     step = np.diff(time)[:, None]
     slope = np.diff(q, axis=0) / step
     return next(chain(_rows_off(step, slope, qd), _windows_off(time, q, qd, slope)), None)

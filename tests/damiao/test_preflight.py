@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,31 +17,30 @@ from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.trajectory import TrajectoryScan
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.records.options import record_from
 
 # Beside the limit, so that rounding does not decide.
-SHARES = st.floats(0.0, 0.999) | st.floats(1.001, 4.0)
+SHARES = st.floats(0.01, 0.999) | st.floats(1.001, 4.0)
 WHAT = ("position", "velocity", "torque", "position step")
-PEAKS = ("highest", "peak_velocity", "peak_torque", "peak_step")
 COUNTS_WITH_SPEED = (False, True, False, True)
 
 
-def scan_of(n, **peaks):
-    """A trajectory that asks for nothing but these peaks."""
-    names = ("first", "end_velocity", "lowest", *PEAKS)
-    return TrajectoryScan(5.0, **{name: peaks.get(name, np.zeros(n)) for name in names})
+def rows_of(n, position=0.0, velocity=0.0, torque=0.0, seconds=1.0):
+    """(time, q, qd, tau) of n joints that rise to these peaks (n,) one after the other."""
+    risen = np.tril(np.ones((n + 1, n)), -1)
+    time = np.cumsum([0.0, *(seconds * np.ones(n))])
+    return time, position * risen, velocity * risen, torque * risen
 
 
-def checks_of(scan, types, timing=None, inertia=None, pose=None, offset=0.0, **settings):
+def checks_of(rows, types, timing=None, inertia=None, pose=None, offset=0.0, **settings):
     """What is said to what the checks look at of a plan, without a trajectory file."""
     joints = [replace(joint, offset=offset) for joint in damiao_joints(types, len(types))]
     timing = timing or BusTiming()
     chosen = PlaySettings(**settings).for_motors([joint.spec for joint in joints], timing)
     asked = {"settings": chosen, "timing": timing, "inertia": inertia, "pose": pose}
-    duration = scan.duration / chosen.speed
-    joints = SimpleNamespace(joints=joints)
-    return plan_checks(SimpleNamespace(trajectory=joints, scan=scan, duration=duration, **asked))
+    played = DamiaoTrajectory(Path(), tuple(joints), np.arange(len(rows[0])), *rows)
+    return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **asked))
 
 
 def beyond(checks):
@@ -59,8 +59,8 @@ def test_each_joint_and_limit_is_judged_by_itself_at_the_speed_it_is_played_at(t
     tops = np.array([MOTORS[name].limits for name in types]).T[[0, 1, 2, 1]]
     shares = np.array([[data.draw(SHARES) for _ in types] for _ in WHAT])
     slower = np.where(COUNTS_WITH_SPEED, speed, 1.0)[:, None]
-    peaks = dict(zip(PEAKS, shares * tops / slower))
-    checks = checks_of(scan_of(len(types), **peaks), types, speed=speed)
+    *peaks, step = shares * tops / slower
+    checks = checks_of(rows_of(len(types), *peaks, peaks[0] / step), types, speed=speed)
     expected = {(int(j), WHAT[i]) for i, j in np.argwhere(shares > 1.0)}
     assert beyond(checks) == expected
     within = "the trajectory stays within its type's limits"
@@ -69,15 +69,15 @@ def test_each_joint_and_limit_is_judged_by_itself_at_the_speed_it_is_played_at(t
 
 @given(worst=st.floats(0.0, 0.2), speed=st.floats(0.05, 1.0))
 def test_both_ends_have_to_be_at_rest_at_the_speed_they_are_played_at(worst, speed):
-    scan = scan_of(2, end_velocity=np.array([0.0, worst]))
-    said = [c for c in checks_of(scan, ["DM4340"] * 2, speed=speed) if "at rest" in c.text]
+    rows = rows_of(2, velocity=np.array([0.0, worst]))
+    said = [c for c in checks_of(rows, ["DM4340"] * 2, speed=speed) if "at rest" in c.text]
     assert [check.severity for check in said] == [STOP if worst * speed > 0.05 else OK]
 
 
 @given(rate=st.floats(10.0, 3000.0), n=st.integers(1, 8), fd=st.booleans())
 def test_a_bus_that_is_too_full_is_refused(rate, n, fd):
     timing = BusTiming(fd=fd)
-    checks = checks_of(scan_of(n), ["DM4340"] * n, timing, rate=rate)
+    checks = checks_of(rows_of(n), ["DM4340"] * n, timing, rate=rate)
     (said,) = [check for check in checks if " load " in check.text]
     full = bus_load(n, rate, timing) > 0.7
     assert said.severity == (STOP if full else OK)
@@ -88,12 +88,12 @@ def test_a_bus_that_is_too_full_is_refused(rate, n, fd):
 def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(name):
     spec = MOTORS[name]
     for torque, severity in ((spec.rated_torque, NOTE), (spec.peak_torque, STOP)):
-        checks = checks_of(scan_of(1, peak_torque=np.array([1.001 * torque])), [name])
+        checks = checks_of(rows_of(1, torque=1.001 * torque), [name])
         (said,) = [c for c in checks if "exceeds the" in c.text and "torque of a" in c.text]
         assert said.severity == severity
     for share in (0.999, 1.001):
         top = share * (spec.no_load_rpm or 0.0) * 2 * np.pi / 60
-        checks = checks_of(scan_of(1, peak_velocity=np.array([top])), [name])
+        checks = checks_of(rows_of(1, velocity=top), [name])
         noted = [c.severity for c in checks if "exceeds the no-load speed" in c.text]
         assert noted == [STOP] * (top > 0.0 and share > 1.0)
     assert any(spec.note in c.text for c in checks)
@@ -102,9 +102,9 @@ def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(n
 def test_a_joint_that_its_motor_would_shake_is_noted():
     """A DM10010 makes torque in steps of 0.1 N m: 1.6 rad/s within a cycle for a bare wrist."""
     types, inertia = ["DM10010", "DM4310"], np.array([1.3e-4, 1.3e-4])
-    shaken = [c for c in checks_of(scan_of(2), types, inertia=inertia) if "will shake" in c.text]
+    shaken = [c for c in checks_of(rows_of(2), types, inertia=inertia) if "will shake" in c.text]
     assert [c.severity for c in shaken] == [NOTE] and shaken[0].text.startswith("motor 1 moves")
-    assert not any("shake" in c.text for c in checks_of(scan_of(2), types))
+    assert not any("shake" in c.text for c in checks_of(rows_of(2), types))
 
 
 @pytest.mark.parametrize("rate", [2.0, 9.0, 12.5, 250.0])
@@ -123,7 +123,7 @@ def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, t
 @given(place=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0))
 def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(place, offset):
     pose = np.array([-offset, place - offset])
-    checks = checks_of(scan_of(2), ["DM4340"] * 2, pose=pose, offset=offset)
+    checks = checks_of(rows_of(2), ["DM4340"] * 2, pose=pose, offset=offset)
     found = [check for check in checks if check.text.endswith("choose another --park")]
     assert [check.severity for check in found] == [STOP] * (place > 12.5)
     assert all(c.text.startswith("motor 2") and "limit 12.5" in c.text for c in found)

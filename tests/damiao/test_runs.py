@@ -22,6 +22,7 @@ from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, BusTiming, Frame, is_special
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.recorder import MeasurementRecorder, RecordingOptions
+from robot_sysid.damiao.references import sampled
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.simulated import SimulatedArm
 from robot_sysid.errors import HardwareAbort, SysidError
@@ -535,10 +536,13 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
         assert [m.registers[frames.TIMEOUT] for m in run.motors] == [0.0, 2000.0]
 
 
-def test_a_value_that_no_frame_carries_stops_the_run(rig):
-    run = rig()
-    run.plan.trajectory.tau[60, 0] = 30.0
-    run.run().assert_stopped("torque 30 of motor number 1 is outside its range")
+def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):
+    def spoiled(played, speed):
+        played.tau[60, 0] = 30.0
+        return sampled(played, speed)
+
+    monkeypatch.setattr("robot_sysid.damiao.execution.sampled", spoiled)
+    rig().run().assert_stopped("torque 30 of motor number 1 is outside its range")
 
 
 def test_the_other_motors_come_to_rest_before_they_are_disabled(rig):

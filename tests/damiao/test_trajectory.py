@@ -19,7 +19,6 @@ from robot_sysid.damiao.trajectory import (
     limit_excesses,
     read_damiao_trajectory,
     rotor_problems,
-    scan_trajectory,
     together,
     velocity_mismatch,
 )
@@ -189,25 +188,7 @@ def test_windows_line_ends_and_blank_lines_are_fine_and_a_missing_file_is_named(
     np.testing.assert_array_equal(reread(path)[0], [0.0, 1.0])
 
 
-# --- scan ---------------------------------------------------------------------------------------
-
-
-@given(rows=st.integers(2, 30), seed=st.integers(0, 1000))
-def test_a_scan_finds_the_extremes(rows, seed, tmp_path_factory):
-    rng = np.random.default_rng(seed)
-    q, qd, tau = np.round(rng.uniform(-5, 5, (3, rows, 2)), 4)
-    scan = scan_trajectory(
-        trajectory_file(tmp_path_factory.mktemp("scan"), (0.01 * np.arange(rows), q, qd, tau))
-    )
-    assert scan.duration == pytest.approx(0.01 * (rows - 1))
-    np.testing.assert_allclose(scan.first, q[0])
-    np.testing.assert_allclose(scan.lowest, q.min(axis=0))
-    np.testing.assert_allclose(scan.highest, q.max(axis=0))
-    np.testing.assert_allclose(scan.peak_velocity, np.abs(qd).max(axis=0))
-    np.testing.assert_allclose(scan.peak_torque, np.abs(tau).max(axis=0))
-    np.testing.assert_allclose(scan.peak_step, np.abs(np.diff(q, axis=0)).max(axis=0) / 0.01)
-    np.testing.assert_allclose(scan.end_velocity, np.maximum(np.abs(qd[0]), np.abs(qd[-1])))
-
+# --- velocities against positions -----------------------------------------------------------------
 
 RATES = st.sampled_from([50.0, 100.0, 250.0, 500.0, 1000.0])
 
@@ -254,14 +235,14 @@ def test_a_jump_of_the_positions_is_found(rate, seed, place):
     row = round(place * len(time))
     q[row:, 0] += 0.02 if rate > 200.0 else 0.15
     found = mismatch(time, q, qd)
-    assert found.joint == 0 and abs(found.line - row) <= 0.2 * rate + 8
+    assert found.joint == 0 and abs(found.row - row) <= 0.2 * rate + 8
 
 
 def test_velocities_of_a_joint_that_stands_are_found_with_their_row():
     time, q, qd = np.arange(400) / 250.0, np.zeros((400, 1)), np.zeros((400, 1))
     qd[100:200] = 9.0
     found = mismatch(time, q, qd)
-    assert (found.line, found.joint, found.stated, found.shown) == (100, 0, 9.0, 0.0)
+    assert (found.row, found.joint, found.stated, found.shown) == (100, 0, 9.0, 0.0)
 
 
 @pytest.mark.parametrize("start", [0.0, 0.5, 0.1233])
@@ -272,13 +253,13 @@ def test_what_is_wrong_in_one_of_two_files_is_found_whenever_its_time_begins(sta
     both = together(first, second)
     np.testing.assert_allclose(both.time, first.time, atol=1e-12)
     np.testing.assert_allclose(both.q, np.hstack([first.q] * 2), atol=1e-12)
-    assert scan_trajectory(both).mismatch.joint == 1
+    assert velocity_mismatch(both.time, both.q, both.qd).joint == 1
     limits = replace(NO_LIMITS, max_acceleration=1.0)
     assert len([*limit_excesses(both, 1.0, limits)]) == 2
     slower = swing(1, 1.0, rate=110.0)
     mixed = together(first, trajectory_file(tmp_path, slower))
     assert np.diff(mixed.time).min() > 0.0019 and mixed.time[-1] == 2.0
-    assert scan_trajectory(mixed).mismatch is None
+    assert velocity_mismatch(mixed.time, mixed.q, mixed.qd) is None
 
 
 def test_a_rate_the_bus_cannot_carry_comes_with_one_that_it_can():
@@ -327,8 +308,7 @@ def test_a_shaken_joint_is_refused_without_a_model_unless_it_is_fed_its_torque(
     for own in (0.0, inertia):
         fed = tau + own * amplitude * wave**2 * np.cos(wave * time)[:, None] * [0, 1]
         file = trajectory_file(tmp_path_factory.mktemp("shake"), (time, q, qd, fed), "DM8009")
-        shake = scan_trajectory(file).shake
-        said = [*rotor_problems(file.joints, shake, speed, torque_doubt(file.joints))]
+        said = [*rotor_problems(file, speed, torque_doubt(file.joints))]
         if own == 0.0 and most > 1.1 * 2.4:
             (why,) = said
             assert "motor 2: at" in why and "the torque of another motion; it cannot" in why

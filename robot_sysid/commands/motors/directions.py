@@ -63,7 +63,7 @@ def verify(asked: Asked, link: GuardedLink, plan: Plan) -> int:
     if not kept and path.exists():
         raise InputError(f"{path} is there already; give it with --joint-map")
     holding = asked.holding(plan)
-    unseen = [] if holding is None else holding.unjudged(plan.scan.first)
+    unseen = [] if holding is None else holding.unjudged(plan.trajectory.q[0])
     if not unseen:
         shown = "gravity shows which way each joint turns, or somebody has verified it"
         asked.conclude(f"Done: {shown}", asked.play_words())
