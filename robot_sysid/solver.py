@@ -39,8 +39,6 @@ def identify_parameters(
         method="ols",
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
-        noise_errors=errors.standard_errors,
-        data_share=errors.data_share,
         noise_per_joint={joint: each[joint] for joint, count in counts.items() if count},
         effective_samples={joint: float(count) for joint, count in counts.items()},
         constrained=bool(np.any(values != free)),

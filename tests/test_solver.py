@@ -89,7 +89,6 @@ def test_an_estimate_carries_what_it_was_made_of(seed):
     assert (estimate.names, estimate.method) == (names, "ols")
     assert estimate.samples == dict.fromkeys(joints, 40)
     assert not estimate.constrained
-    assert estimate.error_budget == {}
     assert estimate.identifiability.rank == 12
     for kept in (estimate.rmse_per_joint, estimate.noise_per_joint, estimate.effective_samples):
         assert tuple(kept) == joints

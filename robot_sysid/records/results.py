@@ -44,9 +44,6 @@ class Estimate:
         covariance: (p, p), where one was computed; zero along directions the data cannot see.
         standard_errors: (p,) standard deviation of each value, all causes together; infinite where
             only the model's value is known.
-        noise_errors: (p,) the part of them that torque noise explains.
-        error_budget: cause to the part of them (p,) that this cause explains; squares add up.
-        data_share: (p,) how much of each value comes from the data: 1 all, 0 all from the model.
         noise_per_joint: joint name to standard deviation of its torque noise [N m], where used.
         samples, effective_samples: joint name to the number of samples its equations used, and of
             the independent ones that its noise leaves.
@@ -61,9 +58,6 @@ class Estimate:
     method: str = "ols"
     covariance: Array | None = None
     standard_errors: Array | None = None
-    noise_errors: Array | None = None
-    error_budget: Mapping[str, Array] = field(default_factory=dict)
-    data_share: Array | None = None
     noise_per_joint: Mapping[str, float] = field(default_factory=dict)
     samples: Mapping[str, int] = field(default_factory=dict)
     effective_samples: Mapping[str, float] = field(default_factory=dict)

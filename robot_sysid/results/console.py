@@ -219,7 +219,8 @@ def _details(result: Result) -> Iterator[str]:
         yield f"    {joint}: {value:.2e} N·m" + ("" if noise is None else f", noise {noise:.2g}")
     if result.is_measured:
         named = zip(estimate.names, result.body.noise_errors, THETA)
-        listed = ", ".join(f"{name} {error:.2g} {unit}" for name, error, unit in named)
+        known = (each for each in named if np.isfinite(each[1]))
+        listed = ", ".join(f"{name} {error:.2g} {unit}" for name, error, unit in known)
         yield f"  Standard errors of noise alone: {listed}"
     if result.sensors:
         yield "  Sensors:"

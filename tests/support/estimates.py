@@ -43,8 +43,6 @@ def identified(information, prior, method="ols", samples=None, nuisances=()):
         method=method,
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
-        noise_errors=np.sqrt(np.maximum(np.diag(errors.noise), 0.0)),
-        error_budget={g.cause: explained(errors, g, information.names) for g in nuisances},
         noise_per_joint=dict(zip(joints, noise.tolist())),
         effective_samples=dict(zip(joints, errors.effective)),
     )

@@ -60,9 +60,6 @@ def estimate(**changes) -> Estimate:
         "method": "wls",
         "covariance": np.diag(errors**2),
         "standard_errors": errors,
-        "noise_errors": 0.6 * errors,
-        "error_budget": {"links": 0.8 * errors},
-        "data_share": np.ones(size),
         "noise_per_joint": {"j5": 0.03, "j6": 0.031},
         "samples": {"j5": 200, "j6": 200},
         "effective_samples": {"j5": 190.0, "j6": 180.0},
@@ -94,16 +91,17 @@ def found(result: Estimate | None = None, **changes) -> Result:
 
 
 def terminal(result: Estimate) -> BodyEstimate:
-    """The terminal link as an estimate has it."""
+    """The terminal link as an estimate has it; its errors are of noise and of other links."""
     errors = np.array(result.standard_errors)[:10]
+    seen = np.isfinite(errors)
     return BodyEstimate(
         "link6",
         result.inertial,
-        np.diag(np.where(np.isfinite(errors), errors, 0.0) ** 2),
-        np.isfinite(errors),
-        np.array(result.noise_errors)[:10],
-        {cause: part[:10] for cause, part in result.error_budget.items()},
-        np.array(result.data_share)[:10],
+        np.diag(np.where(seen, errors, 0.0) ** 2),
+        seen,
+        0.6 * errors,
+        {"links": 0.8 * errors},
+        np.where(seen, 1.0, 0.0),
         InertialParameters(0.5 * THETA),
         "j6",
     )
@@ -138,15 +136,13 @@ def with_value(name: str, value: float, error: float) -> Estimate:
 
 def without_mass() -> Estimate:
     """The mass does not show in the data."""
-    share = np.ones(len(NAMES))
-    share[0] = 0.0
     seen = replace(
         estimate().identifiability,
         rank=11,
         identified=(False,) + (True,) * (len(NAMES) - 1),
         unidentifiable=("mass",),
     )
-    return replace(with_value("m", 2.0, np.inf), identifiability=seen, data_share=share)
+    return replace(with_value("m", 2.0, np.inf), identifiability=seen)
 
 
 def validation_of(rmse: float, source: str = "other.csv", relative: float = 0.02) -> Validation:
