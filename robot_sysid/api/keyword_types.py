@@ -1,7 +1,8 @@
 """Types of the keywords, for type checkers and editors; no run imports this.
 
 Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
-A class holds the keywords that the functions in its name take, and no others.
+A class holds the keywords of the function in its name; one with an underscore those that the
+functions in its name, and what builds on them, have alike.
 """
 # ruff: noqa: D101
 
@@ -26,25 +27,7 @@ Interface = Literal[
 ]  # fmt: skip
 
 
-class _IdentifyPayloadInformation(TypedDict, total=False):
-    accept: Accept | Sequence[Accept]
-    coupling: File | None
-    cutoff: float | None
-    delay: Literal["off", "auto"]
-    friction_model: str | None
-    no_friction: bool
-    tilt: Literal["off", "auto"]
-    velocity_deadband: float | Numbers | None
-
-
-class _Identify(TypedDict, total=False):
-    append: File | None
-    links: bool
-    plant_model: File | None
-    save_measurements: File | None
-
-
-class _IdentifyPlanPayload(TypedDict, total=False):
+class _PlanPayloadIdentify(TypedDict, total=False):
     below_base: bool
     duration: float
     excitation: Literal["sines", "optimal"]
@@ -57,7 +40,7 @@ class _IdentifyPlanPayload(TypedDict, total=False):
     trajectory: File | None
 
 
-class _IdentifyPlan(TypedDict, total=False):
+class _PlanIdentify(TypedDict, total=False):
     can_id: int | Sequence[int]
     export_damiao: bool
     master_id: int | Sequence[int]
@@ -65,7 +48,7 @@ class _IdentifyPlan(TypedDict, total=False):
     save_trajectory: File | None
 
 
-class _IdentifyPlanPayloadPlay(TypedDict, total=False):
+class _PlanPlayPayloadIdentify(TypedDict, total=False):
     clearance: float
     keep_out: Numbers | Sequence[Numbers]
     max_acceleration: float | None
@@ -74,16 +57,7 @@ class _IdentifyPlanPayloadPlay(TypedDict, total=False):
     workspace: Numbers | None
 
 
-class _IdentifyPayloadReadLogInformation(TypedDict, total=False):
-    columns: File | None
-    episode: int | Sequence[int]
-    topic: str | None
-    torque_constants: float | Numbers | File | None
-    torque_scale: float | Numbers | File | None
-    units: str | None
-
-
-class _IdentifyPlanPayloadInformation(TypedDict, total=False):
+class _InformationPlan(TypedDict, total=False):
     delay_uncertainty: float
     friction_uncertainty: float
     gravity_uncertainty: float
@@ -93,7 +67,7 @@ class _IdentifyPlanPayloadInformation(TypedDict, total=False):
     zero_uncertainty: float
 
 
-class _IdentifyPayload(TypedDict, total=False):
+class _PayloadIdentify(TypedDict, total=False):
     encoder_resolution: float
     keep: Keep | Sequence[Keep]
     noise_position: float | Numbers
@@ -101,35 +75,44 @@ class _IdentifyPayload(TypedDict, total=False):
     torque_delay: float
 
 
-class _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold(TypedDict, total=False):
-    joint: str | None
-    keyframe: str | None
-    mesh_dir: File | None
-
-
-class _IdentifyPlanPayloadPlayHold(TypedDict, total=False):
+class _HoldPlanPayloadIdentify(TypedDict, total=False):
     speed: float
-
-
-class _Plan(TypedDict, total=False):
-    for_: Literal["link", "payload", "friction", "arm"]
 
 
 class _PlanPayload(TypedDict, total=False):
     static: bool
 
 
-class _Payload(TypedDict, total=False):
-    as_body: str | None
-    empty_model: File | None
-    flange: str | None
-    known_mass: float | None
-    loaded_model: File | None
-    order: str | None
-    save_torque_scale: File | None
+class IdentifyFromKeywords(TypedDict, total=False):
+    joint: str | None
+    keyframe: str | None
+    mesh_dir: File | None
 
 
-class _PlayHold(TypedDict, total=False):
+class RegressorKeywords(IdentifyFromKeywords, total=False): ...
+
+
+class ReadLogKeywords(TypedDict, total=False):
+    columns: File | None
+    episode: int | Sequence[int]
+    topic: str | None
+    torque_constants: float | Numbers | File | None
+    torque_scale: float | Numbers | File | None
+    units: str | None
+
+
+class InformationKeywords(ReadLogKeywords, IdentifyFromKeywords, _InformationPlan, total=False):
+    accept: Accept | Sequence[Accept]
+    coupling: File | None
+    cutoff: float | None
+    delay: Literal["off", "auto"]
+    friction_model: str | None
+    no_friction: bool
+    tilt: Literal["off", "auto"]
+    velocity_deadband: float | Numbers | None
+
+
+class HoldKeywords(IdentifyFromKeywords, _HoldPlanPayloadIdentify, total=False):
     accept_directions: bool
     accept_register_limits: bool
     also_joint: str | None
@@ -156,63 +139,35 @@ class _PlayHold(TypedDict, total=False):
     start_tolerance: float
 
 
-class _Play(TypedDict, total=False):
+class PlanKeywords(
+    IdentifyFromKeywords, _PlanPayloadIdentify, _PlanIdentify, _PlanPlayPayloadIdentify,
+    _InformationPlan, _HoldPlanPayloadIdentify, _PlanPayload, total=False
+):  # fmt: skip
+    for_: Literal["link", "payload", "friction", "arm"]
+
+
+class PlayKeywords(HoldKeywords, _PlanPlayPayloadIdentify, total=False):
     also: File | None
 
 
-class IdentifyKeywords(
-    _IdentifyPayloadInformation, _Identify, _IdentifyPlanPayload, _IdentifyPlan,
-    _IdentifyPlanPayloadPlay, _IdentifyPayloadReadLogInformation,
-    _IdentifyPlanPayloadInformation, _IdentifyPayload,
-    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold, _IdentifyPlanPayloadPlayHold
-): ...  # fmt: skip
-
-
 class PayloadKeywords(
-    _IdentifyPayloadInformation, _IdentifyPlanPayload, _IdentifyPlanPayloadPlay,
-    _IdentifyPayloadReadLogInformation, _IdentifyPlanPayloadInformation, _IdentifyPayload,
-    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold,
-    _IdentifyPlanPayloadPlayHold, _PlanPayload, _Payload
-): ...  # fmt: skip
+    InformationKeywords, _PlanPayloadIdentify, _PlanPlayPayloadIdentify, _PayloadIdentify,
+    _HoldPlanPayloadIdentify, _PlanPayload, total=False
+):  # fmt: skip
+    as_body: str | None
+    empty_model: File | None
+    flange: str | None
+    known_mass: float | None
+    loaded_model: File | None
+    order: str | None
+    save_torque_scale: File | None
 
 
-class InformationKeywords(
-    _IdentifyPayloadInformation, _IdentifyPayloadReadLogInformation,
-    _IdentifyPlanPayloadInformation,
-    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold
-): ...  # fmt: skip
-
-
-class PlanKeywords(
-    _IdentifyPlanPayload, _IdentifyPlan, _IdentifyPlanPayloadPlay,
-    _IdentifyPlanPayloadInformation,
-    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold,
-    _IdentifyPlanPayloadPlayHold, _Plan, _PlanPayload
-): ...  # fmt: skip
-
-
-class PlayKeywords(
-    _IdentifyPlanPayloadPlay, _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold,
-    _IdentifyPlanPayloadPlayHold, _PlayHold, _Play
-): ...  # fmt: skip
-
-
-class ReadLogKeywords(
-    _IdentifyPayloadReadLogInformation
-): ...  # fmt: skip
-
-
-class IdentifyFromKeywords(
-    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold
-): ...  # fmt: skip
-
-
-class RegressorKeywords(
-    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold
-): ...  # fmt: skip
-
-
-class HoldKeywords(
-    _IdentifyPlanPayloadInformationIdentifyFromRegressorPlayHold,
-    _IdentifyPlanPayloadPlayHold, _PlayHold
-): ...  # fmt: skip
+class IdentifyKeywords(
+    InformationKeywords, _PlanPayloadIdentify, _PlanIdentify, _PlanPlayPayloadIdentify,
+    _PayloadIdentify, _HoldPlanPayloadIdentify, total=False
+):  # fmt: skip
+    append: File | None
+    links: bool
+    plant_model: File | None
+    save_measurements: File | None

@@ -8,6 +8,7 @@ writes ``robot_sysid/api/keyword_types.py`` anew.
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 from robot_sysid.api.keywords import RECORDS, refused_by
@@ -18,7 +19,8 @@ PATH = ROOT / "robot_sysid" / "api" / "keyword_types.py"
 HEAD = '''"""Types of the keywords, for type checkers and editors; no run imports this.
 
 Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
-A class holds the keywords that the functions in its name take, and no others.
+A class holds the keywords of the function in its name; one with an underscore those that the
+functions in its name, and what builds on them, have alike.
 """
 # ruff: noqa: D101
 
@@ -73,8 +75,8 @@ def _quoted(word: str) -> str:
 
 
 def text() -> str:
-    """Return the module: a class for what the same functions take, and one for each function."""
-    aliases, takers = dict[str, None](), dict[str, list[str]]()
+    """Return the module: a class for each function, and one for what several classes have alike."""
+    aliases, takers = dict[str, None](), dict[str, set[str]]()
     for function, records in RECORDS.items():
         refused, name = refused_by(function), function.title().replace("_", "")
         named = [(each, n, o) for each in records for n, o in options_of(each).items()]
@@ -84,19 +86,34 @@ def text() -> str:
             for record, attribute, option in named
             if option.key not in refused
         }
-        for line in sorted(lines) if function != "identify_arm" else ():  # the same as of identify
-            takers.setdefault(line, []).append(name)
-    shared = dict[tuple[str, ...], str]()
-    for line, names in takers.items():
-        shared[tuple(names)] = shared.get(tuple(names), "") + line
+        if function != "identify_arm":  # the same as of identify
+            takers[name] = lines
+    order = sorted(takers, key=lambda name: len(takers[name]))
+    bases, own = {name: list[str]() for name in order}, {**takers}
+    for k, name in enumerate(order):
+        for smaller in sorted(order[:k], key=lambda name: -len(takers[name])):
+            if takers[smaller] <= own[name]:
+                bases[name].append(f"{smaller}Keywords")
+                own[name] = own[name] - takers[smaller]
+    homes = dict[tuple[str, ...], list[str]]()
+    for line in sorted(set().union(*own.values())):
+        homes.setdefault(tuple(n for n in order if line in own[n]), []).append(line)
     parts = [HEAD + "".join(aliases)]
-    for names, lines in shared.items():
-        parts.append(f"class _{''.join(names)}(TypedDict, total=False):\n{lines}")
-    for name in dict.fromkeys(name for names in shared for name in names):
-        bases = ", ".join(f"_{''.join(names)}" for names in shared if name in names)
-        wrapped = textwrap.indent(textwrap.fill(bases, 90), "    ")
-        parts.append(f"class {name}Keywords(\n{wrapped}\n): ...  # fmt: skip\n")
-    return "\n\n".join(parts)
+    for names, shared in homes.items():
+        if len(names) > 1:
+            parts.append(_class(f"_{''.join(names)}", ["TypedDict"], shared))
+            for name in names:
+                bases[name].append(f"_{''.join(names)}")
+    every = ((f"{n}Keywords", bases[n] or ["TypedDict"], homes.get((n,), [])) for n in order)
+    return "\n\n".join([*parts, *(_class(*each) for each in every)])
+
+
+def _class(name: str, bases: Sequence[str], lines: Sequence[str]) -> str:
+    head, skip = ", ".join([*bases, "total=False"]), ""
+    if len(head) > 80:
+        head, skip = f"\n{textwrap.indent(textwrap.fill(head, 90), '    ')}\n", "  # fmt: skip"
+    body = f"{skip}\n{''.join(lines)}" if lines else " ...\n"
+    return f"class {name}({head}):{body}"
 
 
 if __name__ == "__main__":
