@@ -17,7 +17,7 @@ from robot_sysid.mjcf.write_back import BodyChange, ModelChange, plan_write_back
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.parser import load_robot_model
-from tests.support import arms, model_files
+from tests.support import arms, model_files, urdf
 from tests.support.places import MODELS
 
 ATTRIBUTES = (
@@ -77,27 +77,20 @@ PUBLIC_SHARE = 0.001
 """A public model takes a second, for its meshes."""
 
 
-def urdf() -> str:
-    """An arm of three links."""
-    parts = (
-        model_files.urdf_link("base"),
-        model_files.urdf_link("upper", model_files.urdf_inertial()),
-        model_files.urdf_link("fore", model_files.urdf_inertial(0.5, "0.1 0.2 0.3")),
-        model_files.urdf_link("hand", model_files.urdf_inertial(0.1) + _MESH),
-        model_files.urdf_joint("base", "upper"),
-        model_files.urdf_joint("upper", "fore"),
-        model_files.urdf_joint("fore", "hand", "fixed"),
-    )
-    return model_files.urdf_robot(*parts)
+def urdf_arm() -> str:
+    """An arm of three links, the last one on a fixed joint."""
+    heavy, light = urdf.inertial(0.5, "0.1 0.2 0.3"), urdf.inertial(0.1)
+    links = {"upper": urdf.inertial(), "fore": heavy, "hand": light + _MESH}
+    return urdf.robot(urdf.serial(links, fixed=("hand",)))
 
 
 _PART = b'<mujoco><worldbody><body name="part"><geom size=".1"/></body></worldbody></mujoco>'
-_MESH = model_files.urdf_mesh("visual", "shape.obj")
+_MESH = urdf.mesh("visual", "shape.obj")
 
 
 @functools.cache
 def _roots() -> tuple[Any, ...]:
-    texts = [*arms.MODELS.values(), model_files.ARM, *[urdf()] * 8]
+    texts = [*arms.MODELS.values(), model_files.ARM, *[urdf_arm()] * 8]
     small = [masked_comments(text.encode()) for text in texts if len(text) < 3000]
     return tuple(etree.fromstring(text) for text in small)
 

@@ -28,31 +28,12 @@ from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta, subtree_bodies
 from robot_sysid.results.verification import reads_fullinertia_exactly, verify_written_model
-from tests.support.model_files import (
-    ARM,
-    INERTIAL,
-    TETRAHEDRON,
-    random_theta,
-    urdf_inertial,
-    urdf_joint,
-    urdf_link,
-    urdf_mesh,
-    urdf_robot,
-    write_files,
-)
+from tests.support import urdf
+from tests.support.model_files import ARM, INERTIAL, TETRAHEDRON, random_theta, write_files
 from tests.support.places import SHARED
 from tests.support.releases import since
 
 THETA = random_theta(np.random.default_rng(1), 2.0)
-URDF = urdf_robot(
-    urdf_link("base"),
-    urdf_link("l1", urdf_inertial()),
-    urdf_link("l2", "\n" + urdf_inertial(2.0, "0.1 0.2 0.3") + urdf_mesh("visual", "a.dae")),
-    urdf_link("tool", urdf_inertial(0.2)),
-    urdf_joint("base", "l1"),
-    urdf_joint("l1", "l2"),
-    urdf_joint("l2", "tool", "fixed"),
-)
 
 
 def exported(source, label, composite, target, mesh_dir=None, original=None):
@@ -168,7 +149,8 @@ def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
 
 
 def test_a_link_that_weighs_nothing_does_not_keep_the_written_urdf_from_loading(tmp_path):
-    light = URDF.replace(urdf_inertial(), "", 1)
+    links = {"l1": "", "l2": urdf.inertial(2.0) + urdf.mesh("visual", "a.dae")}
+    light = urdf.robot(urdf.serial(links))
     source, target = write_files(tmp_path, {"m.urdf": light}), tmp_path / "out" / "u.urdf"
     with pytest.raises(ValueError, match="mjMINVAL"):
         mujoco.MjModel.from_xml_path(str(source))
@@ -236,9 +218,8 @@ def test_the_option_that_counts_is_changed(tmp_path, options, expected):
     ],
 )
 def test_a_urdf_states_it_in_the_part_that_mujoco_reads(tmp_path, part):
-    mesh = urdf_mesh("visual", "meshes/none.stl")
-    links = urdf_link("base"), urdf_link("l1", urdf_inertial() + mesh), urdf_joint("base", "l1")
-    source = write_files(tmp_path / "in", {"m.urdf": urdf_robot(part, *links)})
+    links = urdf.serial({"l1": urdf.inertial() + urdf.mesh("visual", "meshes/none.stl")})
+    source = write_files(tmp_path / "in", {"m.urdf": urdf.robot(part, links)})
     text = changed_model_text(source, CHANGE, tmp_path)
     written = tmp_path / "m.urdf"
     written.write_bytes(text)

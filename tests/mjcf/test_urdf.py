@@ -9,36 +9,30 @@ from robot_sysid.mjcf.assets import find_assets, relocated_text
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.urdf import compilable_urdf
-from tests.support.model_files import (
-    urdf_inertial,
-    urdf_joint,
-    urdf_link,
-    urdf_mesh,
-    urdf_robot,
-    write_files,
-)
+from tests.support import urdf
+from tests.support.model_files import write_files
 
 
 def arm(tmp_path, content, *more):
-    parts = (urdf_link("base"), urdf_link("l1", content), urdf_joint("base", "l1"), *more)
-    return read_document(write_files(tmp_path, {"m.urdf": urdf_robot(*parts)}))
+    text = urdf.robot(urdf.serial({"l1": content}), *more)
+    return read_document(write_files(tmp_path, {"m.urdf": text}))
 
 
 def test_a_missing_collision_mesh_is_left_out_where_the_link_has_an_inertial(tmp_path):
-    text, notes = compilable_urdf(arm(tmp_path, urdf_inertial() + urdf_mesh("collision", "x.stl")))
+    text, notes = compilable_urdf(arm(tmp_path, urdf.inertial() + urdf.mesh("collision", "x.stl")))
     assert b"<collision>" not in text
     assert len(notes) == 1 and "x.stl" in notes[0]
 
 
 @pytest.mark.parametrize("setting", ["", '<mujoco><compiler inertiafromgeom="true"/></mujoco>'])
 def test_a_mesh_that_makes_the_inertia_must_be_there(tmp_path, setting):
-    content = urdf_mesh("collision", "x.stl") + (urdf_inertial() if setting else "")
+    content = urdf.mesh("collision", "x.stl") + (urdf.inertial() if setting else "")
     with pytest.raises(ModelError, match=r"collision mesh x.stl of link 'l1' is not found"):
         compilable_urdf(arm(tmp_path, content, setting))
 
 
 def test_what_is_only_drawn_is_left_out_in_silence(tmp_path):
-    text, notes = compilable_urdf(arm(tmp_path, urdf_inertial() + urdf_mesh("visual", "x.dae")))
+    text, notes = compilable_urdf(arm(tmp_path, urdf.inertial() + urdf.mesh("visual", "x.dae")))
     assert b"<visual>" not in text and notes == ()
 
 
@@ -46,9 +40,9 @@ def test_what_is_only_drawn_is_left_out_in_silence(tmp_path):
     ("content", "given"),
     [
         ("", True),
-        (urdf_inertial(mass=0.0, inertia="0 0 0"), True),
-        (urdf_inertial(mass=2.0, inertia="0 0 0"), True),
-        (urdf_inertial(), False),
+        (urdf.inertial(mass=0.0, inertia="0 0 0"), True),
+        (urdf.inertial(mass=2.0, inertia="0 0 0"), True),
+        (urdf.inertial(), False),
     ],
 )
 def test_the_minimum_goes_to_moving_links_without_inertia(tmp_path, content, given):
@@ -60,17 +54,17 @@ def test_the_minimum_goes_to_moving_links_without_inertia(tmp_path, content, giv
 
 
 def test_a_link_whose_mass_is_welded_to_it_needs_no_minimum(tmp_path):
-    more = (urdf_link("tool", urdf_inertial()), urdf_joint("l1", "tool", "fixed"))
+    more = (urdf.link("tool", urdf.inertial()), urdf.joint("l1", "tool", "fixed"))
     assert compilable_urdf(arm(tmp_path, "", *more), with_minimum=True)[1] == ()
 
 
 def document(tmp_path, *parts, name="robots/arm.urdf"):
-    return read_document(write_files(tmp_path, {name: urdf_robot(*parts, urdf_link("base"))}))
+    return read_document(write_files(tmp_path, {name: urdf.robot(*parts, urdf.link("base"))}))
 
 
 def mesh_found(tmp_path, name, mesh_dir=None):
     """The file that a mesh of this name is."""
-    (mesh,) = find_assets(document(tmp_path, urdf_link("l1", urdf_mesh("visual", name))), mesh_dir)
+    (mesh,) = find_assets(document(tmp_path, urdf.link("l1", urdf.mesh("visual", name))), mesh_dir)
     return mesh.path
 
 
@@ -100,15 +94,15 @@ def test_the_users_mesh_folder_comes_first(tmp_path, place):
 
 def test_what_is_missing_or_unreadable_is_not_usable(tmp_path):
     write_files(tmp_path, {"robots/a.dae": "", "robots/b.STL": ""})
-    shapes = [urdf_mesh("visual", name) for name in ("a.dae", "b.STL", "c.stl", "")]
-    text, _ = compilable_urdf(document(tmp_path, urdf_link("l", "".join(shapes))))
+    shapes = [urdf.mesh("visual", name) for name in ("a.dae", "b.STL", "c.stl", "")]
+    text, _ = compilable_urdf(document(tmp_path, urdf.link("l", "".join(shapes))))
     assert text.count(b"<visual>") == 1 and str(tmp_path / "robots/b.STL").encode() in text
 
 
 def test_names_are_rewritten_where_the_file_exists_and_kept_elsewhere(tmp_path):
     write_files(tmp_path, {"pack/a.stl": ""})
-    shapes = urdf_mesh("visual", "package://pack/a.stl") + urdf_mesh("visual", "gone.dae")
-    text = relocated_text(Edits(document(tmp_path, urdf_link("l", shapes))), tmp_path / "out")
+    shapes = urdf.mesh("visual", "package://pack/a.stl") + urdf.mesh("visual", "gone.dae")
+    text = relocated_text(Edits(document(tmp_path, urdf.link("l", shapes))), tmp_path / "out")
     assert b'filename="../pack/a.stl"' in text and b'filename="gone.dae"' in text
     assert b'<mujoco><compiler strippath="false"/></mujoco>' in text
 
@@ -116,6 +110,6 @@ def test_names_are_rewritten_where_the_file_exists_and_kept_elsewhere(tmp_path):
 def test_a_mesh_folder_of_the_file_goes_when_the_names_say_it_all(tmp_path):
     write_files(tmp_path, {"robots/m/a.stl": ""})
     setting = '<mujoco><compiler meshdir="m" strippath="true"/></mujoco>'
-    link = urdf_link("l", urdf_mesh("collision", "a.stl"))
+    link = urdf.link("l", urdf.mesh("collision", "a.stl"))
     text = relocated_text(Edits(document(tmp_path, setting, link)), tmp_path / "out")
     assert b'<compiler strippath="false"/>' in text and b'"../robots/m/a.stl"' in text

@@ -18,22 +18,13 @@ from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.model.compilation import compile_model, meshes_not_kept, restore_exact_inertias
 from robot_sysid.model.inertia import body_theta, inertia_about_com, subtree_bodies
-from tests.support.model_files import (
-    ARM,
-    INERTIAL,
-    TETRAHEDRON,
-    random_theta,
-    urdf_inertial,
-    urdf_joint,
-    urdf_link,
-    urdf_robot,
-    write_files,
-)
+from tests.support import urdf
+from tests.support.model_files import ARM, INERTIAL, TETRAHEDRON, random_theta, write_files
 
 BODY = "<body name='b'><joint/>{}</body>"
 MESH_MODEL = """<mujoco><compiler meshdir="d"/><asset><mesh name="m" file="m.obj"/></asset>
 <worldbody><body><joint/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
-TWO_LINKS = (urdf_link("base"), urdf_link("l1", urdf_inertial()), urdf_joint("base", "l1"))
+URDF = urdf.robot(urdf.serial({"l1": urdf.inertial()}))
 
 
 def world(content: str) -> str:
@@ -56,17 +47,14 @@ def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
         (world("\n<body foo='1'/>"), "unrecognized attribute: 'foo' .*line 2"),
         (world(f"<body pos='0 nan 0'>{INERTIAL}</body>"), "not a number .body_pos"),
         (MESH_MODEL, r"mesh file m.obj not found \(looked in .*d\); pass --mesh-dir"),
-        (urdf_robot(urdf_link("a"), urdf_joint("a", "gone")), "joint parent or child missing"),
+        (urdf.robot(urdf.link("a"), urdf.joint("a", "gone")), "joint parent or child missing"),
         (
-            urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="0.5"'),
+            URDF.replace('ixx="0.01"', 'ixx="0.5"'),
             r"A \+ B >= C.*no body has such moments.*in a URDF, a <mujoco> in its <robot>",
         ),
+        (URDF.replace('ixx="0.01"', 'ixx="much"'), "a number cannot be read: .*much"),
         (
-            urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="much"'),
-            "a number cannot be read: .*much",
-        ),
-        (
-            urdf_robot(*TWO_LINKS).replace('rpy="0 0 0"', 'rpy="0 0 inf"'),
+            URDF.replace('rpy="0 0 0"', 'rpy="0 0 inf"'),
             "a number cannot be read: the inertial of link l1 is none that an arm has",
         ),
     ],
@@ -97,8 +85,8 @@ def test_the_mesh_folder_can_be_given(tmp_path):
 
 
 def test_a_urdf_inertia_is_exact_whatever_its_axes(tmp_path):
-    link = urdf_link("l1", urdf_inertial(1.0, "0.3 -0.7 1.1", "2e-6 3e-6 4.5e-6"))
-    text = urdf_robot(urdf_link("base"), link, urdf_joint("base", "l1"))
+    inertial = urdf.inertial(1.0, "0.3 -0.7 1.1", "2e-6 3e-6 4.5e-6")
+    text = urdf.robot(urdf.serial({"l1": inertial}))
     mj_model = compile_model(write_files(tmp_path, {"m.urdf": text})).mj_model
     turn = Rotation.from_euler("ZYX", [1.1, -0.7, 0.3]).as_matrix()
     expected = turn @ np.diag([2e-6, 3e-6, 4.5e-6]) @ turn.T

@@ -11,8 +11,8 @@ from robot_sysid.errors import ExportError
 from robot_sysid.results import verification
 from robot_sysid.results.model import write_bundle
 from robot_sysid.results.verification import require_same_model
+from tests.support import urdf
 from tests.support.command_line import files_in
-from tests.support.model_files import urdf_inertial, urdf_joint, urdf_link, urdf_mesh, urdf_robot
 from tests.support.places import EXAMPLE, GUESS
 
 STL = EXAMPLE / "model" / "meshes" / "gripper.stl"
@@ -78,10 +78,8 @@ def write(path, text):
     return path
 
 
-MESH = urdf_mesh("collision", "package://thing/meshes/part.stl")
-URDF = urdf_robot(
-    urdf_link("base"), urdf_link("arm", urdf_inertial() + MESH), urdf_joint("base", "arm")
-)
+MESH = urdf.mesh("collision", "package://thing/meshes/part.stl")
+URDF = urdf.robot(urdf.serial({"arm": urdf.inertial() + MESH}))
 
 
 def test_a_urdf_takes_its_meshes_along(tmp_path):

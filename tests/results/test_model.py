@@ -24,16 +24,8 @@ from robot_sysid.records.atomic_files import whole_files
 from robot_sysid.results import model as model_module
 from robot_sysid.results import record
 from robot_sysid.results.model import ModelTarget, most_inflated, write_model
-from tests.support import arms
-from tests.support.model_files import (
-    ARM,
-    random_theta,
-    urdf_inertial,
-    urdf_joint,
-    urdf_link,
-    urdf_robot,
-    write_files,
-)
+from tests.support import arms, urdf
+from tests.support.model_files import ARM, random_theta, write_files
 from tests.support.releases import since
 
 MJCF = ARM.replace(
@@ -41,17 +33,9 @@ MJCF = ARM.replace(
     '<body name="tool" pos="0 0 0.1" euler="10 20 30"><site name="flange" pos="0 0.02 0.05" '
     'quat="1 0.2 0.3 -0.4"/>',
 )
-URDF = urdf_robot(
-    urdf_link("base"),
-    urdf_link("l1", urdf_inertial()),
-    urdf_link("l2", "\n" + urdf_inertial(2.0, "0.1 0.2 0.3")),
-    urdf_link("tool", urdf_inertial(0.2)),
-    urdf_link("flange"),
-    urdf_joint("base", "l1"),
-    urdf_joint("l1", "l2"),
-    urdf_joint("l2", "tool", "fixed"),
-    urdf_joint("tool", "flange", "fixed"),
-)
+HEAVY, LIGHT = urdf.inertial(2.0, "0.1 0.2 0.3"), urdf.inertial(0.2)
+LINKS = {"l1": urdf.inertial(), "l2": f"\n{HEAVY}", "tool": LIGHT, "flange": ""}
+URDF = urdf.robot(urdf.serial(LINKS, fixed=("tool", "flange")))
 JOINTS = {"xml": "j2", "urdf": "l1_l2"}
 SUFFIXES = pytest.mark.parametrize("suffix", list(JOINTS))
 TERMS = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}

@@ -25,17 +25,11 @@ from robot_sysid.servo.run import (
 )
 from robot_sysid.servo.search import ServoFit, smoothed
 from robot_sysid.simulation.servos import Servos, model_servos
-from tests.support import schemas
-from tests.support.model_files import urdf_inertial, urdf_joint, urdf_link, urdf_robot, write_files
+from tests.support import schemas, urdf
+from tests.support.model_files import write_files
 from tests.support.servo_logs import XML
 
-URDF = urdf_robot(
-    urdf_link("base"),
-    urdf_link("l1", urdf_inertial()),
-    urdf_link("l2", urdf_inertial()),
-    urdf_joint("base", "l1"),
-    urdf_joint("l1", "l2"),
-)
+URDF = urdf.robot(urdf.serial(dict.fromkeys(("l1", "l2"), urdf.inertial())))
 GAIN = 50.0
 
 

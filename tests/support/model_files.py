@@ -42,34 +42,6 @@ ARM = f"""<mujoco model="two links">
 """
 
 
-def urdf_link(name: str, content: str = "") -> str:
-    return f'<link name="{name}">{content}</link>'
-
-
-def urdf_inertial(mass: float = 1.0, rpy: str = "0 0 0", inertia: str = "0.01 0.02 0.025") -> str:
-    x, y, z = inertia.split()
-    return (
-        f'<inertial><origin xyz="0.1 0 0" rpy="{rpy}"/><mass value="{mass}"/>'
-        f'<inertia ixx="{x}" iyy="{y}" izz="{z}" ixy="0" ixz="0" iyz="0"/></inertial>'
-    )
-
-
-def urdf_joint(parent: str, child: str, kind: str = "revolute") -> str:
-    return (
-        f'<joint name="{parent}_{child}" type="{kind}"><parent link="{parent}"/>'
-        f'<child link="{child}"/><axis xyz="0 0 1"/><origin xyz="0 0 0.2" rpy="0.1 0 0"/>'
-        '<limit lower="-1" upper="1" effort="10" velocity="1"/></joint>'
-    )
-
-
-def urdf_mesh(shape: str, name: str) -> str:
-    return f'<{shape}><geometry><mesh filename="{name}"/></geometry></{shape}>'
-
-
-def urdf_robot(*parts: str) -> str:
-    return '<robot name="r">\n' + "\n".join(parts) + "\n</robot>\n"
-
-
 def write_files(folder: Path, files: dict[str, str]) -> Path:
     """Write files given by relative name; return the first one's path."""
     for name, content in files.items():

@@ -1,0 +1,41 @@
+"""Small URDF files for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+
+def link(name: str, content: str = "") -> str:
+    return f'<link name="{name}">{content}</link>'
+
+
+def inertial(mass: float = 1.0, rpy: str = "0 0 0", inertia: str = "0.01 0.02 0.025") -> str:
+    x, y, z = inertia.split()
+    return (
+        f'<inertial><origin xyz="0.1 0 0" rpy="{rpy}"/><mass value="{mass}"/>'
+        f'<inertia ixx="{x}" iyy="{y}" izz="{z}" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def joint(parent: str, child: str, kind: str = "revolute") -> str:
+    return (
+        f'<joint name="{parent}_{child}" type="{kind}"><parent link="{parent}"/>'
+        f'<child link="{child}"/><axis xyz="0 0 1"/><origin xyz="0 0 0.2" rpy="0.1 0 0"/>'
+        '<limit lower="-1" upper="1" effort="10" velocity="1"/></joint>'
+    )
+
+
+def mesh(shape: str, name: str) -> str:
+    return f'<{shape}><geometry><mesh filename="{name}"/></geometry></{shape}>'
+
+
+def robot(*parts: str) -> str:
+    return '<robot name="r">\n' + "\n".join(parts) + "\n</robot>\n"
+
+
+def serial(links: Mapping[str, str], fixed: Collection[str] = ()) -> str:
+    """A base and links of this content, each on the one before it; some of them do not move."""
+    names = ["base", *links]
+    kinds = ["fixed" if name in fixed else "revolute" for name in links]
+    joints = map(joint, names, names[1:], kinds)
+    return "\n".join([link("base"), *map(link, links, links.values()), *joints])
