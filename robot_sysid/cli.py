@@ -30,19 +30,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     _without_what_only_costs_time()
     if "_ARGCOMPLETE" in os.environ:
         importlib.import_module("robot_sysid.commands.completion").complete()
-    name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else "run"
+    name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else ""
     with _remembered_interrupts(ends=argv is None) as interrupts:
         interrupted = "interrupted"
         try:
             if arguments == ["--version"]:  # which takes no options
                 print_line(f"{PROGRAM} {__version__}", sys.stdout)
                 return 0
-            if name == "run" and arguments and not arguments[0].startswith("-"):
+            if not name and arguments and not arguments[0].startswith("-"):
                 _refuse_misspelt(arguments[0])
-            module = "identify" if name == "arm" else name
+            module = COMMANDS.get(name, "run")
             command = importlib.import_module(f"robot_sysid.commands.{module}")
             interrupted = getattr(command, "INTERRUPTED", UNFINISHED)
-            return int(command.main(arguments, *((True,) if name == "arm" else ())))
+            return int(command.main(arguments, *((name,) if module == "run" else ())))
         except SysidError as error:
             return _report(f"{error}{_drafted(error)}", error.exit_code, debug)
         except MemoryError:

@@ -14,18 +14,23 @@ from importlib import import_module
 
 import pytest
 
-from robot_sysid.commands import example, identify, log, motors, payload, plan, report, run
+from robot_sysid.commands import COMMANDS as NAMES
+from robot_sysid.commands import example, log, motors, report, run
 from robot_sysid.config import Config
 from robot_sysid.records.options import OptionRecord
 from tests.test_architecture import FUNCTIONS, nodes_of, package_sources
 
 Place = tuple[str, str]
 """A module and a name in it."""
-MODULES = {
-    **{"run": run, "plan": plan, "identify": identify, "payload": payload},
-    **{"log": log, "report": report, "example": example},
-}
-COMMANDS = (*MODULES, *(f"motors {name}" for name in motors.COMMANDS))
+MODULES = {"log": log, "report": report, "example": example}
+COMMANDS = (
+    "run",
+    "plan",
+    "identify",
+    "payload",
+    *MODULES,
+    *(f"motors {name}" for name in motors.COMMANDS),
+)
 WHOSE = re.compile(rf"({'|'.join(COMMANDS)})( [^\s;:,()]*[^\s;:,().])*? $")
 """A command's name before an option, within a sentence."""
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
@@ -51,13 +56,23 @@ USUAL = places("records.sampling", "require_countable")  # the motion that nobod
 SECOND = places("damiao.settings", "SecondArm")  # one arm at a time
 LIFTED = places("motion.problem", "_above_base")  # what was planned below the base may be played
 EXPORT = places("damiao.protocol.joints", "damiao_joints")
+QUESTIONS = set(places("commands.run", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
+SHOWN = places("commands.preview", "require_preview", "show_plan")
+
+
+def others(name: str, *shown: Place) -> tuple[Place, ...]:
+    """Return what stands beside a question in its module and is not of it."""
+    return (*(QUESTIONS - set(places("commands.run", name))), *shown)
+
+
 NEVER = {
-    "run": places("payload_pipeline", "weighed") + places("motion.static", "design_poses"),
+    "run": places("payload_pipeline", "weighed")
+    + (*places("motion.static", "design_poses"), *others("ALONE", *SHOWN)),
     "plan": (*ONLY["identify"], *CHOSEN, *places("pipeline", "analysed", "written"))
-    + places("outcome", "Outcome"),
+    + (*places("outcome", "Outcome"), *others("PLAN")),
     "identify": places("pipeline", "analysed", "designed", "motor_writer")
-    + (*OF_PLANS, *USUAL, *EXPORT),
-    "payload": places("pipeline", "_of_itself")
+    + (*OF_PLANS, *USUAL, *EXPORT, *others("IDENTIFY", *SHOWN)),
+    "payload": (*places("pipeline", "_of_itself"), *others("PAYLOAD", *SHOWN))
     + (*OF_PLANS, *EXPORT, *places("results.record", "Verdict.PARTLY_FROM_MODEL")),
     "log": CHOSEN + USUAL + LIFTED,
     # A page names the joint that the run found.
@@ -81,7 +96,9 @@ NEVER = {
 @cache
 def parser_of(command: str):
     word, _, name = command.partition(" ")
-    return motors.build_parser(name) if name else MODULES[word].build_parser()
+    if word in MODULES:
+        return MODULES[word].build_parser()
+    return motors.build_parser(name) if name else run.build_parser(word.replace("run", ""))
 
 
 @cache
@@ -180,7 +197,7 @@ def reached(command: str) -> frozenset[Place]:
     if name:
         waiting = [(motors.COMMANDS[name].run.__module__, motors.COMMANDS[name].run.__name__)]
     else:
-        start = f"robot_sysid.commands.{word}"
+        start = f"robot_sysid.commands.{NAMES.get(word, 'run')}"
         waiting = [*((start, each) for each in definitions(start)), *ONLY.get(word, ())]
         waiting = [each for each in waiting if each not in NEVER.get(word, ())]
     found = set(waiting)

@@ -1,6 +1,8 @@
-"""One file per subcommand, and the console that all of them print on."""
+"""The subcommands, and the console that all of them print on."""
 
 PROGRAM = "robot-sysid"
-COMMANDS = ("plan", "identify", "arm", "payload", "log", "report", "motors", "example")
-"""Subcommands, each a module of its name (but ``arm``, an older name of ``identify --links``); any
-other first word is a model file."""
+COMMANDS = {
+    **dict.fromkeys(("plan", "identify", "arm", "payload"), "run"),
+    **{name: name for name in ("log", "report", "motors", "example")},
+}
+"""Subcommand to its module; any other first word is a model file."""

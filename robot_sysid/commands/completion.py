@@ -41,10 +41,11 @@ def _parser(done: Sequence[str]) -> tuple[argparse.ArgumentParser, int, Sequence
     if name not in COMMANDS:
         from robot_sysid.commands import run
 
-        return run.build_parser(), 1, () if done else COMMANDS
+        return run.build_parser(), 1, () if done else tuple(COMMANDS)
     if name != "motors":
-        module = "identify" if name == "arm" else name
-        return importlib.import_module(f"robot_sysid.commands.{module}").build_parser(), 2, ()
+        module = importlib.import_module(f"robot_sysid.commands.{COMMANDS[name]}")
+        asked = ("identify" if name == "arm" else name,) if COMMANDS[name] == "run" else ()
+        return module.build_parser(*asked), 2, ()
     from robot_sysid.commands import motors
 
     if len(done) > 1 and done[1] in motors.COMMANDS:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.commands.plan import PreviewOptions, require_preview, show_preview
+from robot_sysid.commands.preview import PreviewOptions, require_preview, show_preview
 from robot_sysid.errors import InputError
 from robot_sysid.logs.options import CHECKS, LogOptions
 from robot_sysid.model.options import ModelOptions

@@ -1,97 +1,201 @@
-"""``robot-sysid MODEL``: identify the terminal link of one arm; what commands that run share."""
+"""Commands that identify and plan: their parsers, and what all of them do with an outcome."""
 
 from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.config_file import text_of
 from robot_sysid.commands.console import Console
+from robot_sysid.commands.preview import PreviewOptions, require_preview, show_plan
 from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import (
+    NOT_OF_A_PAYLOAD,
     PLANNED,
+    PREDICTED,
     Config,
     MotorOptions,
     OutputOptions,
     PayloadConfig,
+    PayloadOptions,
     SysidConfig,
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.model.options import ModelOptions
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import atomic_files
+from robot_sysid.records.options import keys_of, record_from
 from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.simulation.options import SimulatedArmOptions
 
-MAIN = (
-    *("mesh_dir", "duration", "sample_rate", "no_friction", "output_dir", "export_damiao"),
-    *("motor_type", "seed", "joint", "torques", "measurements", "verbose", "quiet"),
-)
-EXCITATION = ("excitation", "excitation_time_budget")
+
+class Question(NamedTuple):
+    """What a command asks, an example, what its help says, and its options: the main ones, all.
+
+    Of some groups ``only`` some keys are options, and none in any of those ``left_out``; ``usual``
+    are, by key, defaults that it has in place of the records'.
+    """
+
+    config: Any
+    example: str
+    description: str
+    main: Collection[str]
+    groups: Mapping[str, Sequence[Any]]
+    only: Mapping[str, Collection[str]] = {}
+    left_out: Collection[str] = ()
+    usual: Mapping[str, Any] = {}
+    epilog: str = ""
+
+
+_EXCITATION = ("excitation", "excitation_time_budget")
 """Keys of the excitation's options where a motion is made on the way; ``plan`` has all."""
-GROUPS: Mapping[str, tuple[Any, ...]] = {
-    "model and output": (ModelOptions, OutputOptions),
-    "trajectory": (TrajectoryOptions,),
-    "excitation": (ExcitationOptions,),
-    "limits": (LimitOptions,),
-    "measurements": (LogOptions,),
-    "simulated plant": (SimulatedArmOptions,),
-    "estimation": (EstimationOptions,),
-    "Damiao motors": (MotorOptions,),
-}
+ALONE = Question(
+    SysidConfig.of,
+    "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml",
+    "Identify mass, centre of mass, inertia and friction of a robot arm's terminal "
+    "link, and write a corrected model.",
+    (
+        *("mesh_dir", "duration", "sample_rate", "no_friction", "output_dir", "export_damiao"),
+        *("motor_type", "seed", "joint", "torques", "measurements", "verbose", "quiet"),
+    ),
+    {
+        "model and output": (ModelOptions, OutputOptions),
+        "trajectory": (TrajectoryOptions,),
+        "excitation": (ExcitationOptions,),
+        "limits": (LimitOptions,),
+        "measurements": (LogOptions,),
+        "simulated plant": (SimulatedArmOptions,),
+        "estimation": (EstimationOptions,),
+        "Damiao motors": (MotorOptions,),
+    },
+    only={"excitation": _EXCITATION},
+    epilog="Commands: robot-sysid plan, identify, payload, arm, log, report, motors and "
+    "example; each has its own --help. A model file that is called like a command is "
+    "reached as ./plan.",
+)
+PLAN = Question(
+    SysidConfig.of_plan,
+    "robot-sysid plan arm.xml --save-trajectory plan.json",
+    "Design a trajectory that tells most about the terminal link, check it against "
+    "all limits, say what it promises, and write it. --trajectory checks one that was saved.",
+    (
+        *("mesh_dir", "joint", "output_dir", "duration", "seed", "speed", "trajectory"),
+        *("save_trajectory", "excitation", "excitation_time_budget", "max_velocity"),
+        *("max_torque", "workspace", "keep_out", "export_damiao", "motor_type"),
+    ),
+    {
+        "model and output": (ModelOptions, OutputOptions),
+        "trajectory": (TrajectoryOptions,),
+        "excitation": (ExcitationOptions,),
+        "plan for a payload": (PoseOptions,),
+        "limits": (LimitOptions,),
+        "prediction": (EstimationOptions, SimulatedArmOptions),
+        "Damiao motors": (MotorOptions,),
+        "preview": (PreviewOptions,),
+    },
+    only={"prediction": PREDICTED},
+    left_out=("keep", "links", "bundle", "report", "plots"),
+    usual=PLANNED,
+)
+IDENTIFY = Question(
+    SysidConfig.of,
+    "robot-sysid identify arm.xml log.csv",
+    "Identify an arm from one log of it, or from several together: the terminal link, every "
+    "other link with --links, friction and rotor inertia. Write a corrected model.",
+    (
+        *("mesh_dir", "joint", "output_dir", "columns", "units", "torque_scale", "delay"),
+        *("cutoff", "validation_measurements", "friction_model", "links", "coupling"),
+        *("verify_rollout", "keep"),
+    ),
+    {
+        "model and output": (ModelOptions, OutputOptions),
+        "logs": (LogOptions,),
+        "estimation": (EstimationOptions,),
+    },
+    left_out=("measurements",),
+)
+PAYLOAD = Question(
+    PayloadConfig.of,
+    "robot-sysid payload arm.xml --empty a.csv d.csv --loaded b.csv c.csv --order ABBA",
+    "Identify what is bolted to the flange from logs without and with it, and "
+    "write a model that carries it and a card for controllers.",
+    (
+        *("mesh_dir", "joint", "output_dir", "empty", "loaded", "order", "flange", "as_body"),
+        *("known_mass", "save_torque_scale", "static", "empty_model", "loaded_model"),
+        *("columns", "units", "torque_scale", "scale_uncertainty"),
+    ),
+    {
+        "recordings and payload": (PayloadOptions,),
+        "model and output": (ModelOptions, OutputOptions),
+        "logs": (LogOptions,),
+        "estimation": (EstimationOptions,),
+        "trajectory of a simulation": (TrajectoryOptions,),
+        "excitation": (ExcitationOptions,),
+        "limits": (LimitOptions,),
+        "sensors of a simulation": (SimulatedArmOptions,),
+    },
+    only={
+        "estimation": (
+            *("cutoff", "velocity_deadband", "friction_model", "link_uncertainty"),
+            *("scale_uncertainty", "zero_uncertainty", "gravity_uncertainty"),
+            "delay_uncertainty",
+        ),
+        "excitation": _EXCITATION,
+    },
+    left_out=(*NOT_OF_A_PAYLOAD, *("measurements", "validation_measurements", "verify_rollout")),
+)
+QUESTIONS = {"": ALONE, "plan": PLAN, "identify": IDENTIFY, "payload": PAYLOAD}
+"""By the command's name; "" is the program with a model alone."""
 
 
-def build_parser(full: bool = True) -> Parser:
-    """Return the parser; without ``full``, one whose help shows the main options only."""
-    parser = Parser(
-        "",
-        "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml",
-        "Identify mass, centre of mass, inertia and friction of a robot arm's terminal "
-        "link, and write a corrected model.",
-        None if full else MAIN,
-        epilog="Commands: robot-sysid plan, identify, payload, arm, log, report, motors and "
-        "example; each has its own --help. A model file that is called like a command is "
-        "reached as ./plan.",
-    )
-    add_model(parser)
-    for title, records in GROUPS.items():
-        parser.add(title, *records, only=EXCITATION if title == "excitation" else ())
+def build_parser(command: str = "", full: bool = True) -> Parser:
+    """Return the parser of a command; without ``full``, its help shows the main options only."""
+    asked = QUESTIONS[command]
+    main = None if full else asked.main
+    parser = Parser(command, asked.example, asked.description, main, asked.epilog)
+    parser.add_argument("path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file")
+    if command == "identify":
+        logs = "recording of the real arm"
+        parser.add_argument("measurements", metavar="LOG", nargs="+", type=Path, help=logs)
+    for title, records in asked.groups.items():
+        only = asked.only.get(title, ())
+        parser.add(title, *records, only=only, leave_out=asked.left_out, usual=asked.usual)
     parser.add_console()
     return parser
 
 
-def add_model(parser: Parser) -> None:
-    """Add the model file."""
-    parser.add_argument("path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file")
+def main(arguments: Sequence[str], command: str = "") -> int:
+    """Run a command and return its exit code; ``arm`` is an older name of identify --links."""
+    asked = "identify" if command == "arm" else command
+    values, console = parsed(partial(build_parser, asked), arguments)
+    if command == "arm":
+        console.note("arm is identify --links now; both do the same")
+        # Where no torque was measured, links are not sought.
+        values["links"] = "torque_from" not in values
+    preview = record_from(PreviewOptions, values)
+    require_preview(preview)
+    own = {key: value for key, value in values.items() if key not in keys_of(PreviewOptions)}
+    return carry_out(QUESTIONS[asked].config(**own), console, preview)
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the command and return its exit code."""
-    values, console = parsed(build_parser, arguments)
-    return carry_out(SysidConfig.of(**values), console)
+def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
+    """Run what was asked for, show and print what it says, write report and bundle; return 0.
 
-
-def carry_out(
-    config: Config, console: Console, then: Callable[[Any, Console], None] | None = None
-) -> int:
-    """Run what was asked for, print what it says, write report and bundle; return exit code 0.
-
-    Once the outcome is written, ``then`` is called with it. SysidError where it failed, there is
-    nothing to use, or no report.
+    SysidError where it failed, there is nothing to use, or no report.
     """
     require_report(config.output)
     config = replace(config.seeded(), output=replace(config.output, config=console.config))
     with warnings_as_notes(console):
         outcome = _outcome(config, console)
-    if then is not None:
-        then(outcome, console)
+    show_plan(outcome, preview, console)
     console.lines(outcome.report_lines())
     console.result(_answer(outcome))
     if outcome.files:

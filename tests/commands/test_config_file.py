@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import get_type_hints
 
 import pytest
 
-from robot_sysid.commands import identify, payload, plan, run
 from robot_sysid.commands.arguments import parsed
 from robot_sysid.commands.config_file import text_of
+from robot_sysid.commands.run import QUESTIONS, build_parser
 from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.records.options import default_of, options_of
 from tests.support import option_samples
 
-MODULES = {"identify": identify, "payload": payload, "plan": plan, "": run}
+IDENTIFY = partial(build_parser, "identify")
 MODEL = Path("an 'arm'.xml")
 
 
@@ -31,15 +32,15 @@ def written(kind, sample):
     return text_of("robot-sysid", config, Path("run.toml"), {})
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", QUESTIONS)
 def test_every_option_that_is_written_is_read_again(name, tmp_path):
     kind = PayloadConfig if name == "payload" else SysidConfig
-    taken, file = option_samples.keys_of(MODULES[name].build_parser()), tmp_path / "run.toml"
+    taken, file = option_samples.keys_of(build_parser(name)), tmp_path / "run.toml"
     logs = {"measurements": (Path("log.csv"),)} if name == "identify" else {}
     for sample in option_samples.samples(kind):
         if sample.option.key in taken:
             file.write_text(written(kind, sample) + 'measurements = ["log.csv"]\n' * len(logs))
-            values, _ = parsed(MODULES[name].build_parser, ["--config", str(file)])
+            values, _ = parsed(partial(build_parser, name), ["--config", str(file)])
             assert values == {"path": MODEL, **logs, sample.option.key: sample.value}
 
 
@@ -47,7 +48,7 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text('path = "arm.xml"\ncutoff = 8\nkeep = ["friction"]\nverbose = true\n')
     words = ["other.xml", "b.csv", f"--config={file}", "--cutoff", "9", "--keep", "links"]
-    values, console = parsed(identify.build_parser, words)
+    values, console = parsed(IDENTIFY, words)
     assert values == {
         **{"path": Path("other.xml"), "measurements": (Path("b.csv"),)},
         **{"cutoff": 9.0, "keep": ("links",)},
@@ -73,5 +74,5 @@ def test_what_is_wrong_with_it_is_said_in_one_line(tmp_path, text, said):
     if text is not None:
         file.write_text(text)
     with pytest.raises(InputError) as error:
-        parsed(identify.build_parser, ["--config", str(file)])
+        parsed(IDENTIFY, ["--config", str(file)])
     assert said in str(error.value)

@@ -4,31 +4,33 @@ from __future__ import annotations
 
 import argparse
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from robot_sysid import __version__
 from robot_sysid.cli import main
-from robot_sysid.commands import identify, log, payload, plan, run
+from robot_sysid.commands import log, run
 from robot_sysid.commands.arguments import PYTHON_ONLY, parsed
 from robot_sysid.config import PayloadConfig, SysidConfig
 from tests.support import option_samples
 
-MODULES = {"": run, "plan": plan, "identify": identify, "payload": payload, "log": log}
+PARSERS = {**{name: partial(run.build_parser, name) for name in run.QUESTIONS}}
+PARSERS["log"] = log.build_parser
 POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", PARSERS)
 def test_every_option_arrives_as_the_value_that_was_typed(name):
-    module, words = MODULES[name], POSITIONAL.get(name, ["arm.xml"])
+    parser, words = PARSERS[name], POSITIONAL.get(name, ["arm.xml"])
     kind = PayloadConfig if name == "payload" else SysidConfig
     samples = [*option_samples.samples(kind)]
-    taken = option_samples.keys_of(module.build_parser())
+    taken = option_samples.keys_of(parser())
     known = {sample.option.key for sample in samples}
     assert taken - {"view", "video"} <= known - set(PYTHON_ONLY)
     for sample in (sample for sample in samples if sample.option.key in taken):
-        values, _ = parsed(module.build_parser, [*words, *sample.words])
+        values, _ = parsed(parser, [*words, *sample.words])
         assert values[sample.option.key] == sample.value
         assert set(values) <= {"path", "measurements", "log", sample.option.key}
 
@@ -37,9 +39,7 @@ def test_every_option_arrives_as_the_value_that_was_typed(name):
 def asked(monkeypatch):
     """Function: the configuration that a command line asks for, without running it."""
     seen = []
-    for module in (run, plan, identify):
-        take = lambda config, *_: seen.append(config) or 0  # noqa: E731
-        monkeypatch.setattr(module, "carry_out", take)
+    monkeypatch.setattr(run, "carry_out", lambda config, *_: seen.append(config) or 0)
 
     def ask(*arguments):
         assert main([*arguments]) == 0
@@ -74,18 +74,19 @@ def help_lines(arguments, capsys):
     return capsys.readouterr().out.splitlines()
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", PARSERS)
 def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(name, capsys):
     lines = help_lines([*name.split(), "--help"], capsys)
     assert lines[0].startswith(f"example: robot-sysid {name}".rstrip())
     full = help_lines([*name.split(), "--help-all"], capsys)
     assert max(map(len, (*lines, *full))) <= 100
     assert name == "log" or len(lines) <= 50
-    for action in MODULES[name].build_parser()._actions:
+    for action in PARSERS[name]()._actions:
         assert action.help and not action.help.startswith("==")
         assert all(re.search(rf"{flag}\b", "\n".join(full)) for flag in action.option_strings)
-    shown = [a for a in MODULES[name].build_parser(False)._actions if a.help != argparse.SUPPRESS]
-    assert set(getattr(MODULES[name], "MAIN", ())) <= {action.dest for action in shown}
+    shown = [a for a in PARSERS[name](full=False)._actions if a.help != argparse.SUPPRESS]
+    main_options = run.QUESTIONS[name].main if name in run.QUESTIONS else ()
+    assert set(main_options) <= {action.dest for action in shown}
 
 
 def test_the_version_is_printed(capsys):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 
 import pytest
 
-from robot_sysid.commands import plan
 from robot_sysid.commands.arguments import parsed
 from robot_sysid.commands.console import Console
+from robot_sysid.commands.run import build_parser
 from robot_sysid.config import SysidConfig
 from robot_sysid.motion.trajectories import LineTrajectory, load_trajectory
 from robot_sysid.trajectory import SineTrajectory
@@ -34,7 +35,9 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(command, arm_file):
     assert isinstance(saved.plan, SineTrajectory)
     assert saved.joint_names == ("joint0", "joint1", "joint2")
     file = path.parent / "sysid_output" / "trajectory.toml"
-    repeated = SysidConfig.of_plan(**parsed(plan.build_parser, ["--config", str(file)])[0])
+    repeated = SysidConfig.of_plan(
+        **parsed(partial(build_parser, "plan"), ["--config", str(file)])[0]
+    )
     assert repeated.excitation.kind == "sines"
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.commands.plan import film_path
+from robot_sysid.commands.preview import film_path
 from robot_sysid.errors import InputError
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from robot_sysid.commands import motors, run
 from robot_sysid.commands.arguments import PYTHON_ONLY, default_text
 from robot_sysid.commands.console import ConsoleOptions
-from robot_sysid.commands.plan import PreviewOptions
+from robot_sysid.commands.preview import PreviewOptions
 from robot_sysid.config import PayloadOptions
 from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.preflight import Permissions
@@ -25,9 +25,10 @@ from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
+GROUPS, MAIN = run.QUESTIONS[""].groups, run.QUESTIONS[""].main
 TABLES: Mapping[str, Sequence[type]] = {
-    **run.GROUPS,
-    "main": (*(record for records in run.GROUPS.values() for record in records), ConsoleOptions),
+    **GROUPS,
+    "main": (*(record for records in GROUPS.values() for record in records), ConsoleOptions),
     "plan for a payload": (PoseOptions,),
     "preview": (PreviewOptions,),
     "console": (ConsoleOptions,),
@@ -54,7 +55,7 @@ def table(name: str) -> str:
     rows = ["| Option | Default | Meaning |", "| --- | --- | --- |"]
     for record in TABLES[name]:
         for field, option in options_of(record).items():
-            if option.key in PYTHON_ONLY or (name == "main" and option.key not in run.MAIN):
+            if option.key in PYTHON_ONLY or (name == "main" and option.key not in MAIN):
                 continue
             cells = (_typed(option, default_of(record, field)), _default(option, record, field))
             rows.append(f"| {' | '.join((*cells, _meaning(option)))} |".replace("|  |", "| |"))
