@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_sysid.api.keywords import Model, path_of, with_keywords
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.execution import MotorRun, lasting, run
+from robot_sysid.damiao.execution import MotorRun, lasting
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import Plan, require_no_stop
@@ -104,9 +104,7 @@ def _asked(say: Say, **values: Any) -> MotorRun:
 def _played(asked: MotorRun, link: GuardedLink, plan: Plan, say: Say, real: bool) -> PlayReport:
     stop, inspection = StopRequest(), inspect_bus(link)
     require_no_stop(asked.met_checks(plan, inspection, real), "not played")
-    with stop.on_signals():
-        by_model = asked.by_model(plan, inspection)
-        return run(link, plan, inspection, stop, say, lambda time: None, *by_model)
+    return asked.play(link, plan, inspection, stop, say, lambda time: None)
 
 
 @contextlib.contextmanager

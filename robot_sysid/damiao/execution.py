@@ -203,11 +203,19 @@ class MotorRun:
                     checks += way_check(words, *self._order(begin, end))
         return [*checks, *(preflight.direction_checks(plan, self.holding(plan)) if real else ())]
 
-    def by_model(
-        self, plan: Plan, inspection: asked.Inspection
-    ) -> tuple[HoldingCheck | None, tuple[str, ...]]:
-        """Return what the model says of a run: the last two arguments of ``run``."""
-        return self.holding(plan), self.orders(plan, plan.places(inspection))
+    def play(
+        self,
+        link: GuardedLink,
+        plan: Plan,
+        inspection: asked.Inspection,
+        stop: StopRequest,
+        on_phase: Callable[[str], None],
+        on_progress: Callable[[float], None],
+    ) -> PlayReport:
+        """Play a plan, as the model says; signals ask for a stop. For the arguments see ``run``."""
+        with stop.on_signals():
+            by_model = self.holding(plan), self.orders(plan, plan.places(inspection))
+            return run(link, plan, inspection, stop, on_phase, on_progress, *by_model)
 
     def require_free(self, plan: Plan) -> None:
         """Raise InputError where a recording would replace a file, or be one that the run reads."""

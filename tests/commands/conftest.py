@@ -54,6 +54,21 @@ class SimulatedBus:
 
 
 @pytest.fixture
+def person(monkeypatch):
+    """(what a person at the keyboard says, callables are called; what was asked)."""
+    answers, asked = [], []
+
+    def say(prompt):
+        asked.append(prompt)
+        answer = answers.pop(0)
+        return answer() or "" if callable(answer) else answer
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", say)
+    return answers, asked
+
+
+@pytest.fixture
 def bus(monkeypatch):
     simulated = SimulatedBus()
     monkeypatch.setattr(execution, "SystemClock", lambda: simulated.clock)

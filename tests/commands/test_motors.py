@@ -49,7 +49,6 @@ from tests.support.damiao_rig import (
 )
 from tests.support.recordings import read_recording
 
-COMMANDS = ("check", "play", "simulate")
 CAN0 = ("--channel", "can0")
 AT_100 = ("--rate", "100")
 
@@ -177,13 +176,8 @@ def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
 
 
 def test_existing_recordings_are_kept_and_nobody_is_asked_first(
-    capsys, bus, trajectory, tmp_path, monkeypatch
+    capsys, bus, trajectory, tmp_path, person
 ):
-    def asked(prompt):
-        raise AssertionError("asked in vain")
-
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", asked)
     record = ("--record", tmp_path / "measured.csv")
     for there in (tmp_path / "measured.csv", tmp_path / "measured.log"):
         there.write_text("precious")
@@ -194,15 +188,14 @@ def test_existing_recordings_are_kept_and_nobody_is_asked_first(
         there.unlink()
     there.write_text("precious")
     assert run(capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite")[0] == 0
-    assert read_recording(tmp_path / "measured.csv").ending == "completed"
+    assert read_recording(tmp_path / "measured.csv").ending == "completed" and person[1] == []
 
 
-def test_interrupting_before_anything_moves(capsys, bus, trajectory, monkeypatch):
-    def interrupt(prompt):
+def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
+    def interrupt():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", interrupt)
+    person[0].append(interrupt)
     code, _, err = run(capsys, "play", trajectory, *CAN0)
     assert code == 130 and "no motor is enabled" in err
     assert only_asks(bus.wire.sent)

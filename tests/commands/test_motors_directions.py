@@ -37,15 +37,6 @@ def words(bus, arm_file, tmp_path, monkeypatch):
     return ("play", played.path, *CAN0, "--model", path)
 
 
-@pytest.fixture
-def person(monkeypatch):
-    """Answers to what is asked, one after the other, and what was asked."""
-    answers, asked = [], []
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", lambda prompt: asked.append(prompt) or answers.pop(0))
-    return answers, asked
-
-
 def test_nothing_is_played_before_somebody_has_seen_which_way_joints_turn(capsys, bus, words):
     code, _, err = run(capsys, *words, "--yes")
     assert code == 3 and "nobody has verified which way motor 1 (joint joint0)" in err

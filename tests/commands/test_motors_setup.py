@@ -24,22 +24,6 @@ from tests.support.damiao_rig import only_asks
 CAN0 = ("--channel", "can0")
 
 
-@pytest.fixture
-def answers(monkeypatch):
-    """What the person at the keyboard says, one after the other; callables are called first."""
-    waiting, asked = [], []
-
-    def say(prompt):
-        asked.append(prompt)
-        answer = waiting.pop(0)
-        return answer() or "" if callable(answer) else answer
-
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", say)
-    waiting_and_asked = waiting, asked
-    return waiting_and_asked
-
-
 def drives_nothing(frames):
     return not any(
         f.id != REGISTER_ID and (not is_special(f.data) or f.data[7] == ENABLE) for f in frames
@@ -74,7 +58,7 @@ def test_nothing_is_stored_unless_asked_for(capsys, bus):
 
 
 @pytest.mark.parametrize("change", [("--mit",), ("--set-zero",), ("--store",), ("--new-id", 3)])
-def test_an_enabled_motor_is_never_changed(capsys, bus, answers, change):
+def test_an_enabled_motor_is_never_changed(capsys, bus, person, change):
     bus.motors[0].status = ENABLED
     bus.motors[0].registers[frames.TIMEOUT] = 0.0
     before = dict(bus.motors[0].registers)
@@ -83,8 +67,8 @@ def test_an_enabled_motor_is_never_changed(capsys, bus, answers, change):
     assert bus.motors[0].registers == before and only_asks(bus.wire.sent)
 
 
-def test_a_zero_is_set_after_two_questions(capsys, bus, answers):
-    waiting, asked = answers
+def test_a_zero_is_set_after_two_questions(capsys, bus, person):
+    waiting, asked = person
     bus.arm.mechanism.q[0] = 0.4
     waiting += ["yes", "no"]
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
@@ -95,13 +79,13 @@ def test_a_zero_is_set_after_two_questions(capsys, bus, answers):
     assert bus.motors[0].shift == pytest.approx(-0.4)
 
 
-def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, answers):
+def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, person):
     motor, asked = bus.motors[0], bytes([READ, frames.PMAX])
     answer = motor.handle
     motor.handle = lambda frame, time: None if frame.data[2:4] == asked else answer(frame, time)
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
     assert code == 3 and "does not tell its PMAX" in err and only_asks(bus.wire.sent)
-    assert answers[1] == []
+    assert person[1] == []
 
 
 def test_an_error_is_cleared_by_name(capsys, bus):
@@ -168,9 +152,9 @@ def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
     assert only_asks(bus.wire.sent)
 
 
-def test_a_map_is_made_by_hand(capsys, bus, answers, tmp_path, arm_file):
+def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, arm_file):
     """The first joint has motor 2, mirrored; the second one motor 1."""
-    waiting, asked = answers
+    waiting, asked = person
     model, output = arm_file(arms.serial_arm((arms.Z, arms.Y))), tmp_path / "map.csv"
     q = bus.arm.mechanism.q
 
@@ -195,8 +179,8 @@ def test_a_map_is_made_by_hand(capsys, bus, answers, tmp_path, arm_file):
     assert only_asks(bus.wire.sent)
 
 
-def test_a_map_is_not_guessed(capsys, bus, answers, tmp_path, arm_file):
-    waiting, _ = answers
+def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, arm_file):
+    waiting, _ = person
     model, output = arm_file(arms.serial_arm((arms.Z, arms.Y))), tmp_path / "map.csv"
 
     def both():

@@ -113,22 +113,6 @@ def test_the_identification_reads_it_directly(tmp_path):
     assert log.columns.time.title == "time"
 
 
-HEAD = """robot-sysid motors recording
-trajectory=swing.csv
-motor_type=DM4340,can_id=1,mode=MIT,master_id=17
-motor_type=DM4310,can_id=2,mode=MIT,master_id=18
-registers_j0: MST_ID=17,ESC_ID=1,TIMEOUT=2000,CTRL_MODE=1,PMAX=12.5,VMAX=10,TMAX=28
-registers_j1: MST_ID=18,ESC_ID=2,TIMEOUT=2000,CTRL_MODE=1,PMAX=12.5,VMAX=30,TMAX=10
-rate_hz=250,speed=1
-kp=20 20
-kd=1 1
-half_step=1: half a quantisation step added to measured position, velocity and torque, because \
-motors drop the fraction
-centred=1: jN_tau is the torque with half of jN_cmd_step added
-jN_cmd_step is the torque step that the command answered by this sample then made
-jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment"""
-
-
 def one_cycle(n, value=1.0):
     """Arguments of ``MeasurementRecorder.write`` for n joints."""
     same, codes = np.full(n, value), np.ones(n, dtype=int)

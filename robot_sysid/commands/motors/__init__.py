@@ -16,7 +16,7 @@ from robot_sysid.commands.motors.asked import Asked, check_lines, motor_table, r
 from robot_sysid.commands.motors.directions import DirectionChoices, verify
 from robot_sysid.damiao import bus, preflight, simulated
 from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
-from robot_sysid.damiao.execution import lasting, run
+from robot_sysid.damiao.execution import lasting
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.recorder import RecordingOptions
@@ -318,10 +318,7 @@ def _play_on(
         console.stage("holding; Ctrl-C ends it" if holds and "playing" in phase else phase)
 
     try:
-        with stop.on_signals():
-            by_model = asked.by_model(plan, inspection)
-            report = run(link, plan, inspection, stop, say, tell, *by_model)
-        console.lines(run_lines(report))
+        console.lines(run_lines(asked.play(link, plan, inspection, stop, say, tell)))
     except HardwareAbort as error:
         # That it has to end is no fault of holding, if all else went well.
         if not holds or str(error) != stop.reason:

@@ -16,7 +16,6 @@ import numpy as np
 from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.setup import positive_ways
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.preflight import Plan, require_no_stop
 from robot_sysid.damiao.protocol.joints import BY_MOTION, DamiaoJoint, write_joint_map
@@ -113,10 +112,7 @@ def _move_a_little(
         if waiting and time >= 2.0 * _PACE[1] * (len(unseen) - len(waiting)):
             console.stage(f"now {waiting.pop(0).label}")
 
-    with stop.on_signals():
-        inspection = inspect_bus(link)
-        by_model = asked.by_model(little, inspection)
-        run(link, little, inspection, stop, console.stage, tell, *by_model)
+    asked.play(link, little, inspect_bus(link), stop, console.stage, tell)
     return [ways[j] for j in numbers]
 
 
