@@ -25,6 +25,7 @@ from robot_sysid.results import model as model_module
 from robot_sysid.results import record
 from robot_sysid.results.model import ModelTarget, most_inflated, write_model
 from tests.support import arms, urdf
+from tests.support import results as made
 from tests.support.model_files import ARM, random_theta, write_files
 from tests.support.releases import since
 
@@ -79,10 +80,8 @@ def body_estimate(theta, errors=None):
 def file_of(robot, thetas=None, joints=None, gravity=None):
     """What a written model should hold."""
     thetas = own_thetas(robot) if thetas is None else thetas
-    said = records.Validation("a log", 10, 0.1, 0.2, {}, {})
-    return record.ModelFile(
-        thetas, np.full(thetas.shape, np.inf), joints or {}, gravity, said, None
-    )
+    errors = np.full(thetas.shape, np.inf)
+    return made.model_file(thetas=thetas, errors=errors, joints=joints or {}, gravity=gravity)
 
 
 def payload_of(robot, theta, place=None, link=None):
@@ -99,20 +98,9 @@ def result_of(robot, theta=None, file=None, payload=None, **changes):
     theta = robot.prior.theta if theta is None else theta
     seen = records.Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
     estimate = records.Estimate(PARAMETER_NAMES, theta, seen, 1e-4, {})
-    fields = {
-        **about(robot),
-        "question": record.LINK if payload is None else record.PAYLOAD,
-        "estimate": estimate,
-        "verdict": record.Verdict.OK,
-        "torques": "chain",
-        "data": records.DataOrigin(
-            records.Source.ITSELF if file is None else records.Source.LOG, "", 10.0, 100.0
-        ),
-        "versions": {},
-        "file": file,
-        "payload": payload,
-    }
-    return record.Result(**{**fields, **changes})
+    known = {**about(robot), "verdict": record.Verdict.OK, "joints": {}, "links": ()}
+    given = {"estimate": estimate, "file": file, "payload": payload}
+    return made.found(estimate, **{**known, **given, **changes})
 
 
 def written(robot, result, folder=None, **options):
