@@ -15,19 +15,7 @@ from robot_sysid.records.progress import Detail
 from robot_sysid.results import console
 from robot_sysid.results.cards import load_errors
 from robot_sysid.results.console import asked_rows, block_lines, more_lines
-from tests.support.results import (
-    THETA,
-    body,
-    estimate,
-    found,
-    itself,
-    payload,
-    terminal,
-    validation_of,
-    whole,
-    with_value,
-    without_mass,
-)
+from tests.support import results as made
 
 
 def line(lines, start):
@@ -36,7 +24,7 @@ def line(lines, start):
 
 
 def test_the_readmes_block_line_by_line():
-    assert block_lines(found()) == [
+    assert block_lines(made.found()) == [
         "Identified parameters:",
         "  Mass: 2.000 kg",
         "  CoM moment: [0.000, 0.020, 0.200] kg·m",
@@ -55,7 +43,7 @@ def shown(lines):
 
 
 def test_what_stands_under_it_of_measured_data():
-    lines = more_lines(found(validation=(validation_of(0.05),)))
+    lines = more_lines(made.found(validation=(made.validation_of(0.05),)))
     table = shown(lines)
     heading = ["Before", "->", "after", "model", "identified", "±", "unit", "change"]
     assert table[0].split() == heading
@@ -76,13 +64,15 @@ def test_what_stands_under_it_of_measured_data():
 
 
 def test_the_models_own_simulation_has_a_block_alone():
-    assert shown(more_lines(itself())) == []
-    assert not any("inf" in text or "±" in text for text in more_lines(itself(without_mass())))
+    assert shown(more_lines(made.itself())) == []
+    assert not any(
+        "inf" in text or "±" in text for text in more_lines(made.itself(made.without_mass()))
+    )
 
 
 def test_the_file_is_told_by_its_errors_before_and_after():
     """... on held-out data in the verdict; on other logs here."""
-    lines = more_lines(whole())
+    lines = more_lines(made.whole())
     told = [text for text in shown(lines) if text.startswith("Torque error")]
     assert told == ["Torque error of the model on other.csv: 30 % -> 1.2 %"]
     assert "The fit itself reaches a torque error of 0.22 % on held-out data" in lines
@@ -92,37 +82,39 @@ def test_the_file_is_told_by_its_errors_before_and_after():
 
 def test_a_result_takes_no_more_than_a_screen():
     """25 lines, of which stages take four."""
-    usual = whole(validation=(), rollout=None, delay=None, tilt=None)
-    for result in (usual, payload(), itself()):
+    usual = made.whole(validation=(), rollout=None, delay=None, tilt=None)
+    for result in (usual, made.payload(), made.itself()):
         assert len(console.result_lines(result)) <= 21
 
 
 def test_what_the_data_does_not_see_has_no_error_but_a_reason():
-    lines = more_lines(found(without_mass()))
+    lines = more_lines(made.found(made.without_mass()))
     assert line(lines, "  mass").endswith("  not seen")
     assert not any("inf" in text for text in lines)
-    lines = more_lines(found(with_value("coulomb[j5]", 0.0, np.inf)))
+    lines = more_lines(made.found(made.with_value("coulomb[j5]", 0.0, np.inf)))
     assert line(lines, "  j5:").startswith("  j5: coulomb not visible, viscous 0.1 -> 0.2")
 
 
 def part(name, mass, welded=True):
-    return SubtreeBody(0, name, mass / 2.0 * THETA, welded)
+    return SubtreeBody(0, name, mass / 2.0 * made.THETA, welded)
 
 
 def test_a_link_of_several_bodies_says_what_its_mass_is_the_mass_of():
     start = "The mass is that"
     parts = (part("link7", 0.7), part("hand", 0.3), part("finger", 0.2, False), part("eye", 0.0))
-    told = line(more_lines(found(bodies=parts)), start)
+    told = line(more_lines(made.found(bodies=parts)), start)
     assert told == f"{start} of link7 + hand + finger; link7 alone, as written in the file: 1.5 kg"
     # The file's own terminal link weighs 1.8 kg.
-    assert line(more_lines(whole(bodies=parts)), start).endswith("in the file: 1.3 kg")
-    assert not any(start in text for text in more_lines(found(bodies=parts[:1])))
+    assert line(more_lines(made.whole(bodies=parts)), start).endswith("in the file: 1.3 kg")
+    assert not any(start in text for text in more_lines(made.found(bodies=parts[:1])))
     many = (*parts, *(part(f"pad{k}", 0.01) for k in range(6)))
-    assert "link7 + hand + finger + 6 more; link7" in line(more_lines(found(bodies=many)), start)
+    assert "link7 + hand + finger + 6 more; link7" in line(
+        more_lines(made.found(bodies=many)), start
+    )
 
 
 def test_a_payloads_block():
-    lines = [*block_lines(payload()), *more_lines(payload())]
+    lines = [*block_lines(made.payload()), *more_lines(made.payload())]
     assert lines[0] == "Identified payload, in the frame of site 'flange':"
     assert len(shown(lines)) == 12
     table = [re.split(r"  +", text.strip()) for text in lines[1:11]]
@@ -153,38 +145,38 @@ def test_no_number_that_is_not_zero_prints_as_zero(rows):
 
 
 def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
-    rows = {each.name: each for each in asked_rows(found())}
+    rows = {each.name: each for each in asked_rows(made.found())}
     assert len(rows) == 15
     assert (rows["mass"].before, rows["mass"].after, rows["mass"].unit) == (1.0, 2.0, "kg")
     place = rows["centre of mass z"]
     assert (place.after, place.unit) == (pytest.approx(0.1), "m")
-    assert place.error == load_errors(terminal(estimate()))[3]
+    assert place.error == load_errors(made.terminal(made.estimate()))[3]
     assert (rows["Coulomb friction"].before, rows["Coulomb friction"].after) == (0.2, 0.4)
     assert rows["Coulomb friction"].error == pytest.approx(4e-4)
-    slide = {each.name: each for each in asked_rows(found(slides=("j6",), joints={}))}
+    slide = {each.name: each for each in asked_rows(made.found(slides=("j6",), joints={}))}
     assert slide["viscous friction"].unit == "N·s/m"
-    own = asked_rows(itself())  # a simulation of the model itself states no errors
+    own = asked_rows(made.itself())  # a simulation of the model itself states no errors
     assert len(own) == 15 and all(each.error is None for each in own)
 
 
 def test_a_payload_has_mass_place_and_inertia_about_it():
-    rows = asked_rows(payload())
+    rows = asked_rows(made.payload())
     assert len(rows) == 10 and all(each.before is None for each in rows)
     assert (rows[0].after, rows[0].error) == (1.2, pytest.approx(0.01))
     assert (rows[1].name, rows[1].after) == ("centre of mass x", pytest.approx(0.03))
     assert (rows[4].name, rows[4].after) == ("inertia xx about it", pytest.approx(0.006))
-    assert [each.error for each in rows[4:]] == load_errors(body())[4:].tolist()
-    assert len(asked_rows(payload(body(shown=False)))) == 4
-    assert len(asked_rows(payload(body(-1.0)))) == 1
+    assert [each.error for each in rows[4:]] == load_errors(made.body())[4:].tolist()
+    assert len(asked_rows(made.payload(made.body(shown=False)))) == 4
+    assert len(asked_rows(made.payload(made.body(-1.0)))) == 1
 
 
 def test_rounding_is_no_number():
     """A product of inertia of a symmetric body comes back as 1e-18."""
-    noisy = THETA + np.array([0, 1e-16, 0, 0, 0, 1e-18, 0, 0, 0, 0])
-    known = terminal(estimate())
+    noisy = made.THETA + np.array([0, 1e-16, 0, 0, 0, 1e-18, 0, 0, 0, 0])
+    known = made.terminal(made.estimate())
     rows = console.theta_rows(replace(known, inertial=InertialParameters(noisy)))
     assert (rows[1].after, rows[5].after) == (0.0, 0.0)
     # A gripper jaw's numbers are small, not rounding.
-    jaw = 1e-3 * THETA
+    jaw = 1e-3 * made.THETA
     rows = console.theta_rows(replace(known, inertial=InertialParameters(jaw)))
     assert all((a.after != 0.0) == (v != 0.0) for a, v in zip(rows, jaw))

@@ -24,19 +24,7 @@ from robot_sysid.results.verdict import (
     plan_verdict,
     verdict_lines,
 )
-from tests.support.results import (
-    body,
-    estimate,
-    found,
-    itself,
-    model_file,
-    payload,
-    terminal,
-    validation_of,
-    whole,
-    with_value,
-    without_mass,
-)
+from tests.support import results as made
 
 PLAN = (
     "Next: robot-sysid plan arm.xml (a wider, faster motion of all joints shows more; after one, "
@@ -55,40 +43,40 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
     ("result", "said", "then"),
     [
         (
-            whole(),
+            made.whole(),
             f"{BETTER}the mass is known to 0.1 %, limited by links",
             "Next: load updated_model.xml or updated_model.urdf in place of arm.xml",
         ),
         (
-            found(with_value("m", 2.0, 1.2), file=model_file(others=())),
+            made.found(made.with_value("m", 2.0, 1.2), file=made.model_file(others=())),
             f"{BETTER}the mass alone is not known, limited by links",
             PLAN,
         ),
         (
-            found(verdict=Verdict.AS_GOOD, file=model_file(others=())),
+            made.found(verdict=Verdict.AS_GOOD, file=made.model_file(others=())),
             "Usable, but the model was about as good before: torque error on held-out data 27 % -> "
             "0.25 %; the mass is known to 0.1 %, limited by links",
             TEST,
         ),
         (
-            found(without_mass(), verdict=Verdict.PARTLY_FROM_MODEL),
+            made.found(made.without_mass(), verdict=Verdict.PARTLY_FROM_MODEL),
             "Usable (not seen, so kept from the model: mass): the mass alone is not known",
             TEST,
         ),
-        (payload(), "Usable: the mass is known to 0.83 %, limited by torque scale", CARD),
+        (made.payload(), "Usable: the mass is known to 0.83 %, limited by torque scale", CARD),
         (
-            payload(body(0.3)),
+            made.payload(made.body(0.3)),
             "Usable: the mass is known to 3.3 %, limited by torque scale",
             "Next: robot-sysid payload arm.xml --empty LOG --loaded LOG --known-mass KG "
             "--save-torque-scale scale.json (then identify with --torque-scale scale.json)",
         ),
         (
-            payload(known_mass=1.2),
+            made.payload(known_mass=1.2),
             "Usable: torque scales follow from the known mass",
             "Next: give these scales to every later run with --torque-scale",
         ),
         (
-            itself(),
+            made.itself(),
             "Self-test passed: the model's own numbers came back from its own simulation, which "
             "says nothing of the real arm",
             "Next: robot-sysid plan arm.xml (a motion to record)",
@@ -101,10 +89,13 @@ def test_it_says_whether_to_use_it_what_limits_it_and_what_next(result, said, th
 
 @pytest.mark.parametrize("verdict", [v for v in Verdict if not v.is_trustworthy])
 def test_what_is_not_usable_says_so_why_and_nothing_else(verdict):
-    for result in (found(verdict=verdict, reasons=("because",)), payload(verdict=verdict)):
+    for result in (
+        made.found(verdict=verdict, reasons=("because",)),
+        made.payload(verdict=verdict),
+    ):
         (said,) = verdict_lines(result)
         assert said.startswith("Not usable: no model ") and verdict.value in said
-    assert verdict_lines(found(), "the disk is gone") == ("Not usable: the disk is gone",)
+    assert verdict_lines(made.found(), "the disk is gone") == ("Not usable: the disk is gone",)
 
 
 def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
@@ -123,13 +114,13 @@ def test_what_contradicts_the_model_is_no_detail():
     """What the errors allow for is one; a prior that had to be widened is another arm's model."""
     for scale, hidden in ((1.0, True), (3.0, False)):
         conflict = PriorConflict("links", ("link5",), 3.5, scale)
-        (said,) = limitations(found(conflicts=(conflict,)))
+        (said,) = limitations(made.found(conflicts=(conflict,)))
         assert said.startswith("the model's numbers of other links do not fit this arm")
         assert isinstance(said, Detail) is hidden
     for plain in (
-        found(delay=-0.003, sensors={"delay": Figure(-0.003, 0.001)}),
-        found(with_value("coulomb[j5]", -0.5, 0.01)),
-        found(validation=(validation_of(0.03), validation_of(0.09))),
+        made.found(delay=-0.003, sensors={"delay": Figure(-0.003, 0.001)}),
+        made.found(made.with_value("coulomb[j5]", -0.5, 0.01)),
+        made.found(validation=(made.validation_of(0.03), made.validation_of(0.09))),
     ):
         (said,) = limitations(plain)
         assert not isinstance(said, Detail)
@@ -143,10 +134,10 @@ def only(result):
 @given(st.sampled_from(PARAMETER_NAMES), st.floats(0.01, 10.0))
 def test_a_weak_parameter_is_named_with_its_error(name, share):
     """Errors of 0.01 to 10 times what a body of 2 kg and this size has; 10 % is the limit."""
-    values = estimate().values
+    values = made.estimate().values
     scale = parameter_scale(2.0, characteristic_length(values[:10]))
     k = PARAMETER_NAMES.index(name)
-    said = limitations(found(with_value(name, values[k], share * scale[k])))
+    said = limitations(made.found(made.with_value(name, values[k], share * scale[k])))
     assert bool(said) == (share > 0.1)
     assert not said or f"{name} (± {percent(share)})" in said[0]
 
@@ -154,34 +145,36 @@ def test_a_weak_parameter_is_named_with_its_error(name, share):
 def test_a_prior_that_outweighs_the_data_is_told():
     share = np.ones(10)
     share[[4, 9]] = 0.3, 0.49
-    link = replace(terminal(estimate()), data_share=share)
-    assert "more model than data in Ixx, Izz" in only(found(links=(link,)))
+    link = replace(made.terminal(made.estimate()), data_share=share)
+    assert "more model than data in Ixx, Izz" in only(made.found(links=(link,)))
 
 
 def test_a_torque_before_its_motion_is_told_where_it_is_sure():
     sensors = {"delay": Figure(-0.003, 0.001)}
-    assert "come 3 ms before the motion" in only(found(delay=-0.003, sensors=sensors))
-    assert limitations(found(delay=-0.0019, sensors=sensors)) == ()
-    assert limitations(found(delay=0.003, sensors=sensors)) == ()
+    assert "come 3 ms before the motion" in only(made.found(delay=-0.003, sensors=sensors))
+    assert limitations(made.found(delay=-0.0019, sensors=sensors)) == ()
+    assert limitations(made.found(delay=0.003, sensors=sensors)) == ()
 
 
 @given(st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0))
 def test_friction_that_drives_is_told_where_it_is_sure(term, value, error):
-    said = limitations(found(with_value(f"{term}[j5]", value, error)))
+    said = limitations(made.found(made.with_value(f"{term}[j5]", value, error)))
     assert bool(said) == (value < -SURE * error)
     assert not said or f"{term} {value:.2g} of j5" in said[0]
 
 
 @given(st.floats(0.01, 1.0))
 def test_slow_residuals_are_told(share):
-    result = estimate(effective_samples={"j5": 200.0 * share, "j6": 200.0})
-    said = limitations(found(result))
+    result = made.estimate(effective_samples={"j5": 200.0 * share, "j6": 200.0})
+    said = limitations(made.found(result))
     assert bool(said) == (result.independent_share["j5"] < COLOURED)
     assert not said or "residuals of j5 are correlated in time" in said[0]
 
 
 @given(st.floats(0.5, 5.0))
 def test_a_prediction_worse_than_the_fit_is_told(factor):
-    said = limitations(found(validation=(validation_of(0.03), validation_of(0.03 * factor))))
+    said = limitations(
+        made.found(validation=(made.validation_of(0.03), made.validation_of(0.03 * factor)))
+    )
     assert bool(said) == (0.03 * factor > WORSE * 0.03)
     assert not said or f"torques of other.csv are predicted {factor:.1f} times worse" in said[0]

@@ -8,20 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.records import Measurement
-from robot_sysid.servo.search import (
-    LEAST_SHARE,
-    LINKS_WRONG,
-    STEP,
-    ServoFit,
-    Slopes,
-    as_in_model,
-    first_servos,
-    judged,
-    parted,
-    problem_of,
-    usual_share,
-    with_links_error,
-)
+from robot_sysid.servo import search
 from robot_sysid.simulation.servos import ServoRollouts, Servos, model_servos
 from tests.support.arms import robot_of
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded, positions
@@ -32,7 +19,7 @@ NUMBERS = st.lists(st.floats(0.0, 30.0), min_size=9, max_size=9)
 def scale(xml=XML, moves=(True, True)):
     robot = robot_of(xml)
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 2))
-    return first_servos(robot, q, 0.02, np.array(moves))
+    return search.first_servos(robot, q, 0.02, np.array(moves))
 
 
 SCALE = scale()
@@ -63,21 +50,21 @@ def test_a_search_begins_at_the_models_numbers_or_at_usual_ones():
 
 
 def test_errors_hold_what_the_links_masses_and_the_time_step_add():
-    exact = ServoFit(TRUTH, Servos.of(np.full(9, 1e-9)), np.ones(9, dtype=bool), np.ones(2))
-    errors = with_links_error(exact, np.array([0.5 * LEAST_SHARE, 1.0])).errors
+    exact = search.ServoFit(TRUTH, Servos.of(np.full(9, 1e-9)), np.ones(9, dtype=bool), np.ones(2))
+    errors = search.with_links_error(exact, np.array([0.5 * search.LEAST_SHARE, 1.0])).errors
     assert errors.stiffness[0] == pytest.approx(TRUTH.stiffness[0])
-    assert errors.stiffness[1] == pytest.approx(LINKS_WRONG * TRUTH.stiffness[1], rel=0.1)
-    assert errors.armature[1] >= STEP * TRUTH.damping[1]
-    assert errors.delay == pytest.approx(0.5 * STEP)
+    assert errors.stiffness[1] == pytest.approx(search.LINKS_WRONG * TRUTH.stiffness[1], rel=0.1)
+    assert errors.armature[1] >= search.STEP * TRUTH.damping[1]
+    assert errors.delay == pytest.approx(0.5 * search.STEP)
     still = replace(exact, errors=Servos.of(np.zeros(9)))
-    assert not np.any(with_links_error(still, np.ones(2)).errors.vector())
+    assert not np.any(search.with_links_error(still, np.ones(2)).errors.vector())
 
 
 def test_what_is_held_out_shares_no_sample_with_what_is_fitted():
     time = np.arange(500) / 50.0
     q = np.outer(np.sin(time), [1.0, 2.0])
     log = Measurement(time, q, None, 0.0 * q, command=q)
-    (fitted,), (held,) = parted([log])
+    (fitted,), (held,) = search.parted([log])
     np.testing.assert_array_equal(np.concatenate((fitted.time, held.time)), time)
     assert len(held) == 100 and fitted.time[-1] < held.time[0]
 
@@ -106,9 +93,9 @@ def of_small(kp, friction, stated):
     own = replace(model_servos(robot), delay=0.02)
     q = positions(robot, time, command, replace(own, frictionloss=friction), steps=20)
     log = Measurement(time, q, None, command - q, command=command)
-    sought = first_servos(robot, q[::10], 0.02, np.array([True, True]))
-    problem = problem_of(ServoRollouts(robot), [log])
-    return judged(Slopes(problem), sought, replace(own, frictionloss=stated))
+    sought = search.first_servos(robot, q[::10], 0.02, np.array([True, True]))
+    problem = search.problem_of(ServoRollouts(robot), [log])
+    return search.judged(search.Slopes(problem), sought, replace(own, frictionloss=stated))
 
 
 def test_friction_behind_a_stiff_servo_is_not_seen_and_its_error_holds_what_could_be():
@@ -125,13 +112,13 @@ def test_a_row_counts_no_more_than_usual_and_rest_is_not_usual():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(1000, 2)) * [1.0, 1e-3]
     moves = np.ones(1000, dtype=bool)
-    usual = usual_share(rows, moves)
+    usual = search.usual_share(rows, moves)
     assert np.mean(usual) > 0.8
     rows[:9] *= 1e3
-    share = usual_share(rows, moves)
+    share = search.usual_share(rows, moves)
     np.testing.assert_allclose(share[9:], usual[9:], rtol=0.05)
     assert np.max(np.abs(rows * share[:, None]) / [1.0, 1e-3]) < 2.0
-    rested = usual_share(np.concatenate((rows, 0.0 * rows)), np.append(moves, ~moves))
+    rested = search.usual_share(np.concatenate((rows, 0.0 * rows)), np.append(moves, ~moves))
     np.testing.assert_array_equal(rested, np.append(share, np.ones(1000)))
 
 
@@ -171,17 +158,17 @@ def problem_of_slopes(drift=0.0, wild=0.0):
 def linear(drift=0.0, wild=0.0):
     """What is found of such a problem at the usual sizes."""
     zero, problem = replace(SCALE, start=SCALE.size), problem_of_slopes(drift, wild)
-    return judged(Slopes(problem), zero, Servos.of(SCALE.size.vector()))
+    return search.judged(search.Slopes(problem), zero, Servos.of(SCALE.size.vector()))
 
 
 def test_slopes_that_are_known_are_not_played_again():
     problem, servos = problem_of_slopes(), Servos.of(SCALE.size.vector())
-    slopes, sought = Slopes(problem), replace(SCALE, free=np.arange(9) % 2 == 0)
+    slopes, sought = search.Slopes(problem), replace(SCALE, free=np.arange(9) % 2 == 0)
     some = slopes(sought, servos)
     np.testing.assert_array_equal(slopes(SCALE, servos)[..., ::2], some)
     assert len(problem.played) == 2 * 9
     moved = Servos.of(1.1 * SCALE.size.vector())
-    np.testing.assert_array_equal(slopes(sought, moved), Slopes(problem)(sought, moved))
+    np.testing.assert_array_equal(slopes(sought, moved), search.Slopes(problem)(sought, moved))
 
 
 def test_errors_hold_what_shorter_steps_would_change():
@@ -200,9 +187,9 @@ def test_what_is_not_seen_is_as_in_the_model_where_it_has_any():
     robot, bare = robot_of(XML), robot_of(XML.replace(SERVOS, ""))
     which = np.arange(9) % 2 == 0
     own, found = model_servos(robot).vector(), TRUTH.vector()
-    mixed = as_in_model(robot, TRUTH, which).vector()
+    mixed = search.as_in_model(robot, TRUTH, which).vector()
     np.testing.assert_array_equal(mixed[:-1], np.where(which, own, found)[:-1])
-    whole = as_in_model(bare, TRUTH)
+    whole = search.as_in_model(bare, TRUTH)
     np.testing.assert_array_equal(whole.stiffness, TRUTH.stiffness)
     np.testing.assert_array_equal(whole.frictionloss, model_servos(bare).frictionloss)
     assert mixed[-1] == whole.delay == TRUTH.delay
