@@ -74,7 +74,7 @@ class LinksProblem:
         for link in self.links:
             theta = spatial.lifted_body(self.prior[link], self.prior[link], _FLOOR)
             root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
-            units = np.einsum("kij,bij->kb", root @ _BASIS @ root.T, _BASIS) @ _THETAS
+            units = _components(root @ _BASIS @ root.T) @ _THETAS
             found.append((theta, units.T))
         return tuple(found)
 
@@ -222,11 +222,11 @@ class ScaledBodies:
         self._here = self._diagonal[:, :, None] * np.eye(4)
 
     def rows(self) -> Array:
-        """Return (16 links, 10 links) rows whose squares are the barrier's curvature."""
+        """Return (10 links, 10 links) rows whose squares are the barrier's curvature."""
         links = np.arange(len(self._basis))
-        rows = np.zeros((len(links), 16, len(links), 10))
-        rows[links, :, links] = _transposed(self._basis.reshape(-1, 10, 16))
-        return rows.reshape(16 * len(links), 10 * len(links))
+        rows = np.zeros((len(links), 10, len(links), 10))
+        rows[links, :, links] = _transposed(_components(self._basis))
+        return rows.reshape(10 * len(links), 10 * len(links))
 
     def aim(self, t: float) -> Array:
         """Return K and its duals (links, 4, 4) as they are to be at t, scaled."""
@@ -291,7 +291,7 @@ class _Newton:
         cone, goal = self._cone, self._cone.aim(t)
         correction = 0.0 * goal if bold is None else cone.second_order(bold.primal, bold.dual)
         slope = t * (self._turn.T @ np.tile(_TRACES, len(goal)))
-        goal = np.append(self._unexplained, goal - correction)
+        goal = np.append(self._unexplained, _components(goal - correction))
         scaled = self._orthogonal.T @ goal - self._inverse.T @ slope
         direction = self._turn @ (self._inverse @ scaled)
         return _Step(direction, *cone.changes(direction, t, correction), float(scaled @ scaled))
@@ -322,6 +322,11 @@ class _Newton:
 
 def _transposed(matrices: NDArray[Any]) -> NDArray[Any]:
     return np.swapaxes(matrices, -1, -2)
+
+
+def _components(matrices: Array) -> Array:
+    """Return symmetric matrices (..., 4, 4) in the basis, (..., 10)."""
+    return np.tensordot(matrices, _BASIS, ((-2, -1), (1, 2)))
 
 
 def _orthonormal_basis() -> Array:
