@@ -61,7 +61,7 @@ class MotorOptions(OptionRecord):
 
     export_damiao: bool = option(False, "also write the trajectory for Damiao motors")
     motor_type: tuple[str, ...] = option(
-        (), "Damiao motor type, such as DM4340; once per joint, base first", "TYPE", repeats=True
+        (), "Damiao motor, one per joint, base first; motions keep its peak", "TYPE", repeats=True
     )
     can_id: tuple[int, ...] = option(
         (), "CAN id of a motor; once per joint, base first", usual="1, 2, 3, ...", **_ID

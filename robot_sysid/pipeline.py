@@ -32,7 +32,9 @@ from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
 if TYPE_CHECKING:
+    from robot_sysid.config import MotorOptions
     from robot_sysid.damiao.trajectory import DamiaoExportReport, MotionChunk
+    from robot_sysid.motion.options import LimitOptions
 
 # Speed at which dry friction has turned round by three quarters [rad/s]. Wider is gentler, but an
 # arm that sticks longer at its reversals tells less: three times this costs a millimetre more.
@@ -62,7 +64,8 @@ def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tupl
     """Return the motion that was asked for, checked, and the seed it was drawn with."""
     arm, seed = config.arm, config.seeded().trajectory.seed or 0
     played = config.motors.export_damiao or arm.simulation == "forward"
-    options = config.trajectory, config.excitation, config.limits, config.estimation.torques
+    limits = _within_motors(config.limits, config.motors, robot.n_joints)
+    options = config.trajectory, config.excitation, limits, config.estimation.torques
     told: tuple[Any, ...] = ()
     if config.excitation.kind == "optimal":
         from robot_sysid.expected import known_of, outlook
@@ -71,6 +74,18 @@ def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tupl
         told = partial(known_of, options=how[1], asked=how[2]), partial(outlook, how=how)
     request = MotionRequest(*options, arm.noise_torque, played, config.poses, *told)
     return make_plan(request, robot, seed, progress), seed
+
+
+def _within_motors(limits: LimitOptions, motors: MotorOptions, n_joints: int) -> LimitOptions:
+    """Return limits that the motors which a motion is exported for can keep as well."""
+    if not motors.export_damiao:
+        return limits
+    from robot_sysid.damiao.protocol.motors import motor_spec
+
+    specs = map(motor_spec, motors.motor_type)
+    able = [min(spec.peak_torque, spec.limits[2]) for spec in specs]
+    asked = per_joint(limits.max_torque or np.inf, n_joints, "--max-torque").tolist()
+    return replace(limits, max_torque=tuple(map(min, able, asked)))
 
 
 def analysed(config: Config, robot: RobotModel, progress: Progress) -> Analysis:

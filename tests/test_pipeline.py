@@ -96,3 +96,10 @@ def test_the_motor_trajectory_carries_the_torque_of_the_motion(arm):
     assert outcome.files[1].name == "damiao_trajectory.csv" and len(rows) == 601
     np.testing.assert_allclose(rows[0, 1:], rows[-1, 1:], atol=1e-4)
     assert np.max(np.abs(rows[:, 3::3])) > 1.0
+
+
+def test_a_motion_keeps_the_peak_torque_of_the_motors_it_is_exported_for(arm):
+    """The last joint needs 0.87 N m; its own limit is the model's, which has none."""
+    weak = config(arm, export_damiao=True, motor_type=("DM10010", "DM10010", "DMH3510"))
+    with pytest.raises(InputError, match="breaks the torque limit of joint joint2"):
+        run(weak)
