@@ -8,7 +8,6 @@ import os
 import shlex
 import signal
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -16,7 +15,7 @@ from robot_sysid import __version__
 from robot_sysid.commands import COMMANDS, PROGRAM
 from robot_sysid.commands.streams import print_line, tolerant_output
 from robot_sysid.errors import INTERRUPTED, ColumnsError, InputError, SysidError
-from robot_sysid.interrupts import STOPPING
+from robot_sysid.interrupts import heard_by
 
 UNFINISHED = "interrupted; no unfinished file is left"
 """What an interrupted command says that says nothing else by its ``INTERRUPTED``."""
@@ -86,30 +85,17 @@ def _remembered_interrupts(ends: bool = False) -> Iterator[list[int]]:
     """Turn requests to stop into KeyboardInterrupt and yield a list that gets an entry with each.
 
     A compiled module that is interrupted while it is imported turns KeyboardInterrupt into an
-    ImportError; the list tells that from a real one.
-
-    Args:
-        ends: whether the process ends afterwards; a request that comes so late is not heard, where
-            Python's own way out would die of it instead of returning the exit code.
+    ImportError; the list tells that from a real one. For ``ends`` see ``heard_by``.
     """
     seen: list[int] = []
-    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if not usual or threading.current_thread() is not threading.main_thread():
-        yield seen
-        return
 
     def interrupt(number: int, frame: Any) -> None:
         seen.append(number)
         raise KeyboardInterrupt
 
-    # What nohup or a shell makes a process ignore stays ignored.
-    heard = [number for number in STOPPING if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, interrupt) for number in heard}
-    try:
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with heard_by(interrupt, ends) if usual else contextlib.nullcontext():
         yield seen
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if ends else handler)
 
 
 def _without_what_only_costs_time() -> None:

@@ -5,12 +5,31 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2")
 STOPPING = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 """Signals by which a user or the system asks a program to end, and which end it unless heard."""
+
+
+@contextlib.contextmanager
+def heard_by(handler: Callable[[int, Any], object], ends: bool = False) -> Iterator[None]:
+    """Have these signals call ``handler`` inside the block.
+
+    What nohup or a shell's ``&`` makes a process ignore stays ignored: it is meant for others. Only
+    the main thread hears signals. After the block a process that ``ends`` hears none: Python's own
+    way out would die of it instead of returning the exit code.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    asked = STOPPING if main else ()
+    heard = [number for number in asked if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, handler) for number in heard}
+    try:
+        yield
+    finally:
+        for number, usual in before.items():
+            signal.signal(number, signal.SIG_IGN if ends else usual)
 
 
 @contextlib.contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
@@ -17,6 +17,7 @@ from robot_sysid.errors import EXIT_CODES, InputError
 
 PYTHON_ONLY = ("plan_only",)
 """Keys of options that only Python programs have."""
+_TYPED_ONLY = ("config", "help", "help_all", "version")
 
 
 class Parser(argparse.ArgumentParser):
@@ -66,15 +67,16 @@ class Parser(argparse.ArgumentParser):
         return known
 
     def with_config(self, path: Path, arguments: Sequence[str]) -> dict[str, Any]:
-        """Return what a TOML file holds, and over it what was typed."""
-        from robot_sysid.commands.config_file import words_in
+        """Return what a TOML file holds, and over it what was typed.
 
+        What stands in it is typed for the user: the same parser reads it, and says the same.
+        """
         words = [action for action in self._actions if not action.option_strings]
         needed = [action for action in words if action.required]
         for action in words:
             action.nargs, action.required = "*" if action.nargs == "+" else "?", False
             action.default = None
-        stored = words_in(path, self._actions, self.prog)
+        stored = [*self._words_in(path)]
         try:
             held = vars(self.parse_args(stored))
         except InputError as error:
@@ -85,6 +87,21 @@ class Parser(argparse.ArgumentParser):
         if missing:
             self.error(f"the following arguments are required: {', '.join(missing)}")
         return values
+
+    def _words_in(self, path: Path) -> Iterator[str]:
+        """Yield what would be typed for the options in a file."""
+        known = {action.dest: action for action in self._actions if action.dest not in _TYPED_ONLY}
+        content = _content(path)
+        for key in content:
+            if key not in known:
+                raise InputError(f"{path}: {self.prog} has no option {key}; leave it out")
+        # Positional words come first.
+        for key in sorted(content, key=lambda key: bool(known[key].option_strings)):
+            action, value = known[key], content[key]
+            if isinstance(value, bool) != (action.nargs == 0):
+                takes = "true or false" if action.nargs == 0 else "a value"
+                raise InputError(f"{path}: {key} takes {takes} (got {value!r})")
+            yield from _flagged(action, value) if action.option_strings else _texts(value)
 
     def _meant(self, unknown: Sequence[str]) -> str:
         from difflib import get_close_matches
@@ -128,6 +145,36 @@ class Parser(argparse.ArgumentParser):
         group.add_argument("--version", action="version", version=version, help="print the version")
         group.add_argument("-h", "--help", action="help", help="print the main options")
         group.add_argument("--help-all", action="help", help="print all options")
+
+
+def _content(path: Path) -> Mapping[str, Any]:
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+    try:
+        return dict(tomllib.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise InputError(f"{path} is no TOML file: {error}") from None
+
+
+def _flagged(action: argparse.Action, value: Any) -> Iterator[str]:
+    flag = action.option_strings[-1]
+    if action.nargs == 0:
+        yield from [flag] if value else []
+        return
+    repeats = isinstance(action, argparse._AppendAction) and isinstance(value, list)
+    for each in value if repeats else [value]:
+        if action.nargs is None:
+            yield f"{flag}={','.join(_texts(each))}"
+        else:
+            yield from (flag, *_texts(each))
+
+
+def _texts(value: Any) -> list[str]:
+    return [str(each) for each in (value if isinstance(value, list) else [value])]
 
 
 class _Formatter(argparse.HelpFormatter):

@@ -8,10 +8,10 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import Any, NamedTuple
 
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
-from robot_sysid.commands.config_file import text_of
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.preview import PreviewOptions, require_preview, show_plan
 from robot_sysid.commands.report import report_of, require_report
@@ -32,7 +32,7 @@ from robot_sysid.logs.options import LogOptions
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import atomic_files
-from robot_sysid.records.options import keys_of, record_from
+from robot_sysid.records.options import default_of, keys_of, options_of, record_from
 from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.simulation.options import SimulatedArmOptions
 
@@ -227,6 +227,32 @@ def _repeatable(config: Config) -> None:
     given = config.output.config
     if given is None or not (path.exists() and path.samefile(given)):
         atomic_files.write_whole(path, text_of(command, config, path, usual))
+
+
+def text_of(command: str, config: Any, path: Path, usual: Mapping[str, Any]) -> str:
+    """Return the file, to be at a path, that asks a command ("robot-sysid plan") for this again.
+
+    What is asked is a record of records of options, with the model's path; ``usual`` are, by key,
+    defaults that the command has in place of the records'.
+    """
+    given = {"path": config.model.path}
+    for record in vars(config).values():
+        for name, each in options_of(record).items():
+            if getattr(record, name) != usual.get(each.key, default_of(record, name)):
+                given[each.key] = getattr(record, name)
+    lines = [f"{key} = {_toml(value)}" for key, value in given.items()]
+    said = f"# In {Path.cwd()}: {command} --config {quote(str(path))}"
+    return "\n".join([said, *lines, ""])
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, (bool, int, float)):
+        return str(value).lower()
+    import json
+
+    return json.dumps(str(value), ensure_ascii=False)
 
 
 def _answer(outcome: Any) -> Mapping[str, Any] | str:

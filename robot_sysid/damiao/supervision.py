@@ -6,12 +6,11 @@ value is wrong by the same factor and nothing else seems odd.
 
 from __future__ import annotations
 
-import contextlib
 import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from types import FrameType
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.damiao.session import NO_STATUS, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.interrupts import STOPPING
+from robot_sysid.interrupts import heard_by
 from robot_sysid.records import Array
 
 # One key press may arrive twice: from the terminal, and passed on by a program that started us.
@@ -51,25 +50,11 @@ class StopRequest:
         self.reason = self.reason or reason
         self.insisted |= insist
 
-    @contextlib.contextmanager
-    def on_signals(self) -> Iterator[None]:
-        """Turn signals that ask a program to end into wishes inside the block.
+    def on_signals(self) -> AbstractContextManager[None]:
+        """Return a block in which signals that ask a program to end are wishes."""
+        return heard_by(self._handle)
 
-        One that this process was started to ignore (by nohup, or Ctrl-C by a shell's ``&``) stays
-        ignored: it is meant for others. Terminating stops the arm all the same. Only the main
-        thread hears signals.
-        """
-        main = threading.current_thread() is threading.main_thread()
-        asked = STOPPING if main else ()
-        heard = [number for number in asked if signal.getsignal(number) is not signal.SIG_IGN]
-        before = {number: signal.signal(number, self._handle) for number in heard}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
+    def _handle(self, number: int, frame: Any) -> None:
         again = False
         if number == signal.SIGINT:
             now = time.monotonic()

@@ -10,8 +10,7 @@ from typing import get_type_hints
 import pytest
 
 from robot_sysid.commands.arguments import parsed
-from robot_sysid.commands.config_file import text_of
-from robot_sysid.commands.run import QUESTIONS, build_parser
+from robot_sysid.commands.run import QUESTIONS, build_parser, text_of
 from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.model.options import ModelOptions
