@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from robot_sysid.cli import main
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.preflight import bus_checks, stops
 from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, TIMEOUT
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, mapped, write_joint_map
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, mapped
 from robot_sysid.damiao.references import ORDERS, FileHolding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
 from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing, trajectory_file
-from tests.support.recordings import read_recording
 
 STANDING = 0.7
 
@@ -177,76 +174,7 @@ def test_a_pose_that_is_none_is_refused_before_anything_moves(tmp_path, text):
     run.assert_never_moved()
 
 
-# --- the loop of a bimanual arm -------------------------------------------------------------------
-
-ARM = """
-<body name="{side}0" pos="0 {y} .5" euler="50 25 0">
- <joint name="{side}_a" axis="0 0 1" range="-2 2" damping=".1"/>
- <geom type="capsule" fromto="0 0 0 0 0 .1" size=".04" mass="1" contype="0"/>
- <body name="{side}1" pos="0 0 .12">
-  <joint name="{side}_b" axis="0 1 0" range="-1.2 1.2" damping=".1"/>
-  <geom type="capsule" fromto="0 0 .02 0 0 .2" size=".03" mass=".8"/>
-  <body name="{side}2" pos="0 0 .25">
-   <joint name="{side}_c" axis="1 0 0" range="-1.2 1.2" damping=".1"/>
-   <geom type="capsule" fromto="0 0 .02 0 0 .2" size=".03" mass=".6"/>
-   <body name="{side}3" pos="0 0 .25">
-    <joint name="{side}_d" axis="0 1 0" range="-1.2 1.2" damping=".05"/>
-    <geom type="box" size=".04 .03 .06" pos=".01 .02 .07" mass="{mass}"/>
-   </body>
-  </body>
- </body>
-</body>"""
-
-
-def two_arms(mass):
-    """A model with a left and a right arm of four joints."""
-    arms = "".join(ARM.format(side=s, y=y, mass=mass) for s, y in (("left", 0.6), ("right", -0.6)))
-    head = "<mujoco><option timestep='.001'/><default><joint armature='.03'/></default>"
-    return f"{head}<worldbody>{arms}</worldbody></mujoco>"
-
-
-def exported(guess, folder, *options):
-    """Where a motion for an arm of a model is written for its motors."""
-    types = [word for _ in range(4) for word in ("--motor-type", "DM4340")]
-    usual = ("--seed", "0", "--quiet", "--export-damiao", "--output-dir", str(folder))
-    assert main(["plan", str(guess), *options, *usual, *types]) == 0
-    return folder / "damiao_trajectory.csv"
-
-
-@pytest.fixture
-def bimanual(tmp_path):
-    """(guessed model, true model, trajectory of the left arm, joint map)."""
-    guess, truth = tmp_path / "guess.xml", tmp_path / "truth.xml"
-    guess.write_text(two_arms(0.5))
-    truth.write_text(two_arms(0.9))
-    trajectory = exported(guess, tmp_path / "export", "--joint", "left_d", "--duration", "12")
-    table = tmp_path / "map.csv"
-    mirrored = {"left_b": (-1, 0.4), "left_d": (-1, -0.2)}
-    rows = [
-        map_line(f"{side}_{name}", bus, k, k + 16, *mirrored.get(f"{side}_{name}", (1, 0.0)))
-        for side, bus in (("right", "can1"), ("left", "can0"))
-        for k, name in enumerate("abcd", start=1)
-    ]
-    write_joint_map(table, rows)
-    return guess, truth, trajectory, table
-
-
-@pytest.mark.slow
-def test_the_loop_of_a_bimanual_arm_with_mirrored_joints(bimanual, tmp_path, capsys):
-    guess, truth, trajectory, table = bimanual
-    record, chosen = tmp_path / "measured.csv", ("--joint", "left_d")
-    play = ("simulate", trajectory, "--model", truth, "--play", "--joint-map", table, *chosen)
-    code = main(["motors", *map(str, play), "--record", str(record)])
-    assert code == 0, capsys.readouterr().err
-    assert read_recording(record).ending == "completed"
-    found = tmp_path / "found"
-    # Apart from the last link the guess is the truth, and so are torques, zeros and base.
-    known = [f"--{cause}-uncertainty=0" for cause in ("link", "scale", "zero", "gravity")]
-    options = (*chosen, "--measurements", str(record), "--output-dir", str(found), "--quiet")
-    assert main([str(guess), *options, *known]) == 0, capsys.readouterr().err
-    mass = json.loads((found / "params.json").read_text())["mass"]
-    print(f"mass {mass:.5f} kg, truth 0.9, off by {100 * (mass / 0.9 - 1):+.3f} %")
-    assert mass == pytest.approx(0.9, rel=0.005)
+# --- maps and torques -----------------------------------------------------------------------------
 
 
 def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
