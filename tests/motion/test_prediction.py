@@ -17,7 +17,7 @@ from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms, witness
 from tests.support.arms import X, Y, Z
-from tests.support.excitation_arms import TUBES, design, problem, robot, tube_arm
+from tests.support.excitation_arms import TUBES, TUBES_ON_FLOOR, design, problem, robot, tube_arm
 from tests.support.releases import since
 
 FULL_FRICTION = FrictionModel(("coulomb", "viscous", "offset", "armature"))
@@ -101,6 +101,12 @@ def test_the_stated_clearance_is_the_smallest_distance_not_the_tightest_slack():
     real = witness.nearest(robot(near), plan)
     stated = float(re.match(r"Clearance: (-?[\d.]+) mm", the(lines, "Clearance: ")).group(1))
     assert 1e3 * real - 0.25 <= stated <= 1e3 * real
+
+
+@pytest.mark.parametrize(("xml", "has_floor"), [(TUBES, False), (TUBES_ON_FLOOR, True)])
+def test_what_reaches_below_zero_where_the_model_has_no_floor_is_said(xml, has_floor):
+    lines = report(problem(xml, below_base=True), sines(xml))
+    assert any("The model has no floor" in line for line in lines) != has_floor
 
 
 def test_the_torque_that_is_left_is_said_as_a_load():

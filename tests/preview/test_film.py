@@ -17,7 +17,6 @@ from robot_sysid.preview.film import shown_log, shown_plan
 from robot_sysid.records import JointLimits, Measurement
 from tests.support import arms, measured_logs
 
-FLOOR = '<geom type="plane" size="1 1 .1" pos="0 0 -1"/>'
 RUN = ("--duration", "2", "--sample-rate", "100", "--seed", "1", "--excitation", "sines")
 drawing = pytest.mark.skipif(
     importlib.util.find_spec("imageio") is None or studio.backend() is None,
@@ -48,14 +47,6 @@ def test_a_log_needs_its_model_to_be_shown(command, arm):
     for option in (("--trajectory", "plan.json"), ("--units", "deg"), ("--joint", "joint0")):
         said = command.run("log", arm.parent / "log.csv", *option, code=2).err
         assert f"{option[0]} needs the MODEL" in said
-
-
-def test_a_plan_says_that_there_is_no_floor(command, arm, arm_file):
-    words = "--duration 1 --sample-rate 20 --excitation sines --verbose --below-base"
-    short = words.split()
-    assert "The model has no floor" in command.run("plan", arm, *short).out
-    floor = arm_file(arms.THREE.replace("<worldbody>", f"<worldbody>{FLOOR}"), "floor.xml")
-    assert "no floor" not in command.run("plan", floor, *short).out
 
 
 def test_no_renderer_means_no_pictures_but_a_page(monkeypatch, link_run):
