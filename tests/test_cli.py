@@ -47,6 +47,7 @@ def test_bad_files_exit_2_with_one_line_and_nothing_written(arm, command):
 def test_a_log_that_is_not_understood_leaves_a_columns_file_and_never_over_another(arm, command):
     arm.with_name("run.csv").write_text("time,q0,q1,A,B\n" + "0,0,0,0,0\n" * 20)
     said = command.run("log", "run.csv", arm, code=2).err
+    assert "run.csv: the log needs one torque column for each" in said
     assert "complete run_columns.txt, which was written for it, and add --columns run_col" in said
     mine = arm.with_name("run_columns.txt")
     assert "torque = ?, ?" in mine.read_text()

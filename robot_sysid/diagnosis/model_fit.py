@@ -13,7 +13,7 @@ is wrong that could be seen in the torques.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +57,8 @@ N_FRICTION = 4
 _LEAST, _SLOW, _REACH = 0.02, 0.05, 0.15
 # Motions whose rows are kept beside the last one: as recorded, and without a mistake.
 _MOTIONS = 2
+# Groups of instants, and neighbours in each, that bound what a fit costs.
+_GROUPS, _NEIGHBOURS = 14, 6
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,14 @@ class Sample:
     tau: Array
     sigma: Array
 
-    def with_order(self, motion: Sequence[int], torque: Sequence[int]) -> Sample:
-        """Return the sample with the joints' columns in another order."""
-        to, of = list(motion), list(torque)
-        q, qd, qdd = (values[:, to] for values in (self.q, self.qd, self.qdd))
-        return Sample(q, qd, qdd, self.tau[:, of], self.sigma[of])
+    def with_motion_of(self, joints: list[int]) -> Sample:
+        """Return the sample with its motion's columns in another order."""
+        q, qd, qdd = (values[:, joints] for values in (self.q, self.qd, self.qdd))
+        return replace(self, q=q, qd=qd, qdd=qdd)
+
+    def with_torque_of(self, joints: list[int]) -> Sample:
+        """Return the sample with its torque's columns in another order."""
+        return replace(self, tau=self.tau[:, joints], sigma=self.sigma[joints])
 
     def with_motion(self, factor: Array | float) -> Sample:
         """Return the sample with its motion multiplied by a factor, one for all or (n,)."""
@@ -144,7 +149,7 @@ class ModelFit:
         self.divided = np.ones(robot.n_joints) if divided is None else np.array(divided)
         parts, noises, count = [], [], max(FEWEST, INSTANTS // len(pieces))
         self._torques: list[tuple[Array, Array, Array]] = []
-        self._kept: dict[tuple[object, ...], tuple[Array, Array]] = {}
+        self._kept: dict[tuple[object, ...], tuple[Array, Array, Array]] = {}
         for piece in pieces:
             signals = process(piece, robot.joint_names, cutoff)
             smooth, lost = signals.low_pass.filtered(signals.tau), signals.low_pass.half_width
@@ -167,9 +172,10 @@ class ModelFit:
         self._weightless = LinkDynamics(with_gravity(robot, np.zeros(3)))
         self._beyond = None if has_only_armature(robot.mj_model) else ArmDynamics(robot)
         self.links = np.array([link.theta for link in robot.links])
-        self._armature = np.array(robot.mj_model.dof_armature)[robot.dof_index]
+        armature = robot.mj_model.dof_armature[robot.dof_index]
+        self._start = np.append(self.links, np.outer(armature, [0.0, 0.0, 0.0, 1.0]))
         self._scales = _link_scales(robot)
-        self.model_torque = self.torque(self.sample, self.links) + self._springs(self.sample)
+        self.model_torque = self.torque(self.sample, self.links) + self._springs(q, qd)
 
     def torque(self, sample: Sample, links: Array, weightless: bool = False) -> Array:
         """Return (K, n) the torque of links (n, 10), without friction, armature and springs."""
@@ -204,19 +210,19 @@ class ModelFit:
         """
         sample = sample or self.sample
         count, n = sample.q.shape
-        rows, squares = self._rows(sample, weightless)
+        rows, squares, springs = self._rows(sample, weightless)
         if extra is not None:
+            crossed = _squares(rows, extra)
+            turned = np.swapaxes(crossed, 1, 2)
+            squares = np.block([[squares, crossed], [turned, _squares(extra, extra)]])
             rows = np.concatenate((rows, extra), axis=2)
-            squares = _squares(rows)
         bodies = float(not only_friction)
         scales = bodies * self._scales
         scales[:-1] *= not known_links
         own = np.tile([1.0, 1.0, 1.0, bodies], n)
-        armature = np.outer(self._armature, [0.0, 0.0, 0.0, 1.0]).ravel()
-        known = bodies * self.links.ravel()
-        start = np.concatenate((known, own * armature, np.zeros(len(prior))))
+        start = np.append(bodies * self._start, np.zeros(len(prior)))
         spread = np.concatenate((scales.ravel(), own * _friction_spread(sample), prior))
-        right = sample.tau - self._springs(sample) - rows @ start
+        right = sample.tau - springs - rows @ start
         weight = INDEPENDENT / count / sample.sigma**2
         # Least squares in units of the priors, around the model.
         normal = np.tensordot(weight, squares, 1) * np.outer(spread, spread)
@@ -233,8 +239,49 @@ class ModelFit:
         found = terms.reshape(n, N_FRICTION), thetas.reshape(n, 10), extras, error
         return Fit(cost / n, residual, *found)
 
-    def _rows(self, sample: Sample, weightless: bool) -> tuple[Array, Array]:
-        """Return rows (K, n, 14 n) of links and friction, and ``_squares`` of them."""
+    def least_costs(self, samples: Sequence[Sample]) -> Array:
+        """Return what fits of some samples (h,), of the same instants, cost at least.
+
+        Sums of neighbours' equations, over the root of their number, are orthonormal: no more is
+        left of them than of all. In units of priors and tolerances, with A x = b for them,
+
+            min |b - A x|^2 + |x|^2 = b^T (1 + A A^T)^-1 b.
+        """
+        count, n = samples[0].q.shape
+        first = np.linspace(0, count - _NEIGHBOURS, min(_GROUPS, count // _NEIGHBOURS)).astype(int)
+        at, costs = np.add.outer(first, np.arange(_NEIGHBOURS)), []
+        motions = {id(each.q): each for each in samples}
+        known = dict(zip(motions, self._squares_of([*motions.values()], at)))
+        for sample in samples:
+            links, friction, torque = known[id(sample.q)]
+            weight = np.sqrt(INDEPENDENT / count / _NEIGHBOURS) / np.tile(sample.sigma, len(at))
+            right = (sample.tau[at].sum(axis=1).ravel() - torque) * weight
+            square = links * np.outer(weight, weight) + INDEPENDENT / count / _NEIGHBOURS * friction
+            square.flat[:: len(right) + 1] += 1.0
+            costs.append(right @ np.linalg.solve(square, right) / (n * INDEPENDENT))
+        return np.array(costs)
+
+    def _squares_of(
+        self, motions: Sequence[Sample], at: NDArray[np.int64]
+    ) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield, of each motion's rows summed over groups (G, m) of instants, A A^T (G n, G n) of
+        links and of friction, for tolerances of one, and the model's torque (G n,).
+        """
+        moves = ([getattr(m, name)[at.ravel()] for m in motions] for name in ("q", "qd", "qdd"))
+        (q, qd, qdd), (groups, width), n = map(np.concatenate, moves), at.shape, len(self.links)
+        links = self._dynamics.motion(q, qd, qdd).columns(range(n)).transpose(1, 2, 0)
+        summed = links.reshape(n, 10 * n, -1, groups, width) @ np.ones(width)
+        springs = self._springs(q, qd).reshape(-1, groups, width, n).sum(axis=2)
+        for each, carried, torque in zip(motions, summed.transpose(2, 3, 0, 1), springs):
+            rows = np.append(carried, _friction_columns(each)[at].sum(axis=1), axis=2)
+            torque = torque + rows @ self._start
+            # How far friction may be off grows with the tolerance, which cancels.
+            spread = np.append(self._scales, _friction_spread(replace(each, sigma=np.ones(n))))
+            parts = np.split(rows.reshape(-1, len(spread)) * spread, [10 * n], axis=1)
+            yield parts[0] @ parts[0].T, parts[1] @ parts[1].T, torque.ravel()
+
+    def _rows(self, sample: Sample, weightless: bool) -> tuple[Array, Array, Array]:
+        """Return rows (K, n, 14 n) of links and friction, their ``_squares``, and ``_springs``."""
         # Those of the last motions are kept: many mistakes that are tried leave them as they are.
         motion = sample.q, sample.qd, sample.qdd
         key = (weightless, *(each.tobytes() for each in motion))
@@ -243,7 +290,7 @@ class ModelFit:
             links = dynamics.motion(*motion).columns(range(sample.q.shape[1]))
             rows = np.concatenate((links, _friction_columns(sample)), axis=2)
             self._kept = dict([*self._kept.items()][-_MOTIONS:])
-            self._kept[key] = rows, _squares(rows)
+            self._kept[key] = rows, _squares(rows, rows), self._springs(sample.q, sample.qd)
         self._kept[key] = self._kept.pop(key)
         return self._kept[key]
 
@@ -252,10 +299,10 @@ class ModelFit:
         friction = _friction_columns(sample) @ found.friction.ravel()
         return self.torque(sample, found.thetas) + friction
 
-    def _springs(self, sample: Sample) -> Array:
+    def _springs(self, q: Array, qd: Array) -> Array:
         """Return (K, n) the torque of springs, tendons and actuators."""
-        still, beyond = np.zeros_like(sample.q), self._beyond
-        return beyond.beyond_rigid_bodies(sample.q, sample.qd, still) if beyond else still
+        still, beyond = np.zeros_like(q), self._beyond
+        return beyond.beyond_rigid_bodies(q, qd, still) if beyond else still
 
     def plausible(self, found: Fit, heaviest: float = HEAVIEST) -> bool:
         """Return whether a terminal link's mass could be that of a link with a payload."""
@@ -281,9 +328,9 @@ def _friction_spread(sample: Sample) -> Array:
     return np.column_stack((usual, viscous, 0.5 * usual, armature)).ravel()
 
 
-def _squares(rows: Array) -> Array:
-    """Return (n, p, p) the sum over instants of each joint's rows (K, n, p), squared."""
-    return np.asarray(np.swapaxes(rows, 0, 1).swapaxes(1, 2) @ np.swapaxes(rows, 0, 1))
+def _squares(rows: Array, others: Array) -> Array:
+    """Return (n, p, r) the sum over instants of each joint's rows (K, n, p) by others (K, n, r)."""
+    return np.asarray(rows.transpose(1, 2, 0) @ np.swapaxes(others, 0, 1))
 
 
 def _friction_columns(sample: Sample) -> Array:
@@ -325,7 +372,7 @@ def _length(theta: Array) -> float:
 
 def rms(values: Array) -> Array:
     """Return (n,) the root mean square over samples (K, n)."""
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+    return np.asarray(np.sqrt(np.einsum("kn,kn->n", values, values) / len(values)))
 
 
 def fall(base: Fit, after: Fit) -> float:

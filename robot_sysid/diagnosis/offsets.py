@@ -42,6 +42,9 @@ HUM, CLEAR_HUM = 0.7, 0.4
 # Standard deviations of zeros [rad], of delays [s] and of the time base and its drift (shares).
 _ZEROS, _DELAYS, _CLOCK = 0.5, 0.05, 0.2
 _ROUNDS, _STEP = 4, 0.01
+# Falls of chi-squared by delays, zeros and time base below which a first round is the last: of 654
+# right and wrong logs of ten arms, those of which one is told have 7.1, 13.9 and 2.8 at least.
+_NO_DELAY, _NO_ZERO, _NO_CLOCK = 5.0, 10.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -62,13 +65,17 @@ def _found(
     columns: Callable[[Sample, Fit], Array],
     undone: Callable[[Array], Sample],
     spread: Array,
+    least: float,
 ) -> Offsets:
     """Return constants of some standard deviations (e,), by their columns (K, n, e) around a sample
-    and its fit, and what undoes them.
+    and its fit, and what undoes them; ``least`` is the fall that the first round needs.
     """
     sample, total, found = log.sample, np.zeros(len(spread)), log.fit()
+    base = found
     for _ in range(_ROUNDS):
         found = log.fit(sample, columns(sample, found), spread)
+        if sample is log.sample and fall(base, found) < least:
+            return Offsets(found.extra, found.error, found)
         total = total + np.clip(found.extra, -spread, spread)
         sample = undone(total)
     return Offsets(total, found.error, log.fit(sample))
@@ -84,7 +91,7 @@ def joint_zeros(log: ModelFit) -> Offsets:
     def undone(zeros: Array) -> Sample:
         return replace(log.sample, q=log.sample.q - zeros)
 
-    return _found(log, columns, undone, np.full(log.robot.n_joints, _ZEROS))
+    return _found(log, columns, undone, np.full(log.robot.n_joints, _ZEROS), _NO_ZERO)
 
 
 def joint_delays(log: ModelFit) -> Offsets:
@@ -103,7 +110,7 @@ def joint_delays(log: ModelFit) -> Offsets:
     def undone(delays: Array) -> Sample:
         return replace(log.sample, tau=log.later(np.clip(delays, *model_fit.DELAYS)))
 
-    return _found(log, columns, undone, np.full(len(own), _DELAYS))
+    return _found(log, columns, undone, np.full(len(own), _DELAYS), _NO_DELAY)
 
 
 def time_base(log: ModelFit) -> Offsets:
@@ -119,7 +126,7 @@ def time_base(log: ModelFit) -> Offsets:
         faster, sample = 1.0 + (course @ shares)[:, None], log.sample
         return replace(sample, qd=faster * sample.qd, qdd=faster**2 * sample.qdd)
 
-    return _found(log, columns, undone, np.full(2, _CLOCK))
+    return _found(log, columns, undone, np.full(2, _CLOCK), _NO_CLOCK)
 
 
 def other_friction(log: ModelFit) -> Offsets:
@@ -140,7 +147,8 @@ def strongest_sine(log: ModelFit) -> Offsets:
     base, time, count = log.fit(), log.time - log.time[0], len(log.time)
     span, step = float(np.ptp(time)), float(np.median(np.diff(time)))
     rates = np.arange(2.0 / span, 0.4 / step, 0.25 / span)
-    waves = np.exp(2j * np.pi * np.outer(rates, time))
+    # Powers, as the rates are evenly spaced: a tenth of the time of as many exponentials.
+    waves = np.vander(np.exp(0.5j * np.pi / span * time), len(rates) + 8, increasing=True).T[8:]
     taken = np.abs(waves @ base.residual) ** 2 * (2.0 / count)
     at, joint = np.unravel_index(int(np.argmax(taken / log.sample.sigma**2)), taken.shape)
     columns = np.zeros((count, len(log.links), 2))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,8 @@ from robot_sysid.records.figures import percent
 
 DOUBTFUL = 0.9
 """Cost without a mistake from which a model is rather that of another arm; right logs: 0.87."""
-# One fit per mistake: fewer instants than elsewhere do.
-_EVERY = 2
+# One fit per mistake: fewer instants than elsewhere do. So many are looked at together.
+_EVERY, _AT_ONCE = 2, 30
 REFUSED, WARNED = 1.6, 1.3
 """Factors by which torque may be too large or too small before a log is refused, or warned of."""
 SURE = 3.0
@@ -76,7 +76,7 @@ def explanations(log: ModelFit) -> list[tuple[Fit, Finding]]:
     sample = log.sample.thinned(_EVERY)
     base = log.fit(sample)
     possible, convincing = log.plausible(base), []
-    for name, text, undone in hypotheses(sample, log.robot):
+    for name, text, undone in _likely(log, sample, base):
         after = log.fit(undone)
         if log.plausible(after) and explains(base, after, certain=possible):
             if after.cost > DOUBTFUL:
@@ -85,17 +85,27 @@ def explanations(log: ModelFit) -> list[tuple[Fit, Finding]]:
     return sorted(convincing, key=lambda each: each[0].cost)
 
 
+def _likely(log: ModelFit, sample: Sample, base: Fit) -> Iterator[tuple[str, str, Sample]]:
+    """Yield those of ``hypotheses`` whose least cost leaves them a chance."""
+    tried, possible = hypotheses(sample, log.robot), log.plausible(base)
+    while some := list(islice(tried, _AT_ONCE)):
+        for each, least in zip(some, log.least_costs([undone for *_, undone in some])):
+            if explains(base, replace(base, cost=float(least)), certain=possible):
+                yield each
+
+
 def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, Sample]]:
     for joint, name in enumerate(names):
         sign = np.ones(len(names))
         sign[joint] = -1.0
+        moved = sample.with_motion(sign)
         for what, text, undone in (
             ("torque", f"torque.{name} = -TITLE", sample.with_torque(sign)),
-            ("position", f"position.{name} = -TITLE", sample.with_motion(sign)),
+            ("position", f"position.{name} = -TITLE", moved),
             (
                 "position and torque",
                 f"position.{name} = -TITLE and torque.{name} = -TITLE",
-                sample.with_motion(sign).with_torque(sign),
+                moved.with_torque(sign),
             ),
         ):
             said = f"the {what} of joint {name} has the opposite sign of the model's; flip it in "
@@ -112,13 +122,13 @@ def _orders(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, 
     if len(names) > 2:
         orders.append((plain[::-1], "the order of the joints is reversed"))
     for order, said in orders:
-        for what, motion, torque in (
-            ("", order, order),
-            (" in the positions", order, plain),
-            (" in the torques", plain, order),
+        moved = sample.with_motion_of(order)
+        for what, undone in (
+            ("", moved.with_torque_of(order)),
+            (" in the positions", moved),
+            (" in the torques", sample.with_torque_of(order)),
         ):
-            text = f"{said}{what}; put the columns right with --columns FILE"
-            yield "order", text, sample.with_order(motion, torque)
+            yield "order", f"{said}{what}; put the columns right with --columns FILE", undone
 
 
 def torque_scales(log: ModelFit) -> tuple[Array, Array]:

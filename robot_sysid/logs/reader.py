@@ -124,8 +124,7 @@ def _columns(
             table.titles, names, choices.over(table.choices), table.first_row, slides, *wanted
         )
     except ColumnsError as error:
-        error.name = f"{path.stem}_columns.txt"
-        raise
+        raise ColumnsError(f"{path}: {error}", error.draft, f"{path.stem}_columns.txt") from None
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
