@@ -140,6 +140,20 @@ class HeldOut:
                 each[sought.kept[new[some]], number] = scale[new[some]] * found
         return np.moveaxis(self.data.squared_residuals(values), -1, 0)
 
+    def chance(self, fit: Fit) -> Array:
+        """Return the same (blocks, joints) as noise makes it, in torques and in what others tell.
+
+        Of friction that no other block shows, nothing is told: that error has no bound.
+        """
+        sought, found = fit.unknowns, self.counts * fit.noise**2
+        for block, own, (scaled, _, scale) in zip(self.data.blocks, found, self._normal(sought)):
+            root = np.linalg.inv(np.linalg.cholesky(scaled)) * scale
+            for place, joint in enumerate(block.joints):
+                stay = np.isin(joint.columns, sought.kept)
+                at = np.searchsorted(sought.kept, joint.columns[stay])
+                own[place] += np.sum((joint.triangle[:, :-1][:, stay] @ root[:, at].T) ** 2)
+        return found
+
     def of(self, fit: Fit) -> Array:
         """Return the same of a fit, with bodies that are possible."""
         sought, values = fit.unknowns, self._predicted(fit.unknowns)

@@ -20,6 +20,7 @@ from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
 from robot_sysid.estimation.unknowns import WEIGHT, Unknowns, independent
+from robot_sysid.estimation.verdict import NOISE_EXPLAINS, beyond_chance
 from robot_sysid.records import Array, Flange, Validation
 from robot_sysid.records.results import validation_of
 from robot_sysid.results.record import OneRecording
@@ -75,20 +76,26 @@ def alone(
 def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[Validation, ...]]:
     """Return (sentences on the logs' own masses, each log predicted from the others).
 
-    Each dataset is of the log that ``names`` says.
+    Each dataset is of the log that ``names`` says. A log of which the others do not tell enough, as
+    of joints that move in it alone, is no test of them.
     """
     logs = {name: [s for s, n in zip(fit.samples, names) if n == name] for name in names}
     if len(logs) < 2:
         return (), ()
     data = evidence_of(logs.values(), fit.evidence.torque)
     parts, squares = data.blocks, data.squared_torque
-    wrong = HeldOut(data, 1.0 / fit.weights).of(fit)
+    judge = HeldOut(data, 1.0 / fit.weights)
+    wrong, noise = judge.of(fit), judge.counts * fit.noise**2
+    far = [k for k in range(len(logs)) if beyond_chance(wrong[[k]], noise[[k]]) > NOISE_EXPLAINS]
+    chance = judge.chance(fit) if far else noise
+    untold = [k for k in far if beyond_chance(wrong[[k]], chance[[k]]) <= NOISE_EXPLAINS]
     joints = [joint.joint for joint in fit.information.joints]
     tests = tuple(
         validation_of(
             joints, error, square, sample_counts(part), f"{name}, predicted from the other logs"
         )
-        for name, part, error, square in zip(logs, parts, wrong, squares)
+        for k, (name, part, error, square) in enumerate(zip(logs, parts, wrong, squares))
+        if k not in untold
     )
     masses, sought = {}, fit.unknowns
     for name, own in logs.items():

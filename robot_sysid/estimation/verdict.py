@@ -13,6 +13,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.choices import OWN_SOURCE, held_out
 from robot_sysid.estimation.columns import PLACEHOLDER, usual_bodies
 from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
@@ -66,6 +67,12 @@ def first(findings: Iterable[Judged], otherwise: Verdict) -> tuple[Verdict, tupl
     return (found[0][0] if found else otherwise), tuple(reason for _, reason in found)
 
 
+def beyond_chance(squared: Array, chance: Array) -> float:
+    """Return errors over what chance makes them, of squares (blocks, joints) of both."""
+    some = np.any(chance > 0.0, axis=0)
+    return float(np.sqrt(np.mean(squared.sum(axis=0)[some] / chance.sum(axis=0)[some])))
+
+
 def unexplained(
     fit: Fit, tests: Sequence[Validation], acceleration_error: float, apart: Mapping[str, float]
 ) -> Iterator[Judged]:
@@ -85,6 +92,9 @@ def unexplained(
         errors = test.rmse_per_joint
         squares = [(errors[joint] / noise[joint]) ** 2 for joint in noise if joint in errors]
         ratio = float(np.sqrt(np.mean(squares or [0.0])))
+        if test.source == OWN_SOURCE and ratio > NOISE_EXPLAINS:
+            judge = held_out(fit)
+            ratio = beyond_chance(judge.of(fit), judge.chance(fit))
         if ratio > NOISE_EXPLAINS and (test.relative_error or 0.0) > HARMLESS:
             yield (
                 Verdict.UNEXPLAINED,

@@ -112,6 +112,17 @@ def test_logs_that_agree_are_said_to(plant, robot):
     assert all(each.relative_error < 0.1 for each in tests)
 
 
+@pytest.mark.parametrize("alone", [(), (2,), (0, 2)])
+def test_a_log_of_joints_that_move_in_it_alone_is_no_test_of_the_others(plant, robot, alone):
+    logs = [log_of(plant, plan_of(plant, 1 + k), k, noise_torque=0.05) for k in range(2)]
+    datasets, options = datasets_of(robot, *logs)
+    used = np.ones(datasets[0].motion.q.shape, dtype=bool)
+    used[:, list(alone)] = False
+    first = replace(datasets[0], used=used)
+    tests = logs_compared(fitted(robot, [first, datasets[1]], options), ["a", "b"])[1]
+    assert [each.source[0] for each in tests] == (["a"] if alone else ["a", "b"])
+
+
 def test_logs_that_do_not_agree_are_called_so(plant, robot):
     lighter = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT).replace(
         'mass=".8"', 'mass=".5"'

@@ -10,6 +10,7 @@ import pytest
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation import verdict
 from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.choices import held_out
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.verdict import first
 from robot_sysid.model.inertia import link_reach
@@ -138,6 +139,27 @@ def test_held_out_torque_may_be_three_times_the_noise(robot, noisy):
         assert status or "of parts are predicted 3.5 times worse" in reasons[0]
     coarse, (reason,) = first(verdict.unexplained(fit, [], 0.49, {}), OK)
     assert coarse is Verdict.UNEXPLAINED and "49 %" in reason
+
+
+def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
+    """What a joint that turns each way once leaves to be predicted is not told; chance is as large
+    as what happens elsewhere.
+    """
+    (log,), options = datasets_of(robot, noisy, cutoff=4.0)
+    speed, count = log.motion.qd[:, 2], len(log.motion.time)
+    used, at = np.ones((count, 3), dtype=bool), np.arange(count)
+    used[:, 2] = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
+    fit = fitted(robot, [replace(log, used=used)], options)
+    judge = held_out(fit)
+    squared, chance = judge.squared(fit.unknowns), judge.chance(fit)
+    assert np.sum(squared[:, :2]) == pytest.approx(np.sum(chance[:, :2]), rel=0.3)
+    own = judge.validation(squared)
+    assert own.rmse_per_joint["joint2"] > 3.0 * fit.noise_per_joint["joint2"]
+    alone = replace(own, rmse_per_joint={"joint2": own.rmse_per_joint["joint2"]})
+    assert own.relative_error > verdict.HARMLESS
+    assert first(verdict.unexplained(fit, [alone], 0.0, {}), OK) == (OK, ())
+    other = replace(alone, source="another log")
+    assert first(verdict.unexplained(fit, [other], 0.0, {}), OK)[0] is Verdict.UNEXPLAINED
 
 
 @pytest.mark.parametrize("what", ["another joint's torque", "white noise"])
