@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from hypothesis import Phase, settings
 
-from robot_sysid.estimation.algebra import possible_errors
 from robot_sysid.model.compilation import captured_warnings
 from tests.support import arms
 from tests.support.command_line import CommandLine
@@ -33,9 +32,6 @@ def pytest_configure(config):
     """Let --benchmark-enable and --benchmark-only count, though benchmarks are off by default."""
     wanted = config.getoption("benchmark_enable") or config.getoption("benchmark_only")
     config.option.benchmark_skip = config.getoption("benchmark_skip") and not wanted
-    if "not slow" in config.option.markexpr:
-        # As few as ten parameters allow: drawing them all is a fifth of the fast tests' time.
-        possible_errors._DRAWS = 24
 
 
 def pytest_collection_finish(session):
