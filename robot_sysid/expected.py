@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.common_scale import doubted_share
+from robot_sysid.estimation.algebra.common_scale import doubted
 from robot_sysid.estimation.algebra.identifiability import describe
 from robot_sysid.estimation.algebra.information import restricted
 from robot_sysid.estimation.algebra.nuisances import with_prior
@@ -159,7 +159,8 @@ def expect(
         others = dict(_masses(problem, sought, found)) if asked == "arm" else {}
         if after.doubted > _OFTEN:
             words = f"In about {percent(after.doubted)} of recordings {DOUBTED}"
-            doubt = Remedy(words, *information.spread_of(theta, after.then.covariance[own]))
+            then = possible_covariance(theta, after.then.covariance[own])
+            doubt = Remedy(words, *information.spread_of(theta, then))
     remedies = _best_first(problem, plan, (sample_rate, options, asked), known, told)
     about = others, _never(problem, told), remedies, missing, scaled, doubt
     return Prediction(of, theta, size, covariance, causes, *about)
@@ -220,19 +221,30 @@ def _posterior(
     doubt = 0.0, found
     if sought.may_be_scaled(question):
         wider = unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
-        again = uncertainty(with_prior(plain, wider.groups), *counts)
-        doubt = doubted_share(_scales(sought, found), _scales(wider, again)), again
+        doubt = _doubt(sought, found, wider, uncertainty(with_prior(plain, wider.groups), *counts))
     if not is_loaded:
         at, usual = sought.bodies[robot.body_name]
         found, causes = once_possible(found, causes, np.searchsorted(sought.kept, at), usual, usual)
     return _Posterior(sought, found, causes, *doubt)
 
 
-def _scales(sought: Unknowns, found: Uncertainty) -> tuple[Array, Array]:
-    """Return the covariance of torque scales (joints, joints) beforehand, and of what is left."""
-    group = next(group for group in sought.groups if group.cause == SCALES)
-    places = group.places(sought.kept_names)
-    return group.factor @ group.factor.T, found.inverse[np.ix_(places, places)]
+def _doubt(
+    sought: Unknowns, found: Uncertainty, wider: Unknowns, then: Uncertainty
+) -> tuple[float, Uncertainty]:
+    """Return in which share of recordings a scale of all torques is doubted, and how well what is
+    sought is known then, where there may as well be none.
+
+    Args:
+        sought, found: without a scale of all torques; ``wider`` and ``then``: with one.
+    """
+    pairs = []
+    for asked, after in ((sought, found), (wider, then)):
+        scales = next(group for group in asked.groups if group.cause == SCALES)
+        places = scales.places(asked.kept_names)
+        pairs.append((scales.factor @ scales.factor.T, after.inverse[np.ix_(places, places)]))
+    share, told = doubted(*pairs)
+    moved = then.inverse[:, places]
+    return share, then.with_part(0.5 * moved @ told @ moved.T)
 
 
 def friction_lines(

@@ -19,19 +19,21 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
 from robot_sysid.estimation.algebra.information import restricted, sample_counts
-from robot_sysid.estimation.algebra.nuisances import misfits
+from robot_sysid.estimation.algebra.nuisances import WithPriors, misfits
 from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit
-from robot_sysid.estimation.unknowns import COMMON, SCALES, common_error
+from robot_sysid.estimation.unknowns import COMMON, SCALES, common_error, unknowns
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
 FILTERING, HELD = "filtering", "friction at its bound"
 """What these causes of error are called in results."""
 # Weight of a hidden parameter in a combination that is rounding alone.
 _ROUNDING = 1e-9
+# Logarithm of odds that leave nothing of the other; more would not be finite.
+_SURE = 500.0
 
 
 @dataclass(frozen=True)
@@ -151,13 +153,16 @@ def _more(
 ) -> Iterator[tuple[str, Array]]:
     """Yield (cause, (k, k) covariance) of what stands in no prior.
 
-    A prior that the data contradicts counts as wide as the data asks for. What is held at a bound
-    counts as if it were free: the bound may be where noise has pushed it.
+    A prior that the data contradicts counts as wide as the data asks for. Where a scale of all
+    torques is allowed for there may be none. What is held at a bound counts as if it were free: the
+    bound may be where noise has pushed it.
     """
     for conflict in found:
         asked = (conflict.asked / conflict.scale) ** 2 - 1.0
         if asked > 0.0:
             yield conflict.cause, asked * causes[conflict.cause]
+    if fit.choice.common_scale:
+        yield SCALES, _unscaled(fit)
     places = fit.columns.at(fit.unknowns.at_bound)
     places = places[fit.evidence.shown[places]]
     if len(places):
@@ -166,6 +171,24 @@ def _more(
         moved = inverse @ (seen.T @ held)
         left = held.T @ held - (seen.T @ held).T @ moved
         yield HELD, moved @ np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ moved.T
+
+
+def _unscaled(fit: Fit) -> Array:
+    """Return the mean square (k, k) of what a common torque scale changes that may not be there.
+
+    With and without one count by how likely they make the data (Hoeting, Madigan, Raftery,
+    Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14(4), 1999, eq. 1, 2).
+    """
+    known, choice = fit.unknowns, replace(fit.choice, common_scale=0.0)
+    given = fit.evidence.torque, fit.evidence.shown
+    plain = unknowns(fit.columns, fit.question, choice, *given).groups
+    others = [group for group in known.groups if group.cause != SCALES]
+    data = restricted(fit.evidence.whole, known.kept_names, known.held)
+    scales = (next(g for g in groups if g.cause == SCALES) for groups in (known.groups, plain))
+    likely = WithPriors(data, 1.0 / fit.weights).likely
+    (values, one), (unscaled, other) = (likely([*others, each]) for each in scales)
+    share = 1.0 / (1.0 + np.exp(min(one - other, _SURE)))
+    return np.asarray(share * np.outer(values - unscaled, values - unscaled))
 
 
 def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:

@@ -25,7 +25,7 @@ from robot_sysid.estimation.choices import (
 from robot_sysid.estimation.couplings import neighbours
 from robot_sysid.estimation.dataset import block_masks
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.unknowns import Choice, Question, unknowns
+from robot_sysid.estimation.unknowns import SCALES, Choice, Question, unknowns
 from tests.support import arms
 from tests.support.core_fits import BASIC, KNOWN, datasets_of, fitted, fitter_of
 from tests.support.measured_logs import JOINT, RATE, log_of, plan_of
@@ -160,8 +160,26 @@ def test_a_scale_of_all_torques_is_told_from_none(plant, factor, told):
     known["delay_uncertainty"] = 0.0
     found, fit = chosen(plant, plant, more, given=BASIC, seed=3, duration=30.0, **known)
     assert bool(found.choice.common_scale) == told
-    off = abs(fit.values[0] - plant.prior.mass)
-    assert off < 0.1 * plant.prior.mass and off < 2.0 * fit_errors(fit).whole.standard_errors[0]
+    off, stated = abs(fit.values[0] - plant.prior.mass), fit_errors(fit).whole.standard_errors[0]
+    assert off < 0.1 * plant.prior.mass and off < 2.0 * stated < 0.2 * plant.prior.mass
+
+
+def test_errors_grow_where_there_may_be_no_scale_of_all_torques(plant):
+    """Torques contradict by 25 % links that are known to 1 %, or to 0.2 %: then they are wrong."""
+
+    def more(motion):
+        return 0.25 * ArmDynamics(plant).torque(motion.q, motion.qd, motion.qdd)
+
+    known = {"zero_uncertainty": 0.5, "gravity_uncertainty": 0.02, "delay_uncertainty": 0.0}
+    for share, either in ((1.0, True), (0.2, False)):
+        told = {"given": BASIC, "seed": 3, "duration": 30.0, "link_uncertainty": share, **known}
+        _, fit = chosen(plant, plant, more, **told)
+        errors, names = fit_errors(fit), fit.information.names
+        (scales,) = (group for group in fit.unknowns.groups if group.cause == SCALES)
+        inverse = errors.whole.inverse
+        prior = (inverse @ scales.precision(names) @ inverse)[0, 0]
+        grown = errors.causes[SCALES][0, 0] / prior
+        assert grown > 1.5 if either else grown == pytest.approx(1.0, abs=0.01)
 
 
 def test_noise_with_a_memory_alone_gives_them_none(plant, robot):

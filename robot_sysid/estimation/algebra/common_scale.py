@@ -7,7 +7,7 @@ asks for it, so that right recordings of arms with links that are all off by cha
 
 from __future__ import annotations
 
-from math import erfc, sqrt
+from math import erfc, exp, pi, sqrt
 
 import numpy as np
 
@@ -28,12 +28,13 @@ def _least(spread: Array) -> float:
     return max(RATHER * sqrt(np.mean(spread)), LEAST_SCALE)
 
 
-def doubted_share(before: tuple[Array, Array], after: tuple[Array, Array]) -> float:
-    """Return how many right recordings are doubted, of arms as they are thought to be beforehand.
+def doubted(before: tuple[Array, Array], after: tuple[Array, Array]) -> tuple[float, Array]:
+    """Return how many right recordings are doubted, of arms as they are thought to be beforehand,
+    and mean products (joints, joints) of D x then.
 
     Estimates x of the scales without a common one become with it
 
-        (1 + C_after (K_before - K_after)) x,
+        (1 + C_after D) x,   D = K_before - K_after,
 
     K the precision of scales beforehand, C the covariance of what is left. Of x, which is Gaussian,
     the covariance is what it was beforehand less what is left.
@@ -43,8 +44,15 @@ def doubted_share(before: tuple[Array, Array], after: tuple[Array, Array]) -> fl
             joints), without a common scale and with it.
     """
     (known, left), (alike, wider) = before, after
-    change = np.eye(len(known)) + wider @ (np.linalg.inv(known) - np.linalg.inv(alike))
-    asked = np.mean(change, axis=0)
+    freed = np.linalg.inv(known) - np.linalg.inv(alike)
+    asked, told = np.mean(np.eye(len(known)) + wider @ freed, axis=0), known - left
+    variance = float(asked @ told @ asked)
     # A recording that tells nothing of scales leaves rounding.
-    variance = float(asked @ (known - left) @ asked)
-    return erfc(_least(wider) / sqrt(2.0 * variance)) if variance > 0.0 else 0.0
+    if variance <= 0.0:
+        return 0.0, 0.0 * told
+    far, along = _least(wider) / sqrt(variance), told @ asked
+    share = erfc(far / sqrt(2.0))
+    # Of a Gaussian beyond L standard deviations, the square is 1 + L phi(L) / (1 - Phi(L)).
+    more = far * exp(-0.5 * far**2) * sqrt(2.0 / pi) / share if share else 0.0
+    told = told + more / variance * np.outer(along, along)
+    return share, freed @ told @ freed

@@ -203,6 +203,16 @@ class WithPriors:
         left = self._weights**2 @ self._data.squared_residuals(values)
         return values, root @ root.T, float(left + np.sum((known @ np.append(values, -1.0)) ** 2))
 
+    def likely(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, float]:
+        """Return (values (p,), logarithm of how likely priors make the data, but for a constant).
+
+        With C the covariance of what is found, and F of each prior, p is
+        exp(-misfit / 2) |C|^1/2 / |F| (MacKay 1992, eq. 7 and 8).
+        """
+        values, spread, misfit = self.solve(groups)
+        known = sum(np.linalg.slogdet(group.widened * group.factor)[1] for group in groups)
+        return values, float(0.5 * (np.linalg.slogdet(spread)[1] - misfit) - known)
+
 
 def _asked(
     group: NuisanceGroup, some: Array, names: Sequence[str], values: Array, covariance: Array

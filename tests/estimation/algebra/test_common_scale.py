@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.estimation.algebra import common_scale
-from robot_sysid.estimation.algebra.common_scale import doubted_share
+from robot_sysid.estimation.algebra.common_scale import doubted
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.unknowns import (
     LINKS,
@@ -43,18 +43,23 @@ def test_the_share_is_that_of_drawn_arms(seed, monkeypatch):
     spreads = [np.linalg.inv(rows.T @ rows + precision(each)) for each in (before, after)]
     monkeypatch.setattr(common_scale, "LEAST_SCALE", 0.05)
     known = [each[1].factor @ each[1].factor.T for each in (before, after)]
-    told = doubted_share(*((k, each[2:, 2:]) for k, each in zip(known, spreads)))
+    told, products = doubted(*((k, each[2:, 2:]) for k, each in zip(known, spreads)))
     drawn = rng.multivariate_normal(np.zeros(5), np.linalg.inv(precision(before)), 20000)
     seen = drawn @ rows.T + rng.normal(size=(20000, 3))
     scale = np.mean((seen @ rows @ spreads[1])[:, 2:], axis=1)
+    plain = (seen @ rows @ spreads[0])[:, 2:]
     asked = max(0.05, np.sqrt(np.mean(spreads[1][2:, 2:])))
     assert 0.01 < told < 0.5
-    assert np.mean(np.abs(scale) > asked) == pytest.approx(told, abs=0.01)
+    far = np.abs(scale) > asked
+    assert np.mean(far) == pytest.approx(told, abs=0.01)
+    freed = plain[far] @ (np.linalg.inv(known[0]) - np.linalg.inv(known[1]))
+    mean = freed.T @ freed / np.sum(far)
+    np.testing.assert_allclose(products, mean, rtol=0.0, atol=0.1 * np.max(mean))
 
 
 def test_a_recording_that_tells_nothing_of_scales_is_never_doubted():
     known, alike = 4e-4 * np.eye(3), 4e-4 * np.eye(3) + 0.0225
-    assert doubted_share((known, known), (alike, alike)) == 0.0
+    assert doubted((known, known), (alike, alike))[0] == 0.0
 
 
 @pytest.mark.parametrize(

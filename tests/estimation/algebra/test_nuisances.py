@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.special
+import scipy.stats
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -16,6 +17,7 @@ from robot_sysid.estimation.algebra.least_squares import least_squares
 from robot_sysid.estimation.algebra.nuisances import (
     WIDEST,
     NuisanceGroup,
+    WithPriors,
     is_no_chance,
     link_aspects,
     link_factor,
@@ -71,6 +73,29 @@ def test_the_estimate_is_the_mean_of_the_posterior(seed):
     expected = np.linalg.solve(normal, matrix.T @ right / 0.1**2 + prior @ mean)
     found = least_squares(with_prior(information, groups), np.zeros(16), np.array([10.0]))
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
+
+
+@given(SEEDS)
+def test_priors_are_as_likely_as_the_data_is_under_them(seed):
+    """Of what no plain parameter can explain, the density of the data, dense."""
+    rng = np.random.default_rng(seed)
+    truth = np.concatenate((rng.normal(size=10), drawn(rng, groups_of(rng))))
+    information, _ = information_of(rng, truth)
+    matrix, right = information.stacked()
+    apart = np.linalg.qr(matrix[:, :10], mode="complete")[0][:, 10:].T
+    found, expected = [], []
+    for size in (0.5, 2.0):
+        groups = groups_of(np.random.default_rng(seed), size)
+        mean = np.concatenate([group.mean for group in groups])
+        spread = np.zeros((6, 6))
+        for group, part in zip(groups, (slice(0, 4), slice(4, 6))):
+            spread[part, part] = group.factor @ group.factor.T
+        own = apart @ matrix[:, 10:]
+        covariance = own @ spread @ own.T + 0.1**2 * np.eye(len(own))
+        density = scipy.stats.multivariate_normal(own @ mean, covariance)
+        expected.append(density.logpdf(apart @ right))
+        found.append(WithPriors(information, np.array([0.1])).likely(groups)[1])
+    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=1e-6, abs=1e-6)
 
 
 @given(SEEDS)
