@@ -8,7 +8,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.identifiability import N_INERTIAL, analyse_identifiability
 from robot_sysid.estimation.algebra.information import residual_errors
-from robot_sysid.estimation.algebra.least_squares import least_squares, ordinary
+from robot_sysid.estimation.algebra.least_squares import ordinary, solver
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from robot_sysid.records import Array, Estimate, SquareRootInformation
 
@@ -22,8 +22,9 @@ def identify_parameters(
         prior: (p,) the model's own values, in the order of ``information.names``.
         possible: replace a link that no rigid body can be by the best that one can.
     """
-    noise = ordinary(information, prior)
-    values = free = least_squares(information, prior, 1.0 / noise)
+    solved = solver(information, prior)
+    noise = ordinary(information, solved)
+    values = free = solved(1.0 / noise)[0]
     if possible and not spatial.is_consistent(free[:N_INERTIAL]):
         usual = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
         problem = LinksProblem((np.arange(N_INERTIAL),), usual)

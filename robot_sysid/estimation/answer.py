@@ -20,6 +20,7 @@ from robot_sysid.estimation.algebra.base_parameters import (
 )
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
 from robot_sysid.estimation.algebra.information import residual_errors, restricted, sample_counts
+from robot_sysid.estimation.algebra.uncertainty import triangle_of
 from robot_sysid.estimation.choices import Errors, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
@@ -86,6 +87,11 @@ class Answer:
         judge = held_out(self.fit)
         return judge.validation(judge.of(self.fit))
 
+    @cached_property
+    def share(self) -> Array:
+        """How much of each value (k,) that was sought comes from the data."""
+        return self.errors.share(self.fit)
+
     def pick(self, names: Sequence[str]) -> Array:
         """Return rows (m, k) that pick parameters out of those that were sought."""
         kept = self.fit.unknowns.kept
@@ -95,7 +101,7 @@ class Answer:
         """Return a body whose parameters are combinations (10, k) of what was sought."""
         covariance, noise, budget = self.errors.of(change, theta)
         weight = np.abs(change)
-        share = weight @ self.errors.share(self.fit) / np.maximum(np.sum(weight, axis=1), 1e-300)
+        share = weight @ self.share / np.maximum(np.sum(weight, axis=1), 1e-300)
         return BodyEstimate(
             name=name,
             inertial=InertialParameters(theta),
@@ -284,9 +290,9 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     names = fit.columns.bodies()
     order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
     sought = fit.unknowns
-    # Of many joints all columns of all rows are far more than fit into memory several times.
-    each = [rows[:, order] for rows in fit.evidence.whole.blocks(fit.weights)]
-    found = base_combinations(np.vstack(each), parameter_scale(len(order) // 10))
+    data = fit.evidence.whole.blocks
+    rows = triangle_of(block[:, order] for block in data(fit.weights))
+    found = base_combinations(rows, parameter_scale(len(order) // 10))
     rest = np.setdiff1d(sought.kept, order)
     inside = np.flatnonzero(np.isin(order, sought.kept))
     change, at = found.matrix[:, inside], np.searchsorted(sought.kept, order[inside])
@@ -294,10 +300,8 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     # What is known of sensors counts; free torque scales would explain all torques by themselves.
     known = [g.rows(fit.columns.names) for g in sought.groups if g.cause != LINKS]
     some = np.concatenate((rest, [-1], order[found.leading]))
-    every = itertools.chain(fit.evidence.whole.blocks(fit.weights), known)
-    others, right, base = np.split(
-        np.vstack([rows[:, some] for rows in every]), (len(rest), len(rest) + 1), axis=1
-    )
+    rows = triangle_of(block[:, some] for block in itertools.chain(data(fit.weights), known))
+    others, right, base = np.split(rows, (len(rest), len(rest) + 1), axis=1)
     kept = essential(base, others, right[:, 0])
     return BaseParameters(
         combinations=found.names([fit.columns.names[index] for index in order]),

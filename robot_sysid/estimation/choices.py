@@ -20,7 +20,13 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT, Coupling, FrictionModel, friction_model
 from robot_sysid.estimation.algebra.common_scale import is_worth_a_word
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks
-from robot_sysid.estimation.algebra.information import restricted, sample_counts, update_triangle
+from robot_sysid.estimation.algebra.information import (
+    normal_matrix,
+    restricted,
+    sample_counts,
+    update_triangle,
+)
+from robot_sysid.estimation.algebra.least_squares import without
 from robot_sysid.estimation.algebra.nuisances import WithPriors
 from robot_sysid.estimation.columns import Point
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
@@ -78,13 +84,12 @@ class HeldOut:
     @cached_property
     def _grams(self) -> Array:
         """Gram matrices (blocks, p+1, p+1) of all whitened equations without each block in turn."""
-        size = len(self.data.whole.names) + 1
+        size = len(self.data.blocks[0].names) + 1
         found = np.zeros((len(self.data.blocks), size, size))
-        for noise, *same in zip(self.noise, *(block.joints for block in self.data.blocks)):
-            at = np.append(same[0].columns, -1)
-            rests = _others([j.triangle.T @ j.triangle / noise**2 for j in same], np.add)
-            for gram, rest in zip(found, rests):
-                gram[np.ix_(at, at)] += rest
+        for gram, block in zip(found, self.data.blocks):
+            gram[:] = normal_matrix(block, 1.0 / self.noise)
+        for rows in found.swapaxes(0, 1):  # which takes no memory
+            rows[:] = _others(rows, np.add)
         return found
 
     def squared(self, sought: Unknowns) -> Array:
@@ -377,10 +382,7 @@ def shown_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
         least = int(np.argmin(clear))
         if clear[least] > CLEAR_OFFSET:
             return replace(choice, offsets={joint: size[joint] for joint in gone})
-        # What the others are where this one is zero.
-        gain, stay = spread[:, least] / spread[least, least], np.arange(len(free)) != least
-        found = (found - gain * found[least])[stay]
-        spread = (spread - np.outer(gain, spread[least]))[stay][:, stay]
+        found, spread = without(found, spread, least)
         gone.append(free.pop(least))
     return replace(choice, offsets=dict.fromkeys(gone, 0.0))
 

@@ -57,13 +57,14 @@ class FitErrors:
 
         Their values theta (m,) are given where they grow with a scale that all joints share.
         """
-        blind = ~self.shown(change)
+        blind, used = ~self.shown(change), np.flatnonzero(np.any(change != 0.0, axis=0))
+        few, own = change[:, used], np.ix_(used, used)
 
         def spread(covariance: Array) -> Array:
-            root = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0.0))
-            return np.where(blind, np.inf, root)
+            variance = np.sum((few @ covariance[own]) * few, axis=1)
+            return np.where(blind, np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
-        covariance = change @ self.whole.covariance @ change.T
+        covariance = few @ self.whole.covariance[own] @ few.T
         budget = {name: spread(part) for name, part in self.causes.items() if name != COMMON}
         if self.common and theta is not None:
             covariance = covariance + self.common**2 * np.outer(theta, theta)
@@ -106,7 +107,7 @@ def fit_errors(
     left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
     whole = uncertainty(information, weights, 1.0 / weights, left, space)
     causes = {
-        group.cause: whole.inverse @ group.precision(information.names) @ whole.inverse
+        group.cause: group.explained(information.names, whole.inverse)
         for group in fit.unknowns.groups
     }
     if pull is None:

@@ -188,6 +188,7 @@ class Fitter:
     visits: Visits | None = None
     told: Callable[[], None] = lambda: None
     _last: tuple[Point, tuple[DecimatedSamples, ...], Evidence] | None = field(default=None)
+    _noise: Array | None = None
 
     def around(self, point: Point) -> tuple[tuple[DecimatedSamples, ...], Evidence]:
         """Return the rows around a point, and what they say."""
@@ -220,14 +221,14 @@ class Fitter:
         point = point or self.columns.start()
         if (point.exact_load, point.in_file) != (exact, question.in_file):
             point = replace(point, exact_load=exact, in_file=question.in_file)
-        options, noise = question.options, None
+        options = question.options
         sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
         rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds
         for left in reversed(range(rounds)):
             samples, data = self.around(point)
             given = self.columns, question, choice, point, data
-            fit = solved(*given, samples, self.visits, noise=noise)
-            noise, after = fit.noise, fit.next_point
+            fit = solved(*given, samples, self.visits, noise=self._noise)
+            self._noise, after = fit.noise, fit.next_point
             if _rests(fit, after):
                 return fit
             if left:
@@ -316,12 +317,15 @@ def _bounded(
     while True:  # each round holds at least one more parameter
         prior = columns.prior[sought.kept]
         plain = restricted(data.whole, sought.kept_names, sought.held)
-        noise = weighted(with_prior(plain, sought.groups), prior, start=noise)
-        counts = noise * np.sqrt(inflation)
-        wide = widened_groups(plain, counts * np.sqrt(memory), sought.groups)
-        sought = replace(sought, groups=wide)
         known = with_prior(plain, sought.groups)
         best = solver(known, prior)
+        noise = weighted(known, best, start=noise)
+        counts = noise * np.sqrt(inflation)
+        wide = widened_groups(plain, counts * np.sqrt(memory), sought.groups)
+        if wide is not sought.groups:
+            sought = replace(sought, groups=wide)
+            known = with_prior(plain, sought.groups)
+            best = solver(known, prior)
         counts = sharpened(known, best, counts)
         values = sought.full(best(1.0 / counts)[0])
         inside = sought.bounded(values)

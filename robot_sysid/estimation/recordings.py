@@ -12,7 +12,7 @@ from robot_sysid.dynamics.equations import N_INERTIAL
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.algebra.information import combined, sample_counts
-from robot_sysid.estimation.algebra.least_squares import least_squares, weighted
+from robot_sysid.estimation.algebra.least_squares import solver, weighted
 from robot_sysid.estimation.algebra.memory import memory
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.choices import HeldOut
@@ -60,8 +60,9 @@ def alone(
     """
     plain = combined([part.information() for part in parts])
     known = with_prior(plain, groups)
-    noise = weighted(known, prior)
-    values, slow = least_squares(known, prior, 1.0 / noise), []
+    solved = solver(known, prior)
+    noise = weighted(known, solved)
+    values, slow = solved(1.0 / noise)[0], []
     for joint, at in enumerate(parts[0].columns):
         left = [part.tau[joint] - part.rows[joint] @ values[at] for part in parts]
         slow.append(memory(np.concatenate(left)))
@@ -70,7 +71,7 @@ def alone(
     inverse, seen = space.inverse(), space.identified
     of_noise = plain.stacked(weights)[0] @ inverse
     whole = np.where(np.outer(seen, seen), inverse, np.inf)
-    return least_squares(known, prior, weights), of_noise.T @ of_noise, whole
+    return solved(weights)[0], of_noise.T @ of_noise, whole
 
 
 def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[Validation, ...]]:

@@ -94,8 +94,8 @@ class BodyMotion:
 @dataclass(frozen=True)
 class JointInformation:
     """Square-root information of one joint's equations, which contain the global parameters in
-    ``columns`` (k,): the upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau], or what there
-    is of its rows where there are fewer equations.
+    ``columns`` (k,): the upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau], or fewer rows
+    with such a product where there are fewer equations.
     """
 
     joint: str

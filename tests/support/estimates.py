@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.estimation.algebra.autocorrelation import collect_residuals
-from robot_sysid.estimation.algebra.least_squares import least_squares, ordinary, weighted
+from robot_sysid.estimation.algebra.least_squares import ordinary, solver, weighted
 from robot_sysid.estimation.algebra.nuisances import with_prior
 from robot_sysid.estimation.algebra.uncertainty import joint_space, uncertainty
 from robot_sysid.solver import identify_parameters
@@ -28,9 +28,10 @@ def identified(information, prior, method="ols", samples=None, nuisances=()):
     last parameters.
     """
     information = with_prior(information, nuisances)
-    noise = METHODS[method](information, prior)
+    solved = solver(information, prior)
+    noise = METHODS[method](information, solved)
     weights = 1.0 / noise
-    values = least_squares(information, prior, weights)
+    values, _ = solved(weights)
     left = []
     if samples is not None:
         root = joint_space(information, weights).inverse_root()

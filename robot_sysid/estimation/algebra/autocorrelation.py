@@ -15,6 +15,7 @@ fast ones average out; white noise gives sigma^2 Y^T Y.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -41,7 +42,8 @@ class JointResiduals:
         columns: (k,) which parameters this joint's equations contain.
         count: number of samples n.
         decay: (m,) exp(-1 / T_i).
-        sums: (1 + m, k, k) the Q_i; the first is Y^T Y.
+        sums: (1 + m, k, k) the Q_i; the first is Y^T Y. Of fewer rows than columns, (1 + m, n, n).
+        basis: those rows (n, k), with Q_i = basis^T sums_i basis; None where the sums are the Q_i.
         lags: (v,) lags 0, 1, 2, ... [samples].
         products: (v,) mean of r_t r_(t+l) [N^2 m^2].
         hats: (v,) mean of h_(t,t+l), H the matrix that turns this joint's torque into the fit.
@@ -56,6 +58,16 @@ class JointResiduals:
     products: Array
     hats: Array
     pairs: Array
+    basis: Array | None = None
+
+    def inside(self, spread: Array) -> Array:
+        """Return what some C (k, k) is to ``sums``: tr Q_i C = tr sums_i inside(C)."""
+        return spread if self.basis is None else self.basis @ spread @ self.basis.T
+
+    def score(self, kernels: Array) -> Array:
+        """Return sum_i c_i Q_i (k, k) of coefficients c (1 + m,)."""
+        found = np.tensordot(kernels, self.sums, axes=1)
+        return found if self.basis is None else self.basis.T @ found @ self.basis
 
     def __add__(self, other: JointResiduals) -> JointResiduals:
         """Return the sums of both logs' samples, no lag reaching from one into the other.
@@ -90,8 +102,8 @@ class JointResiduals:
     def absorbed(self, own: Array) -> Array:
         """Return (1 + m,) the share of each kernel's noise that the fit takes out of residuals.
 
-        With H = Y own Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H; own
-        (k, k) is w^2 C, weight times the estimate's inverse normal matrix.
+        With H = Y own Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H; own is
+        ``inside`` of w^2 C, weight times the estimate's inverse normal matrix.
         """
         twice = own @ self.sums[0] @ own
         lost = 2.0 * np.tensordot(self.sums, own, axes=2) - np.tensordot(self.sums, twice, axes=2)
@@ -163,18 +175,34 @@ def joint_residuals(
     lags, kernels = _reach(10 * _MAX_LAG if to_add else count)
     products, pairs = autocovariance(residual, lags)
     rows = np.where(kept[:, None], rows, 0.0)
-    decay = np.exp(-1.0 / 2.0 ** np.arange(kernels))
-    normal, cross = rows.T @ rows, _crossed(rows, decay)
+    decay, basis = _decay(kernels), None
+    if len(rows) < len(columns) and not to_add:
+        sums, basis = _sums_of_ones(len(rows), kernels), rows
+    else:
+        normal, cross = rows.T @ rows, _crossed(rows, decay)
+        sums = np.array([normal, *(normal + half + half.T for half in cross)])
     return JointResiduals(
         columns=columns,
         count=count,
         decay=decay,
-        sums=np.array([normal, *(normal + half + half.T for half in cross)]),
+        sums=sums,
         lags=np.arange(lags + 1),
         products=products,
         hats=lagged(rows @ root, lags) / np.maximum(pairs, 1.0),
         pairs=pairs,
+        basis=basis,
     )
+
+
+def _decay(kernels: int) -> Array:
+    return np.exp(-1.0 / 2.0 ** np.arange(kernels))
+
+
+@lru_cache(maxsize=2)
+def _sums_of_ones(count: int, kernels: int) -> Array:
+    """Return the Q_i (1 + m, n, n) of rows that are those of a unit matrix."""
+    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    return np.asarray(np.append(0.0, _decay(kernels))[:, None, None] ** apart)
 
 
 def _crossed(rows: Array, decay: Array) -> Array:

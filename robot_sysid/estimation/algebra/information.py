@@ -9,6 +9,7 @@ memory does not grow with the number of samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -53,20 +54,33 @@ class InformationAccumulator:
 
 
 def update_triangle(triangle: Array, rows: Array) -> Array:
-    """Return the triangle (k, k) of all rows so far and the new ones (N, k); of fewer than k rows
-    that are not zero, its upper part.
+    """Return the triangle (k, k) of all rows so far and the new ones (N, k); fewer than k rows that
+    are not zero, which no triangle makes fewer, as they are.
     """
     stacked = np.vstack([each[np.any(each != 0.0, axis=1)] for each in (triangle, rows)])
-    return np.asarray(np.linalg.qr(stacked, mode="r"))
+    is_tall = len(stacked) >= stacked.shape[1]
+    return np.asarray(np.linalg.qr(stacked, mode="r")) if is_tall else stacked
 
 
 def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
     """Return (p+1, p+1) [A b]^T [A b] of the data's equations, weighted as in ``stacked``."""
-    found = np.zeros((len(information.names) + 1,) * 2)
+    size = len(information.names)
+    found = np.zeros((size + 1, size + 1))
     for joint, weight in zip(information.joints, weights):
-        at, rows = np.append(joint.columns, -1), weight * joint.triangle
-        found[np.ix_(at, at)] += rows.T @ rows
+        gram = joint.triangle.T @ joint.triangle
+        for own, there in stretches(np.append(joint.columns, size)):
+            found[there] += weight**2 * gram[own]
     return found
+
+
+def stretches(at: NDArray[np.int64]) -> list[tuple[Any, Any]]:
+    """Return pairs of parts of a matrix (k, k), and where they stand in a larger one, of places
+    (k,): neighbours together, which is twice as fast as each by itself.
+    """
+    ends = np.flatnonzero(np.diff(at) != 1) + 1
+    edges = list(zip((0, *ends.tolist()), (*ends.tolist(), len(at))))
+    runs = [(slice(a, b), slice(int(at[a]), int(at[b - 1]) + 1)) for a, b in edges]
+    return [tuple(zip(*pair)) for pair in product(runs, repeat=2)]
 
 
 def sample_counts(information: SquareRootInformation) -> Array:

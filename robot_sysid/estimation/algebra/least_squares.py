@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.estimation.algebra.identifiability import triangle_space
-from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.algebra.information import sample_counts, stretches
 from robot_sysid.records import Array, SquareRootInformation
 
 # Measured: 5 to 7 rounds for seven joints; a millionth of the noise moves no printed digit.
@@ -27,10 +27,9 @@ _AT_FLOOR, _SHARPEST, _SHARPER = 1.01, 0.01, 2
 Solved = Callable[[Array], tuple[Array, Array]]
 
 
-def ordinary(information: SquareRootInformation, prior: Array) -> Array:
+def ordinary(information: SquareRootInformation, solved: Solved) -> Array:
     """Return the noise (joints,) that all joints have in common, from all residuals [N m]."""
     ones, common = np.ones(len(information.joints)), 1.0
-    solved = solver(information, prior)
     for _ in range(_MOST_ROUNDS):
         values, paid = solved(ones / common)
         freedom = max(information.n_samples - float(np.sum(paid)), 1.0)
@@ -42,26 +41,16 @@ def ordinary(information: SquareRootInformation, prior: Array) -> Array:
     return common * ones
 
 
-def least_squares(information: SquareRootInformation, prior: Array, weights: Array) -> Array:
-    """Return x = prior + argmin_d ||A d - (b - A prior)||, of minimum norm in scaled columns.
-
-    Whatever the data cannot see keeps the prior's value, because d has no part there.
-
-    Args:
-        prior: (p,) values to stay at where the data shows nothing.
-        weights: (joints,) by which each joint's equations are multiplied [1/(N m)].
-    """
-    return solver(information, prior)(weights)[0]
-
-
-def weighted(information: SquareRootInformation, prior: Array, start: Array | None = None) -> Array:
+def weighted(
+    information: SquareRootInformation, solved: Solved, start: Array | None = None
+) -> Array:
     """Return the noise (joints,) [N m], found in turns with the estimate until it settles.
 
     Iterated feasible generalised least squares; for independent normal noise the fixed point is
     the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
     """
-    noise = ordinary(information, prior) if start is None else start
-    solved, floor = solver(information, prior), noise_floor(information)
+    noise = ordinary(information, solved) if start is None else start
+    floor = noise_floor(information)
     for _ in range(_MOST_ROUNDS):
         before, noise = noise, joint_noise(information, *solved(1.0 / noise), floor)
         if np.max(np.abs(noise / before - 1.0)) < _SETTLED:
@@ -70,8 +59,13 @@ def weighted(information: SquareRootInformation, prior: Array, start: Array | No
 
 
 def solver(information: SquareRootInformation, prior: Array) -> Solved:
-    """Return a function of weights (joints,), by the fastest way there is, which returns
-    (``least_squares``, how many parameters each joint's equations pay for (joints,)).
+    """Return a function, by the fastest way there is, of weights (joints,) by which each joint's
+    equations are multiplied [1/(N m)]. It returns
+
+        x = prior + argmin_d ||A d - (b - A prior)||,
+
+    of minimum norm in scaled columns, and how many parameters each joint's equations pay for
+    (joints,). Whatever the data cannot see keeps the prior's value (p,): d has no part there.
     """
     plain = partial(_solved, information, prior)
     if information.prior is None:
@@ -103,9 +97,10 @@ class _Normal:
 
     def __init__(self, information: SquareRootInformation, prior: Array) -> None:
         assert information.prior is not None
-        known = (np.append(np.arange(len(information.names)), -1), information.prior)
-        parts = [(np.append(joint.columns, -1), joint.triangle) for joint in information.joints]
-        self._parts = [(columns, rows, rows.T @ rows) for columns, rows in (*parts, known)]
+        size = len(information.names)
+        known = (np.arange(size + 1), information.prior)
+        parts = [(np.append(joint.columns, size), joint.triangle) for joint in information.joints]
+        self._parts = [(at, rows, rows.T @ rows, stretches(at)) for at, rows in (*parts, known)]
         self._prior = prior
 
     def solved(self, weights: Array) -> tuple[Array, Array] | None:
@@ -116,15 +111,16 @@ class _Normal:
         "Numerical methods for least squares problems", 1996, ch. 7.4).
         """
         normal, squares = np.zeros((len(self._prior) + 1,) * 2), np.append(weights, 1.0) ** 2
-        for (at, _, gram), square in zip(self._parts, squares):
-            normal[np.ix_(at, at)] += square * gram
+        for (*_, gram, places), square in zip(self._parts, squares):
+            for own, there in places:
+                normal[there] += square * gram[own]
         root = inverse_root(normal[:-1, :-1], _LEAST_RIDGE)
         if root is None:
             return None
         values, way, before = np.append(self._prior, -1.0), np.zeros(len(root)), np.inf
         for _ in range(_MOST_ROUNDS):
             slope = np.zeros_like(values)
-            for (at, rows, _), square in zip(self._parts, squares):
+            for (at, rows, *_), square in zip(self._parts, squares):
                 slope[at] -= square * ((rows @ values[at]) @ rows)
             steep = root.T @ slope[:-1]
             left = float(steep @ steep)
@@ -135,10 +131,10 @@ class _Normal:
             values[:-1] += left / (step @ normal[:-1, :-1] @ step) * step
         else:
             return None
-        spread = root @ root.T
-        pairs = zip(self._parts, squares[:-1])
+        spread = np.pad(root @ root.T, (0, 1))
         paid = [
-            q * np.vdot(g[:-1, :-1], spread[np.ix_(at[:-1], at[:-1])]) for (at, _, g), q in pairs
+            square * sum(np.einsum("ij,ij", gram[own], spread[there]) for own, there in places)
+            for (*_, gram, places), square in zip(self._parts, squares[:-1])
         ]
         return values[:-1], np.array(paid)
 
@@ -182,6 +178,13 @@ def joint_noise(
     squared = information.squared_residuals(values)
     freedom = np.maximum(sample_counts(information) - paid, 1.0)
     return np.maximum(np.sqrt(squared / freedom), floor)
+
+
+def without(values: Array, spread: Array, which: int) -> tuple[Array, Array]:
+    """Return what all other values (k - 1,), and their covariance, are where one is zero."""
+    gain, stay = spread[:, which] / spread[which, which], np.arange(len(values)) != which
+    left = spread - np.outer(gain, spread[which])
+    return (values - gain * values[which])[stay], left[np.ix_(stay, stay)]
 
 
 def _solved(

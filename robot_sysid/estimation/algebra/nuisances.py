@@ -36,6 +36,8 @@ WIDEST = 20.0
 _SHARE_OF_WORST = 0.3
 # Most rounds until a width rests, and to what; widths for "may be narrower" and "is known".
 _ROUNDS, _SETTLED, _NARROWEST, _FIXED = 30, 1e-3, 0.01, 1e-4
+# Solutions one after the other of what those before have left.
+_REFINED = 4
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,11 @@ class NuisanceGroup:
         """Return the inverse of the prior's covariance (p, p), zero for all other parameters."""
         rows = self.rows(names)[:, :-1]
         return rows.T @ rows
+
+    def explained(self, names: Sequence[str], inverse: Array) -> Array:
+        """Return the part (p, p) of an estimate's covariance that the prior makes, by its C."""
+        rows = self.rows(names)[:, :-1] @ inverse
+        return np.asarray(rows.T @ rows)
 
     def deviations(self, names: Sequence[str], values: Array) -> Array:
         """Return (k,) by how many prior standard deviations, not widened, each direction is off."""
@@ -199,7 +206,14 @@ class WithPriors:
         if root is None:
             rows, _ = self._data.stacked(self._weights)
             root = visible_space(np.vstack((rows, known[:, :-1]))).inverse_root()
-        values = root @ (root.T @ normal[:-1, -1])
+        values = np.zeros(len(root))
+        # Squares lose what exact data tells: what they leave is solved for again.
+        for _ in range(_REFINED):
+            slope = (known[:, -1] - known[:, :-1] @ values) @ known[:, :-1]
+            for joint, weight in zip(self._data.joints, self._weights):
+                rows, at = joint.triangle[:, :-1], joint.columns
+                slope[at] += weight**2 * (joint.triangle[:, -1] - rows @ values[at]) @ rows
+            values += root @ (root.T @ slope)
         left = self._weights**2 @ self._data.squared_residuals(values)
         return values, root @ root.T, float(left + np.sum((known @ np.append(values, -1.0)) ** 2))
 

@@ -30,6 +30,20 @@ def test_kernel_sums_are_those_of_the_dense_kernels(seed):
         np.testing.assert_allclose(total, rows.T @ decay**lag @ rows, rtol=0.0, atol=1e-10)
 
 
+@given(SEEDS)
+def test_sums_of_few_rows_tell_the_same_in_the_rows_themselves(seed):
+    rng = np.random.default_rng(seed)
+    rows, own = rng.normal(size=(30, 40)), rng.normal(size=(40, 40))
+    residual, own = rng.normal(size=30), 1e-3 * own @ own.T
+    residual[7] = np.nan
+    few = collected(rows, residual)
+    all_of_them = joint_residuals(np.arange(40), 0.1 * np.eye(40), rows, residual, True).shortened()
+    kernels = rng.uniform(size=len(few.sums))
+    np.testing.assert_allclose(few.score(kernels), all_of_them.score(kernels), atol=1e-10)
+    shares = [each.absorbed(each.inside(own)) for each in (few, all_of_them)]
+    np.testing.assert_allclose(*shares, atol=1e-12)
+
+
 @given(SEEDS, st.integers(1, 10), st.sampled_from(("any", "like kernels", "twice", "nothing")))
 def test_what_is_not_negative_fits_as_well_as_by_scipy(seed, size, kind):
     rng = np.random.default_rng(seed)

@@ -120,4 +120,3 @@ def test_restricting_holds_the_other_parameters_at_zero(seed, order, count):
     )
     for joint, before in zip(smaller.joints, information.joints):
         assert (joint.joint, joint.n_samples) == (before.joint, before.n_samples)
-        np.testing.assert_array_equal(joint.triangle, np.triu(joint.triangle))
