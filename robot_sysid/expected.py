@@ -217,7 +217,7 @@ def _posterior(
     found = uncertainty(with_prior(plain, sought.groups), *counts)
     causes = {NOISE: found.noise}
     for group in sought.groups:
-        causes[group.cause] = found.inverse @ group.precision(plain.names) @ found.inverse
+        causes[group.cause] = group.explained(plain.names, found.inverse)
     doubt = 0.0, found
     if sought.may_be_scaled(question):
         wider = unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)

@@ -17,7 +17,7 @@ METHODS = {"ols": ordinary, "wls": weighted}
 
 def explained(errors, group, names):
     """The part of the standard errors (p,) that what is known of some nuisances stands for."""
-    spread = np.diag(errors.inverse @ group.precision(names) @ errors.inverse)
+    spread = np.diag(group.explained(names, errors.inverse))
     return np.where(np.isfinite(errors.standard_errors), np.sqrt(np.maximum(spread, 0.0)), np.inf)
 
 

@@ -76,11 +76,6 @@ class NuisanceGroup:
         """Return where the nuisances stand among the parameters ``names``."""
         return [names.index(name) for name in self.names]
 
-    def precision(self, names: Sequence[str]) -> Array:
-        """Return the inverse of the prior's covariance (p, p), zero for all other parameters."""
-        rows = self.rows(names)[:, :-1]
-        return rows.T @ rows
-
     def explained(self, names: Sequence[str], inverse: Array) -> Array:
         """Return the part (p, p) of an estimate's covariance that the prior makes, by its C."""
         rows = self.rows(names)[:, :-1] @ inverse

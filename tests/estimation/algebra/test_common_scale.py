@@ -31,7 +31,7 @@ def beliefs():
 
 
 def precision(groups):
-    return np.sum([group.precision(NAMES) for group in groups], axis=0)
+    return np.sum([group.explained(NAMES, np.eye(len(NAMES))) for group in groups], axis=0)
 
 
 @pytest.mark.parametrize("seed", range(3))
