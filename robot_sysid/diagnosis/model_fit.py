@@ -13,7 +13,7 @@ is wrong that could be seen in the torques.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.kinematics import ArmDynamics, has_only_armature
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import with_gravity
 from robot_sysid.dynamics.spatial import characteristic_length, com_from_theta, parameter_scale
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.signals.process import process
@@ -57,6 +56,8 @@ N_FRICTION = 4
 _LEAST, _SLOW, _REACH = 0.02, 0.05, 0.15
 # Motions whose rows are kept beside the last one: as recorded, and without a mistake.
 _MOTIONS = 2
+MOTION, TORQUE = ("q", "qd", "qdd"), ("tau", "sigma")
+"""Fields of a sample that belong together."""
 # Groups of instants, and neighbours in each, that bound what a fit costs.
 _GROUPS, _NEIGHBOURS = 14, 6
 
@@ -77,14 +78,9 @@ class Sample:
     tau: Array
     sigma: Array
 
-    def with_motion_of(self, joints: list[int]) -> Sample:
-        """Return the sample with its motion's columns in another order."""
-        q, qd, qdd = (values[:, joints] for values in (self.q, self.qd, self.qdd))
-        return replace(self, q=q, qd=qd, qdd=qdd)
-
-    def with_torque_of(self, joints: list[int]) -> Sample:
-        """Return the sample with its torque's columns in another order."""
-        return replace(self, tau=self.tau[:, joints], sigma=self.sigma[joints])
+    def with_order(self, joints: list[int], fields: Sequence[str]) -> Sample:
+        """Return the sample with the columns of some fields in another order."""
+        return replace(self, **{name: getattr(self, name)[..., joints] for name in fields})
 
     def with_motion(self, factor: Array | float) -> Sample:
         """Return the sample with its motion multiplied by a factor, one for all or (n,)."""
@@ -96,8 +92,7 @@ class Sample:
 
     def thinned(self, every: int) -> Sample:
         """Return every so many of the instants."""
-        q, qd, qdd, tau = (v[::every] for v in (self.q, self.qd, self.qdd, self.tau))
-        return replace(self, q=q, qd=qd, qdd=qdd, tau=tau)
+        return replace(self, **{name: getattr(self, name)[::every] for name in (*MOTION, "tau")})
 
 
 @dataclass(frozen=True)
@@ -168,8 +163,7 @@ class ModelFit:
         usual = rms(tau)
         usual = np.maximum(usual, _LEAST * float(np.max(usual)))
         self.sample = Sample(q, qd, qdd, tau, np.hypot(TOLERANCE * usual, self.noise))
-        self._dynamics = LinkDynamics(robot)
-        self._weightless = LinkDynamics(with_gravity(robot, np.zeros(3)))
+        self._dynamics = {False: LinkDynamics(robot), True: LinkDynamics(robot, np.zeros(3))}
         self._beyond = None if has_only_armature(robot.mj_model) else ArmDynamics(robot)
         self.links = np.array([link.theta for link in robot.links])
         armature = robot.mj_model.dof_armature[robot.dof_index]
@@ -179,8 +173,8 @@ class ModelFit:
 
     def torque(self, sample: Sample, links: Array, weightless: bool = False) -> Array:
         """Return (K, n) the torque of links (n, 10), without friction, armature and springs."""
-        dynamics = self._weightless if weightless else self._dynamics
-        return dynamics.motion(sample.q, sample.qd, sample.qdd).torque(links)
+        motion = self._dynamics[weightless].motion(sample.q, sample.qd, sample.qdd)
+        return motion.torque(links)
 
     def later(self, delays: Array) -> Array:
         """Return (K, n) each joint's torque at later instants, by (n,) how much later [s]."""
@@ -231,10 +225,7 @@ class ModelFit:
         solved = np.linalg.solve(normal + unit, np.column_stack((pull, unit[:, last])))
         off, error = solved[:, 0], spread[last] * np.sqrt(np.diag(solved[last, 1:]))
         residual = right - rows @ (spread * off)
-        cost = (
-            float(np.sum(residual**2 @ weight)) / INDEPENDENT
-            + float(np.sum(off[spread > 0.0] ** 2)) / INDEPENDENT
-        )
+        cost = float(np.sum(residual**2 @ weight) + off @ off) / INDEPENDENT
         thetas, terms, extras = np.split(start + spread * off, (10 * n, (10 + N_FRICTION) * n))
         found = terms.reshape(n, N_FRICTION), thetas.reshape(n, 10), extras, error
         return Fit(cost / n, residual, *found)
@@ -244,41 +235,28 @@ class ModelFit:
 
         Sums of neighbours' equations, over the root of their number, are orthonormal: no more is
         left of them than of all. In units of priors and tolerances, with A x = b for them,
-
-            min |b - A x|^2 + |x|^2 = b^T (1 + A A^T)^-1 b.
+        min |b - A x|^2 + |x|^2 = b^T (1 + A A^T)^-1 b.
         """
-        count, n = samples[0].q.shape
+        (count, n), costs = samples[0].q.shape, []
         first = np.linspace(0, count - _NEIGHBOURS, min(_GROUPS, count // _NEIGHBOURS)).astype(int)
-        at, costs = np.add.outer(first, np.arange(_NEIGHBOURS)), []
-        motions = {id(each.q): each for each in samples}
-        known = dict(zip(motions, self._squares_of([*motions.values()], at)))
+        at, motions = np.add.outer(first, np.arange(_NEIGHBOURS)), {id(s.q): s for s in samples}
+        some = ([getattr(m, name)[at.ravel()] for m in motions.values()] for name in MOTION)
+        q, qd, qdd = map(np.concatenate, some)
+        friction = [_friction_columns(each)[at.ravel()] for each in motions.values()]
+        links = self._dynamics[False].motion(q, qd, qdd).columns(range(n))
+        rows = np.concatenate((links, np.concatenate(friction)), axis=2)
+        torque = rows @ self._start + self._springs(q, qd)
+        shape = len(motions), *at.shape, n
+        parts = (v.reshape(*shape, *v.shape[2:]).sum(axis=2) for v in (rows, torque))
+        known = dict(zip(motions, zip(*parts)))
         for sample in samples:
-            links, friction, torque = known[id(sample.q)]
-            weight = np.sqrt(INDEPENDENT / count / _NEIGHBOURS) / np.tile(sample.sigma, len(at))
-            right = (sample.tau[at].sum(axis=1).ravel() - torque) * weight
-            square = links * np.outer(weight, weight) + INDEPENDENT / count / _NEIGHBOURS * friction
-            square.flat[:: len(right) + 1] += 1.0
-            costs.append(right @ np.linalg.solve(square, right) / (n * INDEPENDENT))
-        return np.array(costs)
-
-    def _squares_of(
-        self, motions: Sequence[Sample], at: NDArray[np.int64]
-    ) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield, of each motion's rows summed over groups (G, m) of instants, A A^T (G n, G n) of
-        links and of friction, for tolerances of one, and the model's torque (G n,).
-        """
-        moves = ([getattr(m, name)[at.ravel()] for m in motions] for name in ("q", "qd", "qdd"))
-        (q, qd, qdd), (groups, width), n = map(np.concatenate, moves), at.shape, len(self.links)
-        links = self._dynamics.motion(q, qd, qdd).columns(range(n)).transpose(1, 2, 0)
-        summed = links.reshape(n, 10 * n, -1, groups, width) @ np.ones(width)
-        springs = self._springs(q, qd).reshape(-1, groups, width, n).sum(axis=2)
-        for each, carried, torque in zip(motions, summed.transpose(2, 3, 0, 1), springs):
-            rows = np.append(carried, _friction_columns(each)[at].sum(axis=1), axis=2)
-            torque = torque + rows @ self._start
-            # How far friction may be off grows with the tolerance, which cancels.
-            spread = np.append(self._scales, _friction_spread(replace(each, sigma=np.ones(n))))
-            parts = np.split(rows.reshape(-1, len(spread)) * spread, [10 * n], axis=1)
-            yield parts[0] @ parts[0].T, parts[1] @ parts[1].T, torque.ravel()
+            columns, own = known[id(sample.q)]
+            weight = np.sqrt(INDEPENDENT / count / _NEIGHBOURS) / sample.sigma[:, None]
+            spread = np.append(self._scales, _friction_spread(sample))
+            scaled = (columns * weight * spread).reshape(-1, len(spread))
+            right = ((sample.tau[at].sum(axis=1) - own) * weight[:, 0]).ravel()
+            costs.append(right @ np.linalg.solve(scaled @ scaled.T + np.eye(len(right)), right))
+        return np.array(costs) / (n * INDEPENDENT)
 
     def _rows(self, sample: Sample, weightless: bool) -> tuple[Array, Array, Array]:
         """Return rows (K, n, 14 n) of links and friction, their ``_squares``, and ``_springs``."""
@@ -286,8 +264,7 @@ class ModelFit:
         motion = sample.q, sample.qd, sample.qdd
         key = (weightless, *(each.tobytes() for each in motion))
         if key not in self._kept:
-            dynamics = self._weightless if weightless else self._dynamics
-            links = dynamics.motion(*motion).columns(range(sample.q.shape[1]))
+            links = self._dynamics[weightless].motion(*motion).columns(range(len(self.links)))
             rows = np.concatenate((links, _friction_columns(sample)), axis=2)
             self._kept = dict([*self._kept.items()][-_MOTIONS:])
             self._kept[key] = rows, _squares(rows, rows), self._springs(sample.q, sample.qd)

@@ -42,9 +42,9 @@ HUM, CLEAR_HUM = 0.7, 0.4
 # Standard deviations of zeros [rad], of delays [s] and of the time base and its drift (shares).
 _ZEROS, _DELAYS, _CLOCK = 0.5, 0.05, 0.2
 _ROUNDS, _STEP = 4, 0.01
-# Falls of chi-squared by delays, zeros and time base below which a first round is the last: of 654
-# right and wrong logs of ten arms, those of which one is told have 7.1, 13.9 and 2.8 at least.
-_NO_DELAY, _NO_ZERO, _NO_CLOCK = 5.0, 10.0, 2.0
+# Falls of chi-squared below which the first round is the last; of 1300 right and wrong logs of ten
+# arms, those of which delays or zeros are told have 7.1 at least, and a time base 1.4.
+_NO_OFFSET, _NO_CLOCK = 5.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,8 @@ def joint_zeros(log: ModelFit) -> Offsets:
         motion = Motion(log.time, sample.q, sample.qd, sample.qdd)
         return zero_columns(log.robot, found.thetas, motion)
 
-    def undone(zeros: Array) -> Sample:
-        return replace(log.sample, q=log.sample.q - zeros)
-
-    return _found(log, columns, undone, np.full(log.robot.n_joints, _ZEROS), _NO_ZERO)
+    spread, sample = np.full(log.robot.n_joints, _ZEROS), log.sample
+    return _found(log, columns, lambda z: replace(sample, q=sample.q - z), spread, _NO_OFFSET)
 
 
 def joint_delays(log: ModelFit) -> Offsets:
@@ -110,7 +108,7 @@ def joint_delays(log: ModelFit) -> Offsets:
     def undone(delays: Array) -> Sample:
         return replace(log.sample, tau=log.later(np.clip(delays, *model_fit.DELAYS)))
 
-    return _found(log, columns, undone, np.full(len(own), _DELAYS), _NO_DELAY)
+    return _found(log, columns, undone, np.full(len(own), _DELAYS), _NO_OFFSET)
 
 
 def time_base(log: ModelFit) -> Offsets:

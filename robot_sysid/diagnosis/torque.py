@@ -18,7 +18,7 @@ from itertools import combinations, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis import Finding, Level
+from robot_sysid.diagnosis import Finding, Level, model_fit
 from robot_sysid.diagnosis.model_fit import Fit, ModelFit, Sample, explains, rms, slow_speed
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import percent
@@ -99,17 +99,14 @@ def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, S
         sign = np.ones(len(names))
         sign[joint] = -1.0
         moved = sample.with_motion(sign)
-        for what, text, undone in (
-            ("torque", f"torque.{name} = -TITLE", sample.with_torque(sign)),
-            ("position", f"position.{name} = -TITLE", moved),
-            (
-                "position and torque",
-                f"position.{name} = -TITLE and torque.{name} = -TITLE",
-                moved.with_torque(sign),
-            ),
+        for kinds, undone in (
+            (("torque",), sample.with_torque(sign)),
+            (("position",), moved),
+            (("position", "torque"), moved.with_torque(sign)),
         ):
-            said = f"the {what} of joint {name} has the opposite sign of the model's; flip it in "
-            yield "sign", f"{said}the file of --columns: {text}", undone
+            text = f"the {' and '.join(kinds)} of joint {name} has the opposite sign of the model's"
+            columns = " and ".join(f"{kind}.{name} = -TITLE" for kind in kinds)
+            yield "sign", f"{text}; flip it in the file of --columns: {columns}", undone
 
 
 def _orders(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, Sample]]:
@@ -122,11 +119,11 @@ def _orders(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, 
     if len(names) > 2:
         orders.append((plain[::-1], "the order of the joints is reversed"))
     for order, said in orders:
-        moved = sample.with_motion_of(order)
+        moved = sample.with_order(order, model_fit.MOTION)
         for what, undone in (
-            ("", moved.with_torque_of(order)),
+            ("", moved.with_order(order, model_fit.TORQUE)),
             (" in the positions", moved),
-            (" in the torques", sample.with_torque_of(order)),
+            (" in the torques", sample.with_order(order, model_fit.TORQUE)),
         ):
             yield "order", f"{said}{what}; put the columns right with --columns FILE", undone
 

@@ -50,18 +50,21 @@ def within(part: DecimatedSamples, sought: Unknowns) -> DecimatedSamples:
 
 
 def alone(
-    parts: Sequence[DecimatedSamples], groups: Sequence[NuisanceGroup], prior: Array
+    parts: Sequence[DecimatedSamples],
+    groups: Sequence[NuisanceGroup],
+    prior: Array,
+    start: Array | None = None,
 ) -> tuple[Array, Array, Array]:
     """Return (values (k,), covariance (k, k) of noise, whole covariance; infinite where nothing is
     seen) of some recordings by themselves, with what is known beforehand.
 
-    Their noise and its memory are those of what they leave themselves: what they do not agree on
-    with others is no noise of theirs.
+    Their noise, sought from ``start`` (joints,) [N m] on, and its memory are those of what they
+    leave themselves: what they do not agree on with others is no noise of theirs.
     """
     plain = combined([part.information() for part in parts])
     known = with_prior(plain, groups)
     solved = solver(known, prior)
-    noise = weighted(known, solved)
+    noise = weighted(known, solved, start)
     values, slow = solved(1.0 / noise)[0], []
     for joint, at in enumerate(parts[0].columns):
         left = [part.tau[joint] - part.rows[joint] @ values[at] for part in parts]
@@ -100,7 +103,7 @@ def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tupl
     )
     masses, sought = {}, fit.unknowns
     for name, own in logs.items():
-        given = sought.groups, fit.columns.prior[sought.kept]
+        given = sought.groups, fit.columns.prior[sought.kept], fit.noise
         values, _, whole = alone([within(part, sought) for part in own], *given)
         masses[name] = float(values[0]), float(np.sqrt(whole[0, 0]))
     return tuple(_agreement(masses)), tests
@@ -136,7 +139,7 @@ def each_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
     """Return the payload of each recording against all of the other kind, in the flange's frame."""
     sought, recordings, found = fit.unknowns, fit.columns.datasets, []
     parts = [within(part, sought) for part in fit.samples]
-    given = sought.groups, fit.columns.prior[sought.kept]
+    given = sought.groups, fit.columns.prior[sought.kept], fit.noise
     places = np.searchsorted(sought.kept, fit.columns.at(PAYLOAD_NAMES))
     for kind in (False, True):
         same = [k for k, each in enumerate(recordings) if each.is_loaded is kind]
