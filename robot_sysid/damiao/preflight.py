@@ -263,16 +263,12 @@ def _within_limits(
     if plan.pose is not None:
         places, remedy = np.vstack([places, plan.pose]), f"{remedy}, or choose another --park"
     step = np.diff(played.q, axis=0) / np.diff(played.time)[:, None]
-    asked = (
-        ("position", "rad", space.motor_position(places)),
-        ("velocity", "rad/s", speed * played.qd),
-        ("torque", "N m", space.motor_torque(played.tau)),
-        ("position step", "rad/s", speed * step),
-    )
+    asked = (*space.to_motors(places, speed * played.qd, played.tau), speed * step)
+    words = ("position", "velocity", "torque", "position step"), ("rad", "rad/s", "N m", "rad/s")
     beyond = [
         _stop(f"{joint.label}: {what} {peak:.4g} {unit} is beyond {whose} limit {top:g}; {remedy}")
         for j, (joint, limit) in enumerate(zip(played.joints, limits))
-        for (what, unit, values), top in zip(asked, (*limit, limit[1]))
+        for (what, unit, values), top in zip(zip(*words, asked), (*limit, limit[1]))
         if (peak := np.abs(values[:, j]).max()) > top * (1.0 + _FLOAT32_SLACK)
     ]
     return beyond or [Check(OK, f"the trajectory stays within {whose} limits")]

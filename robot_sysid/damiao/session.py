@@ -111,10 +111,8 @@ class MotorSession:
 
     def clipped(self, q: Array, qd: Array, tau: Array) -> tuple[Array, ...]:
         """Return the nearest values (n,) that the joints' frames carry [rad, rad/s, N m]."""
-        space, limits = self.space, self.scaling.limits.T
-        motor = space.motor_position(q), space.direction * qd, space.motor_torque(tau)
-        p, v, t = np.clip(motor, -limits, limits)
-        return space.joint_position(p), space.direction * v, space.joint_torque(t)
+        limits = self.scaling.limits.T
+        return self.space.to_joints(*np.clip(self.space.to_motors(q, qd, tau), -limits, limits))
 
     def is_off(self, motor: Address) -> bool:
         """Tell whether a motor was never enabled or has confirmed that it is disabled."""
@@ -161,7 +159,7 @@ class MotorSession:
         anything is sent, where a value does not fit into its frame; LinkError from the bus.
         """
         self.last_replies, self._regardless = None, regardless
-        packed = codec.encode_mit(self.space.to_motors(command), self.scaling)
+        packed = codec.encode_mit(self.space.command_to_motors(command), self.scaling)
         wanted = np.ones(self.n_joints, bool) if joints is None else joints
         # What has arrived since the last exchange is late, but it is known whose answer it was.
         while (frame := self._link.receive(self.clock.now())) is not None:
@@ -169,7 +167,7 @@ class MotorSession:
                 self._outstanding.heard(sender)
         told = wanted if regardless else self._outstanding.may_be_told(wanted)
         # As the motors read it; one that is told nothing stays under its old command.
-        new = self.space.from_motors(codec.decode_mit(packed, self.scaling))
+        new = self.space.command_to_joints(codec.decode_mit(packed, self.scaling))
         old = self._command or new
         self._command = codec.MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
         for j in np.flatnonzero(told):
@@ -232,14 +230,11 @@ class MotorSession:
                 missing -= self._take(frame, wanted, raw, received, sent)
         finally:
             answered = np.isfinite(received)
-            told, space = codec.decode_feedback(raw, self.scaling, half_step=True), self.space
-            feedback = replace(
-                told,
-                status=np.where(answered, told.status, NO_STATUS),
-                position=np.where(answered, space.joint_position(told.position), np.nan),
-                velocity=np.where(answered, space.direction * told.velocity, np.nan),
-                torque=np.where(answered, space.joint_torque(told.torque), np.nan),
-            )
+            told = codec.decode_feedback(raw, self.scaling, half_step=True)
+            measured = self.space.to_joints(told.position, told.velocity, told.torque)
+            q, qd, tau = np.where(answered, measured, np.nan)
+            status = np.where(answered, told.status, NO_STATUS)
+            feedback = replace(told, status=status, position=q, velocity=qd, torque=tau)
             stamps = np.where(answered & np.isfinite(sent), sent, received)
             self.last_replies = Replies(answered, stamps, feedback, wanted, command)
         return self.last_replies

@@ -208,7 +208,7 @@ class SimulatedArm:
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
         *told, brake, peak = table.T
-        self._p, v, kp, kd, t = self._space.from_motors(codec.MitCommand(*told))
+        self._p, v, kp, kd, t = self._space.command_to_joints(codec.MitCommand(*told))
         self._peak = peak * self._space.ratio
         self._kd = np.where(driving, kd, brake)
         self._offset = np.where(driving, kd * v + t, 0.0)
@@ -229,13 +229,11 @@ class SimulatedArm:
     def _read_sensors(self) -> None:
         q, qd = self.mechanism.q, self.mechanism.qd
         torque, damping = self._law(q)
-        positions = self._space.motor_position(q)
-        # The motor knows the current it drives, not what its shorted windings do.
-        torques = self._space.motor_torque(torque - damping * qd)
-        for j, motor in enumerate(self.motors[: self.mechanism.n_joints]):
-            motor.position = float(positions[j])
-            motor.velocity = float(motor.joint.direction * qd[j])
-            motor.torque = float(torques[j]) if motor.driving else 0.0
+        read = np.transpose(self._space.to_motors(q, qd, torque - damping * qd)).tolist()
+        for motor, (position, velocity, made) in zip(self.motors, read):
+            motor.position, motor.velocity = position, velocity
+            # It knows the current it drives, not what its shorted windings do.
+            motor.torque = made if motor.driving else 0.0
 
 
 # Between a command's last bit and the first of its answer [s]: an assumption, a third of a frame.

@@ -170,33 +170,29 @@ class JointSpace:
         rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
         return cls(*np.array(rows, dtype=float).reshape(-1, 3).T)
 
-    def to_motors(self, told: MitCommand) -> MitCommand:
+    def to_motors(self, position: Array, velocity: Array, torque: Array) -> tuple[Array, ...]:
+        """Return what motors are told, or tell, of their joints' (n,) [rad, rad/s, N m]."""
+        sign = self.direction
+        return sign * position + self.offset, sign * velocity, sign * torque / self.ratio
+
+    def to_joints(self, position: Array, velocity: Array, torque: Array) -> tuple[Array, ...]:
+        """Return what joints do of what their motors are told, or tell (n,) [rad, rad/s, N m]."""
+        sign = self.direction
+        return sign * (position - self.offset), sign * velocity, sign * self.ratio * torque
+
+    def command_to_motors(self, told: MitCommand) -> MitCommand:
         """Return a command for joints as one for motors."""
-        place, torque = self.motor_position(told.position), self.motor_torque(told.torque)
-        gains = told.kp / self.ratio, told.kd / self.ratio
-        return MitCommand(place, self.direction * told.velocity, *gains, torque)
+        p, v, t = self.to_motors(told.position, told.velocity, told.torque)
+        return MitCommand(p, v, told.kp / self.ratio, told.kd / self.ratio, t)
 
-    def from_motors(self, told: MitCommand) -> MitCommand:
+    def command_to_joints(self, told: MitCommand) -> MitCommand:
         """Return a command for motors as one for joints."""
-        place, torque = self.joint_position(told.position), self.joint_torque(told.torque)
-        gains = told.kp * self.ratio, told.kd * self.ratio
-        return MitCommand(place, self.direction * told.velocity, *gains, torque)
-
-    def motor_position(self, q: Array) -> Array:
-        """Return the motors' positions (n,) at joint positions (n,) [rad]."""
-        return np.asarray(self.direction * q + self.offset)
+        p, v, t = self.to_joints(told.position, told.velocity, told.torque)
+        return MitCommand(p, v, told.kp * self.ratio, told.kd * self.ratio, t)
 
     def joint_position(self, position: Array) -> Array:
         """Return the joint positions (n,) at motor positions (n,) [rad]."""
-        return np.asarray(self.direction * (position - self.offset))
-
-    def motor_torque(self, torque: Array) -> Array:
-        """Return what motors have to believe in for these joint torques (n,) [N m]."""
-        return np.asarray(self.direction * torque / self.ratio)
-
-    def joint_torque(self, torque: Array) -> Array:
-        """Return the joint torques (n,) of what motors believe in [N m]."""
-        return np.asarray(self.direction * self.ratio * torque)
+        return self.to_joints(position, position, position)[0]
 
 
 _COLUMNS = (
