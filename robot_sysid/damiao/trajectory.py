@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import NamedTuple, TextIO
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from robot_sysid.damiao.protocol.frames import PLANNING_LIMIT, BusTiming, bus_load, suggested_rate
@@ -357,13 +358,11 @@ def velocity_mismatch(time: Array, q: Array, qd: Array) -> Mismatch | None:
 
 
 def _rows_off(step: Array, slope: Array, qd: Array) -> Iterator[Mismatch]:
-    padded = np.pad(slope, ((_AROUND, _AROUND), (0, 0)), mode="edge")
-    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND, axis=0)
-    low, high = around.min(axis=-1), around.max(axis=-1)
+    padded = (np.pad(each, ((_AROUND, _AROUND), (0, 0)), mode="edge") for each in (slope, step))
+    slopes, steps = (sliding_window_view(each, 2 * _AROUND, axis=0) for each in padded)
+    low, high = slopes.min(axis=-1), slopes.max(axis=-1)
     # Two rounded positions, of the slope and of what it is compared with, over the shortest step.
-    steps = np.pad(step, ((_AROUND, _AROUND), (0, 0)), mode="edge")
-    shortest = np.lib.stride_tricks.sliding_window_view(steps, 2 * _AROUND, axis=0).min(axis=-1)
-    slack = 4.0 * _ROUNDING / shortest + _ROUNDING + (high - low)
+    slack = 4.0 * _ROUNDING / steps.min(axis=-1) + _ROUNDING + (high - low)
     off = np.maximum(low - slack - qd, qd - high - slack)
     # The last rows have no slopes behind them.
     off[len(off) - _AROUND :] = 0.0

@@ -215,8 +215,6 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
         (["check"], "check needs --channel"),
         (["play", "T"], "play needs --channel"),
         (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
-        (["play", "T", *CAN0, "--kd", "0"], "--kd must be at least 0.0012"),
-        (["play", "T", *CAN0, "--speed", "1.5"], "--speed must be above 0 and at most 1"),
         (["play", "T", *CAN0, "--set-watchdog", "100"], "--set-watchdog must be above 0"),
         (["play", "missing.csv", *CAN0], "cannot read missing.csv"),
         (["check", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
@@ -386,12 +384,7 @@ def two_buses(tmp_path):
     return path
 
 
-def test_a_map_of_two_buses_needs_none_to_be_rehearsed(
-    capsys, trajectory, model, two_buses, quickly
-):
-    arm = ("--model", model, "--joint-map", two_buses)
-    code, _, err = run(capsys, "simulate", trajectory, *arm, "--play", "--rate", "250")
-    assert (code, err) == (0, "")
+def test_a_map_of_two_buses_needs_none_to_be_checked(capsys, trajectory, two_buses):
     code, out, _ = run(capsys, "play", trajectory, "--joint-map", two_buses, "--dry-run", "-v")
     assert code == 0 and "ids are unique: 1, 1" in out
 

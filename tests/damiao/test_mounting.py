@@ -90,21 +90,6 @@ def test_an_unknown_motor_cannot_be_held_and_the_fault_of_a_held_one_stops_the_a
     assert "motor 8 is of no known type and cannot be held" in [*map(str, stops(run.checks))][-1]
 
 
-# --- two buses ------------------------------------------------------------------------------------
-
-
-def test_ids_may_repeat_on_another_bus(tmp_path):
-    run = rig(tmp_path)
-    run.mount(1, can_id=1, master_id=0x11, bus=1, channel="can1")
-    run.link.channels = ("can0", "can1")
-    run.run()
-    assert run.error is None, run.error
-    assert {(frame.bus, frame.id) for frame in run.wire.sent if frame.id != 0x7FF} == {
-        (0, 1),
-        (1, 1),
-    }
-
-
 # --- how the arm is left --------------------------------------------------------------------------
 
 
