@@ -8,6 +8,10 @@ alone, or from a second thread over python-can's virtual bus, which shows both s
 
 from __future__ import annotations
 
+import contextlib
+import sys
+import threading
+
 import numpy as np
 import pytest
 
@@ -21,15 +25,15 @@ from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
+from robot_sysid.damiao.simulated import SimulatedArm, serve, simulated_motor
 from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.damiao_rig import Pendulums, swing
-from tests.support.links import served_in_background
 
 JOINTS = 7
 SECONDS = 8.0
 RATES = (250.0, 500.0)
+SWITCH_INTERVAL = 2e-4
 
 
 class SameThreadLink:
@@ -81,6 +85,26 @@ def tell(benchmark, report, rate: float) -> None:
     }
     benchmark.extra_info.update(figures)
     print(f"\n{rate:g} Hz: {figures}")
+
+
+@contextlib.contextmanager
+def served_in_background(arm, link, clock):
+    """Serve the arm in a thread for as long as the block runs, then close its link."""
+    leave = threading.Event()
+    # Python hands over between busy threads every 5 ms by default: longer than a control cycle.
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    thread = threading.Thread(
+        target=serve, args=(arm, link, clock, lambda: not leave.is_set()), daemon=True
+    )
+    thread.start()
+    try:
+        yield
+    finally:
+        leave.set()
+        thread.join()
+        sys.setswitchinterval(interval)
+        link.close()
 
 
 @pytest.mark.parametrize("rate", RATES)

@@ -30,11 +30,14 @@ from robot_sysid.damiao.bus import (
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame
 from robot_sysid.errors import InputError, SysidError
-from tests.support.can_frames import FRAMES
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.motor_bench import Bench
 
 WALL = 1.7e9
+FRAMES = st.builds(
+    lambda identifier, data, fd: Frame(identifier, data, fd=fd),
+    *(st.integers(0, 0x7FF), st.binary(max_size=8), st.booleans()),
+)
 
 
 def virtual(channel):

@@ -1,14 +1,6 @@
-"""What tests need around a bus: one that remembers its frames, and a thread that serves an arm."""
+"""Links as tests need them: one that remembers its frames, and one whose answers come late."""
 
 from __future__ import annotations
-
-import contextlib
-import sys
-import threading
-
-from robot_sysid.damiao.simulated import serve
-
-SWITCH_INTERVAL = 2e-4
 
 
 class RememberingLink:
@@ -64,24 +56,3 @@ class SlowAdapter:
                 last = self._held[-1].time if self._held else 0.0
                 self._held.append(frame._replace(time=max(frame.time + self.delay(), last)))
         return self._held.pop(0)
-
-
-@contextlib.contextmanager
-def served_in_background(arm, link, clock, close=True):
-    """Serve the arm in a thread for as long as the block runs, then, if asked, close its link."""
-    leave = threading.Event()
-    # Python hands over between busy threads every 5 ms by default: longer than a control cycle.
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_INTERVAL)
-    thread = threading.Thread(
-        target=serve, args=(arm, link, clock, lambda: not leave.is_set()), daemon=True
-    )
-    thread.start()
-    try:
-        yield
-    finally:
-        leave.set()
-        thread.join()
-        sys.setswitchinterval(interval)
-        if close:
-            link.close()
