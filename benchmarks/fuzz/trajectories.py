@@ -26,12 +26,8 @@ from robot_sysid.motion.trajectories import (
     save_trajectory,
 )
 from robot_sysid.records.progress import Progress
-from robot_sysid.trajectory import (
-    SineTrajectory,
-    TrajectoryOptions,
-    motion_chunks,
-    require_countable,
-)
+from robot_sysid.records.sampling import TrajectoryOptions, require_countable
+from robot_sysid.trajectory import SineTrajectory, motion_chunks
 from tests.support import arms
 
 RATE = 50.0
