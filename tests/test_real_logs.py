@@ -74,6 +74,7 @@ def test_tx40s_rotor_inertia_is_seen(tmp_path):
     assert any("stands still from line 3707 on" in note for note in with_it["notes"])
 
 
+@pytest.mark.slow
 def test_tx40s_file_is_better_on_held_out_stretches_and_its_flange_weighs_nothing(tmp_path):
     code, params = identified(tmp_path, TX40 / "tx40.urdf", TX40 / "tx40_500Hz.csv")
     before, after = (params["file"]["torque_error"][which] for which in ("before", "after"))
