@@ -64,7 +64,7 @@ class Identified:
     @property
     def inertial(self) -> InertialParameters:
         """The body that was asked for: the terminal link, or the payload in its flange's frame."""
-        return self.result.asked
+        return self.result.body.inertial
 
     @property
     def theta(self) -> Array:

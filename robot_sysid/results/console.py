@@ -107,7 +107,10 @@ def _tables(result: Result, links: bool) -> Iterator[str]:
     if not result.is_measured or result.payload is not None:
         return
     yield from _mass_line(result)
-    rows = link_rows(result) if links and result.links else asked_rows(result)
+    rows = asked_rows(result)
+    if links and result.links:
+        named = ((body.name, row) for body in result.links for row in theta_rows(body)[:4])
+        rows = [replace(row, name=f"{name} {row.name}") for name, row in named]
     heading, *lines = table_lines(rows, "Before -> after")
     yield heading
     for row, line in zip(rows, lines):
@@ -413,11 +416,6 @@ def asked_rows(result: Result) -> list[BeforeAfter]:
     if result.payload is None:
         return [first, *place, *rest, *_friction_rows(result)]
     return [first, *place, *(_inertia_rows(body) if place else [])]
-
-
-def link_rows(result: Result) -> list[BeforeAfter]:
-    """Return the rows of every link that has mass: its mass and first moments."""
-    return [replace(r, name=f"{b.name} {r.name}") for b in result.links for r in theta_rows(b)[:4]]
 
 
 def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:

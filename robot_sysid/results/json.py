@@ -129,7 +129,7 @@ def _asked(result: Result) -> dict[str, Any]:
         "reasons": result.reasons,
         "known_to": result.known_to,
         "valid": {
-            "physically_consistent": result.asked.is_consistent,
+            "physically_consistent": result.body.inertial.is_consistent,
             "all_identified": seen if payload is None else bool(np.all(payload.body.shown)),
             "trustworthy": result.verdict.is_trustworthy,
         },

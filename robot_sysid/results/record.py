@@ -313,14 +313,9 @@ class Result:
         return BodyEstimate(self.body_name, self.estimate.inertial, *exact, before=self.prior)
 
     @property
-    def asked(self) -> InertialParameters:
-        """The parameters of that body."""
-        return self.body.inertial
-
-    @property
     def known_to(self) -> float | None:
         """Whole standard error of the asked body's mass, as a part of it; None where not known."""
-        error, mass = float(self.body.errors[0]), self.asked.mass
+        error, mass = float(self.body.errors[0]), self.body.inertial.mass
         return error / mass if self.is_measured and np.isfinite(error) and mass > 0.0 else None
 
     @property

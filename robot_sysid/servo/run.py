@@ -385,7 +385,6 @@ def _write(
             notes = (*notes, *write_joints(robot, *found.changes(), target))
             written = [target.path, path]
         except ExportError as error:
-            target.files.withdraw(target.path)
             failure = f"{error} (the identified numbers are in {atomic_files.SERVO_NAME})"
     final = replace(found, notes=notes)
     target.files.write(path, json_text(final.entries()))
