@@ -75,6 +75,12 @@ class InertialParameters:
         return np.asarray(np.linalg.eigvalsh(self.inertia_com), dtype=np.float64)
 
     @property
+    def scale(self) -> Array:
+        """What is much for each parameter (10,) of a body of this mass and size."""
+        length = spatial.characteristic_length(self.theta)
+        return spatial.parameter_scale(max(self.mass, 1e-9), length)
+
+    @property
     def is_consistent(self) -> bool:
         """Whether a rigid body with these parameters can exist."""
         return spatial.is_consistent(self.theta)

@@ -54,7 +54,8 @@ def block_lines(result: Result) -> list[str]:
         heading = f"Identified payload, in the frame of {payload.flange.name}:"
         return [heading, *table_lines(rows), *(ball if unseen else [])]
     estimate, joint = result.estimate, result.joint_name
-    theta, slides = shown(estimate.inertial.theta), joint in result.slides
+    found, slides = estimate.inertial, joint in result.slides
+    theta = without_rounding(found.theta, found.scale)
     moment, inertia = (_listed(values) for values in (theta[1:4], theta[4:]))
     friction = [(term, estimate.value(f"{term}[{joint}]")) for term in ("coulomb", "viscous")]
     return [
@@ -302,7 +303,7 @@ _NUMBERS = ("model", "identified", "±")
 _NOTHING = 1e-9
 """Share of a body's size below which a number is nothing: what is written is exact to 1e-9 too."""
 _LEAST = 1e-9
-"""Mass [kg] and length [m] that stand for those of a body that has none."""
+"""Length [m] that stands for that of a body that has none."""
 _TEN_TIMES = 10.0
 """Change beyond which a number says more than a percentage."""
 _WHOLE = 0.995
@@ -379,8 +380,8 @@ def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
 
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     """Return the rows of ten inertial parameters; an error of zero is none that is stated."""
-    theta, before = body.inertial.theta, None if body.before is None else body.before.theta
-    pairs, shares = _from_to(before, theta, _sizes(theta)), body.data_share.tolist()
+    found, before = body.inertial, None if body.before is None else body.before.theta
+    pairs, shares = _from_to(before, found.theta, found.scale), body.data_share.tolist()
     rows = zip(spatial.PARAMETER_NAMES, pairs, body.errors.tolist(), THETA, shares)
     return [BeforeAfter(LABELS[n], *pair, error or None, *rest) for n, pair, error, *rest in rows]
 
@@ -389,23 +390,13 @@ def _from_to(
     before: Array | None, after: Array, size: Array | float
 ) -> list[tuple[float | None, float]]:
     """Return pairs of numbers (before, after), zero where they are nothing but rounding."""
-    old = [None] * len(after) if before is None else without_rounding(before, size)
-    return list(zip(old, without_rounding(after, size)))
+    old = [None] * len(after) if before is None else without_rounding(before, size).tolist()
+    return list(zip(old, without_rounding(after, size).tolist()))
 
 
-def shown(theta: Array) -> Array:
-    """Return ten parameters (10,), zero where they are nothing but rounding."""
-    return np.array(without_rounding(theta, _sizes(theta)))
-
-
-def without_rounding(values: Array, size: Array | float) -> list[float]:
+def without_rounding(values: Array, size: Array | float) -> Array:
     """Return numbers, zero where they are nothing but rounding beside ``size``."""
-    return [float(value) for value in np.where(np.abs(values) < _NOTHING * size, 0.0, values)]
-
-
-def _sizes(theta: Array) -> Array:
-    mass, length = max(float(theta[0]), _LEAST), spatial.characteristic_length(theta)
-    return spatial.parameter_scale(mass, length)
+    return np.where(np.abs(values) < _NOTHING * size, 0.0, values)
 
 
 def asked_rows(result: Result) -> list[BeforeAfter]:
@@ -444,7 +435,7 @@ def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
         value = estimate.value(f"{term}[{joint}]")
         if value is not None:
             error = estimate.error(f"{term}[{joint}]") if result.is_measured else None
-            after = without_rounding(np.array([value]), 1.0)[0]
+            after = float(without_rounding(np.array(value), 1.0))
             unit = term_unit(term, joint in result.slides)
             yield BeforeAfter(words, model.get(term), after, error, unit)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.dynamics.friction import friction_model
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import DELAY_NAME, Source
 from robot_sysid.records.atomic_files import CARD_NAME, DAMIAO_NAME, MODEL_NAMES
 from robot_sysid.records.figures import percent
@@ -212,9 +212,7 @@ def _sentences(result: Result) -> Iterator[str]:
 
 
 def _weak(body: BodyEstimate) -> Iterator[str]:
-    theta = body.inertial.theta
-    scale = parameter_scale(max(float(theta[0]), 1e-9), characteristic_length(theta))
-    relative = body.errors / scale
+    relative = body.errors / body.inertial.scale
     weak = [k for k in np.argsort(-relative) if np.isfinite(relative[k]) and relative[k] > WEAK]
     if weak:
         listed = ", ".join(f"{PARAMETER_NAMES[k]} (± {percent(relative[k])})" for k in weak)
