@@ -91,7 +91,7 @@ def compare(
     return RolloutTest(before.joint_names, held_out, SERVO_WORDS, tuple(errors), tuple(notes))
 
 
-def split_time(signals: ProcessedSignals) -> float:
+def split_time(signals: ProcessedSignals | Measurement) -> float:
     """Return from when on a log is held out [s]."""
     start, end = float(signals.time[0]), float(signals.time[-1])
     return end - HELD_OUT_SHARE * (end - start)

@@ -21,7 +21,7 @@ from robot_sysid.estimation.algebra.memory import autocovariance, memory_of
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CLOSED, RolloutError, RolloutTest
-from robot_sysid.results.rollout import HELD_OUT_SHARE, HORIZONS
+from robot_sysid.results.rollout import HORIZONS, split_time
 from robot_sysid.signals.resampling import part_of, usual_period
 from robot_sysid.simulation.playback import MOST_WINDOWS
 from robot_sysid.simulation.servos import ServoRollouts, Servos, Window, actuators_of, model_servos
@@ -133,8 +133,7 @@ def smoothed(piece: Measurement) -> tuple[Array, Array]:
 
 def parted(pieces: Sequence[Measurement]) -> tuple[list[Measurement], list[Measurement]]:
     """Return (what is fitted, what is held out): the last fifth of every piece."""
-    cuts = [p.time[-1] - HELD_OUT_SHARE * (p.time[-1] - p.time[0]) for p in pieces]
-    at = [int(np.searchsorted(p.time, cut, "right")) for p, cut in zip(pieces, cuts)]
+    at = [int(np.searchsorted(p.time, split_time(p), "right")) for p in pieces]
     held = [part_of(piece, k, len(piece)) for piece, k in zip(pieces, at)]
     return [part_of(piece, 0, k) for piece, k in zip(pieces, at)], held
 
