@@ -147,9 +147,6 @@ def write_joint(edits: Edits, change: JointChange) -> None:
     node = find_element(document, "joint", change.label)
     written = {name: number(value) for name, value in change.numbers.items()}
     if is_urdf:
-        if "armature" in written:
-            fault = f"a URDF cannot hold the rotor inertia of joint '{change.label}'"
-            raise ExportError(f"{document.path}: {fault}; convert the model to MJCF first")
         if "frictionloss" in written:
             written["friction"] = written.pop("frictionloss")
         old = node.child("dynamics")
