@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import AmbiguousJointError, ModelError
-from robot_sysid.model.chain import (
-    DEFAULT_SLIDE_VELOCITY,
-    chain_to,
-    find_terminal_joint,
-    joint_label,
-    joint_limits,
-    resolve_joint,
-)
+from robot_sysid.model import chain as module
 from tests.support import arms
 from tests.support.arms import (
     X,
@@ -32,19 +25,19 @@ from tests.support.arms import (
 
 def found(xml):
     model = compile_xml(xml)
-    return joint_label(model, find_terminal_joint(model))
+    return module.joint_label(model, module.find_terminal_joint(model))
 
 
 def candidates(xml):
     with pytest.raises(AmbiguousJointError) as caught:
-        find_terminal_joint(compile_xml(xml))
+        module.find_terminal_joint(compile_xml(xml))
     return [joint for joint, _ in caught.value.candidates]
 
 
 def refusal(xml):
     with pytest.raises(ModelError) as caught:
         model = compile_xml(xml)
-        chain_to(model, find_terminal_joint(model))
+        module.chain_to(model, module.find_terminal_joint(model))
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -106,8 +99,8 @@ def test_two_arms_on_one_torso_are_doubt_and_the_torso_is_offered_too():
 def test_an_arm_on_a_rail_keeps_the_rail_in_its_chain():
     rail = '<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>'
     model = compile_xml(world(link(rail, serial_bodies((Z, Y, X)), "carriage")))
-    chain = chain_to(model, find_terminal_joint(model))
-    assert [joint_label(model, j) for j in chain] == ["rail", "joint0", "joint1", "joint2"]
+    chain = module.chain_to(model, module.find_terminal_joint(model))
+    assert [module.joint_label(model, j) for j in chain] == ["rail", "joint0", "joint1", "joint2"]
 
 
 @pytest.mark.parametrize(("body", "joint"), [("end", "Jaw"), ("moving_jaw", "m6")])
@@ -151,7 +144,7 @@ def test_a_ball_joint_behind_the_longest_run_is_refused_too(behind):
 
 def test_a_ball_joint_behind_the_joint_asked_for_is_held():
     model = compile_xml(serial_arm((Z, Y), tip=link(BALL, "", "wrist")))
-    assert chain_to(model, resolve_joint(model, "joint1")) == (0, 1)
+    assert module.chain_to(model, module.resolve_joint(model, "joint1")) == (0, 1)
 
 
 def test_a_floating_base_is_refused():
@@ -161,7 +154,7 @@ def test_a_floating_base_is_refused():
 
 def test_a_joint_that_is_not_the_last_of_its_body_is_refused_and_the_last_named():
     with pytest.raises(ModelError, match="choose roll"):
-        resolve_joint(compile_xml(arms.SHARED_BODIES), "yaw")
+        module.resolve_joint(compile_xml(arms.SHARED_BODIES), "yaw")
 
 
 PLANE = (("slide", X), ("slide", Y), ("hinge", Z))
@@ -206,7 +199,7 @@ UNSTATED = (None, None, None)
 def limits_of(joint='range="-1 2"', actuators="", max_velocity=2.0, extra=""):
     drive = f"<actuator>{actuators}</actuator>" if actuators else ""
     model = compile_xml(serial_arm((Z, Y, X), joint=joint, extra=extra + drive))
-    return joint_limits(model, ALL, max_velocity, UNSTATED)
+    return module.joint_limits(model, ALL, max_velocity, UNSTATED)
 
 
 def torque_of(actuators, joint="", extra=""):
@@ -218,7 +211,7 @@ def test_degrees_and_default_classes_arrive_in_radians():
     xml = serial_arm((Z, Y, X), joint="").replace('angle="radian"', 'angle="degree"')
     default = '<default><joint range="-90 180"/></default>'
     model = compile_xml(xml.replace("<worldbody>", default + "<worldbody>"))
-    limits = joint_limits(model, ALL, 2.0, UNSTATED)
+    limits = module.joint_limits(model, ALL, 2.0, UNSTATED)
     np.testing.assert_allclose(limits.lower, [-np.pi / 2] * 3)
     np.testing.assert_allclose(limits.upper, [np.pi] * 3)
     # MuJoCo keeps the range 0 0 for a joint without one.
@@ -226,7 +219,7 @@ def test_degrees_and_default_classes_arrive_in_radians():
         np.testing.assert_array_equal(limits_of(without).upper, np.inf)
 
 
-@pytest.mark.parametrize(("asked", "slide"), [(2.0, DEFAULT_SLIDE_VELOCITY), (0.1, 0.1)])
+@pytest.mark.parametrize(("asked", "slide"), [(2.0, module.DEFAULT_SLIDE_VELOCITY), (0.1, 0.1)])
 def test_slides_have_a_speed_of_their_own_but_never_more_than_asked(asked, slide):
     limits = limits_of('type="slide" range="-1 1"', max_velocity=asked)
     np.testing.assert_array_equal(limits.velocity, [slide] * 3)
