@@ -73,7 +73,7 @@ def test_a_trajectory_file_beyond_a_limit_is_refused(command, arm):
     content = json.loads(plan.read_text())
     content["amplitude"][-1] = [100.0 * value for value in content["amplitude"][-1]]
     plan.write_text(json.dumps(content))
-    message = command.refused(*words, "--max-velocity", "1000", *EXPORT)
+    message = command.refused(*words, "--max-velocity", "1000")
     assert "it breaks the position limit of joint joint3" in message
 
 
