@@ -89,7 +89,7 @@ class HeldOut:
         for gram, block in zip(found, self.data.blocks):
             gram[:] = normal_matrix(block, 1.0 / self.noise)
         for rows in found.swapaxes(0, 1):  # which takes no memory
-            rows[:] = _others(rows, np.add)
+            rows[:] = np.array(_others(rows, np.add))
         return found
 
     def squared(self, sought: Unknowns) -> Array:
