@@ -7,6 +7,7 @@ written where the held-out error of all that is written together says so.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,7 +94,8 @@ def fit_file(
     if FILE_GRAVITY not in kept and fit.unknowns.settle:
         as_it_is = replace(question, kept_parts=(*kept, FILE_GRAVITY))
         level = fitter.fit(as_it_is, choice, point, rounds=1)
-    fit = fitter.fit(question, choice, after, _ROUNDS)
+    # A fitter of its own: rows under another gravity go where the level base is taken.
+    fit = copy(fitter).fit(question, choice, after, _ROUNDS)
     judge = held_out(fit)
     squared = judge.of(fit)
     if level is not None:

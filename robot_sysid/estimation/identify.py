@@ -121,18 +121,19 @@ def answer_link(
     choice, tried, start = choose(fitter, question, options.friction)
     progress.stage("Solving for parameters...")
     fit = fitter.fit(question, choice, start)
+    errors = fit_errors(fit)
+    said, apart = logs_compared(fit, [each.name for each in datasets])
     file = None
     if kept is not None:
         progress.stage(Detail("Fitting the model file..."))
+        fit = replace(fit, samples=())  # the file's rows are drawn, and take as much memory
         file = fit_file(fitter, options, kept, fit.values)
-    errors = fit_errors(fit)
     signals = [each.signals for each in datasets if each.signals is not None]
     coarsest = max((each.acceleration_error for each in signals), default=0.0)
     answer = Answer(fit, file, errors, (), tried, coarsest)
     notes: list[str] = []
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
         notes += [note for each in signals for note in each.one_way_joints(robot.joint_names)]
-    said, apart = logs_compared(fit, [each.name for each in datasets])
     others = tuple(tested(fit, each, name) for name, each in (tests or {}).items())
     return replace(answer, notes=tuple(dict.fromkeys((*notes, *said))), tests=(*others, *apart))
 
