@@ -41,6 +41,12 @@ def test_every_mistake_is_undone_by_making_it_again(truth, right):
         assert right.fit(undone[made]).cost == pytest.approx(cost, rel=1e-9)
 
 
+def test_no_fit_costs_less_than_its_bound_which_is_no_empty_one(truth, right):
+    tried = [undone for *_, undone in hypotheses(right.sample, truth.robot)][::3]
+    share = right.least_costs(tried) / [right.fit(each).cost for each in tried]
+    assert np.max(share) < 1.0 and np.median(share) > 0.05
+
+
 def test_scaling_all_torques_scales_what_is_found(truth, right):
     scaled = copy.copy(right)
     scaled.sample = right.sample.with_torque(300.0)
