@@ -16,7 +16,8 @@ Every message is one line: what is wrong, where, and what to do about it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 
 INTERRUPTED = 130
 EXIT_CODES: Mapping[int, str] = {
@@ -46,6 +47,15 @@ class InputError(SysidError):
     """Bad input or usage; the user has to change something."""
 
     exit_code = 2
+
+
+@contextlib.contextmanager
+def named(recording: str) -> Iterator[None]:
+    """Let an InputError say which recording it is about."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{recording}: {error}" if recording else str(error)) from None
 
 
 class ColumnsError(InputError):

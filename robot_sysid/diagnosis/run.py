@@ -8,7 +8,7 @@ from dataclasses import replace
 from robot_sysid.diagnosis import Finding, Level, recording, torque
 from robot_sysid.diagnosis.model_fit import Fit, ModelFit
 from robot_sysid.diagnosis.offsets import joint_zeros, offset_findings, zero_findings
-from robot_sysid.errors import InputError, SysidError
+from robot_sysid.errors import InputError, SysidError, named
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
@@ -56,7 +56,8 @@ def look_at(
     links_known: bool = True,
 ) -> None:
     """Tell what ``check_against_model`` finds wrong with a log, and ``require_acceptable``."""
-    found = check_against_model(robot, log.pieces, cutoff, links_known, log.torque_scale)
+    with named(str(log.path)):
+        found = check_against_model(robot, log.pieces, cutoff, links_known, log.torque_scale)
     for each in found:
         # What stops a log is told when it does.
         if each.level is Level.NOTE or (each.level is Level.WARN and each.name in accepted):

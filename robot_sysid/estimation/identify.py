@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +10,7 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.nuisances import gravity, tilt_axes
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, named
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer, written_payload
@@ -64,29 +63,20 @@ def filtered(
     """
     parts, cutoffs, pairs = [LogPiece.of(piece.samples) for piece in pieces], [], []
     for piece, part in zip(pieces, parts):
-        with _named(piece):
+        with named(piece.name):
             cutoffs.append(options.cutoff or part.choice[0])
     for piece, part, own in zip(pieces, parts, cutoffs):
         cutoff, by = options.cutoff, "as given"
         if own > min(cutoffs):
             cutoff, by = min(cutoffs), "as another recording asks for"
         still = options.velocity_deadband, piece.least_deadband
-        with _named(piece):
+        with named(piece.name):
             pairs.append((piece, process(part, robot.joint_names, cutoff, *still, by)))
     found = [Dataset(p.name, each, p.is_loaded, p.place) for p, each in pairs]
     told: dict[str, tuple[str, ...]] = {}
     for piece, each in pairs:
         told[piece.name] = tuple(dict.fromkeys((*told.get(piece.name, ()), *each.notes)))
     return found, tuple(shared_notes(told))
-
-
-@contextlib.contextmanager
-def _named(piece: Piece) -> Iterator[None]:
-    """Let an InputError say which recording it is about."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{piece.name}: {error}" if piece.name else str(error)) from None
 
 
 def shared_notes(told: Mapping[str, Sequence[str]]) -> Iterator[str]:

@@ -117,6 +117,12 @@ def test_what_is_only_noted_is_no_note_of_a_note(four, monkeypatch):
     assert notes == ["it lags [delay]"] and found.line() == "note: it lags [delay]"
 
 
+def test_a_log_that_cannot_be_looked_at_is_named(four):
+    log = SimpleNamespace(path="log.csv", pieces=(four.log,), notes=(), torque_scale=None)
+    with pytest.raises(InputError, match=r"^log\.csv: cut-off 1000 Hz does not fit a rate of"):
+        look_at(ROBOT, log, (), Progress(), 1e3)
+
+
 # ---- right logs
 
 
