@@ -20,7 +20,7 @@ import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level, model_fit
 from robot_sysid.diagnosis.model_fit import Fit, ModelFit, Sample, explains, fall, friction_sign
-from robot_sysid.dynamics.nuisances import zero_columns
+from robot_sysid.dynamics.nuisances import gravity, tilt_columns, zero_columns
 from robot_sysid.records import Array, Motion
 from robot_sysid.records.figures import percent
 
@@ -35,6 +35,9 @@ SURE_CLOCK, LIKELY_CLOCK, SEEN_CLOCK = 9.0, 4.0, 3.0
 CLEAR_CLOCK = 1.5
 """Standard errors that it has to be away from right: right logs have up to 1.2, and a fall of 6.6
 where the model does not fit well."""
+SCALE, TILT = 0.1, np.radians(3.0)
+"""Standard deviations of a joint's torque scale (motor constants of one arm are off by a tenth) and
+of how far a base is from level [rad]."""
 LAGS, LOSS = (0.04, 0.12), 0.1
 """By how much dry friction may be late [s]; standard deviation of a gear's loss, a share."""
 HUM, CLEAR_HUM = 0.7, 0.4
@@ -140,6 +143,19 @@ def other_friction(log: ModelFit) -> Offsets:
     return Offsets(after.extra, after.error, after)
 
 
+def other_sensors(log: ModelFit, base: Fit) -> Offsets:
+    """Return what torque sensors and the base may be off by beside: (n,) each scale (a share), and
+    two angles of the base [rad].
+    """
+    rigid, own = log.torque(log.sample, base.thetas), np.eye(log.robot.n_joints)
+    columns, prior = rigid[:, :, None] * own, np.full(len(own), SCALE)
+    if np.any(gravity(log.robot)):
+        tilt = tilt_columns(log.robot, base.thetas, log.sample.q)
+        columns, prior = np.concatenate((columns, tilt), axis=2), np.append(prior, [TILT, TILT])
+    after = log.fit(extra=columns, prior=prior)
+    return Offsets(after.extra, after.error, after)
+
+
 def strongest_sine(log: ModelFit) -> Offsets:
     """Return the sine that stands out most in what is left of a torque: joint, Hz, size [N m]."""
     base, time, count = log.fit(), log.time - log.time[0], len(log.time)
@@ -159,7 +175,7 @@ def strongest_sine(log: ModelFit) -> Offsets:
 def offset_findings(log: ModelFit, base: Fit) -> list[Finding]:
     """Return what is found of those constants without which the log fits best.
 
-    Nothing where friction explains it as well.
+    Nothing where friction, torque scales or a tilted base explain it as well.
     """
     kinds = (
         (joint_delays(log), delay_findings),
@@ -167,7 +183,8 @@ def offset_findings(log: ModelFit, base: Fit) -> list[Finding]:
         (time_base(log), clock_findings),
         (strongest_sine(log), hum_findings),
     )
-    best, found = other_friction(log).gain(base), list[Finding]()
+    best = max(other_friction(log).gain(base), other_sensors(log, base).gain(base))
+    found: list[Finding] = []
     for each, tell in kinds:
         if each.gain(base) > best and (told := [*tell(log, base, each)]):
             best, found = each.gain(base), told

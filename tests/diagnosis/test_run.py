@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.run import check_against_model, look_at, require_acceptable
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.logs.options import CHECKS
 from robot_sysid.parser import load_robot_model
@@ -87,6 +88,18 @@ def test_a_wrong_log_is_called_by_its_name(four, name, way):
     found = check_against_model(ROBOT, [replace(four.log, **way(four))])
     kind, _, said = name.partition(": ")
     assert any(each.name == kind and said in each.text for each in found), found
+
+
+@pytest.mark.parametrize(("seed", "scales", "pull"), [(5, 0.12, 0.0), (1, 0.0, 0.5)])
+def test_torque_scales_or_a_tilted_base_are_no_fault_of_the_clock(seed, scales, pull):
+    """Whatever the estimate allows for must not pass for another mistake; pull in m/s^2."""
+    right = truth_of(ROBOT, seed)
+    links = np.array([*(link.theta for link in ROBOT.links[:-1]), right.theta])
+    askew = LinkDynamics(ROBOT, np.array([pull, 0.6 * pull, 0.0]))
+    still = np.zeros_like(right.log.q)
+    more = askew.motion(right.log.q, still, still).torque(links)
+    tau = (right.log.tau + more) * (1.0 + scales * np.array([1.0, -1.0, 1.0, -1.0]))
+    assert check_against_model(ROBOT, [replace(right.log, tau=tau)]) == ()
 
 
 @pytest.mark.parametrize("given", [[2.0] * 5, [2.0, 3.0, 4.0, 5.0, 6.0]])
