@@ -96,8 +96,8 @@ def fit_file(
         level = fitter.fit(as_it_is, choice, point, rounds=1)
     # A fitter of its own: rows under another gravity go where the level base is taken.
     fit = copy(fitter).fit(question, choice, after, _ROUNDS)
-    judge = held_out(fit)
-    squared = judge.of(fit)
+    # What makes the errors is large, and not kept.
+    squared, judge = held_out(fit).of(fit), held_out(fit)
     if level is not None:
         errors = held_out(level).of(level)
         if not is_clearly_lower(judge.score(squared), judge.score(errors)):

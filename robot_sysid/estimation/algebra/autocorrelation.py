@@ -64,6 +64,11 @@ class JointResiduals:
         """Return what some C (k, k) is to ``sums``: tr Q_i C = tr sums_i inside(C)."""
         return spread if self.basis is None else self.basis @ spread @ self.basis.T
 
+    def energy(self, spread: Array) -> float:
+        """Return tr Q_0 C, the energy that errors of covariance C (k, k) make in the torque."""
+        rows = self.sums[0] if self.basis is None else self.basis
+        return float(np.vdot(spread if self.basis is None else rows @ spread, rows))
+
     def score(self, kernels: Array) -> Array:
         """Return sum_i c_i Q_i (k, k) of coefficients c (1 + m,)."""
         found = np.tensordot(kernels, self.sums, axes=1)

@@ -9,13 +9,16 @@ memory does not grow with the number of samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import islice, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.records import Array, JointInformation, SquareRootInformation
+
+# Joints whose equations are squared together: of many joints they share most columns.
+_TOGETHER = 8
 
 
 class InformationAccumulator:
@@ -63,13 +66,14 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
 
 
 def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
-    """Return (p+1, p+1) [A b]^T [A b] of the data's equations, weighted as in ``stacked``."""
-    size = len(information.names)
-    found = np.zeros((size + 1, size + 1))
-    for joint, weight in zip(information.joints, weights):
-        gram = joint.triangle.T @ joint.triangle
-        for own, there in stretches(np.append(joint.columns, size)):
-            found[there] += weight**2 * gram[own]
+    """Return (p+1, p+1) [A b]^T [A b] of the equations of ``stacked``."""
+    found, blocks = np.zeros((len(information.names) + 1,) * 2), information.blocks(weights)
+    while some := list(islice(blocks, _TOGETHER)):
+        rows = np.vstack(some)
+        at = np.flatnonzero(np.any(rows != 0.0, axis=0))
+        gram = rows[:, at].T @ rows[:, at]
+        for own, there in stretches(at):
+            found[there] += gram[own]
     return found
 
 
@@ -77,8 +81,8 @@ def stretches(at: NDArray[np.int64]) -> list[tuple[Any, Any]]:
     """Return pairs of parts of a matrix (k, k), and where they stand in a larger one, of places
     (k,): neighbours together, which is twice as fast as each by itself.
     """
-    ends = np.flatnonzero(np.diff(at) != 1) + 1
-    edges = list(zip((0, *ends.tolist()), (*ends.tolist(), len(at))))
+    ends = [0, *(np.flatnonzero(np.diff(at) != 1) + 1).tolist(), len(at)]
+    edges = [pair for pair in zip(ends, ends[1:]) if pair[0] < pair[1]]
     runs = [(slice(a, b), slice(int(at[a]), int(at[b - 1]) + 1)) for a, b in edges]
     return [tuple(zip(*pair)) for pair in product(runs, repeat=2)]
 

@@ -191,7 +191,7 @@ class WithPriors:
     def __init__(self, information: SquareRootInformation, noise: Array) -> None:
         self.names, self._weights = information.names, 1.0 / noise
         self._data = replace(information, prior=None)
-        self._gram = normal_matrix(information, self._weights)
+        self._gram = normal_matrix(self._data, self._weights)
 
     def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
         """Return (values (p,), covariance (p, p), misfit of data and priors)."""
@@ -258,15 +258,16 @@ def misfits(
     """
     problem = WithPriors(information, noise)
     values, covariance, with_all = problem.solve(groups)
-    wanted = widened_groups(information, noise, groups, _NARROWEST)
-    wider = problem.solve(wanted)[:2]
-    found = []
+    wanted, wider, found = tuple[NuisanceGroup, ...](), (values, covariance), []
     for index, group in enumerate(groups):
         fixed = [*groups[:index], replace(group, widened=_FIXED), *groups[index + 1 :]]
         gained = problem.solve(fixed)[2] - with_all
         every = np.eye(len(group.names))
         freedom = max(float(np.sum(_determined(group, every, problem.names, covariance))), 1.0)
         if is_no_chance(gained, freedom, 1.0 - SURE ** (1.0 / len(groups))):
+            if not wanted:
+                wanted = widened_groups(information, noise, groups, _NARROWEST)
+                wider = problem.solve(wanted)[:2]
             off = group.deviations(problem.names, values)
             worst, wide = _worst_members(group, off), wanted[index]
             some = (every, *group.aspects())

@@ -136,6 +136,6 @@ def _kernels(
 ) -> Iterator[Array]:
     """Yield each joint's noise; the spread (p, p) of the last round tells what others' adds."""
     for joint, (absorbed, kernels, energy) in zip(residuals, alone):
-        errors = joint.inside(spread[np.ix_(joint.columns, joint.columns)])
-        leaked = float(np.vdot(errors, joint.sums[0]) - energy) / max(joint.count, 1)
+        errors = joint.energy(spread[np.ix_(joint.columns, joint.columns)])
+        leaked = (errors - energy) / max(joint.count, 1)
         yield joint.fit(absorbed, leaked) if leaked > 0.0 else kernels
