@@ -37,19 +37,14 @@ class _Words(FilesCompleter):
 
 def _parser(done: Sequence[str]) -> tuple[argparse.ArgumentParser, int, Sequence[str]]:
     """Return what parses a line of complete words, how many name it, and words beside files."""
-    name = done[0] if done else ""
-    if name not in COMMANDS:
-        from robot_sysid.commands import run
-
-        return run.build_parser(), 1, () if done else tuple(COMMANDS)
-    if name != "motors":
-        module = importlib.import_module(f"robot_sysid.commands.{COMMANDS[name]}")
-        asked = ("identify" if name == "arm" else name,) if COMMANDS[name] == "run" else ()
-        return module.build_parser(*asked), 2, ()
-    from robot_sysid.commands import motors
-
-    if len(done) > 1 and done[1] in motors.COMMANDS:
-        return motors.build_parser(done[1]), 3, ()
-    choice = argparse.ArgumentParser()
-    choice.add_argument("command", choices=motors.COMMANDS)
-    return choice, 2, ()
+    name = done[0] if done and done[0] in COMMANDS else ""
+    kind = COMMANDS.get(name, "run")
+    module = importlib.import_module(f"robot_sysid.commands.{kind}")
+    if name == "motors":
+        if len(done) > 1 and done[1] in module.COMMANDS:
+            return module.build_parser(done[1]), 3, ()
+        choice = argparse.ArgumentParser()
+        choice.add_argument("command", choices=module.COMMANDS)
+        return choice, 2, ()
+    asked = ("identify" if name == "arm" else name,) if kind == "run" else ()
+    return module.build_parser(*asked), 2 if name else 1, () if done else tuple(COMMANDS)

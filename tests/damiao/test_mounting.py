@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from robot_sysid.damiao.references import ORDERS, FileHolding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
 from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing, trajectory_file
+from tests.support.places import EXAMPLE
 
 STANDING = 0.7
 
@@ -157,6 +159,13 @@ def test_a_pose_that_is_none_is_refused_before_anything_moves(tmp_path, text):
     run.run()
     assert run.error.exit_code == 2 and "pose.csv" in str(run.error)
     run.assert_never_moved()
+
+
+@pytest.mark.slow
+def test_the_recording_of_the_example_gives_the_true_link_back(monkeypatch):
+    """Export, play, record, identify: the whole loop."""
+    monkeypatch.syspath_prepend(str(EXAMPLE))
+    assert importlib.import_module("validate_damiao_loop").main() == 0
 
 
 # --- maps and torques -----------------------------------------------------------------------------
