@@ -1,9 +1,12 @@
-"""The parsers of the commands: what they take, how it arrives, and what their help says."""
+"""The parsers of the commands: what they take, how it arrives; what help and a shell offer."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
+import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -94,3 +97,26 @@ def test_the_version_is_printed(capsys):
     said = capsys.readouterr().out.splitlines()
     assert said == help_lines(["plan", "--quiet", "--version"], capsys)
     assert said == [f"robot-sysid {__version__}"]
+
+
+ASKED = {
+    "pa": {"payload "},
+    "plan --excitation-t": {"--excitation-time-budget "},
+    "plan --excitation ": {"sines", "optimal"},
+    "motors ch": {"check "},
+    "motors play t.csv --rec": {"--record "},
+    "arm.xml --motor-t": {"--motor-type "},
+    "arm": {"arm "},
+    "identify arm.xml lo": {"log.csv "},
+}
+
+
+@pytest.mark.parametrize("typed", ASKED)
+def test_commands_options_values_and_files_are_completed(typed, tmp_path):
+    (tmp_path / "log.csv").touch()
+    line, answer = f"robot-sysid {typed}", tmp_path / "answer"
+    asking = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer)}
+    asking.update(COMP_LINE=line, COMP_POINT=str(len(line)), _ARGCOMPLETE_IFS="\n")
+    call = [sys.executable, "-m", "robot_sysid"]
+    subprocess.run(call, cwd=tmp_path, env={**os.environ, **asking}, check=True)
+    assert set(answer.read_text().splitlines()) == ASKED[typed]
