@@ -98,7 +98,7 @@ class Arm:
         self.arm = with_gravity(robot, turned(gravity(robot), angles))
         links = other_links(robot)
         lengths = [float(np.linalg.norm(robot.links[link + 1].translation)) for link in links]
-        self.thetas = np.array([link.theta for link in robot.links])
+        self.thetas = robot.thetas
         if cell.links:
             usual = [robot.links[link].theta for link in links]
             factor = link_factor(usual, 0.01 * cell.links, lengths)
@@ -113,7 +113,7 @@ class Arm:
         """What its sensors say; friction that is bent falls with speed and grows with load."""
         motion = self.plan.evaluate(np.arange(int(RATE * DURATION)) / RATE)
         exact = next(iter(simulate_inverse(self.arm, iter([motion]))))
-        own = np.array([link.theta for link in self.robot.links])
+        own = self.robot.thetas
         moves = LinkDynamics(self.arm).motion(exact.q, exact.qd, exact.qdd)
         rest = exact.tau - self.arm.friction.torque(exact.qd) - moves.torque(own)
         carried = self.thetas.copy()

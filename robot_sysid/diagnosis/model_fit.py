@@ -165,7 +165,7 @@ class ModelFit:
         self.sample = Sample(q, qd, qdd, tau, np.hypot(TOLERANCE * usual, self.noise))
         self._dynamics = {False: LinkDynamics(robot), True: LinkDynamics(robot, np.zeros(3))}
         self._beyond = None if has_only_armature(robot.mj_model) else ArmDynamics(robot)
-        self.links = np.array([link.theta for link in robot.links])
+        self.links = robot.thetas
         armature = robot.mj_model.dof_armature[robot.dof_index]
         self._start = np.append(self.links, np.outer(armature, [0.0, 0.0, 0.0, 1.0]))
         self._scales = _link_scales(robot)

@@ -176,7 +176,7 @@ class Columns:
 
     def thetas(self, values: Array, is_loaded: bool = False) -> Array:
         """Return the links (n, 10) of some values (p,), the terminal one with or without load."""
-        found = np.array([link.theta for link in self.robot.links])
+        found = self.robot.thetas
         if self.torques == "chain":
             for link in other_links(self.robot):
                 found[link] = values[self.at(link_names(self.robot, link))]

@@ -246,6 +246,11 @@ class RobotModel:
         return len(self.joint_names)
 
     @property
+    def thetas(self) -> Array:
+        """Inertial parameters (n, 10) of its links, each in its own frame."""
+        return np.array([link.theta for link in self.links])
+
+    @property
     def terminal_joint(self) -> str:
         """Name of the last chain joint."""
         return self.joint_names[-1]

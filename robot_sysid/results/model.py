@@ -106,7 +106,7 @@ def write_joints(
     """Write a model with new numbers for its joints and servos; errors as in ``write_model``."""
     fitting, notes = _that_fit(robot, joints)
     change = ModelChange((), target.rmse, fitting, None, tuple(actuators))
-    return notes + _write(robot, change, target, np.array([link.theta for link in robot.links]))
+    return notes + _write(robot, change, target, robot.thetas)
 
 
 def most_inflated(errors: Array) -> float:
@@ -118,7 +118,7 @@ def _links(result: Result, robot: RobotModel) -> tuple[Array, Array]:
     """Return what the links get without the payload and its standard errors, both (n, 10)."""
     if result.file is not None:
         return result.file.thetas.copy(), result.file.errors.copy()
-    thetas = np.array([link.theta for link in robot.links])
+    thetas = robot.thetas
     errors = np.full(thetas.shape, np.inf)
     if result.payload is not None:
         return thetas, errors

@@ -223,7 +223,7 @@ def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.b
 
 def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return (n,) the largest torque of gravity and the mean inertia that each joint moves."""
-    thetas, dynamics = np.array([link.theta for link in robot.links]), LinkDynamics(robot)
+    thetas, dynamics = robot.thetas, LinkDynamics(robot)
     at_rest = dynamics.motion(q, 0.0 * q, 0.0 * q).torque(thetas)
     found = []
     for unit in np.eye(q.shape[1]):
@@ -398,7 +398,7 @@ def usual_share(rows: Array, moves: NDArray[np.bool_]) -> Array:
 
 def links_share(robot: RobotModel, pieces: Sequence[Measurement], servos: Servos) -> Array:
     """Return (n,) the links' torque, gravity and inertia, over that of all, root mean squares."""
-    thetas, parts = np.array([link.theta for link in robot.links]), []
+    thetas, parts = robot.thetas, []
     for piece in pieces:
         q, qd = smoothed(piece)
         qdd = np.gradient(qd, piece.time, axis=0)

@@ -149,7 +149,7 @@ def test_springs_and_armature_stay_in_the_torque():
 
 
 def assert_equals_mujoco(robot, motion):
-    thetas = np.array([link.theta for link in robot.links])
+    thetas = robot.thetas
     links = LinkDynamics(robot).motion(*motion)
     actual = ArmDynamics(robot).torque(*motion) - ArmDynamics(robot).beyond_rigid_bodies(*motion)
     allowed = 1e-11 * np.max(np.abs(actual)) + 1e-13

@@ -35,7 +35,7 @@ def test_without_gravity_there_is_no_tilt():
 def test_a_zero_changes_the_torque_as_differences_of_it_say(xml, seed):
     robot, rng, step = robot_of(xml), np.random.default_rng(seed), 1e-5
     q, qd, qdd = random_motion(rng, robot.n_joints, 5)
-    thetas = np.array([link.theta for link in robot.links])
+    thetas = robot.thetas
     dynamics, own = LinkDynamics(robot), step * np.eye(robot.n_joints)
     below, above = (
         np.stack([dynamics.motion(q + at, qd, qdd).torque(thetas) for at in side], axis=-1)

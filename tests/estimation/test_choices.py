@@ -106,7 +106,7 @@ def root(motion):
 
 def loss(motion):
     robot = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT))
-    thetas = np.array([link.theta for link in robot.links])
+    thetas = robot.thetas
     carried = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).torque(thetas)
     return 0.2 * np.sign(motion.qd) * np.abs(carried)
 

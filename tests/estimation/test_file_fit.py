@@ -96,7 +96,7 @@ def test_links_and_sensor_offsets_do_not_take_each_other_s_part(plant, offset):
     assert all((size > 0.0) == (offset > 0.0) for size in fit.choice.offsets.values())
     still = log.q[::50]
     moves = LinkDynamics(plant).motion(still, 0.0 * still, 0.0 * still)
-    weight = moves.torque(np.array([link.theta for link in plant.links]))
+    weight = moves.torque(plant.thetas)
     off = moves.torque(fit.columns.thetas(fit.values)) - weight
     assert np.linalg.norm(off) < 0.02 * np.linalg.norm(weight)
 

@@ -43,7 +43,7 @@ def of_link(link):
 
 
 def of_links(index=0, change=lambda theta: theta):
-    thetas = np.array([link.theta for link in SEVEN.links])
+    thetas = SEVEN.thetas
     thetas[index] = change(thetas[index])
     return verdict.implausible_links(SEVEN, thetas)
 

@@ -67,10 +67,6 @@ def target_of(robot, folder=None):
         yield ModelTarget(files, path, checkpoints(robot), 1.23e-4)
 
 
-def own_thetas(robot):
-    return np.array([link.theta for link in robot.links])
-
-
 def body_estimate(theta, errors=None):
     errors = np.full(10, 1e-4) if errors is None else errors
     inertial, covariance = records.InertialParameters(theta), np.diag(np.square(errors))
@@ -79,7 +75,7 @@ def body_estimate(theta, errors=None):
 
 def file_of(robot, thetas=None, joints=None, gravity=None):
     """What a written model should hold."""
-    thetas = own_thetas(robot) if thetas is None else thetas
+    thetas = robot.thetas if thetas is None else thetas
     errors = np.full(thetas.shape, np.inf)
     return made.model_file(thetas=thetas, errors=errors, joints=joints or {}, gravity=gravity)
 
@@ -171,7 +167,7 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(robots, suffix, name
     robot, rng = robots[suffix], np.random.default_rng(3)
     link = robot.prior.theta + random_theta(rng, 0.4)
     payload = payload_of(robot, some_payload(rng), link=link)
-    file, thetas = None, own_thetas(robot)
+    file, thetas = None, robot.thetas
     if with_file:  # what it says of the terminal link counts, not what the payload does
         thetas[0] += random_theta(rng, 0.3)
         thetas[-1] = link = link + random_theta(rng, 0.1)
@@ -260,7 +256,7 @@ def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_w
     tmp_path,
 ):
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.THREE}))
-    rng, thetas = np.random.default_rng(2), own_thetas(robot)
+    rng, thetas = np.random.default_rng(2), robot.thetas
     thetas[-1] += random_theta(rng, 0.2)
     joints = {name: {"coulomb": record.Figure(0.3, np.nan)} for name in robot.joint_names}
     text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints)))

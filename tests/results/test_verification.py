@@ -191,10 +191,6 @@ def arm(tmp_path_factory):
     return load_robot_model(path)
 
 
-def own_thetas(robot):
-    return np.array([link.theta for link in robot.links])
-
-
 @given(theta=arms.rigid_bodies(), seed=arms.SEEDS)
 def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta, seed):
     plan = plan_write_back(theta, subtree_bodies(arm.mj_model, arm.reference_qpos, arm.body_id))
@@ -206,14 +202,14 @@ def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta
     written = arm.path.with_name("written.xml")
     written.write_bytes(text)
     compiled = verify_written_model(arm.mj_model, written, change).mj_model
-    thetas = own_thetas(arm)
+    thetas = arm.thetas
     thetas[-1] = plan.written(theta)
     require_reproduction(arm, thetas, change, compiled, some_motion(seed, 3), written)
 
 
 def torque_refused(robot, mj_model, thetas=None, change=None):
     """Whether a compiled model is refused for its torque."""
-    thetas, change = own_thetas(robot) if thetas is None else thetas, change or ModelChange((), 0.0)
+    thetas, change = robot.thetas if thetas is None else thetas, change or ModelChange((), 0.0)
     motion = some_motion(1, robot.n_joints)
     try:
         require_reproduction(robot, thetas, change, mj_model, motion, Path("updated_model.xml"))
@@ -234,7 +230,7 @@ def test_a_model_that_is_off_in_any_parameter_is_refused(arm, link):
     """One part in a million of the link's own size is enough, where its joint can tell."""
     compiled = compile_model(arm.path).mj_model
     for parameter in range(10):
-        thetas = own_thetas(arm)
+        thetas = arm.thetas
         thetas[link, parameter] += 1e-6 * (1.0 if parameter < 4 else 0.1)
         # A link that turns about the vertical shows its moment about it alone.
         assert torque_refused(arm, compiled, thetas) == (link > 0 or parameter == 9)
