@@ -11,16 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.records import (
-    Array,
-    DataOrigin,
-    Estimate,
-    Flange,
-    InertialParameters,
-    PriorConflict,
-    SubtreeBody,
-    Validation,
-)
+from robot_sysid import records
+from robot_sysid.records import Array, InertialParameters, Validation
 from robot_sysid.records.results import RolloutTest
 
 LINK, PAYLOAD = "link", "payload"
@@ -225,7 +217,7 @@ class Payload:
         known_mass, torque_scale: a weight that was given [kg], and joint to its scale by it.
     """
 
-    flange: Flange
+    flange: records.Flange
     body: BodyEstimate
     link: BodyEstimate
     total: BodyEstimate
@@ -272,14 +264,14 @@ class Result:
     body_name: str
     joint_names: tuple[str, ...]
     prior: InertialParameters
-    estimate: Estimate
+    estimate: records.Estimate
     verdict: Verdict
     torques: str
-    data: DataOrigin
+    data: records.DataOrigin
     versions: Mapping[str, str]
     reasons: tuple[str, ...] = ()
     slides: tuple[str, ...] = ()
-    bodies: tuple[SubtreeBody, ...] = ()
+    bodies: tuple[records.SubtreeBody, ...] = ()
     links: tuple[BodyEstimate, ...] = ()
     joints: Mapping[str, JointEstimate] = field(default_factory=dict)
     couplings: Mapping[str, JointEstimate] = field(default_factory=dict)
@@ -293,7 +285,7 @@ class Result:
     tilt: float | None = None
     cutoff: float | None = None
     prior_scale: float = 1.0
-    conflicts: tuple[PriorConflict, ...] = ()
+    conflicts: tuple[records.PriorConflict, ...] = ()
     notes: tuple[str, ...] = ()
     rollout: RolloutTest | None = None
 

@@ -15,6 +15,7 @@ from robot_sysid.records import (
     Flange,
     Identifiability,
     InertialParameters,
+    PriorConflict,
     Source,
     SubtreeBody,
     Validation,
@@ -30,7 +31,6 @@ from robot_sysid.results.record import (
     ModelFile,
     OneRecording,
     Payload,
-    PriorConflict,
     Result,
     Verdict,
 )
