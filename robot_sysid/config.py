@@ -177,7 +177,8 @@ class Config:
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         """Yield the files that a run writes, each with the option that names it."""
-        for name in (atomic_files.PARAMS_NAME, *atomic_files.MODEL_NAMES.values()):
+        results = atomic_files.PARAMS_NAME, atomic_files.SERVO_NAME
+        for name in (*results, *atomic_files.MODEL_NAMES.values()):
             yield "--output-dir", self.output.output_dir / name
 
 

@@ -277,8 +277,9 @@ def _outcome(config: Config, console: Console) -> Any:
         from robot_sysid.servo.run import run_servo
 
         with meshes_not_kept():
-            robot, rest = load(config, console), (config.model.mesh_dir, console, console.config)
-            return run_servo(robot, config.log, config.output.output_dir, *rest)
+            robot, rest = load(config, console), (config.model.mesh_dir, console)
+            folder, read = config.output.output_dir, config.read_files()
+            return run_servo(robot, config.log, folder, *rest, read)
     from robot_sysid.pipeline import run
 
     return run(config, console)

@@ -304,16 +304,12 @@ def run_servo(
     folder: Path,
     mesh_dir: Path | None,
     progress: Progress,
-    config: Path | None = None,
+    read: Sequence[Path | None] = (),
 ) -> ServoOutcome:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
-    ``config`` is the file that the options come from, which stays.
+    The files that are ``read`` stay.
     """
-    given = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns, config)
-    read = [path for path in given if path is not None]
-    names = (atomic_files.SERVO_NAME, *atomic_files.MODEL_NAMES.values())
-    atomic_files.refuse_overwriting(read, (("--output-dir", folder / name) for name in names))
     with locked_folder(folder, progress):
         found, rest = identify_servos(robot, logs, progress)
         for note in found.notes:
@@ -322,8 +318,8 @@ def run_servo(
             path = folder / atomic_files.MODEL_NAMES[robot.kind]
             target = ModelTarget(files, path, rest, 0.0, mesh_dir)
             outcome = _write(robot, found, target, refusal(found.rollout, logs.accept))
-            read += [file.path for file in read_document(robot.path).files]
-            removed = remove_earlier(files, folder, outcome.files, read)
+            model = (file.path for file in read_document(robot.path).files)
+            removed = remove_earlier(files, folder, outcome.files, [*filter(None, read), *model])
     for note in (*outcome.identification.notes[len(found.notes) :], *removed):
         progress.note(note)
     return outcome

@@ -110,7 +110,7 @@ def test_what_an_earlier_run_left_does_not_stay_beside_the_result(robots, tmp_pa
     (tmp_path / "params.json").write_text("{}")
     config = tmp_path / "run.toml"
     config.write_text("# of the user's own")
-    told = run(robots["xml"], tmp_path, monkeypatch, old=1, config=config)
+    told = run(robots["xml"], tmp_path, monkeypatch, old=1, read=(config,))
     assert any("earlier run" in note for note in told)
     assert not (tmp_path / "params.json").exists()
     assert config.exists()
