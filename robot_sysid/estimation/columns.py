@@ -10,6 +10,11 @@ and a delay, the measured torque of joint j is
 It is linear in bodies, friction, rotors and couplings, and linearised around what is known so far
 in everything else: scales, drift, encoder zeros z, two angles of gravity, the delay, the loss of
 a gear that grows with its load, and speeds that friction is nonlinear in.
+
+Without a payload s_j multiplies what is known so far of the last link, and of the others what the
+model says, however far off they are found to be. The most likely links and scales together would be
+scales that make links less off, in as many directions as the data shows: 5 % too large for an iiwa
+whose links are 5 % off.
 """
 
 from __future__ import annotations
@@ -131,12 +136,17 @@ class Columns:
         self.place = {name: index for index, name in enumerate(self.names)}
         # What no recording shows has no columns: they would make every triangle larger.
         still = () if any(each.place for each in datasets) else self._drifts
-        empty = () if any(each.is_loaded for each in datasets) else PAYLOAD_NAMES
+        self._loaded = any(each.is_loaded for each in datasets)
+        empty = () if self._loaded else PAYLOAD_NAMES
         self._nowhere = {*still, *empty}
         terms = [name.partition("[") for name in arm.names]
         joints = {f"{joint}]" for joint in self.joints}
         self._of_bodies = np.array([not bracket for _, bracket, _ in terms])
         self._drifting = np.array([t in _DRIFTING and joint in joints for t, _, joint in terms])
+        self._believed = np.zeros(len(arm.names), dtype=bool)
+        for link in other_links(robot) if torques == "chain" and not self._loaded else ():
+            if self.usual[robot.links[link].body_name] is robot.links[link].theta:
+                self._believed[self.at(link_names(robot, link))] = True
         self._smooth = self._of_bodies | np.array([term in _SMOOTH for term, _, _ in terms])
 
     def coupled(self, couplings: tuple[Coupling, ...]) -> Columns:
@@ -268,31 +278,32 @@ class Columns:
         for row, joint in enumerate(self.rows_of):
             block, tau = base.rows[row], base.tau[row]
             known = values[base.columns[row]]
-            bodies, drifting, smooth = (
+            bodies, believed, drifting, smooth = (
                 which[base.columns[row]]
-                for which in (self._of_bodies, self._drifting, self._smooth)
+                for which in (self._of_bodies, self._believed, self._drifting, self._smooth)
             )
             scale, drift = point.values[self.at((self._scales[row], self._drifts[row]))]
-            linear = block[:, bodies] @ known[bodies]
+            scaled = np.where(believed, self.prior[base.columns[row]], known)
+            linear, exact = block[:, bodies] @ scaled[bodies], self._loaded * scale
             gear = linear + base.measured[row] - tau
             own = {term: f"{term}[{self.joints[row]}]" for term in later}
             friction = block[:, drifting] @ known[drifting]
             for term in ("load", *BENT):
                 friction += later[term][:, row] * point.values[self.place[own[term]]]
             drifted = 1.0 + drift * dataset.place
-            factor = np.where(bodies, 1.0 + scale, np.where(drifting, drifted, 1.0))
+            factor = np.where(bodies, 1.0 + exact, np.where(drifting, drifted, 1.0))
             late = _late(dataset, base.time, block[:, smooth] @ known[smooth])
             sides = {
                 (*own.values(),): (np.stack([c[:, row] for c in later.values()], axis=1), drifted),
                 (self._scales[row],): (gear[:, None], 1.0),
                 (self._drifts[row],): (friction[:, None], dataset.place),
-                (*self._zeros, *self._tilts): (common[:, joint], 1.0 + scale),
+                (*self._zeros, *self._tilts): (common[:, joint], 1.0 + exact),
                 (DELAY_NAME,): (late[:, None], 1.0),
-                PAYLOAD_NAMES: (block[:, :N_INERTIAL], (1.0 + scale) * dataset.is_loaded),
+                PAYLOAD_NAMES: (block[:, :N_INERTIAL], (1.0 + exact) * dataset.is_loaded),
             }
             there = {names: part for names, part in sides.items() if names[0] not in self._nowhere}
             blocks.append(((block, factor), *there.values()))
-            right.append(tau + scale * linear + drift * dataset.place * friction)
+            right.append(tau + exact * linear + drift * dataset.place * friction)
             columns.append(np.concatenate((base.columns[row], *map(self.at, there))))
         return replace(
             base, names=self.names, columns=tuple(columns), rows=_Rows(blocks), tau=tuple(right)

@@ -51,6 +51,7 @@ def torque_of(columns, motion, values, is_loaded):
     """What the torque sensors of the arm read (N, rows), by MuJoCo and the friction's formulas."""
     known = dict(zip(columns.names, values.tolist()))
     rigid = rigid_torque(columns, motion, values, is_loaded)
+    scaled = rigid if is_loaded else rigid_torque(columns, motion, as_modelled(columns, values), 0)
     found = np.zeros((len(rigid), len(columns.joints)))
     for row, (j, name) in enumerate(zip(columns.rows_of, columns.joints)):
         qd, qdd = motion.qd[:, j], motion.qdd[:, j]
@@ -61,13 +62,21 @@ def torque_of(columns, motion, values, is_loaded):
                 vs = SPEED[term] + known[f"{term}_speed[{name}]"]
                 column = BENT[term].column(qd, np.array(vs))
             dry += known[f"{term}[{name}]"] * column
-        found[:, row] = (1.0 + known[f"scale[{name}]"]) * rigid[:, j]
+        found[:, row] = rigid[:, j] + known[f"scale[{name}]"] * scaled[:, j]
         found[:, row] += (1.0 + known[f"drift[{name}]"] * PLACE) * dry
         found[:, row] += known[f"armature[{name}]"] * qdd + known[f"offset[{name}]"]
     for motor in columns.couplings:
         own = np.array([known[name] for name in motor.parameter_names])
         torque = motor.columns(motion.qd, motion.qdd) @ own
         found += np.outer(torque, motor.ratios[list(columns.rows_of)])
+    return found
+
+
+def as_modelled(columns, values):
+    """Values of an arm whose other links are the model's."""
+    found, bodies = values.copy(), columns.bodies()
+    for name in bodies.keys() - {columns.robot.body_name, "payload"}:
+        found[bodies[name]] = columns.prior[bodies[name]]
     return found
 
 

@@ -110,6 +110,20 @@ def test_a_known_mass_tells_the_torque_scales():
     assert off_by(payload(fit), PAYLOAD) < 1e-5
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_links_that_are_off_the_other_way_ask_for_the_opposite_scales(seed):
+    """What may be off either way is no scale on average."""
+    motion, found = wide_motion(2), []
+    for sign in (1.0, 0.0, -1.0):
+        arm = TrueArm(ROBOT, seed, wrong=0.1)
+        model = np.array([link.theta for link in ROBOT.links])
+        arm.thetas[:-1] = (model + sign * (arm.thetas - model))[:-1]
+        fit = fitted(ROBOT, [with_noise(arm.recording(motion, False), 0.02, 0)])
+        found.append(fit.free[fit.columns.at([f"scale[{joint}]" for joint in JOINTS])])
+    bent, straight = found[0] + found[2] - 2.0 * found[1], found[0] - found[2]
+    assert np.linalg.norm(bent) < 0.1 * np.linalg.norm(straight)
+
+
 def test_what_gears_lose_with_their_load_is_found_and_stays_within_bounds():
     arm, recordings = TrueArm(ROBOT, 6), []
     lost = np.array([0.0, 0.08, -0.05, 0.5])
