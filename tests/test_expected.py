@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
+from robot_sysid.estimation.algebra import possible_errors
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.possible_errors import possible_covariance
 from robot_sysid.estimation.answer import estimate_of
@@ -152,6 +153,7 @@ def test_where_no_motion_tells_the_mass_it_is_said_beforehand_with_what_would():
 )
 def test_what_cannot_be_processed_gets_the_bound_and_the_reason(rate, words, monkeypatch):
     monkeypatch.setattr("robot_sysid.expected.MOST_SAMPLES", 1999)
+    monkeypatch.setattr(possible_errors, "_DRAWS", 24)
     expected = expect(problem(ARM), PLAN, rate, EstimationOptions())
     assert words in expected.missing and np.all(np.isfinite(expected.deviation))
 
