@@ -26,7 +26,6 @@ from robot_sysid.estimation.algebra.information import (
     sample_counts,
     update_triangle,
 )
-from robot_sysid.estimation.algebra.least_squares import without
 from robot_sysid.estimation.algebra.nuisances import WithPriors
 from robot_sysid.estimation.columns import Point
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
@@ -382,7 +381,10 @@ def shown_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
         least = int(np.argmin(clear))
         if clear[least] > CLEAR_OFFSET:
             return replace(choice, offsets={joint: size[joint] for joint in gone})
-        found, spread = without(found, spread, least)
+        # What the others are where this one is zero.
+        gain, stay = spread[:, least] / spread[least, least], np.arange(len(free)) != least
+        found = (found - gain * found[least])[stay]
+        spread = (spread - np.outer(gain, spread[least]))[stay][:, stay]
         gone.append(free.pop(least))
     return replace(choice, offsets=dict.fromkeys(gone, 0.0))
 

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.estimation.algebra.identifiability import in_words
-from robot_sysid.estimation.algebra.least_squares import without
 from robot_sysid.records import Array
 
 RELATIVE_CUT = 1e-8
@@ -85,15 +84,14 @@ def essential(base: Array, nuisance: Array, right: Array) -> NDArray[np.bool_]:
     size = np.abs(np.diag(triangle))
     span = span[:, size > RELATIVE_CUT * np.max(size, initial=0.0)]
     columns, target = base - span @ (span.T @ base), right - span @ (span.T @ right)
-    length = np.linalg.norm(columns, axis=0)
-    scaled = columns / np.where(length > 0.0, length, 1.0)
-    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-    values, kept = inverse @ (scaled.T @ target), np.arange(base.shape[1])
-    while len(kept) > 1:
+    kept = np.ones(base.shape[1], dtype=bool)
+    while np.count_nonzero(kept) > 1:
+        length = np.linalg.norm(columns[:, kept], axis=0)
+        scaled = columns[:, kept] / np.where(length > 0.0, length, 1.0)
+        inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+        values = inverse @ (scaled.T @ target)
         relative = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / np.maximum(np.abs(values), 1e-300)
         if np.max(relative) <= max(ESSENTIAL_RATIO * np.min(relative), WELL_KNOWN):
             break
-        worst = int(np.argmax(relative))
-        values, inverse = without(values, inverse, worst)
-        kept = np.delete(kept, worst)
-    return np.isin(np.arange(base.shape[1]), kept)
+        kept[np.flatnonzero(kept)[int(np.argmax(relative))]] = False
+    return kept

@@ -180,13 +180,6 @@ def joint_noise(
     return np.maximum(np.sqrt(squared / freedom), floor)
 
 
-def without(values: Array, spread: Array, which: int) -> tuple[Array, Array]:
-    """Return what all other values (k - 1,), and their covariance, are where one is zero."""
-    gain, stay = spread[:, which] / spread[which, which], np.arange(len(values)) != which
-    left = spread - np.outer(gain, spread[which])
-    return (values - gain * values[which])[stay], left[np.ix_(stay, stay)]
-
-
 def _solved(
     information: SquareRootInformation, prior: Array, weights: Array
 ) -> tuple[Array, Array]:
