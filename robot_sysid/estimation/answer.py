@@ -207,6 +207,8 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     joints, notes, kept = {}, [], fit.question.kept_parts
     for joint, each in list(own.joints())[: robot.n_joints]:
         written = {name: figure for name, figure in each.terms.items() if name != "offset"}
+        if fit.choice.rotors.get(joint, each.before["armature"]) != each.before["armature"]:
+            written["armature"] = answer.figure(f"armature[{joint}]")
         if written:
             joints[joint] = written
         else:

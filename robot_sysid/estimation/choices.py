@@ -55,8 +55,9 @@ CLEAR_SHARE, CLEARLY = 0.1, 2.0
 """A term (or a coupling) has to lower the held-out squared error by this share, and by this many
 standard errors of the mean over the blocks."""
 CLEAR_OFFSET, OFFSET = 3.0, 0.01
-"""Standard errors that a sensor's offset has to be away from zero; beside such ones others may be
-off by this part of the joint's torque: of a KUKA LWR4+ and its links neither is known better."""
+"""Standard errors that a sensor's offset has to be away from zero, and a rotor from the model's.
+Beside clear offsets others may be this part of the joint's torque: of a KUKA LWR4+ and its links
+neither is known better."""
 # Below every squared error [N^2 m^2]; lifts normal equations of what nothing shows off zero.
 _TINY, _RIDGE = 1e-30, 1e-12
 
@@ -387,6 +388,27 @@ def shown_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
         spread = (spread - np.outer(gain, spread[least]))[stay][:, stay]
         gone.append(free.pop(least))
     return replace(choice, offsets=dict.fromkeys(gone, 0.0))
+
+
+def shown_rotors(fit: Fit) -> dict[str, float]:
+    """Return joint to the rotor that a file gets: that of a fit with all that friction does, where
+    it is clearly another than the model's, else the model's.
+
+    A file lacks most of what friction does, and in slow motion a rotor of its own would take that
+    part. A joint that a motor turns with others is left out: no file has such a motor.
+    """
+    columns, sought = fit.columns, _sought(fit, fit.question, fit.choice)
+    shared = {k for motor in fit.choice.couplings for k in np.flatnonzero(motor.ratios)}
+    alone = [j for k, j in enumerate(columns.robot.joint_names) if k not in shared]
+    joints = [joint for joint in alone if f"armature[{joint}]" in sought.kept_names]
+    names = [f"armature[{joint}]" for joint in joints]
+    if not names:
+        return {}
+    found, spread = asked_of(fit, sought, names)
+    places, error = columns.at(names), np.sqrt(np.diag(spread))
+    clear = np.abs(found - columns.prior[places]) > CLEAR_OFFSET * error
+    values = np.where(clear, fit.values[places], columns.prior[places])
+    return dict(zip(joints, values.tolist()))
 
 
 def prior_scale(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> float:

@@ -7,6 +7,7 @@ written where the held-out error of all that is written together says so.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -22,6 +23,7 @@ from robot_sysid.estimation.choices import (
     is_clearly_lower,
     prior_scale,
     shown_offsets,
+    shown_rotors,
     squared_errors,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
@@ -63,7 +65,7 @@ def fit_file(
     fitter: Fitter,
     options: EstimationOptions,
     kept: tuple[str, ...],
-    start: Array,
+    made: Fit,
     pull: Array | None = None,
     carried: Array | None = None,
 ) -> FileFit:
@@ -72,14 +74,16 @@ def fit_file(
     Args:
         options: how far the arm's links may be off.
         kept: parts that stay as they are.
-        start: (p,) values to begin with.
+        made: the estimate, to begin with; rotors are its own.
         pull: see ``errors.fit_errors``.
         carried: the payload (10,) of loaded recordings.
     """
     question = Question(options, in_file=True, kept_parts=kept, carried=carried)
-    choice = Choice(_friction(fitter.columns.robot, question, IN_FILE))
+    robot = fitter.columns.robot
+    rotors = shown_rotors(made) if _holds_rotors(robot, question) else {}
+    choice = Choice(_friction(robot, question, rotors, IN_FILE), rotors=rotors)
     # What a file cannot hold is the model's again.
-    known, beyond = start.copy(), ("scale", "drift", "zero", "load")
+    known, beyond = made.values.copy(), ("scale", "drift", "zero", "load")
     for name, place in fitter.columns.place.items():
         if name.partition("[")[0] in beyond or "[" not in name:
             known[place] = fitter.columns.prior[place]
@@ -105,17 +109,28 @@ def fit_file(
     return FileFit(fit, before, judge.validation(squared), fit_errors(fit, (), pull))
 
 
-def _friction(robot: RobotModel, question: Question, name: str) -> tuple[FrictionModel, ...]:
-    """Return each joint's terms that a file can hold, beside a sensor's offset."""
+def _holds_rotors(robot: RobotModel, question: Question) -> bool:
+    """Tell whether a file gets rotors; the last joint's torque alone cannot tell its own."""
+    kept = FILE_ROTORS in question.kept_parts or question.options.torques == "terminal"
+    return not kept and robot.kind != "urdf"
+
+
+def _friction(
+    robot: RobotModel, question: Question, rotors: Mapping[str, float], name: str
+) -> tuple[FrictionModel, ...]:
+    """Return each joint's terms that a file can hold and that are sought, rotors of some joints
+    being known, beside a sensor's offset.
+    """
     gone: set[str] = set()
     if FILE_FRICTION in question.kept_parts:
         gone |= {"coulomb", "viscous", "quadratic", "cubic"}
-    # The last joint's torque alone cannot tell its rotor from its link.
-    alone = question.options.torques == "terminal"
-    if FILE_ROTORS in question.kept_parts or robot.kind == "urdf" or alone:
-        gone |= {"armature"}
-    terms = tuple(term for term in friction_model(name).terms if term not in gone)
-    return (FrictionModel(terms),) * robot.n_joints
+    joints = rotors if _holds_rotors(robot, question) else robot.joint_names
+    known = {("armature", joint) for joint in joints}
+    given = friction_model(name).terms
+    return tuple(
+        FrictionModel(tuple(t for t in given if t not in gone and (t, joint) not in known))
+        for joint in robot.joint_names
+    )
 
 
 def _as_it_was(fitter: Fitter, question: Question, choice: Choice, point: Point) -> Validation:
@@ -149,7 +164,7 @@ def _polynomials(
     robot, found = fit.columns.robot, list(choice.friction)
     if FILE_FRICTION in question.kept_parts:
         return choice.friction
-    wider = _friction(robot, question, WITH_POLYNOMIAL)
+    wider = _friction(robot, question, choice.rotors, WITH_POLYNOMIAL)
     tried = choice, replace(choice, friction=wider)
     squared = [squared_errors(judge, fit, question, each) for each in tried]
     for place, joint in enumerate(fit.columns.rows_of):

@@ -117,7 +117,7 @@ def answer_link(
     if kept is not None:
         progress.stage(Detail("Fitting the model file..."))
         fit = replace(fit, samples=())  # the file's rows are drawn, and take as much memory
-        file = fit_file(fitter, options, kept, fit.values)
+        file = fit_file(fitter, options, kept, fit)
     signals = [each.signals for each in datasets if each.signals is not None]
     coarsest = max((each.acceleration_error for each in signals), default=0.0)
     answer = Answer(fit, file, errors, (), tried, coarsest)
@@ -156,7 +156,7 @@ def answer_payload(
         if kept is not None and options.torques == "chain" and not question.resting:
             progress.stage(Detail("Fitting the model file..."))
             carried, _ = written_payload(weighed)
-            file = fit_file(fitter, options, kept, free.values, carried=carried)
+            file = fit_file(fitter, options, kept, free, carried=carried)
             weighed = replace(weighed, file=file)
         return weighed, weighed
     fit = fitter.fit(question, choice, free.point)

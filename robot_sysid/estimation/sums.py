@@ -297,7 +297,7 @@ def answer_from(
     residuals = [each.shortened() for each in residuals_within(fit, found.residuals)]
     errors = fit_errors(fit, residuals, found.pull)
     fixed = _Fixed(robot, found, fit.point)
-    file = fit_file(fixed, options, (FILE_GRAVITY,), fit.values, found.pull)
+    file = fit_file(fixed, options, (FILE_GRAVITY,), fit, found.pull)
     tests: tuple[Validation, ...] = ()
     if validation is not None:
         tests = (predicted(fit, validation.evidence, f"{validation.origin.detail}, not fitted"),)

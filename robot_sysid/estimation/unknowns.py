@@ -89,6 +89,7 @@ class Choice:
         prior_scale: by how much more than was said the other links may be off.
         common_scale: how far all torque scales may be off together, which only links tell.
         offsets: joint to how far its torque sensor may be off [N m]; that of others is free.
+        rotors: joint to its rotor's inertia, where that is known [kg m^2].
     """
 
     friction: tuple[FrictionModel, ...]
@@ -96,6 +97,7 @@ class Choice:
     prior_scale: float = 1.0
     common_scale: float = 0.0
     offsets: Mapping[str, float] = field(default_factory=dict)
+    rotors: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -253,6 +255,8 @@ def _held(columns: Columns, question: Question, choice: Choice) -> Array:
             place = columns.place.get(f"{term}[{joint}]")
             if place is not None:
                 held[place] = columns.prior[place]
+    for joint, rotor in choice.rotors.items():
+        held[columns.place[f"armature[{joint}]"]] = rotor
     return held
 
 

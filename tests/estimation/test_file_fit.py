@@ -20,7 +20,7 @@ from robot_sysid.estimation.unknowns import FILE_LINKS as LINKS
 from robot_sysid.estimation.unknowns import FILE_ROTORS as ROTORS
 from robot_sysid.results.rollout import torque_error
 from tests.support import arms
-from tests.support.core_fits import datasets_of, fitter_of
+from tests.support.core_fits import BASIC, datasets_of, fitted, fitter_of
 from tests.support.measured_logs import log_of, plan_of
 
 
@@ -35,8 +35,8 @@ def recorded(plant, model, seed=1, more=None):
 def file_of(plant, model, kept=(), more=None):
     """The file's fit."""
     datasets, options = recorded(plant, model, more=more)
-    fitter = fitter_of(model, datasets)
-    return fit_file(fitter, options, kept, fitter.columns.prior)
+    made = fitted(model, datasets, options)
+    return fit_file(fitter_of(model, datasets), options, kept, made)
 
 
 def compiled(robot, fit):
@@ -77,7 +77,7 @@ def test_the_file_predicts_as_it_is_said_to(plant, robot):
         assert error == pytest.approx(found.after.relative_error, rel=0.25)
     # Nothing but what a file holds, and each joint's sensor offset.
     terms = {name.partition("[")[0] for name in fit.unknowns.kept_names if "[" in name}
-    assert terms == {"coulomb", "viscous", "armature", "offset"}
+    assert terms == {"coulomb", "viscous", "offset"}
     assert np.array_equal(fit.point.gravity, gravity(robot))
 
 
@@ -87,8 +87,8 @@ def test_links_and_sensor_offsets_do_not_take_each_other_s_part(plant, offset):
     read = np.array([0.0, offset, 0.0])
     log = log_of(plant, plan_of(plant, 2, 5.0), 2, noise_torque=0.02)
     datasets, options = datasets_of(plant, replace(log, tau=log.tau + read))
-    fitter = fitter_of(plant, datasets)
-    fit = fit_file(fitter, options, (), fitter.columns.prior).fit
+    made = fitted(plant, datasets, options)
+    fit = fit_file(fitter_of(plant, datasets), options, (), made).fit
     found = np.array([fit.value(f"offset[{joint}]") for joint in plant.joint_names])
     assert found == pytest.approx(read, abs=0.02 if offset else 1e-6)
     # Beside a sensor that is clearly off, the others may be a little.
@@ -110,9 +110,29 @@ def test_a_turned_gravity_is_found_and_kept_out_where_it_is_to_stay(plant, robot
     assert kept.after.relative_error > found.after.relative_error
 
 
+def without_rotors(robot):
+    model = copy.copy(robot.mj_model)
+    model.dof_armature[:] = 0.0
+    return replace(robot, mj_model=model)
+
+
+def test_a_rotor_is_that_of_the_estimate_where_it_is_clear_else_the_model_s(plant, robot):
+    """What a file lacks of friction would look like one."""
+
+    def more(motion):
+        return 1.5 * np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2)) * [0.0, 1.0, 0.0]
+
+    for model, error in ((robot, 0.0), (without_rotors(robot), 0.01)):
+        datasets, options = recorded(plant, model, more=more)
+        made = fitted(model, datasets, options, f"{BASIC}-stribeck")
+        fit = fit_file(fitter_of(model, datasets), options, (), made).fit
+        found = [fit.value(f"armature[{joint}]") for joint in model.joint_names]
+        assert found == pytest.approx([0.05] * 3, abs=error)
+
+
 @pytest.mark.parametrize("parts", [(FRICTION,), (ROTORS, LINKS)])
 def test_a_part_that_is_to_stay_stays(plant, robot, parts):
-    fit = file_of(plant, robot, (*parts, GRAVITY)).fit
+    fit = file_of(plant, without_rotors(robot), (*parts, GRAVITY)).fit
     stays = {
         FRICTION: ["coulomb[joint1]", "viscous[joint2]"],
         ROTORS: ["armature[joint0]", "armature[joint2]"],
