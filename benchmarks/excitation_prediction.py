@@ -12,7 +12,8 @@ friction are off as their priors say; options are the defaults. With ``--exact``
 model itself in every run, and the promise is the part of torque noise.
 
 N runs know the spread of a normal error to 1 / sqrt(2 N), 5 % for 240. Bodies that have to be
-possible have errors with long tails: batches of 60 runs tell 0.3 to 1.3 of a UR5e's centre of mass's.
+possible have errors with long tails: batches of 60 runs tell 0.3 to 1.3 of that of a UR5e's centre
+of mass.
 """
 
 from __future__ import annotations

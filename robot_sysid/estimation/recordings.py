@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import N_INERTIAL
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.algebra.autocorrelation import memory
 from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.algebra.information import combined, sample_counts
 from robot_sysid.estimation.algebra.least_squares import solver, weighted
-from robot_sysid.estimation.algebra.memory import memory
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.choices import HeldOut
 from robot_sysid.estimation.columns import PAYLOAD_NAMES

@@ -17,9 +17,8 @@ from operator import add
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.autocorrelation import JointResiduals
+from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, memory_of
 from robot_sysid.estimation.algebra.information import combined
-from robot_sysid.estimation.algebra.memory import memory_of
 from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import CANDIDATES, choose, coupled

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.memory import autocovariance, memory_of
+from robot_sysid.estimation.algebra.autocorrelation import autocovariance, memory_of
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CLOSED, RolloutError, RolloutTest

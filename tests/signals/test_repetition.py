@@ -10,8 +10,8 @@ import pytest
 from scipy.signal import lfilter
 
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.autocorrelation import memory
 from robot_sysid.estimation.algebra.information import InformationAccumulator
-from robot_sysid.estimation.algebra.memory import memory
 from robot_sysid.records import Motion
 from robot_sysid.signals import repetition
 from robot_sysid.signals.repetition import sampled, visits

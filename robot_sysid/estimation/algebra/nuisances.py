@@ -280,16 +280,7 @@ def misfits(
 
 
 def is_no_chance(squared: float, freedom: float, chance: float) -> bool:
-    """Tell whether chi-square, of one degree of freedom at least, is as large with less than a
-    chance, 0.01 at most.
-
-    SciPy takes a tenth of a second to import; it is asked between bounds of the quantile (Inglot,
-    "Inequalities for quantiles of the chi-square distribution", Probab. Math. Statist. 30, 2010).
-    """
-    rare = -np.log(chance)
-    low, high = freedom + rare, freedom + 2.0 * (rare + np.sqrt(freedom * rare))
-    if not low < squared < high:
-        return bool(squared >= high)
+    """Tell whether chi-square is as large with less than a chance."""
     from scipy.special import chdtri
 
     return bool(squared > chdtri(freedom, chance))
