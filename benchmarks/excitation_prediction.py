@@ -3,11 +3,12 @@
     python -m benchmarks.excitation_prediction [--arms PART] [--runs N] [--exact]
 
 Lines per arm: root mean square error of the mass, of the centre of mass and of all ten parameters
-(median) over the runs, each over what ``plan`` promises: of the result; of the result in runs in
-which torque scales are not doubted, with their number; of the plain estimate, before bodies were
-made possible; and what the runs themselves state over it (median). Of runs in which scales are
-doubted, errors are also over what each of them states. Every run has an arm of its own, drawn from
-what the estimate believes beforehand: other links, torque scales, zeros, gravity, delay and
+(median) over the runs, each over what ``plan`` promises: of the result; of the result over what
+``plan`` tells of both, recordings in which scales are doubted, as often as it says, and others; of
+the result in runs in which they are not doubted, with their number; of the plain estimate, before
+bodies were made possible; of runs in which scales are doubted, over what each of them states; and
+what the runs themselves state over the promise (median). Every run has an arm of its own, drawn
+from what the estimate believes beforehand: other links, torque scales, zeros, gravity, delay and
 friction are off as their priors say; options are the defaults. With ``--exact`` the arm is the
 model itself in every run, and the promise is the part of torque noise.
 
@@ -27,13 +28,15 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, turned, with_gravity
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.nuisances import own_errors
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.possible_errors import possible_covariance
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.identify import Piece, answer_link, filtered
 from robot_sysid.estimation.unknowns import LINKS, Question, unknowns
-from robot_sysid.expected import NOISE, _choice, expect, known_of
+from robot_sysid.expected import NOISE, _choice, _posterior, known_of
 from robot_sysid.motion.design.optimise import Design
 from robot_sysid.motion.design.search import design_excitation
 from robot_sysid.motion.information import spread_of
@@ -152,8 +155,11 @@ def lines(path, runs, exact):
     motion, options = TrajectoryOptions(sample_rate=RATE), ExcitationOptions(workers=1)
     design = Design(problem, options, motion, known_of(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
-    promised = expect(problem, plan, RATE, OPTIONS)
-    covariance = promised.causes[NOISE] if exact else promised.covariance
+    after = _posterior(problem, plan, RATE, OPTIONS, "link")
+    own = np.ix_(*[[after.sought.kept_names.index(name) for name in PARAMETER_NAMES]] * 2)
+    covariance = (after.causes[NOISE] if exact else after.found.covariance)[own]
+    then = possible_covariance(robot.prior.theta, after.then.covariance[own])
+    both = (1.0 - after.doubted) * covariance + after.doubted * then
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began, found = time.process_time(), []
     for seed in range(runs):
@@ -165,6 +171,8 @@ def lines(path, runs, exact):
     for words, each in chosen.items():
         squares = each.T @ each / max(len(each), 1)
         yield told(robot.prior.theta, squares, covariance, f"{words} ({len(each)})")
+        if each is off and not exact:
+            yield told(robot.prior.theta, squares, both, "result, over what is told of both")
     if np.any(common):
         own = np.sqrt(np.mean((off / stated)[common] ** 2, axis=0))
         yield f"  scales doubted, over what is stated: {np.array2string(own, precision=2)}"
