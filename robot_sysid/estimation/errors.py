@@ -32,7 +32,8 @@ FILTERING, HELD = "filtering", "friction at its bound"
 """What these causes of error are called in results."""
 # Weight of a hidden parameter in a combination that is rounding alone.
 _ROUNDING = 1e-9
-# Logarithm of odds that leave nothing of the other; more would not be finite.
+# Logarithm of odds that leave nothing of the other; more would not be finite. Where rounding alone
+# tells them apart, either is as likely.
 _SURE = 500.0
 
 
@@ -188,7 +189,7 @@ def _unscaled(fit: Fit) -> Array:
     scales = (next(g for g in groups if g.cause == SCALES) for groups in (known.groups, plain))
     likely = WithPriors(data, 1.0 / fit.weights).likely
     (values, one), (unscaled, other) = (likely([*others, each]) for each in scales)
-    share = 1.0 / (1.0 + np.exp(min(one - other, _SURE)))
+    share = 1.0 / (1.0 + np.exp(min(np.nan_to_num(one - other), _SURE)))
     return np.asarray(share * np.outer(values - unscaled, values - unscaled))
 
 
