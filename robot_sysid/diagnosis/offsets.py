@@ -183,12 +183,12 @@ def offset_findings(log: ModelFit, base: Fit) -> list[Finding]:
         (time_base(log), clock_findings),
         (strongest_sine(log), hum_findings),
     )
-    best = max(other_friction(log).gain(base), other_sensors(log, base).gain(base))
-    found: list[Finding] = []
+    best, found = other_friction(log).gain(base), list[Finding]()
     for each, tell in kinds:
         if each.gain(base) > best and (told := [*tell(log, base, each)]):
             best, found = each.gain(base), told
-    return found
+    # Not asked of right logs, of which nothing is found.
+    return found if found and best > other_sensors(log, base).gain(base) else []
 
 
 def delay_findings(log: ModelFit, base: Fit, found: Offsets) -> Iterator[Finding]:
