@@ -18,7 +18,6 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.common_scale import doubted
 from robot_sysid.estimation.algebra.identifiability import describe
-from robot_sysid.estimation.algebra.information import restricted
 from robot_sysid.estimation.algebra.nuisances import with_prior
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.possible_errors import once_possible, possible_covariance
@@ -207,7 +206,7 @@ def _posterior(
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
     told = torque, data.shown
     sought = unknowns(columns, question, choice, *told)
-    plain = restricted(data.whole, sought.kept_names, sought.held)
+    plain = data.of(sought)
     # Rows count by the noise that is left in each. They are slow: what counts of white noise that
     # passed the filter is its density at low frequencies, which the filter leaves alone, spread
     # over the samples each row stands for.

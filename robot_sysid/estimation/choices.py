@@ -360,8 +360,7 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
 
 def asked_of(fit: Fit, sought: Unknowns, names: Sequence[str]) -> tuple[Array, Array]:
     """Return values (m,) and covariance (m, m) of some of what is sought, around a fit's point."""
-    plain = restricted(fit.evidence.whole, sought.kept_names, sought.held)
-    values, spread, _ = WithPriors(plain, 1.0 / fit.weights).solve(sought.groups)
+    values, spread, _ = WithPriors(fit.evidence.of(sought), 1.0 / fit.weights).solve(sought.groups)
     places = np.searchsorted(sought.kept, fit.columns.at(names))
     return values[places], spread[np.ix_(places, places)]
 

@@ -146,8 +146,7 @@ def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...
         return ()
     slow = sample_counts(fit.information) / np.maximum(effective, 1.0)
     noise = np.sqrt(np.maximum(slow, 1.0)) / fit.weights
-    plain = restricted(fit.evidence.whole, fit.unknowns.kept_names, fit.unknowns.held)
-    return misfits(plain, noise, fit.unknowns.groups)
+    return misfits(fit.evidence.of(fit.unknowns), noise, fit.unknowns.groups)
 
 
 def _more(
@@ -185,9 +184,8 @@ def _unscaled(fit: Fit) -> Array:
     given = fit.evidence.torque, fit.evidence.shown
     plain = unknowns(fit.columns, fit.question, choice, *given).groups
     others = [group for group in known.groups if group.cause != SCALES]
-    data = restricted(fit.evidence.whole, known.kept_names, known.held)
     scales = (next(g for g in groups if g.cause == SCALES) for groups in (known.groups, plain))
-    likely = WithPriors(data, 1.0 / fit.weights).likely
+    likely = WithPriors(fit.evidence.of(known), 1.0 / fit.weights).likely
     (values, one), (unscaled, other) = (likely([*others, each]) for each in scales)
     share = 1.0 / (1.0 + np.exp(min(np.nan_to_num(one - other), _SURE)))
     return np.asarray(share * np.outer(values - unscaled, values - unscaled))

@@ -47,6 +47,10 @@ class Evidence:
         """The information of all parts."""
         return combined(self.blocks)
 
+    def of(self, sought: Unknowns) -> SquareRootInformation:
+        """Return what all parts say of what is sought, the rest held."""
+        return restricted(self.whole, sought.kept_names, sought.held)
+
     def squared_residuals(self, values: Array) -> Array:
         """Return (blocks, joints, m) squared residuals of each block at values (blocks, p, m) of
         its own [N^2 m^2].
@@ -316,7 +320,7 @@ def _bounded(
     """
     while True:  # each round holds at least one more parameter
         prior = columns.prior[sought.kept]
-        plain = restricted(data.whole, sought.kept_names, sought.held)
+        plain = data.of(sought)
         known = with_prior(plain, sought.groups)
         best = solver(known, prior)
         noise = weighted(known, best, start=noise)
