@@ -6,7 +6,7 @@ with several joints, and last, where they are sought, the ten of other links (``
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from robot_sysid.dynamics.kinematics import ChainKinematics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import Array, Measurement, Motion, RobotModel
 from robot_sysid.regressor import joint_regressor
 
 TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
@@ -107,20 +107,42 @@ class Equations:
         qd, qdd = measurement.qd, measurement.qdd
         if qd is None or qdd is None:
             raise InputError("a log without velocities or accelerations; differentiate it first")
-        inertial, others, rest = self._bodies(measurement.q, qd, qdd)
-        friction = np.where(self._friction_known, self._robot.friction.torque(qd), 0.0)
-        known = rest + friction
+        motion = Motion(measurement.time, measurement.q, qd, qdd)
+        bodies = [*self.bodies(motion)]
+        # The model's own: the measured torque has friction in it already.
+        carried = (each[:, :-1] @ self._known(each) + each[:, -1] for each in bodies)
+        tau = measurement.tau[:, list(self.rows_of)].T
+        yield from map(joined, bodies, self.friction(motion, carried), tau)
+
+    def _known(self, bodies: Array) -> Array:
+        """Return the model's own values (k,) of the links in one joint's equation."""
+        carried = bodies.shape[1] - 1 - N_INERTIAL
+        beyond = self._known_links[len(self._known_links) - carried :]
+        return np.concatenate((self._robot.prior.theta, beyond))
+
+    def bodies(self, motion: Motion) -> Iterator[Array]:
+        """Yield (N, k + 1) per joint of ``joints``: columns of the terminal link, of other links
+        that it carries, and the torque of the rest of the arm [N m]. They follow the motion
+        smoothly.
+        """
+        inertial, others, rest = self._bodies(motion.q, motion.qd, motion.qdd)
+        for block, j in zip(inertial, self.rows_of):
+            beyond = others[:, j, N_INERTIAL * sum(link < j for link in self._links) :]
+            yield np.concatenate((block.T, beyond.T, rest[None, :, j])).T
+
+    def friction(self, motion: Motion, carried: Iterable[Array]) -> Iterator[Array]:
+        """Yield (N, k + 1) per joint of ``joints``: columns of its friction and of motors that turn
+        with several joints, and the torque of friction that is known, less rotors that are sought
+        [N m]. ``carried`` (N,) is the torque that each joint's gear transmits [N m].
+        """
+        qd, qdd = motion.qd, motion.qdd
+        known = np.where(self._friction_known, self._robot.friction.torque(qd), 0.0)
         known -= np.where(self._armature_sought, self._kinematics.armature * qdd, 0.0)
         shared = [(each.ratios, each.columns(qd, qdd).T) for each in self._motors]
-        for block, j in zip(inertial, self.rows_of):
-            # The model's own: the measured torque has friction in it already.
-            carried = rest[:, j] + others[:, j] @ self._known_links
-            carried += block @ self._robot.prior.theta
-            own = self._friction[j].columns(qd[:, j], qdd[:, j], carried)
-            beyond = others[:, j, N_INERTIAL * sum(link < j for link in self._links) :]
+        for load, j in zip(carried, self.rows_of):
+            own = self._friction[j].columns(qd[:, j], qdd[:, j], load)
             turned = [ratios[j] * torque for ratios, torque in shared if ratios[j]]
-            rows = np.concatenate((block.T, own.T, *turned, beyond.T)).T
-            yield rows, measurement.tau[:, j] - known[:, j]
+            yield np.concatenate((own.T, *turned, known[None, :, j])).T
 
     def rows_of_gravity(self, q: Array, gravity: Array) -> Iterator[Array]:
         """Yield the part (N, k) of the rows of each joint of ``joints`` that is made by a gravity
@@ -147,3 +169,12 @@ class Equations:
         inertial = [columns[:, j, -N_INERTIAL:] for j in self.rows_of]
         rest = self._kinematics.beyond_rigid_bodies(q, qd, qdd)
         return inertial, columns[..., :-N_INERTIAL], rest
+
+
+def joined(bodies: Array, friction: Array, tau: Array) -> tuple[Array, Array]:
+    """Return (rows (N, k), right-hand side (N,)) of a joint from what ``Equations`` says of its
+    bodies and friction, and its torque (N,) [N m].
+    """
+    links, beyond, rest = np.split(bodies, (N_INERTIAL, bodies.shape[1] - 1), axis=1)
+    rows = np.concatenate((links, friction[:, :-1], beyond), axis=1)
+    return rows, tau - rest[:, 0] - friction[:, -1]

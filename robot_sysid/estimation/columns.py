@@ -56,7 +56,6 @@ PLACEHOLDER = 1e-3
 """Share of the other links' usual mass below which a body's numbers say nothing."""
 _DRIFTING = ("coulomb", "viscous", "sqrt", "load", *BENT, "quadratic", "cubic")
 _SMOOTH = ("viscous", "armature")
-_CHUNK = 2048
 # Up to which change, as a part of it, gravity's part of the rows is not filtered anew.
 _SMALL_TURN = 0.1
 
@@ -390,8 +389,7 @@ def _filtered(dataset: Dataset, point: Point, made: Callable[[Motion], Array]) -
     signals = dataset.signals
     if signals is None or not point.exact_load:
         return made(dataset.motion)
-    decimator = signals.decimator()
-    return np.concatenate([decimator.push(made(m)) for m, _ in signals.chunks(_CHUNK)])
+    return signals.passed(lambda motion: (made(motion),))[0]
 
 
 def usual_bodies(robot: RobotModel) -> dict[str, Array]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.equations import Equations, joined
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.records import Array, Measurement, Motion, SquareRootInformation
@@ -91,50 +91,45 @@ def information_of(
     return tuple(each.result() for each in found)
 
 
-def _samples_of(equations: Equations, time: Array, tables: Sequence[Array]) -> DecimatedSamples:
-    """Return samples from a table per joint: rows, right-hand side, the whole measured torque."""
-    return DecimatedSamples(
-        equations.names,
-        equations.joints,
-        equations.columns,
-        time,
-        tuple(table[:, :-2] for table in tables),
-        tuple(table[:, -2] for table in tables),
-        tuple(table[:, -1].copy() for table in tables),  # a view would keep the whole table
-    )
-
-
-def _tables(equations: Equations, measurement: Measurement) -> Iterator[Array]:
-    for joint, (rows, right) in zip(equations.rows_of, equations.rows(measurement)):
-        yield np.vstack((rows.T, right, measurement.tau[:, joint])).T
-
-
 def decimated_equations(equations: Equations, signals: ProcessedSignals) -> DecimatedSamples:
-    """Build the equations at the full rate, then pass both sides through the same low-pass.
+    """Build the equations of the motion and pass both sides through the same low-pass.
+
+    Friction that depends on the load is not among them: its columns are NaN.
 
     Raises:
         InputError: no joint ever moves fast enough for its equations to be used.
     """
-    decimators = [signals.decimator() for _ in equations.joints]
-    parts: list[list[Array]] = [[] for _ in equations.joints]
     width = sum(len(each) for each in equations.columns)
-    for motion, tau in signals.chunks(min(_CHUNK, max(1, _NUMBERS // width))):
-        measurement = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
-        for joint, table in enumerate(_tables(equations, measurement)):
-            parts[joint].append(decimators[joint].push(table))
+    most = min(_CHUNK, max(1, _NUMBERS // width))
+    bodies = signals.passed(equations.bodies, smooth=True, most=most)
+    unknown = itertools.repeat(np.array(np.nan))
+    friction = signals.passed(lambda motion: equations.friction(motion, unknown))
     usable = signals.usable()[:, list(equations.rows_of)]
     if not np.any(usable):
         raise InputError(
             f"none of the joints {', '.join(equations.joints)} moves faster than its velocity "
             "deadband; move faster, or give identify or payload a lower --velocity-deadband"
         )
-    tables = [np.concatenate(part) for part in parts]
-    return _samples_of(equations, signals.decimated_time(), tables).where(usable)
+    tau = signals.low_pass.decimated(signals.tau)[:, list(equations.rows_of)].T
+    pairs = map(joined, bodies, friction, tau)
+    return _samples_of(equations, signals.decimated_time(), pairs, tau).where(usable)
 
 
 def equations_at(equations: Equations, measurement: Measurement) -> DecimatedSamples:
     """Return the equations at every sample of a measurement."""
-    return _samples_of(equations, measurement.time, list(_tables(equations, measurement)))
+    tau = measurement.tau[:, list(equations.rows_of)].T
+    return _samples_of(equations, measurement.time, equations.rows(measurement), tau)
+
+
+def _samples_of(
+    equations: Equations, time: Array, pairs: Iterable[tuple[Array, Array]], measured: Array
+) -> DecimatedSamples:
+    """Return samples from rows and right-hand side per joint, and the whole torque (joints, K)."""
+    rows, tau = zip(*pairs)
+    columns = equations.columns
+    return DecimatedSamples(
+        equations.names, equations.joints, columns, time, rows, tau, tuple(measured)
+    )
 
 
 @dataclass(frozen=True)

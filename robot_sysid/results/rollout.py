@@ -17,7 +17,7 @@ from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement, RobotModel, Validation
+from robot_sysid.records import Array, Measurement, Motion, RobotModel, Validation
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
 from robot_sysid.records.results import CLOSED, OPEN, RolloutError, RolloutTest, validation_of
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget
@@ -103,10 +103,6 @@ def fitted_rows(signals: ProcessedSignals) -> NDArray[np.bool_]:
     return np.asarray(signals.decimated_time() < split_time(signals) - 2.0 * reach)
 
 
-_CHUNK = 2048
-"""Samples of a log at a time: what fits into a cache."""
-
-
 def torque_error(
     model: Path | Any, robot: RobotModel, signals: ProcessedSignals, source: str
 ) -> Validation:
@@ -119,13 +115,14 @@ def torque_error(
     """
     compiled = compile_model(model).mj_model if isinstance(model, Path) else model
     dofs, dynamics = robot.dof_index, ArmDynamics(robot, compiled)
-    decimators, parts = (signals.decimator(), signals.decimator()), []
-    for motion, tau in signals.chunks(_CHUNK):
-        predicted = dynamics.torque(motion.q, motion.qd, motion.qdd)
-        predicted += compiled.dof_damping[dofs] * motion.qd
-        predicted += compiled.dof_frictionloss[dofs] * np.sign(motion.qd)
-        parts.append([d.push(each) for d, each in zip(decimators, (tau, predicted))])
-    tau, predicted = (np.concatenate(same) for same in zip(*parts))
+    damping, dry = compiled.dof_damping[dofs], compiled.dof_frictionloss[dofs]
+
+    def smooth(motion: Motion) -> tuple[Array]:
+        return (dynamics.torque(motion.q, motion.qd, motion.qdd) + damping * motion.qd,)
+
+    (predicted,) = signals.passed(smooth, smooth=True)
+    predicted += dry * signals.low_pass.decimated(np.sign(signals.qd))
+    tau = signals.low_pass.decimated(signals.tau)
     usable = signals.usable()
     residual = np.where(usable, tau - predicted, 0.0)
     counts = np.count_nonzero(usable, axis=0)

@@ -4,8 +4,8 @@
 2. one low-pass for everything, its cut-off chosen from the data (``cutoff``, ``low_pass``);
 3. positions are low-passed and differentiated (``differences``), those without noise differentiated
    as they are; velocity columns are not used: a drive filters and delays them in its own way;
-4. regressor columns and torques, both computed at the full rate, pass the same low-pass and are
-   decimated to its bandwidth (``ProcessedSignals.decimator``);
+4. regressor columns and torques pass the same low-pass and are decimated to its bandwidth, what
+   turns with the sign of a speed at the full rate (``ProcessedSignals.passed``);
 5. the ends are cut off, and rows over long holes in the log, over corners of motion without noise,
    or over moments in which a joint is too slow for its friction to have a sign, are masked
    (``ProcessedSignals.usable``).
@@ -19,7 +19,8 @@ instant leaves errors of 3.8 % in viscous friction, this one 0.9 % (benchmarks/r
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -74,6 +75,8 @@ _NOISELESS = 1e-3 / 67.0
 _CORNER = 20.0
 # Part of the log that must be free of corners.
 _MOSTLY = 0.5
+# Samples at a time: what fits into a cache.
+_CHUNK = 2048
 
 
 @dataclass(frozen=True)
@@ -119,11 +122,25 @@ class ProcessedSignals:
         """Sample rate of the grid [Hz]."""
         return self.low_pass.rate
 
-    def chunks(self, size: int) -> Iterator[tuple[Motion, Array]]:
-        """Yield (motion, raw torque (m, n)) of consecutive samples, at most ``size`` at a time."""
-        for start in range(0, len(self), size):
-            part = slice(start, start + size)
-            yield self.motion(part), self.tau[part]
+    def passed(
+        self, made: Callable[[Motion], Iterable[Array]], smooth: bool = False, most: int = _CHUNK
+    ) -> list[Array]:
+        """Return each (K, ...) of what is made of the motion, through the low-pass and decimated.
+
+        Args:
+            made: arrays (m, ...) of the motion at m samples, at most so many at a time.
+            smooth: whether they follow the motion without signs of speeds, so that fewer samples
+                are enough (``LowPass.at_every``).
+        """
+        stride = self.low_pass.stride if smooth else 1
+        low_pass = self.low_pass.at_every(stride)
+        parts: defaultdict[int, list[Array]] = defaultdict(list)
+        decimators: defaultdict[int, Decimator] = defaultdict(lambda: Decimator(low_pass))
+        for start in range(0, len(self), most * stride):
+            motion = self.motion(slice(start, start + most * stride, stride))
+            for number, values in enumerate(made(motion)):
+                parts[number].append(decimators[number].push(values))
+        return [np.concatenate(each) for each in parts.values()]
 
     def motion(self, at: NDArray[np.int64] | slice) -> Motion:
         """Return the motion at some samples (m,)."""
@@ -155,10 +172,6 @@ class ProcessedSignals:
     def spread(self, most: int) -> NDArray[np.int64]:
         """Return at most so many samples, spread evenly over the log."""
         return np.unique(np.linspace(0, len(self) - 1, most).astype(int))
-
-    def decimator(self) -> Decimator:
-        """Return a fresh filter for one stream of regressor rows or torques, chunk by chunk."""
-        return Decimator(self.low_pass)
 
     def decimated_time(self) -> Array:
         """Return (K,) the instants of the decimated rows [s]."""

@@ -59,6 +59,24 @@ def test_rows_stand_at_the_decimated_instants_and_masked_ones_stay_in_place(plan
         decimated_equations(equations_of(plant), still)
 
 
+@pytest.mark.parametrize("torques", ["chain", "terminal"])
+def test_rows_are_those_of_all_samples_that_passed_the_low_pass(plant, signals, torques):
+    """Bodies from fewer samples within 1e-7, friction and torque to rounding."""
+    equations = equations_of(plant, torques)
+    whole = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
+    samples = decimated_equations(equations, replace(signals, deadband=np.zeros(3)))
+    assert signals.low_pass.stride > 1
+    for joint, (rows, tau) in enumerate(equations.rows(whole)):
+        used = np.isfinite(samples.tau[joint])
+        assert np.mean(used) > 0.5
+        exact = signals.low_pass.decimated(np.column_stack((rows, tau)))[used]
+        found = np.column_stack((samples.rows[joint], samples.tau[joint]))[used]
+        size = np.sqrt(np.mean(exact**2, axis=0))
+        np.testing.assert_array_less(np.sqrt(np.mean((found - exact) ** 2, 0)), 1e-7 * size + 1e-12)
+        friction = slice(10, 14)
+        np.testing.assert_allclose(found[:, friction], exact[:, friction], rtol=0.0, atol=1e-10)
+
+
 @given(st.integers(BLOCKS, 500), st.integers(0, 100), st.floats(0.01, 5.0))
 def test_blocks_are_apart_alike_in_size_and_short(count, seed, step):
     log = replace(random_samples(seed, count), time=step * np.arange(float(count)))

@@ -145,7 +145,7 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     """What a joint that turns each way once leaves to be predicted is not told; chance is as large
     as what happens elsewhere.
     """
-    (log,), options = datasets_of(robot, noisy, cutoff=4.0)
+    (log,), options = datasets_of(robot, noisy, cutoff=3.8)
     speed, count = log.motion.qd[:, 2], len(log.motion.time)
     used, at = np.ones((count, 3), dtype=bool), np.arange(count)
     used[:, 2] = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))

@@ -95,8 +95,10 @@ def a_motion(joints=3, samples=40):
 def error_on(model, robot, motion, tau, usable, source="a log"):
     """The error on samples as they are: nothing is filtered or decimated."""
     signals = SimpleNamespace(
-        chunks=lambda size: [(motion, tau)],
-        decimator=lambda: SimpleNamespace(push=np.asarray),
+        tau=tau,
+        qd=motion.qd,
+        low_pass=SimpleNamespace(decimated=np.asarray),
+        passed=lambda made, smooth: made(motion),
         usable=lambda: usable,
     )
     return torque_error(model, robot, signals, source)

@@ -13,7 +13,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
 from robot_sysid.signals.filters import FINE_REACH, REACH
 from robot_sysid.signals.process import LARGEST_SLOW_SHARE, process, with_delay
-from tests.support.swing import Swing, seconds
+from tests.support.swing import FREQUENCIES, Swing, seconds
 
 
 def root_mean_square(values: np.ndarray) -> float:
@@ -37,14 +37,46 @@ def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadba
     """A row is a sum over a window; what counts is the window's weight on slow samples."""
     signals = process(Swing().measured(seconds(6.0, 100.0)), cutoff=8.0, deadband=deadband)
     weight = np.abs(signals.low_pass.kernel) / np.sum(np.abs(signals.low_pass.kernel))
-    half, stream = signals.low_pass.half_width, signals.decimator()
+    half = signals.low_pass.half_width
     slow, centres = np.abs(signals.qd) < deadband, signals.low_pass.centres(len(signals))
     share = np.array([weight @ slow[at - half : at + half + 1] for at in centres])
     np.testing.assert_allclose(signals.slow_share(), share, rtol=0.0, atol=1e-12)
     np.testing.assert_array_equal(signals.usable(), share <= LARGEST_SLOW_SHARE)
     assert np.any(~signals.usable() & ~slow[centres])
-    rows = np.concatenate([stream.push(tau) for _, tau in signals.chunks(37)])
+    rows = signals.low_pass.decimated(signals.tau)
     np.testing.assert_allclose(rows, Swing().tau(signals.decimated_time()), atol=1e-3)
+
+
+@given(
+    st.floats(0.3, 40.0),
+    st.sampled_from((100.0, 333.0, 1000.0)),
+    st.integers(0, 100),
+    st.integers(1, 999),
+    st.booleans(),
+)
+def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(cutoff, rate, more, most, noisy):
+    """Products of motion that passed the low-pass; of encoder noise too, whose rest above all
+    cut-offs is less. However many at once, signs of speeds pass as they do in one piece.
+    """
+    time = seconds(30.0 / cutoff, rate)[: -1 - more]
+    swing, rng = Swing(more, 0.3 * cutoff * FREQUENCIES), np.random.default_rng(more)
+    log = swing.measured(time)
+    noise = rng.normal(0.0, 1e-4 * noisy, log.q.shape)
+    try:
+        signals = process(replace(log, q=log.q + noise), cutoff=cutoff)
+    except InputError:  # the cut-off does not fit the rate, or the log is too short
+        return
+
+    def smooth(motion):
+        return np.sin(motion.q) * motion.qdd, np.cos(motion.q) * motion.qd**2
+
+    assert signals.low_pass.step % signals.low_pass.stride == 0
+    for few, full in zip(*(signals.passed(smooth, few, most) for few in (True, False))):
+        assert few.shape == full.shape
+        assert root_mean_square(few - full) < (1e-5 if noisy else 1e-8) * root_mean_square(full)
+    (signs,) = signals.passed(lambda motion: (np.sign(motion.qd),), most=most)
+    whole = signals.low_pass.decimated(np.sign(signals.qd))
+    np.testing.assert_allclose(signs, whole, rtol=0.0, atol=1e-12)
 
 
 def test_the_deadband_is_a_part_of_the_peak_speed_unless_another_is_given():
