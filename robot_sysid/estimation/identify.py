@@ -18,12 +18,13 @@ from robot_sysid.estimation.choices import choose, coupled
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import couplings_of
 from robot_sysid.estimation.dataset import Dataset, Mask, mean_torque
-from robot_sysid.estimation.errors import fit_errors
+from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import logs_compared
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.records import Measurement, RobotModel, Validation
+from robot_sysid.estimation.verdict import NOISE_EXPLAINS, beyond_chance
+from robot_sysid.records import Array, Measurement, RobotModel, SquareRootInformation, Validation
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.results import validation_of
 from robot_sysid.signals.process import LogPiece, process
@@ -124,7 +125,7 @@ def answer_link(
     notes: list[str] = []
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
         notes += [note for each in signals for note in each.one_way_joints(robot.joint_names)]
-    others = tuple(tested(fit, each, name) for name, each in (tests or {}).items())
+    others = tuple(tested(fit, errors, each, name) for name, each in (tests or {}).items())
     return replace(answer, notes=tuple(dict.fromkeys((*notes, *said))), tests=(*others, *apart))
 
 
@@ -203,14 +204,14 @@ def _fitter(
     return replace(fitter, columns=columns.coupled(found), _last=None)
 
 
-def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:
+def tested(fit: Fit, errors: FitErrors, datasets: Sequence[Dataset], source: str) -> Validation:
     """Return the error with which a fit predicts other recordings; InputError as ``predicted``."""
     columns = Columns(fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings)
     samples = columns.samples(replace(fit.point, values=fit.values))
-    return predicted(fit, evidence_of([samples], fit.evidence.torque), source)
+    return predicted(fit, errors, evidence_of([samples], fit.evidence.torque), source)
 
 
-def predicted(fit: Fit, data: Evidence, source: str) -> Validation:
+def predicted(fit: Fit, errors: FitErrors, data: Evidence, source: str) -> Validation:
     """Return the error with which a fit predicts what rows that it was not made from say.
 
     Raises:
@@ -221,4 +222,25 @@ def predicted(fit: Fit, data: Evidence, source: str) -> Validation:
         raise InputError(f"no usable torque samples to validate on in {source}")
     wrong = data.whole.squared_residuals(fit.values)
     joints = [joint.joint for joint in data.whole.joints]
-    return validation_of(joints, wrong, squares, counts, source)
+    found = validation_of(joints, wrong, squares, counts, source)
+    noise = counts * fit.noise**2
+    if beyond_chance(wrong[None], noise[None]) <= NOISE_EXPLAINS:
+        return found
+    chance = noise + _left_open(fit, errors, data.whole)
+    told = np.flatnonzero(np.isfinite(chance))
+    ratio = beyond_chance(wrong[None, told], chance[None, told]) if np.any(chance[told]) else 0.0
+    return replace(found, told_enough=ratio > NOISE_EXPLAINS)
+
+
+def _left_open(fit: Fit, errors: FitErrors, data: SquareRootInformation) -> Array:
+    """Return (joints,) sum of squares that the errors of a fit make of other rows [N^2 m^2];
+    infinite where it tells nothing of a joint's friction, or of what else its torque depends on.
+    """
+    kept, found = fit.unknowns.kept, np.zeros(len(data.joints))
+    for row, (joint, own) in enumerate(zip(data.joints, fit.information.joints)):
+        stay = np.isin(joint.columns, kept)
+        change = np.zeros((len(joint.triangle), len(kept)))
+        change[:, np.searchsorted(kept, joint.columns[stay])] = joint.triangle[:, :-1][:, stay]
+        told = own.n_samples > 0 and np.all(errors.shown(change))
+        found[row] = np.trace(errors.of(change)[0]) if told else np.inf
+    return found

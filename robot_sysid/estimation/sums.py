@@ -299,5 +299,7 @@ def answer_from(
     file = fit_file(fixed, options, (FILE_GRAVITY,), fit, found.pull)
     tests: tuple[Validation, ...] = ()
     if validation is not None:
-        tests = (predicted(fit, validation.evidence, f"{validation.origin.detail}, not fitted"),)
+        tests = (
+            predicted(fit, errors, validation.evidence, f"{validation.origin.detail}, not fitted"),
+        )
     return Answer(fit, file, errors, tests, {}, found.acceleration_error, found.notes)

@@ -88,7 +88,7 @@ def unexplained(
             "the positions are too coarse or too seldom to have accelerations: expected error "
             f"{percent(acceleration_error)}",
         )
-    for test in tests:
+    for test in (each for each in tests if each.told_enough):
         errors = test.rmse_per_joint
         squares = [(errors[joint] / noise[joint]) ** 2 for joint in noise if joint in errors]
         ratio = float(np.sqrt(np.mean(squares or [0.0])))

@@ -94,7 +94,8 @@ class Estimate:
 @dataclass(frozen=True)
 class Validation:
     """Torque prediction error on data that was not fitted, of all joints and by joint name: root
-    mean square [N m], and relative, ||tau - prediction|| / ||tau||, None where torque is zero.
+    mean square [N m], and relative, ||tau - prediction|| / ||tau||, None where torque is zero; and
+    whether the fitted data says enough of such a motion for the error to speak against the fit.
     """
 
     source: str
@@ -103,6 +104,7 @@ class Validation:
     relative_error: float | None
     rmse_per_joint: Mapping[str, float]
     relative_error_per_joint: Mapping[str, float | None]
+    told_enough: bool = True
 
 
 def validation_of(

@@ -306,9 +306,6 @@ def load_run(folder: Path) -> Run:
     return Run(folder, content, bodies, data, missing)
 
 
-_VALIDATION = {each.name for each in fields(Validation)}
-
-
 def _restored(value: Any) -> Any:
     """Return part of a JSON file with the records in it: figures, validations, bodies, inertia."""
     if isinstance(value, list):
@@ -318,7 +315,7 @@ def _restored(value: Any) -> Any:
     entries = {key: _restored(each) for key, each in value.items()}
     if entries.keys() == {"value", "standard_error", "interval"}:
         return Figure(number(entries["value"]), number(entries["standard_error"]))
-    if entries.keys() == _VALIDATION:
+    if "relative_error_per_joint" in entries:
         return Validation(**entries)
     if "error_budget" in entries:
         return _body(entries)

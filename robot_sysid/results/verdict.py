@@ -261,7 +261,11 @@ def _beyond_noise(result: Result) -> Iterator[str]:
         )
     for test in result.validation:
         if test.rmse > WORSE * estimate.rmse:
+            why = "the model misses something that motion shows"
+            if not test.told_enough:
+                why = "no worse than expected of motion that the fitted logs tell too little of, "
+                why += "as of joints that hardly move in them; fit a log that moves like that"
             yield (
                 f"torques of {test.source} are predicted {test.rmse / estimate.rmse:.1f} "
-                "times worse than the fitted ones: the model misses something that motion shows"
+                f"times worse than the fitted ones: {why}"
             )

@@ -22,7 +22,7 @@ from robot_sysid.results.record import Verdict
 from robot_sysid.trajectory import CHUNK
 from tests.support import arms
 from tests.support.core_fits import BASIC, ORIGIN, datasets_of, fitted
-from tests.support.measured_logs import log_of, plan_of
+from tests.support.measured_logs import JOINT, log_of, plan_of
 from tests.support.payload_logs import TrueArm, four_joint_arm, wide_motion
 from tests.support.payload_logs import noisy as with_noise
 
@@ -72,11 +72,32 @@ def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
     fit = fitted(robot, [log], options)
     other = log_of(plant, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4)
     others, _ = datasets_of(robot, other)
-    found = validated(fit, others, "other.csv")
+    errors = fit_errors(fit)
+    found = validated(fit, errors, others, "other.csv")
     assert found.source == "other.csv"
     assert found.rmse < 1.3 * np.sqrt(np.mean(fit.weights**-2.0))
     heavier, _ = datasets_of(robot, replace(other, tau=1.2 * other.tau))
-    assert validated(fit, heavier, "x").relative_error > 3.0 * found.relative_error
+    assert validated(fit, errors, heavier, "x").relative_error > 3.0 * found.relative_error
+
+
+@pytest.mark.parametrize("still", [True, False])
+def test_a_log_of_a_joint_that_stood_still_is_no_test_but_one_of_another_body_is(
+    plant, robot, noisy, still
+):
+    """Its friction is not known; a link of another mass is told whatever else is open."""
+    (log,), options = datasets_of(robot, noisy)
+    used = np.ones(log.motion.q.shape, dtype=bool)
+    used[:, 1] = not still
+    fit = fitted(robot, [replace(log, used=used)], options)
+    told = []
+    for mass in (".8", "1.6"):
+        other = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
+        arm = arms.robot_of(other.replace('mass=".8"', f'mass="{mass}"'))
+        seen = log_of(arm, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4)
+        others, _ = datasets_of(robot, seen)
+        found = validated(fit, fit_errors(fit), others, "other.csv")
+        told.append(found.told_enough)
+    assert told == [not still, True]
 
 
 def test_rows_that_a_refit_leaves_out_say_nothing(robot, noisy):
