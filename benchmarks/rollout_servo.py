@@ -55,7 +55,7 @@ def main(*names: str) -> None:
 
 def report(name, arm, robot, outcome, held, spent) -> None:
     """Print one arm."""
-    found = outcome.identification
+    found = outcome.result
     servos, delay_error = found.fit.servos, found.fit.errors.delay
     print(f"{name}: {spent:.0f} s; {outcome.failure or 'model written'}")
     print(f"  delay {1e3 * servos.delay:.2f} ± {1e3 * delay_error:.2f} ms, true 20")

@@ -5,48 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from robot_sysid.config import OutputOptions, SysidConfig
-from robot_sysid.export import Saved
-from robot_sysid.motion.plan import CheckedPlan
 from robot_sysid.records import Motion, MotionPlan
 from robot_sysid.records.data import Traces
-from robot_sysid.results.console import block_lines, clamping_lines, folder_text, more_lines
 from robot_sysid.results.record import Result
-from robot_sysid.results.verdict import plan_verdict, verdict_lines
 
 if TYPE_CHECKING:
     from robot_sysid.estimation.answer import Answer
     from robot_sysid.estimation.dataset import Dataset
-
-
-@dataclass(frozen=True)
-class PlanOutcome:
-    """What planning a motion produced.
-
-    Attributes:
-        lines: what it promises, and what exporting it to motors had to say.
-        failure: why it must not be run, or None; nothing is written then.
-        files: what was written.
-        config, checked: what was asked for, and the motion itself.
-    """
-
-    lines: tuple[str, ...]
-    failure: str | None
-    config: SysidConfig
-    files: tuple[Path, ...] = ()
-    checked: CheckedPlan | None = None
-
-    @property
-    def verdict(self) -> tuple[str, ...]:
-        """Whether to use it and what to do next, in two lines, which come last."""
-        arm, limits = self.config.words
-        return plan_verdict(arm, self.files, self.failure, self.config.poses.purpose, limits)
-
-    def report_lines(self) -> list[str]:
-        """Return what the command line prints at the end."""
-        return [*self.lines, *(f"Trajectory saved to {path}" for path in self.files)]
+    from robot_sysid.motion.plan import CheckedPlan
 
 
 @dataclass(frozen=True)
@@ -72,31 +40,23 @@ class Analysis:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run produced, what was written, and what was asked of it."""
+    """What a run produced and wrote, whatever was asked, and what is printed of it.
 
-    result: Result
-    traces: Callable[[], Traces]
-    saved: Saved
-    output: OutputOptions
+    Attributes:
+        lines: what is printed at the end.
+        verdict: whether to use it and what to do next, in at most two lines, which come last.
+        failure: why there is nothing to use, or None.
+        files: what was written.
+        result: what was found, a ``Result`` or servos; None of a plan.
+        traces, result_hash: what a report draws of it, and the hash of its file; none of servos.
+        checked: the motion that was planned.
+    """
 
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """What was written."""
-        return self.saved.files
-
-    @property
-    def failure(self) -> str | None:
-        """Why there is nothing to use, or None."""
-        return self.saved.failure
-
-    @property
-    def verdict(self) -> tuple[str, ...]:
-        """Whether to use it and what to do next, in at most two lines, which come last."""
-        return verdict_lines(self.result, self.saved.failure)
-
-    def report_lines(self) -> list[str]:
-        """Return what the command line prints at the end."""
-        saved = f"Results saved to {folder_text(self.output.output_dir)}"
-        more = more_lines(self.result, self.output.links)
-        clamping = clamping_lines(self.saved.damiao, self.result.joint_names)
-        return [*block_lines(self.result), saved, *more, *clamping]
+    lines: tuple[str, ...]
+    verdict: tuple[str, ...]
+    failure: str | None
+    files: tuple[Path, ...]
+    result: Any = None
+    traces: Callable[[], Traces] | None = None
+    result_hash: str = ""
+    checked: CheckedPlan | None = None

@@ -18,16 +18,18 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.itself import identify_itself
 from robot_sysid.export import MotorFile, locked_folder, save
 from robot_sysid.interrupts import only_the_first
+from robot_sysid.model.compilation import meshes_not_kept
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.outcome import Analysis, Outcome, PlanOutcome
+from robot_sysid.outcome import Analysis, Outcome
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import DAMIAO_NAME, WholeFiles, whole_files
 from robot_sysid.records.options import per_joint
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.torque_scale import write_torque_scale
-from robot_sysid.results.console import clamping_lines
+from robot_sysid.results.console import block_lines, clamping_lines, folder_text, more_lines
 from robot_sysid.results.model import CHECKPOINTS
+from robot_sysid.results.verdict import plan_verdict, verdict_lines
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
@@ -41,7 +43,7 @@ if TYPE_CHECKING:
 _SMOOTH_REVERSAL = 0.01
 
 
-def run(config: Config, progress: Progress | None = None) -> Outcome | PlanOutcome:
+def run(config: Config, progress: Progress | None = None) -> Outcome:
     """Answer what was asked about one arm, and write it.
 
     Args:
@@ -52,6 +54,13 @@ def run(config: Config, progress: Progress | None = None) -> Outcome | PlanOutco
         SysidError: with the exit code that fits, see ``errors``.
     """
     progress = progress or Progress()
+    if isinstance(config, SysidConfig) and config.estimation.torque_from is not None:
+        from robot_sysid.servo.run import run_servo
+
+        with meshes_not_kept():
+            robot, rest = load(config, progress), (config.model.mesh_dir, progress)
+            folder, read = config.output.output_dir, config.read_files()
+            return run_servo(robot, config.log, folder, *rest, read)
     with locked_folder(config.output.output_dir, progress):
         robot = load(config, progress)
         if isinstance(config, SysidConfig) and config.trajectory.plan_only:
@@ -157,18 +166,19 @@ def save_plan(
     return path, samples
 
 
-def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> PlanOutcome:
-    lines = tuple(promise(config, robot, checked))
-    if checked.failure:
-        return PlanOutcome(lines, f"{checked.failure}; nothing was written", config, (), checked)
-    motor_file = motor_writer(config, robot, checked.plan)
+def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
+    lines, failure = [*promise(config, robot, checked)], checked.failure
+    motor_file = None if failure else motor_writer(config, robot, checked.plan)
     with whole_files() as files:
-        paths = save_plan(files, config, robot, checked.plan)
+        paths = () if failure else save_plan(files, config, robot, checked.plan)
         if motor_file is not None:
             paths = (*paths, config.output.output_dir / DAMIAO_NAME)
             with files.open(paths[-1]) as file:
-                lines += tuple(clamping_lines(motor_file(file), robot.joint_names))
-    return PlanOutcome(lines, None, config, paths, checked)
+                lines += clamping_lines(motor_file(file), robot.joint_names)
+    failure = failure and f"{failure}; nothing was written"
+    arm, limits = config.words
+    verdict = plan_verdict(arm, paths, failure, config.poses.purpose, limits)
+    return Outcome(tuple(lines), verdict, failure, paths, checked=checked)
 
 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
@@ -235,7 +245,14 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
         write_torque_scale(scales, result.payload.torque_scale)
     for note in saved.notes:
         progress.note(note)
-    return Outcome(result, found.traces, saved, config.output)
+    lines = (
+        *block_lines(result),
+        f"Results saved to {folder_text(folder)}",
+        *more_lines(result, config.output.links),
+        *clamping_lines(saved.damiao, robot.joint_names),
+    )
+    verdict, hashed = verdict_lines(result, saved.failure), saved.result_hash
+    return Outcome(lines, verdict, saved.failure, saved.files, result, found.traces, hashed)
 
 
 def motor_writer(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:

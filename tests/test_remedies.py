@@ -69,7 +69,7 @@ NEVER = {
     "run": places("payload_pipeline", "weighed")
     + (*places("motion.static", "design_poses"), *others("ALONE", *SHOWN)),
     "plan": (*ONLY["identify"], *CHOSEN, *places("pipeline", "analysed", "written"))
-    + (*places("outcome", "Outcome"), *others("PLAN")),
+    + others("PLAN"),
     "identify": places("pipeline", "analysed", "designed", "motor_writer")
     + (*OF_PLANS, *USUAL, *EXPORT, *others("IDENTIFY", *SHOWN)),
     "payload": (*places("pipeline", "_of_itself"), *others("PAYLOAD", *SHOWN))

@@ -17,9 +17,9 @@ from robot_sysid.api.keywords import in_python, python_words
 from robot_sysid.config import Config, SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.export import Saved, locked_folder
+from robot_sysid.export import locked_folder
 from robot_sysid.motion.plan import CheckedPlan
-from robot_sysid.outcome import Analysis
+from robot_sysid.outcome import Analysis, Outcome
 from robot_sysid.pipeline import save_plan, written
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
@@ -153,9 +153,9 @@ class Identified:
             models = _models_in(files) if bundle else []
             return (*files, *(write_bundle(model, Path(folder)) for model in models))
 
-    def _write(self, folder: Path) -> Saved:
+    def _write(self, folder: Path) -> Outcome:
         there = replace(self.config, output=replace(self.config.output, output_dir=folder))
-        return written(there, self.robot, self.analysis, Progress()).saved
+        return written(there, self.robot, self.analysis, Progress())
 
     def spec(self) -> Any:
         """Return a ``mujoco.MjSpec`` with the result applied; meshes and textures are in memory.

@@ -65,7 +65,7 @@ def show_preview(robot: RobotModel, shown: Shown, wanted: PreviewOptions, consol
 
 def show_plan(outcome: Any, wanted: PreviewOptions, console: Console) -> None:
     """Show the motion that was planned, if there is one."""
-    checked = getattr(outcome, "checked", None)
+    checked = outcome.checked
     if checked is not None and checked.problem is not None and (wanted.view or wanted.video):
         from robot_sysid.preview.film import shown_plan
 

@@ -78,7 +78,7 @@ def report_of(
 
     The results are in their files already; whatever fails here leaves them there.
     """
-    wanted, traces = output.report or output.plots, getattr(outcome, "traces", None)
+    wanted, traces = output.report or output.plots, outcome.traces
     # A plan, and servos found without torques, have none to draw.
     if traces is None or not (wanted or outcome.result.is_measured):
         return None
@@ -86,7 +86,7 @@ def report_of(
     from robot_sysid.report.runs import load_run
 
     try:
-        save_data(output.output_dir, traces(), outcome.saved.result_hash)
+        save_data(output.output_dir, traces(), outcome.result_hash)
         if not wanted:
             return None
         console.stage("Drawing the report...")

@@ -192,11 +192,15 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
     SysidError where it failed, there is nothing to use, or no report.
     """
     require_report(config.output)
+    # Imported here so that --help and usage errors do not wait for MuJoCo.
+    from robot_sysid.pipeline import run
+
     config = replace(config.seeded(), output=replace(config.output, config=console.config))
     with warnings_as_notes(console):
-        outcome = _outcome(config, console)
+        outcome = run(config, console)
     show_plan(outcome, preview, console)
-    console.lines(outcome.report_lines())
+    saved = outcome.files if outcome.checked else ()
+    console.lines([*outcome.lines, *(f"Trajectory saved to {path}" for path in saved)])
     console.result(_answer(outcome))
     if outcome.files:
         _repeatable(config)
@@ -266,23 +270,6 @@ def _answer(outcome: Any) -> Mapping[str, Any] | str:
         "promised": outcome.lines,
         "files": [str(path) for path in outcome.files],
     }
-
-
-def _outcome(config: Config, console: Console) -> Any:
-    """Run the stages that a question takes; return their ``files``, ``failure`` and lines."""
-    # Imported here so that --help and usage errors do not wait for MuJoCo.
-    if isinstance(config, SysidConfig) and config.estimation.torque_from is not None:
-        from robot_sysid.model.compilation import meshes_not_kept
-        from robot_sysid.pipeline import load
-        from robot_sysid.servo.run import run_servo
-
-        with meshes_not_kept():
-            robot, rest = load(config, console), (config.model.mesh_dir, console)
-            folder, read = config.output.output_dir, config.read_files()
-            return run_servo(robot, config.log, folder, *rest, read)
-    from robot_sysid.pipeline import run
-
-    return run(config, console)
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
+from robot_sysid.outcome import Outcome
 from robot_sysid.records import Array, DataOrigin, Measurement, Motion, RobotModel, atomic_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import RolloutTest
@@ -23,6 +24,7 @@ from robot_sysid.results.console import folder_text, rollout_lines
 from robot_sysid.results.json import json_text, rollout_entry
 from robot_sysid.results.model import ModelTarget, versions, write_joints
 from robot_sysid.results.rollout import LAST_FIFTH, refusal
+from robot_sysid.results.verdict import two_lines
 from robot_sysid.servo import search
 from robot_sysid.servo.search import MOST_PERIODS, ServoFit
 from robot_sysid.signals.resampling import usual_period
@@ -272,32 +274,6 @@ def _joint_notes(
         )
 
 
-@dataclass(frozen=True)
-class ServoOutcome:
-    """What a run produced."""
-
-    identification: ServoIdentification
-    files: tuple[Path, ...]
-    failure: str | None
-
-    def report_lines(self) -> list[str]:
-        """Return what the command line prints at the end."""
-        saved = f"Results saved to {folder_text(self.files[-1].parent)}"
-        return [*servo_lines(self.identification), saved]
-
-    @property
-    def verdict(self) -> tuple[str, ...]:
-        """Whether to use it, and what to do next."""
-        if self.failure is not None:
-            return (f"Not usable: {self.failure}",)
-        score, model = self.identification.rollout.score, self.identification.robot.path
-        times = "not known" if score is None else f"{score:.2g} times those before"
-        return (
-            f"Usable: position errors of the model, played on what was not fitted, are {times}",
-            f"Next: load {self.files[0].name} in place of {model}",
-        )
-
-
 def run_servo(
     robot: RobotModel,
     logs: LogOptions,
@@ -305,7 +281,7 @@ def run_servo(
     mesh_dir: Path | None,
     progress: Progress,
     read: Sequence[Path | None] = (),
-) -> ServoOutcome:
+) -> Outcome:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
     The files that are ``read`` stay.
@@ -320,7 +296,7 @@ def run_servo(
             outcome = _write(robot, found, target, refusal(found.rollout, logs.accept))
             model = (file.path for file in read_document(robot.path).files)
             removed = remove_earlier(files, folder, outcome.files, [*filter(None, read), *model])
-    for note in (*outcome.identification.notes[len(found.notes) :], *removed):
+    for note in (*outcome.result.notes[len(found.notes) :], *removed):
         progress.note(note)
     return outcome
 
@@ -372,7 +348,7 @@ def identify_servos(
 
 def _write(
     robot: RobotModel, found: ServoIdentification, target: ModelTarget, refused: str | None
-) -> ServoOutcome:
+) -> Outcome:
     """Write servo.json and, where the new model moves more like the arm, that."""
     path, failure, notes = target.path.parent / atomic_files.SERVO_NAME, refused, found.notes
     written = [path]
@@ -382,6 +358,11 @@ def _write(
             written = [target.path, path]
         except ExportError as error:
             failure = f"{error} (the identified numbers are in {atomic_files.SERVO_NAME})"
-    final = replace(found, notes=notes)
-    target.files.write(path, json_text(final.entries()))
-    return ServoOutcome(final, tuple(written), failure)
+    found = replace(found, notes=notes)
+    target.files.write(path, json_text(found.entries()))
+    lines = (*servo_lines(found), f"Results saved to {folder_text(path.parent)}")
+    score, model = found.rollout.score, f"{target.path.name} in place of {robot.path}"
+    times = "not known" if score is None else f"{score:.2g} times those before"
+    use = f"Usable: position errors of the model, played on what was not fitted, are {times}"
+    verdict = two_lines(use, f"load {model}") if failure is None else (f"Not usable: {failure}",)
+    return Outcome(lines, verdict, failure, tuple(written), found)
