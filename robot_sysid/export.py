@@ -18,7 +18,7 @@ from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.records import Motion, RobotModel, atomic_files
+from robot_sysid.records import Motion, atomic_files
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.cards import Card, card_text, payload_cards
@@ -96,7 +96,6 @@ def export_updated_xml(
 
 def save(
     result: Result,
-    robot: RobotModel,
     folder: Path,
     checkpoints: Motion,
     *,
@@ -131,10 +130,10 @@ def save(
     with atomic_files.whole_files() as files:
         if failure is None and not calibrates:
             # Drafted first, it takes its place last: what the other files say then holds for it.
-            path = folder / atomic_files.MODEL_NAMES[robot.kind]
+            path = folder / atomic_files.MODEL_NAMES[result.robot.kind]
             target = ModelTarget(files, path, checkpoints, result.estimate.rmse, mesh_dir)
             try:
-                notes = write_model(result, robot, target, as_body)
+                notes = write_model(result, target, as_body)
                 written.append(path)
             except ExportError as error:
                 failure = f"{error} (the identified numbers are in {atomic_files.PARAMS_NAME})"
@@ -149,7 +148,7 @@ def save(
         text = params_json_text(result, cards, notes, failure)
         written.append(folder / atomic_files.PARAMS_NAME)
         files.write(written[-1], text)
-        read = (*inputs, *(file.path for file in read_document(robot.path).files))
+        read = (*inputs, *(file.path for file in read_document(result.robot.path).files))
         notes += remove_earlier(files, folder, written, read)
     return Saved(tuple(written), notes, report, failure, hashlib.sha256(text.encode()).hexdigest())
 
@@ -174,7 +173,7 @@ def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]
     cards, recordings = payload_cards(payload.body, payload.flange), payload.recordings
     mass = with_error(payload.body.inertial.mass, float(payload.body.errors[0]), "kg")
     heading = (
-        f"Payload of {mass}, identified with {result.model_path.name} from "
+        f"Payload of {mass}, identified with {result.robot.path.name} from "
         f"{len(recordings['empty'])} empty and {len(recordings['loaded'])} loaded recordings."
     )
     return cards, card_text(cards, heading)

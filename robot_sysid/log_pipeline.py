@@ -182,7 +182,7 @@ def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> R
         path = folder / MODEL_NAMES[robot.kind]
         with whole_files() as files:
             target = ModelTarget(files, path, found.checkpoints, result.estimate.rmse, mesh_dir)
-            write_model(result, robot, target)
+            write_model(result, target)
         for each in found.tests:
             assert each.signals is not None
             old, new = (torque_error(m, robot, each.signals, each.name) for m in (robot.path, path))
@@ -197,11 +197,11 @@ def played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> Rollou
     datasets = analysis.tests or answer.fit.columns.datasets
     signals = [each.signals for each in datasets if each.signals is not None]
     if analysis.tests:
-        return play(robot, signals, partial(write_model, analysis.result, robot), mesh_dir)
+        return play(robot, signals, partial(write_model, analysis.result), mesh_dir)
 
     def again(target: ModelTarget) -> None:
         """Choose everything anew from the beginning of every log alone, and write that."""
         found = refit(answer, [fitted_rows(log) for log in signals], config.output.keep)
-        write_model(result_of(found, analysis.result.data), robot, target)
+        write_model(result_of(found, analysis.result.data), target)
 
     return play(robot, signals, again, mesh_dir, split_time, LAST_FIFTH)

@@ -8,7 +8,7 @@ import os
 import pkgutil
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,8 @@ from robot_sysid.model.chain import (
     resolve_joint,
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
-from robot_sysid.model.inertia import arm_links, composite_theta
-from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
+from robot_sysid.model.inertia import arm_links, subtree_bodies
+from robot_sysid.records import InertialParameters, JointFriction, RobotModel, SubtreeBody
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint
 
 
@@ -76,6 +76,7 @@ def robot_from_compiled(
     qpos = np.array(mj_model.qpos0 if rest is None else mj_model.key_qpos[rest], dtype=float)
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
+    bodies = subtree_bodies(mj_model, qpos, body)
     speeds = [compiled.velocity_limits.get(name) for name in names]
     return RobotModel(
         path=path,
@@ -90,7 +91,8 @@ def robot_from_compiled(
         reference_qpos=qpos,
         is_slide=mj_model.jnt_type[list(chain)] == int(mujoco.mjtJoint.mjJNT_SLIDE),
         limits=joint_limits(mj_model, chain, max_velocity, speeds),
-        prior=_prior(mj_model, qpos, body),
+        prior=_prior(bodies),
+        bodies=bodies,
         friction=JointFriction(mj_model.dof_frictionloss[dofs], mj_model.dof_damping[dofs]),
         links=arm_links(mj_model, qpos, chain),
         notes=(*compiled.notes, *_notes(mj_model, rest, whole, chain)),
@@ -116,10 +118,10 @@ def _keyframe_names(mj_model: Any) -> list[str]:
     return [mj_model.key(index).name or f"#{index}" for index in range(mj_model.nkey)]
 
 
-def _prior(mj_model: Any, qpos: Array, body: int) -> InertialParameters:
-    theta = composite_theta(mj_model, qpos, body)
+def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
+    theta = np.sum([body.theta for body in bodies], axis=0)
     if theta[0] <= 0.0:
-        fault = f"the terminal body {body_label(mj_model, body)} and all below it weigh nothing"
+        fault = f"the terminal body {bodies[0].name} and all below it weigh nothing"
         raise ModelError(f"{fault}; give it an <inertial> or geoms with mass as a starting value")
     return InertialParameters(theta)
 

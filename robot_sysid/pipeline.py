@@ -232,7 +232,6 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
             refused = refusal(result.rollout, config.log.accept)
     saved = save(
         result,
-        robot,
         folder,
         found.checkpoints,
         mesh_dir=mesh_dir,

@@ -36,7 +36,7 @@ def out(tmp_path):
 
 
 def saved(robot, result, out, **options):
-    return save(result, robot, out, checkpoints(robot), **options)
+    return save(result, out, checkpoints(robot), **options)
 
 
 def heavier(robot):
@@ -93,7 +93,7 @@ def test_a_file_that_is_not_the_model_in_memory_gets_no_new_model(robot, out):
     other = copy.copy(robot.mj_model)
     other.body_mass[robot.body_id - 1] *= 1.5
     changed = replace(robot, mj_model=other, prior=InertialParameters(robot.prior.theta))
-    found = saved(changed, heavier(robot), out)
+    found = saved(changed, heavier(changed), out)
     assert "differs from the original in body_mass" in found.failure
     assert names_in(out) == ["params.json"]
 

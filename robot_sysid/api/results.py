@@ -108,7 +108,7 @@ class Identified:
     def friction(self) -> Mapping[str, Mapping[str, float]]:
         """Joint name to friction term ("coulomb", "viscous", ...) to its coefficient."""
         if not self.result.is_measured:
-            estimate, joint = self.result.estimate, self.result.joint_name
+            estimate, joint = self.result.estimate, self.robot.terminal_joint
             names = {n.partition("[")[0]: n for n in estimate.names if n.endswith(f"[{joint}]")}
             return {joint: {term: estimate.value(name) or 0.0 for term, name in names.items()}}
         return {
@@ -192,7 +192,7 @@ class Identified:
         return "\n".join(self.lines())
 
     def __repr__(self) -> str:
-        body = self.result.body_name if self.result.payload is None else "payload"
+        body = self.robot.body_name if self.result.payload is None else "payload"
         mass = with_error(self.mass, self.standard_errors.get("m"), "kg")
         usable = f"not to be used: {self.failure}" if self.failure else "usable"
         return f"<Identified {body} of {self.robot.path.name}: {mass}, {usable}>"

@@ -21,7 +21,6 @@ from robot_sysid.records import DataOrigin, MotionPlan, RobotModel, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import Estimate
-from robot_sysid.results.model import about
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
@@ -58,7 +57,7 @@ def identify_itself(
     own = zip(equations.names[N_INERTIAL:], equations.prior[N_INERTIAL:].tolist())
     before = {name.partition("[")[0]: value for name, value in own}
     result = Result(
-        **about(robot),
+        robot=robot,
         question=LINK,
         estimate=estimate,
         verdict=of_own_simulation(estimate),

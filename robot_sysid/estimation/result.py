@@ -32,7 +32,6 @@ from robot_sysid.estimation.verdict import (
 )
 from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, RobotModel
 from robot_sysid.records.progress import Detail
-from robot_sysid.results.model import about
 from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
@@ -96,7 +95,7 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
     signals = [each.signals for each in fit.columns.datasets if each.signals is not None]
     models = {model.name for model in fit.choice.friction}
     return Result(
-        **about(robot),
+        robot=robot,
         question=PAYLOAD if fit.question.loaded else LINK,
         estimate=estimate_of(answer),
         verdict=Verdict.OK,

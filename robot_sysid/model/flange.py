@@ -14,7 +14,6 @@ import numpy as np
 
 from robot_sysid.dynamics.kinematics import posed
 from robot_sysid.errors import ModelError
-from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.records import Array, Flange, RobotModel
 
 # Names by which models call the frame that a tool is bolted to, the surest first.
@@ -75,8 +74,7 @@ def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
     mj_model, top = robot.mj_model, robot.body_id
     data = posed(mj_model, robot.reference_qpos)
     axes, origin = data.xmat[top].reshape(3, 3), data.xpos[top]
-    bodies = subtree_bodies(mj_model, robot.reference_qpos, top)
-    fixed = {body.body_id: body.name for body in bodies if body.welded}
+    fixed = {body.body_id: body.name for body in robot.bodies if body.welded}
 
     def frame(words: str, carrier: int, xmat: Array, xpos: Array) -> Flange:
         rotation, translation = axes.T @ xmat.reshape(3, 3), axes.T @ (xpos - origin)

@@ -213,6 +213,7 @@ class RobotModel:
         is_slide: (n,) whether a chain joint is a slide.
         prior: composite terminal link (terminal body and all below it at the reference
             configuration), in the terminal body's frame.
+        bodies: what that is made of, the terminal body first.
         links: what each chain joint moves, base to terminal; the last one is ``prior``.
         sha256: hash of the files that make the model.
         kind: "mjcf" or "urdf".
@@ -232,6 +233,7 @@ class RobotModel:
     prior: InertialParameters
     friction: JointFriction
     links: tuple[ArmLink, ...]
+    bodies: tuple[SubtreeBody, ...] = ()
     sha256: str = ""
     kind: str = "mjcf"
     notes: tuple[str, ...] = ()

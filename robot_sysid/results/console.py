@@ -53,8 +53,8 @@ def block_lines(result: Result) -> list[str]:
         unseen = len(rows) > 1 and not np.all(payload.body.shown)
         heading = f"Identified payload, in the frame of {payload.flange.name}:"
         return [heading, *table_lines(rows), *(ball if unseen else [])]
-    estimate, joint = result.estimate, result.joint_name
-    found, slides = estimate.inertial, joint in result.slides
+    estimate, joint = result.estimate, result.robot.terminal_joint
+    found, slides = estimate.inertial, joint in result.robot.slides
     theta = without_rounding(found.theta, found.scale)
     moment, inertia = (_listed(values) for values in (theta[1:4], theta[4:]))
     friction = [(term, estimate.value(f"{term}[{joint}]")) for term in ("coulomb", "viscous")]
@@ -119,15 +119,16 @@ def _tables(result: Result, links: bool) -> Iterator[str]:
 
 
 def _mass_line(result: Result) -> Iterator[str]:
-    names = [body.name for body in result.bodies if body.theta[0] > 0.0]
-    if len(names) < 2 or result.bodies[0].name not in names:
+    bodies = result.robot.bodies
+    names = [body.name for body in bodies if body.theta[0] > 0.0]
+    if len(names) < 2 or bodies[0].name not in names:
         return
     rest = len(names) - _NAMED
     told = names if rest < 2 else [*names[:_NAMED], f"{rest} more"]
     theta = result.estimate.inertial.theta if result.file is None else result.file.thetas[-1]
     line = f"The mass is that of {' + '.join(told)}"
     try:
-        plan = plan_write_back(theta, result.bodies)
+        plan = plan_write_back(theta, bodies)
     except ExportError:
         yield line
         return
@@ -162,7 +163,7 @@ def _joint_lines(result: Result) -> Iterator[str]:
     if any(joint.terms for joint in owners.values()):
         yield f"Friction of the joints ({result.friction_model}), model -> identified ± error:"
         for name, joint in owners.items():
-            slides = name in result.slides
+            slides = name in result.robot.slides
             terms = ", ".join(
                 friction_text(term, joint.before.get(term), *found, term_unit(term, slides))
                 for term, found in joint.terms.items()
@@ -429,14 +430,14 @@ def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
 
 
 def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
-    joint, estimate = result.joint_name, result.estimate
+    joint, estimate = result.robot.terminal_joint, result.estimate
     model = result.joints[joint].before if joint in result.joints else {}
     for term, words in (("coulomb", "Coulomb friction"), ("viscous", "viscous friction")):
         value = estimate.value(f"{term}[{joint}]")
         if value is not None:
             error = estimate.error(f"{term}[{joint}]") if result.is_measured else None
             after = float(without_rounding(np.array(value), 1.0))
-            unit = term_unit(term, joint in result.slides)
+            unit = term_unit(term, joint in result.robot.slides)
             yield BeforeAfter(words, model.get(term), after, error, unit)
 
 

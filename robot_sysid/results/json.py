@@ -31,6 +31,7 @@ from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.records.results import RolloutTest
 from robot_sysid.results import record
 from robot_sysid.results.cards import ERROR_NAMES, INERTIA, Card, load_errors
+from robot_sysid.results.model import versions
 from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Payload, Result
 from robot_sysid.results.verdict import PRIOR_SHARE, limitations, verdict_lines
 
@@ -110,7 +111,7 @@ def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
 
 
 def _asked(result: Result) -> dict[str, Any]:
-    estimate, joint, payload = result.estimate, result.joint_name, result.payload
+    estimate, joint, payload = result.estimate, result.robot.terminal_joint, result.payload
     entries = inertial_entries((estimate if payload is None else payload.total).inertial)
     seen = not estimate.identifiability.unidentifiable
     return {
@@ -122,7 +123,7 @@ def _asked(result: Result) -> dict[str, Any]:
         "condition_number": estimate.identifiability.condition_number,
         "n_base_params": estimate.identifiability.rank,
         "question": result.question,
-        "body_name": result.body_name,
+        "body_name": result.robot.body_name,
         **entries,
         "status": result.verdict.name,
         "status_text": result.verdict.value,
@@ -189,7 +190,7 @@ def _body(body: BodyEstimate) -> dict[str, Any]:
 def _link(result: Result, body: BodyEstimate) -> dict[str, Any]:
     written = None
     if result.file is not None and body.joint is not None:
-        theta = result.file.thetas[result.joint_names.index(body.joint)]
+        theta = result.file.thetas[result.robot.joint_names.index(body.joint)]
         written = inertial_entries(InertialParameters(theta)) if np.any(theta) else None
     return {"name": body.name, "joint": body.joint, **_body(body), "in_the_file": written}
 
@@ -249,7 +250,7 @@ def _fit(result: Result) -> dict[str, Any]:
 
 
 def _beside(result: Result) -> dict[str, Any]:
-    base, data, rows = result.base, result.data, None
+    base, data, robot, rows = result.base, result.data, result.robot, None
     if base is not None:
         names = ("combination", "value", "standard_error", "essential")
         columns = (base.combinations, base.values, base.standard_errors, base.essential)
@@ -264,10 +265,10 @@ def _beside(result: Result) -> dict[str, Any]:
         "notes": result.notes,
         "source": data.words,
         "logs": data.files,
-        "model": {"path": str(result.model_path), "sha256": result.model_sha256},
-        "joint_names": result.joint_names,
+        "model": {"path": str(robot.path), "sha256": robot.sha256},
+        "joint_names": robot.joint_names,
         **{name: getattr(data, name) for name in ("seed", "duration", "sample_rate")},
-        "versions": result.versions,
+        "versions": versions(),
     }
 
 

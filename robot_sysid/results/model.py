@@ -31,7 +31,7 @@ from robot_sysid.mjcf.write_back import BodyChange, JointChange, ModelChange, We
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import place_in_carrier
-from robot_sysid.model.inertia import body_theta, link_bodies, subtree_bodies
+from robot_sysid.model.inertia import body_theta, link_bodies
 from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
 from robot_sysid.records.atomic_files import WholeFiles, draft_folder, only_run_in
 from robot_sysid.records.figures import with_error
@@ -61,9 +61,7 @@ class ModelTarget:
     mesh_dir: Path | None = None
 
 
-def write_model(
-    result: Result, robot: RobotModel, target: ModelTarget, as_body: str | None = None
-) -> tuple[str, ...]:
+def write_model(result: Result, target: ModelTarget, as_body: str | None = None) -> tuple[str, ...]:
     """Write a model with what was identified: what ``result.file`` holds, and the payload on top.
 
     Links that are the model's own to the last digit are left alone. Where there is no
@@ -71,7 +69,7 @@ def write_model(
     alone. The payload gets a body of its own where that is named. Returns notes, one sentence each,
     or raises ExportError where the model cannot hold it; the draft is withdrawn.
     """
-    thetas, errors = _links(result, robot)
+    robot, (thetas, errors) = result.robot, _links(result)
     found = {} if result.file is None else result.file.joints
     joints, notes = _that_fit(robot, _joint_changes(robot, found))
     payload, welded, words, beside = result.payload, None, "", np.zeros(10)
@@ -114,11 +112,11 @@ def most_inflated(errors: Array) -> float:
     return min((float(e) for e in np.asarray(errors)[_MOMENTS] if np.isfinite(e)), default=0.0)
 
 
-def _links(result: Result, robot: RobotModel) -> tuple[Array, Array]:
+def _links(result: Result) -> tuple[Array, Array]:
     """Return what the links get without the payload and its standard errors, both (n, 10)."""
     if result.file is not None:
         return result.file.thetas.copy(), result.file.errors.copy()
-    thetas = robot.thetas
+    thetas = result.robot.thetas
     errors = np.full(thetas.shape, np.inf)
     if result.payload is not None:
         return thetas, errors
@@ -250,21 +248,6 @@ def versions() -> dict[str, str]:
         "mujoco": MUJOCO_VERSION,
         "numpy": np.__version__,
         "python": platform.python_version(),
-    }
-
-
-def about(robot: RobotModel) -> dict[str, Any]:
-    """Return what a result says of the arm itself, whatever was asked of it."""
-    return {
-        "model_path": robot.path,
-        "model_sha256": robot.sha256,
-        "joint_name": robot.terminal_joint,
-        "body_name": robot.body_name,
-        "joint_names": robot.joint_names,
-        "prior": robot.prior,
-        "versions": versions(),
-        "slides": robot.slides,
-        "bodies": subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id),
     }
 
 

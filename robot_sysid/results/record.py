@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -233,13 +232,9 @@ class Result:
 
     Attributes:
         question: ``LINK`` or ``PAYLOAD``.
-        joint_name, body_name: terminal joint and body.
-        joint_names, slides: all chain joints, and those that are slides, whose friction is a force.
-        prior: the model's own parameters of the terminal link.
         estimate: all parameters, the terminal link's first (of a payload: without it).
         verdict, reasons: how it ended; one phrase each on what is wrong.
         torques: "chain" or "terminal".
-        bodies: what the terminal link is made of in the model, the terminal body first.
         links: every link with mass, base to terminal; empty of the model's own simulation.
         joints: chain joint to its friction and rotor inertia.
         couplings: combined speed, such as ``joint_5+joint_6``, to its motor.
@@ -258,20 +253,12 @@ class Result:
     """
 
     question: str
-    model_path: Path
-    model_sha256: str
-    joint_name: str
-    body_name: str
-    joint_names: tuple[str, ...]
-    prior: InertialParameters
+    robot: records.RobotModel
     estimate: records.Estimate
     verdict: Verdict
     torques: str
     data: records.DataOrigin
-    versions: Mapping[str, str]
     reasons: tuple[str, ...] = ()
-    slides: tuple[str, ...] = ()
-    bodies: tuple[records.SubtreeBody, ...] = ()
     links: tuple[BodyEstimate, ...] = ()
     joints: Mapping[str, JointEstimate] = field(default_factory=dict)
     couplings: Mapping[str, JointEstimate] = field(default_factory=dict)
@@ -302,7 +289,8 @@ class Result:
         if self.links:
             return self.links[-1]
         exact = np.zeros((10, 10)), np.ones(10, dtype=bool), np.zeros(10)
-        return BodyEstimate(self.body_name, self.estimate.inertial, *exact, before=self.prior)
+        robot, found = self.robot, self.estimate.inertial
+        return BodyEstimate(robot.body_name, found, *exact, before=robot.prior)
 
     @property
     def known_to(self) -> float | None:

@@ -164,7 +164,7 @@ def _next(result: Result) -> str:
         return f"copy {CARD_NAME} into the controller; it is in the frame of {payload.flange.name}"
     written = " or ".join(MODEL_NAMES.values())
     if result.file is not None and result.file.others:
-        return f"load {written} in place of {result.model_path}"
+        return f"load {written} in place of {result.robot.path}"
     test = "robot-sysid identify {model} {log} --validation-measurements OTHER_LOG"
     return _command(result, test) + " (another motion tests the written model)"
 
@@ -172,7 +172,7 @@ def _next(result: Result) -> str:
 def _command(result: Result, text: str) -> str:
     is_file = len(result.data.files) == 1 and result.data.files != ("-",)
     log = result.data.detail if is_file else "LOG"
-    return text.format(model=shlex.quote(str(result.model_path)), log=shlex.quote(log))
+    return text.format(model=shlex.quote(str(result.robot.path)), log=shlex.quote(log))
 
 
 def limitations(result: Result) -> tuple[str, ...]:

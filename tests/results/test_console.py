@@ -99,18 +99,21 @@ def part(name, mass, welded=True):
     return SubtreeBody(0, name, mass / 2.0 * made.THETA, welded)
 
 
+def made_of(bodies):
+    return replace(made.ARM, bodies=bodies)
+
+
 def test_a_link_of_several_bodies_says_what_its_mass_is_the_mass_of():
     start = "The mass is that"
     parts = (part("link7", 0.7), part("hand", 0.3), part("finger", 0.2, False), part("eye", 0.0))
-    told = line(more_lines(made.found(bodies=parts)), start)
+    told = line(more_lines(made.found(robot=made_of(parts))), start)
     assert told == f"{start} of link7 + hand + finger; link7 alone, as written in the file: 1.5 kg"
     # The file's own terminal link weighs 1.8 kg.
-    assert line(more_lines(made.whole(bodies=parts)), start).endswith("in the file: 1.3 kg")
-    assert not any(start in text for text in more_lines(made.found(bodies=parts[:1])))
+    assert line(more_lines(made.whole(robot=made_of(parts))), start).endswith("in the file: 1.3 kg")
+    assert not any(start in text for text in more_lines(made.found(robot=made_of(parts[:1]))))
     many = (*parts, *(part(f"pad{k}", 0.01) for k in range(6)))
-    assert "link7 + hand + finger + 6 more; link7" in line(
-        more_lines(made.found(bodies=many)), start
-    )
+    told = line(more_lines(made.found(robot=made_of(many))), start)
+    assert "link7 + hand + finger + 6 more; link7" in told
 
 
 def test_a_payloads_block():
@@ -153,7 +156,8 @@ def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
     assert place.error == load_errors(made.terminal(made.estimate()))[3]
     assert (rows["Coulomb friction"].before, rows["Coulomb friction"].after) == (0.2, 0.4)
     assert rows["Coulomb friction"].error == pytest.approx(4e-4)
-    slide = {each.name: each for each in asked_rows(made.found(slides=("j6",), joints={}))}
+    slider = replace(made.ARM, is_slide=np.array([False, True]))
+    slide = {each.name: each for each in asked_rows(made.found(robot=slider, joints={}))}
     assert slide["viscous friction"].unit == "N·s/m"
     own = asked_rows(made.itself())  # a simulation of the model itself states no errors
     assert len(own) == 15 and all(each.error is None for each in own)

@@ -18,7 +18,6 @@ from robot_sysid import records
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
-from robot_sysid.estimation.result import about
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import find_flange
 from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
@@ -100,7 +99,7 @@ def result_of(robot, theta=None, file=None, payload=None, **changes):
     theta = robot.prior.theta if theta is None else theta
     seen = records.Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
     estimate = records.Estimate(PARAMETER_NAMES, theta, seen, 1e-4, {})
-    known = {**about(robot), "verdict": record.Verdict.OK, "joints": {}, "links": ()}
+    known = {"robot": robot, "verdict": record.Verdict.OK, "joints": {}, "links": ()}
     given = {"estimate": estimate, "file": file, "payload": payload}
     return made.found(estimate, **{**known, **given, **changes})
 
@@ -108,7 +107,7 @@ def result_of(robot, theta=None, file=None, payload=None, **changes):
 def written(robot, result, folder=None, **options):
     """The compiled model that was written, and the notes."""
     with target_of(robot, folder) as target:
-        notes = write_model(result, robot, target, **options)
+        notes = write_model(result, target, **options)
     return compile_model(target.path).mj_model, notes
 
 

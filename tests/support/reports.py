@@ -34,8 +34,7 @@ def arm_text():
 def on_arm(result, path):
     """A made-up result as one about the arm in a file."""
     data = DataOrigin(Source.LOG, "<u>log</u>.csv", 6.0, 100.0)
-    sha256 = load_robot_model(path).sha256
-    return replace(result, model_path=path, model_sha256=sha256, data=data, slides=())
+    return replace(result, robot=load_robot_model(path), data=data)
 
 
 def link_result(path):
@@ -57,7 +56,7 @@ def payload_result(path, verdict=Verdict.OK):
 
 def traces(result):
     """Torques of sines, the residual white."""
-    rng, time, names = np.random.default_rng(0), np.arange(600) * 0.01, result.joint_names
+    rng, time, names = np.random.default_rng(0), np.arange(600) * 0.01, result.robot.joint_names
     phases = time[:, None] * (1.0 + np.arange(len(names)))
     q, qd = np.sin(phases), (1.0 + np.arange(len(names))) * np.cos(phases)
     friction = 0.31 * np.sign(qd) + 0.2 * qd
@@ -66,7 +65,7 @@ def traces(result):
     measured[np.abs(qd) < 0.1] = np.nan
     full = np.full(len(names), 2.0)
     limits = JointLimits(-full, full, 3.0 * full, np.full(len(names), np.inf))
-    known = (time, q, qd, measured, predicted, 0.8 * predicted, friction, limits, result.prior)
+    known = (time, q, qd, measured, predicted, 0.8 * predicted, friction, limits, made.ARM.prior)
     return Traces(names, (False,) * len(names), *known)
 
 

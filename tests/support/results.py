@@ -15,7 +15,10 @@ from robot_sysid.records import (
     Flange,
     Identifiability,
     InertialParameters,
+    JointFriction,
+    JointLimits,
     PriorConflict,
+    RobotModel,
     Source,
     SubtreeBody,
     Validation,
@@ -40,6 +43,22 @@ FRICTION = tuple(f"{term}[{joint}]" for joint in JOINTS for term in ("coulomb", 
 NAMES = (*PARAMETER_NAMES, *FRICTION)
 THETA = theta_from_com(2.0, np.array([0.0, 0.01, 0.1]), np.diag([0.01, 0.012, 0.005]))
 VALUES = np.array([*THETA, 0.5, 0.2, 0.4, 0.1])
+ARM = RobotModel(
+    path=Path("arm.xml"),
+    mj_model=None,
+    joint_names=JOINTS,
+    body_name="link6",
+    body_id=2,
+    qpos_index=np.arange(2),
+    dof_index=np.arange(2),
+    reference_qpos=np.zeros(2),
+    is_slide=np.zeros(2, dtype=bool),
+    limits=JointLimits(*np.array([[-2.0], [2.0], [2.0], [np.inf]]) * np.ones(2)),
+    prior=InertialParameters(0.5 * THETA),
+    friction=JointFriction(np.array([0.3, 0.2]), np.array([0.1, 0.0])),
+    links=(),
+    sha256="ab",
+)
 MODEL_FRICTION = {
     "j5": {"coulomb": 0.3, "viscous": 0.1, "armature": 0.0},
     "j6": {"coulomb": 0.2, "viscous": 0.0, "armature": 0.0},
@@ -72,17 +91,11 @@ def found(result: Estimate | None = None, **changes) -> Result:
     result = result or estimate()
     fields = {
         "question": LINK,
-        "model_path": Path("arm.xml"),
-        "model_sha256": "ab",
-        "joint_name": "j6",
-        "body_name": "link6",
-        "joint_names": JOINTS,
-        "prior": InertialParameters(0.5 * THETA),
+        "robot": ARM,
         "estimate": result,
         "verdict": Verdict.BETTER,
         "torques": "chain",
         "data": DataOrigin(Source.LOG, "arm.csv", 15.0, 1000.0),
-        "versions": {"numpy": "2"},
         "links": () if result.standard_errors is None else (terminal(result),),
         "joints": {joint: joint_of(result, joint) for joint in JOINTS},
         "friction_model": "coulomb-viscous",
@@ -200,10 +213,10 @@ def whole(**changes) -> Result:
         candidates={"coulomb-viscous": 0.03, "none": 0.4},
         two_ways=(Figure(0.6, 0.01), Figure(0.4, 0.02)),
     )
+    bodies = (SubtreeBody(6, "link6", THETA, True),)
     errors = RolloutError(OPEN, 0.2, 5, np.array([0.2, 0.1]), np.array([0.02, 0.11]), (1, 0))
     fields = {
-        "slides": ("j5",),
-        "bodies": (SubtreeBody(6, "link6", THETA, True),),
+        "robot": replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
         "links": (first, terminal(estimate())),
         "joints": {"j5": elbow, "j6": joint_of(estimate(), "j6")},
         "couplings": {"j5+j6": JointEstimate("viscous", {"viscous": Figure(0.05, 0.002)})},
