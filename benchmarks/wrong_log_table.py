@@ -66,8 +66,8 @@ class Listener(Progress):
     def __init__(self) -> None:
         self.said: list[str] = []
 
-    def note(self, message: str) -> None:
-        self.said.append(message)
+    def note(self, *messages: str) -> None:
+        self.said += messages
 
 
 @dataclass(frozen=True)

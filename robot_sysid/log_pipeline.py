@@ -70,8 +70,7 @@ def _read(config: SysidConfig, robot: RobotModel, progress: Progress) -> _Record
         write_measurement_csv(config.arm.save_measurements, robot.joint_names, [logs[0].samples])
     if options.validation_measurements is not None:
         tests.append(open_log(robot, options.validation_measurements, options, progress))
-        for note in tests[0].notes:
-            progress.note(type(note)(f"validation log: {note}"))
+        progress.note(*(type(n)(f"validation log: {n}") for n in tests[0].notes))
     checked(config, robot, [*logs, *tests], progress)
     pieces = [Piece(str(log.path), part) for log in logs for part in log.pieces]
     notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
@@ -156,15 +155,12 @@ def _identified(
     config: SysidConfig, robot: RobotModel, recorded: _Recorded, progress: Progress
 ) -> Analysis:
     options, datasets, notes = config.estimation, recorded.datasets, recorded.notes
-    for note in notes:
-        progress.note(note)
+    progress.note(*notes)
     kept = config.output.keep + ((FILE_FRICTION, FILE_ROTORS) if options.no_friction else ())
     answer = answer_link(robot, datasets, options, progress, kept, recorded.tests)
     answer = replace(answer, notes=(*notes, *answer.notes))
     result = result_of(answer, recorded.origin)
-    for note in result.notes:
-        if note not in (*robot.notes, *notes):
-            progress.note(note)
+    progress.note(*(note for note in result.notes if note not in (*robot.notes, *notes)))
     assert (first := datasets[0].signals) is not None
     checkpoints = first.motion(first.spread(CHECKPOINTS))
     held_out = tuple(each for parts in recorded.tests.values() for each in parts)

@@ -54,8 +54,7 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
     datasets, notes = _datasets(config, robot, raw, at)
     if not drifts and not options.static:
         notes = (*notes, _no_drift(raw, at is not None))
-    for note in notes:
-        progress.note(note)
+    progress.note(*notes)
     question = Question(
         config.estimation,
         loaded=True,
@@ -72,8 +71,7 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
         divided = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)[0]
         factors = dict(zip(robot.joint_names, divided.tolist()))
         result = replace(result, payload=_combined(result.payload, factors, answer.fit.unknowns))
-    for note in result.notes[len(robot.notes) :]:
-        progress.note(note)
+    progress.note(*result.notes[len(robot.notes) :])
     return answer, result
 
 

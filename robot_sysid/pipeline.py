@@ -137,8 +137,7 @@ def load(config: Config, progress: Progress) -> RobotModel:
     speed = config.limits.max_velocity
     robot = load_robot_model(model.path, model.mesh_dir, model.joint, speed, model.keyframe)
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
-    for note in robot.notes:
-        progress.note(note)
+    progress.note(*robot.notes)
     progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
     if isinstance(config, SysidConfig) and config.motors.export_damiao:
         from robot_sysid.damiao.protocol.joints import damiao_joints
@@ -242,8 +241,7 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
     )
     if scales is not None and saved.failure is None and result.payload:
         write_torque_scale(scales, result.payload.torque_scale)
-    for note in saved.notes:
-        progress.note(note)
+    progress.note(*saved.notes)
     lines = (
         *block_lines(result),
         f"Results saved to {folder_text(folder)}",

@@ -28,8 +28,8 @@ class Listener(Progress):
     def __init__(self):
         self.stages, self.notes = [], []
 
-    def stage(self, message):
-        self.stages.append(message)
+    def stage(self, *messages):
+        self.stages += messages
 
 
 @pytest.fixture

@@ -88,8 +88,8 @@ class _Notes(Progress):
     def __init__(self) -> None:
         self.notes: list[str] = []
 
-    def note(self, message: str) -> None:
-        self.notes.append(python_words(message))
+    def note(self, *messages: str) -> None:
+        self.notes += map(python_words, messages)
 
 
 @contextmanager

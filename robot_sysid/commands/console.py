@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,17 +60,12 @@ class Console(ConsoleOptions, Progress):
             text = content if isinstance(content, str) else json_text(content)
             print_text(text, sys.stdout)
 
-    def stage(self, message: str) -> None:
-        """Print a progress line."""
-        if self._is_wanted(message):
+    def stage(self, *messages: str) -> None:
+        """Print lines."""
+        for message in filter(self._is_wanted, messages):
             self.close()
             self.said += [message] if self.json else []
             print_line(message, self._out)
-
-    def lines(self, messages: Iterable[str]) -> None:
-        """Print several lines."""
-        for message in messages:
-            self.stage(message)
 
     def back(self, lines: int) -> None:
         """Have what comes next take the place of the last lines, on a terminal."""
@@ -126,9 +121,9 @@ class Console(ConsoleOptions, Progress):
             look["bar_format"] = "{l_bar}{bar}| [{elapsed}<{remaining}{postfix}]"
         return tqdm(items, desc=label, total=total, **look)
 
-    def note(self, message: str) -> None:
-        """Print a sentence the user should know."""
-        if self._is_wanted(message):
+    def note(self, *messages: str) -> None:
+        """Print sentences the user should know."""
+        for message in filter(self._is_wanted, messages):
             if self._bar is not None:
                 self._bar.clear()
             print_line(f"note: {message}", sys.stderr)

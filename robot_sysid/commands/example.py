@@ -73,7 +73,7 @@ def main(arguments: Sequence[str]) -> int:
     named = {"model": quote(str(place / "model")), "log": quote(str(place / LOG))}
     commands = [line.format(**named) for line in NEXT.values()]
     for words, line in zip(NEXT, commands):
-        console.lines(["", f"# {words}", line])
+        console.stage("", f"# {words}", line)
     console.result({"folder": str(place), "commands": commands})
     return 0
 

@@ -61,7 +61,7 @@ def main(arguments: Sequence[str]) -> int:
     from robot_sysid.logs.reader import content_lines
 
     lines = content_lines(values["log"], log, console)
-    console.lines(lines)
+    console.stage(*lines)
     console.result({"log": str(values["log"]), "content": lines})
     return 0
 
@@ -76,11 +76,11 @@ def _checked(
     model, path = record_from(ModelOptions, values), values["path"]
     robot = load_robot_model(path, model.mesh_dir, model.joint, keyframe=model.keyframe)
     log = open_log(robot, values["log"], options, console)
-    console.lines(map(str, log.notes))  # details are what is asked for here
+    console.stage(*map(str, log.notes))  # details are what is asked for here
     rate = (len(log.samples) - 1) / log.duration
     console.stage(f"{len(log.samples)} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
     found = check_against_model(robot, log.pieces, divided=log.torque_scale)
-    console.lines(each.line() for each in found)
+    console.stage(*(each.line() for each in found))
     if preview.view or preview.video:
         show_preview(robot, _shown(robot, log.samples, values.get("trajectory")), preview, console)
     named = [{**vars(each), "level": each.level.value} for each in found]

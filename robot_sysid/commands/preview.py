@@ -53,8 +53,7 @@ def show_preview(robot: RobotModel, shown: Shown, wanted: PreviewOptions, consol
     """Render and play a motion."""
     from robot_sysid.preview.film import view, write_film
 
-    for note in shown.notes:
-        console.note(note)
+    console.note(*shown.notes)
     if wanted.video:
         console.stage(f"Rendering {len(shown.time)} pictures...")
         write_film(robot, shown, wanted.video, console)

@@ -54,12 +54,12 @@ def main(arguments: Sequence[str]) -> int:
     runs = [load_run(folder) for folder in values["folders"]]
     destination, mesh_dir = page.output_dir or runs[0].folder, values.get("mesh_dir")
     written = write_report(runs, destination, mesh_dir, plots=page.plots, progress=console)
-    console.lines(f"Written: {path}" for path in written[:1])
+    console.stage(f"Written: {written[0]}")
     if len(written) > 1:
         console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")
     verdicts = [run.content["verdict"] for run in runs]
     console.result({"written": list(map(str, written)), "verdicts": verdicts})
-    console.lines(verdicts[0] if len(runs) == 1 else ())
+    console.stage(*(verdicts[0] if len(runs) == 1 else ()))
     return 0
 
 

@@ -200,7 +200,7 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
         outcome = run(config, console)
     show_plan(outcome, preview, console)
     saved = outcome.files if outcome.checked else ()
-    console.lines([*outcome.lines, *(f"Trajectory saved to {path}" for path in saved)])
+    console.stage(*outcome.lines, *(f"Trajectory saved to {path}" for path in saved))
     console.result(_answer(outcome))
     if outcome.files:
         _repeatable(config)
@@ -213,7 +213,7 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
         names = atomic_files.MODEL_NAMES.values()
         for model in (path for path in outcome.files if path.name in names):
             console.stage(f"Bundle saved to {write_bundle(model, config.output.output_dir)}")
-    console.lines(outcome.verdict)
+    console.stage(*outcome.verdict)
     if failure:
         raise SysidError(failure)
     return 0

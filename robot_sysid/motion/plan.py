@@ -99,8 +99,7 @@ def make_plan(
             progress.note(f"{contact} along this trajectory; do not play it on the arm")
         return made
     _require_checkable(made.plan.duration)
-    for note in () if request.is_designed else made.problem.notes:
-        progress.note(note)
+    progress.note(*(() if request.is_designed else made.problem.notes))
     from robot_sysid.motion.limit_check import check_limits
 
     check = made.check or check_limits(made.problem, made.plan, options.sample_rate)
@@ -163,8 +162,7 @@ def _random(
         qpos[robot.qpos_index] = problem.rest
         arm = replace(robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos)
     plan, notes = trajectory.generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
-    for note in notes:
-        progress.note(note)
+    progress.note(*notes)
     if problem is None:
         return CheckedPlan(plan)
     from robot_sysid.motion.limit_check import scaled_to_limits
@@ -194,8 +192,7 @@ def _designed(
             progress.note(told)
 
     result = design_excitation(design, rng, progress, before)
-    for note in result.notes:
-        progress.note(note)
+    progress.note(*result.notes)
     gain = result.start_objective / result.objective
     better = f"{gain:.2f} times better than the best of {result.n_feasible} feasible random ones"
     progress.stage(Detail(f"Mean standard deviation: {result.objective:.4g}, {better}"))

@@ -16,8 +16,8 @@ class Detail(str):
 class Progress:
     """How a long stage tells how far it is: here to nobody, the command line's console shows it."""
 
-    def stage(self, message: str) -> None:
-        """Announce a stage."""
+    def stage(self, *messages: str) -> None:
+        """Announce a stage, or tell what came of it."""
 
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
         """Pass items through and count them."""
@@ -26,5 +26,5 @@ class Progress:
     def advance(self, label: str, done: float, total: float, text: str) -> None:
         """Tell that ``done`` of ``total`` of something long are done, and how it stands."""
 
-    def note(self, message: str) -> None:
-        """Tell the user something that does not stop the run."""
+    def note(self, *messages: str) -> None:
+        """Tell the user things that do not stop the run."""

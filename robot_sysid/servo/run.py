@@ -288,16 +288,14 @@ def run_servo(
     """
     with locked_folder(folder, progress):
         found, rest = identify_servos(robot, logs, progress)
-        for note in found.notes:
-            progress.note(note)
+        progress.note(*found.notes)
         with atomic_files.whole_files() as files:
             path = folder / atomic_files.MODEL_NAMES[robot.kind]
             target = ModelTarget(files, path, rest, 0.0, mesh_dir)
             outcome = _write(robot, found, target, refusal(found.rollout, logs.accept))
             model = (file.path for file in read_document(robot.path).files)
             removed = remove_earlier(files, folder, outcome.files, [*filter(None, read), *model])
-    for note in (*outcome.result.notes[len(found.notes) :], *removed):
-        progress.note(note)
+    progress.note(*outcome.result.notes[len(found.notes) :], *removed)
     return outcome
 
 

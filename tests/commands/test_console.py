@@ -69,7 +69,7 @@ def test_a_pipe_a_command_and_the_row_of_a_table_get_what_is_said(monkeypatch, s
 def test_a_result_as_json_has_standard_output_for_itself(capsys):
     for as_json in (True, False):
         console = Console(json=as_json)
-        console.lines(["a stage"])
+        console.stage("a stage")
         console.note("a note")
         console.result({"value": float("nan"), "at": Path("x").name})
         printed = capsys.readouterr()

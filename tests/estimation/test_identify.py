@@ -174,8 +174,8 @@ class Listener(Progress):
     def __init__(self):
         self.notes, self.steps = [], 0
 
-    def note(self, message):
-        self.notes.append(message)
+    def note(self, *messages):
+        self.notes += messages
 
     def track(self, items, label, total):
         for item in items:

@@ -21,8 +21,8 @@ class Listener(Progress):
     def __init__(self):
         self.notes = []
 
-    def note(self, message):
-        self.notes.append(message)
+    def note(self, *messages):
+        self.notes += messages
 
 
 def requested(trajectory=None, limits=None, excitation=None, played=False):

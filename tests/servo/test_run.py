@@ -60,8 +60,8 @@ class Told(Progress):
     def __init__(self):
         self.notes = []
 
-    def note(self, message):
-        self.notes.append(message)
+    def note(self, *messages):
+        self.notes += messages
 
 
 def run(robot, folder, monkeypatch, old=0, **more):

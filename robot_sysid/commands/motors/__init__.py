@@ -69,7 +69,7 @@ def check(asked: Asked) -> int:
         inspection = inspect_bus(link)
     motors = len(inspection.motors)
     if not motors:
-        console.lines(check_lines(checks))
+        console.stage(*check_lines(checks))
         asked.verdict = (f"Not usable: {motors_setup.SILENT}",)
         return 1
     rate = record_from(PlaySettings, asked.values).rate or default_rate(motors, asked.timing)
@@ -78,8 +78,8 @@ def check(asked: Asked) -> int:
     else:
         settings = PlaySettings(rate=rate)
         checks += preflight.general_checks(inspection, settings, asked.timing)
-    console.lines(motor_table(inspection, plan.trajectory.joints if plan else ()))
-    console.lines(check_lines(checks))
+    joints = plan.trajectory.joints if plan else ()
+    console.stage(*motor_table(inspection, joints), *check_lines(checks))
     to_change = len(preflight.stops(checks))
     if to_change:
         asked.verdict = (f"Not usable: {to_change} to change before playing",)
@@ -103,7 +103,7 @@ def play(asked: Asked) -> int:
             return _play_on(link, plan, checks, choices, asked, real=True)
     if not choices.dry_run:
         raise InputError("play needs --channel, for instance --channel can0 (or --dry-run)")
-    asked.console.lines(check_lines(checks))
+    asked.console.stage(*check_lines(checks))
     return _rehearsed(checks, asked)
 
 
@@ -256,7 +256,7 @@ def main(arguments: Sequence[str]) -> int:
     failure: SysidError | None = None
     try:
         code = COMMANDS[name].run(asked)
-        asked.console.lines(asked.verdict)
+        asked.console.stage(*asked.verdict)
     except SysidError as error:
         code, failure, asked.verdict = error.exit_code, error, (f"Not usable: {error}",)
     told = {"verdict": asked.verdict, "lines": asked.console.said}
@@ -296,7 +296,7 @@ def _play_on(
     console = asked.console
     inspection = inspect_bus(link)
     checks = [*checks, *asked.met_checks(plan, inspection, real)]
-    console.lines([*motor_table(inspection, plan.trajectory.joints), *check_lines(checks)])
+    console.stage(*motor_table(inspection, plan.trajectory.joints), *check_lines(checks))
     if choices.dry_run:
         return _rehearsed(checks, asked)
     preflight.require_no_stop(checks, "not played")
@@ -318,7 +318,7 @@ def _play_on(
         console.stage("holding; Ctrl-C ends it" if holds and "playing" in phase else phase)
 
     try:
-        console.lines(run_lines(asked.play(link, plan, inspection, stop, say, tell)))
+        console.stage(*run_lines(asked.play(link, plan, inspection, stop, say, tell)))
     except HardwareAbort as error:
         # That it has to end is no fault of holding, if all else went well.
         if not holds or str(error) != stop.reason:
@@ -363,7 +363,7 @@ def _simulated_end(asked: Asked) -> bus.Link:
     words = asked.command("play", **{"record": "measured.csv", **there})
     told = "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
     told += "ends it. To play on it, in another terminal:"
-    asked.console.lines([told, shlex.join(words)])
+    asked.console.stage(told, shlex.join(words))
     return link
 
 

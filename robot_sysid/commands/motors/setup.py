@@ -285,7 +285,7 @@ def setup(asked: Asked) -> int:
         return _scan(asked)
     with asked.bus(refuse_motion) as link:
         inspection = inspect_bus(link)
-        asked.console.lines(motor_table(inspection))
+        asked.console.stage(*motor_table(inspection))
         if changes:
             for line in MotorSetup(link, _only(inspection, options)).apply(options):
                 asked.console.stage(line)
@@ -322,7 +322,7 @@ def _scan(asked: Asked) -> int:
         found = len(inspection.motors)
         heard += found
         asked.console.stage(f"{rate} bit/s: {found} motors")
-        asked.console.lines(motor_table(inspection) if found else [])
+        asked.console.stage(*(motor_table(inspection) if found else []))
     if len(refused) == len(rates):
         raise refused[0]
     return _found(asked, heard)
@@ -375,7 +375,7 @@ def _watch(
     ends = clock.now() + (options.lifetime or float("inf"))
     while True:
         lines = list(state_table([(motor, client.state_of(motor)) for motor in motors]))
-        console.lines(lines)
+        console.stage(*lines)
         if clock.now() + options.interval > ends:
             return
         clock.sleep_until(clock.now() + options.interval)
