@@ -399,7 +399,3 @@ class PayloadConfig(Config):
 
 NOT_OF_A_PAYLOAD = ("links", "append", "save_trajectory", "plant_model", "save_measurements")
 """Keys of options that mean nothing for a payload."""
-
-
-config_from = SysidConfig.of
-"""The name by which programs know it."""

@@ -75,6 +75,7 @@ _OFTEN = 0.05
 _PAYLOAD = prediction.WEIGHED * np.eye(10)[0]
 """One at the origin of the last link."""
 _How = tuple[float, EstimationOptions, str]
+"""The sample rate and what follows it in ``expect``."""
 
 
 def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str) -> Known:
@@ -130,6 +131,7 @@ def expect(
         options: how it will be identified.
         asked: what is to be identified, see ``Known``.
     """
+    how = sample_rate, options, asked
     robot, known = problem.robot, known_of(problem, options, asked)
     told, own_size = information.criterion(problem, known), prediction.sizes(problem)
     of, theta, size, scaled = robot.body_name, robot.prior.theta, own_size, 0.0
@@ -138,7 +140,7 @@ def expect(
         size, scaled = own_size / robot.prior.mass, _read_alike(problem, options)
     others, missing, doubt = dict[str, float](), "", None
     try:
-        after = _posterior(problem, plan, sample_rate, options, asked)
+        after = _posterior(problem, plan, how)
     except InputError as error:
         missing = f"{UNUSABLE}: {error}"
         covariance = told.covariance(_told(problem, plan, sample_rate, known)).copy()
@@ -160,7 +162,7 @@ def expect(
             words = f"In about {percent(after.doubted)} of recordings {DOUBTED}"
             then = possible_covariance(theta, after.then.covariance[own])
             doubt = Remedy(words, *information.spread_of(theta, then))
-    remedies = _best_first(problem, plan, (sample_rate, options, asked), known, told)
+    remedies = _best_first(problem, plan, how, known, told)
     about = others, _never(problem, told), remedies, missing, scaled, doubt
     return Prediction(of, theta, size, covariance, causes, *about)
 
@@ -184,14 +186,8 @@ class _Posterior:
     then: Uncertainty
 
 
-def _posterior(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    sample_rate: float,
-    options: EstimationOptions,
-    asked: str,
-) -> _Posterior:
-    """Return what an estimate from a recording knows."""
+def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Posterior:
+    sample_rate, options, asked = how
     rate = min(sample_rate, HIGHEST_RATE_HZ)
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
     robot, choice, is_loaded = problem.robot, _choice(problem, options), asked == "payload"
@@ -251,7 +247,7 @@ def friction_lines(
 ) -> Iterator[str]:
     """Say how well an identification of one recording will know each joint's friction."""
     try:
-        after = _posterior(problem, plan, rate, options, "link")
+        after = _posterior(problem, plan, (rate, options, "link"))
     except InputError:
         return
     for term, unit in (("coulomb", "N·m"), ("viscous", "N·m·s/rad")):
@@ -347,7 +343,6 @@ def _best_first(
 def outlook(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> str:
     """Say before a search what no motion tells of a link, and what would; "" where one can.
 
-    ``how`` is the sample rate and what follows it in ``expect``.
     Any motion leaves what the priors leave where there is no noise. Remedies are worked out along
     a motion that is not designed yet.
     """

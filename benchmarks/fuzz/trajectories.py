@@ -91,7 +91,7 @@ def use(case: Case, folder: Path) -> None:
     path = place / "motion.json"
     saved = load_trajectory(path)
     saved.require_fits(_robot().joint_names)
-    require_countable(saved.plan.duration, RATE, "--sample-rate")
+    require_countable(saved.plan.duration, RATE)
     for _ in zip(range(ENOUGH_CHUNKS), motion_chunks(saved.plan, RATE)):
         pass
     if len(case["motion.json"]) % 8:

@@ -12,19 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.damiao import bus, preflight
 from robot_sysid.damiao import inspection as asked
-from robot_sysid.damiao import preflight
 from robot_sysid.damiao import trajectory as motion
-from robot_sysid.damiao.bus import (
-    BusAddress,
-    GuardedLink,
-    Link,
-    RawFrameLog,
-    SimulatedClock,
-    SystemClock,
-    Told,
-    open_bus,
-)
 from robot_sysid.damiao.player import Player, PlayReport
 from robot_sysid.damiao.preflight import Check, Plan
 from robot_sysid.damiao.protocol.codec import Scaling
@@ -51,9 +41,9 @@ class MotorRun:
     ``tell`` is told of a driver that does not return, see ``bus.DriverWatch``.
     """
 
-    def __init__(self, values: Mapping[str, Any], tell: Told) -> None:
-        self.values, self._tell, self.clock = values, tell, SystemClock()
-        self.address = record_from(BusAddress, values)
+    def __init__(self, values: Mapping[str, Any], tell: bus.Told) -> None:
+        self.values, self._tell, self.clock = values, tell, bus.SystemClock()
+        self.address = record_from(bus.BusAddress, values)
         self.timing = record_from(BusTiming, values)
         self._known: dict[tuple[bytes, bytes], tuple[str, str]] = {}
 
@@ -205,7 +195,7 @@ class MotorRun:
 
     def play(
         self,
-        link: GuardedLink,
+        link: bus.GuardedLink,
         plan: Plan,
         inspection: asked.Inspection,
         stop: StopRequest,
@@ -266,25 +256,25 @@ class MotorRun:
         return SimulatedArm(ArmStepper(self.robot, plan.trajectory.q[0], *timestep), motors)
 
     @contextlib.contextmanager
-    def simulated(self, arm: SimulatedArm) -> Iterator[GuardedLink]:
+    def simulated(self, arm: SimulatedArm) -> Iterator[bus.GuardedLink]:
         """Open a bus with a simulated arm on it, in simulated time."""
-        clock = SimulatedClock()
+        clock = bus.SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
-        yield GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
+        yield bus.GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
 
-    def open(self, timing: BusTiming | None = None) -> Link:
+    def open(self, timing: BusTiming | None = None) -> bus.Link:
         """Open the bus, with other bit rates than those asked for if given."""
-        return open_bus(self.address, timing or self.timing, self.clock, self._tell)
+        return bus.open_bus(self.address, timing or self.timing, self.clock, self._tell)
 
     @contextlib.contextmanager
     def bus(
         self, refuse: Callable[[Frame], None] = refuse_harmful, timing: BusTiming | None = None
-    ) -> Iterator[GuardedLink]:
+    ) -> Iterator[bus.GuardedLink]:
         """Open the bus for as long as the block runs; what ``refuse`` raises for is not sent."""
         if not self.address.channel:
             raise InputError("this command needs --channel, for instance --channel can0")
         with contextlib.closing(self.open(timing)) as link:
-            yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
+            yield bus.GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
 
 
 def lasting(plan: Plan, seconds: float) -> Plan:
@@ -294,7 +284,7 @@ def lasting(plan: Plan, seconds: float) -> Plan:
 
 
 def run(
-    link: GuardedLink,
+    link: bus.GuardedLink,
     plan: Plan,
     inspection: asked.Inspection,
     stop: StopRequest,
@@ -376,7 +366,7 @@ def _require_told(console: Aside, written: Aside) -> None:
 
 @contextlib.contextmanager
 def _recorder(
-    link: GuardedLink, plan: Plan, motors: Sequence[asked.InspectedMotor], aside: Aside
+    link: bus.GuardedLink, plan: Plan, motors: Sequence[asked.InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
     path, record, played = plan.recording.frames, plan.recording.record, plan.trajectory
     if path is None:
@@ -387,6 +377,6 @@ def _recorder(
     names = [joint.name if played.both else f"j{j}" for j, joint in enumerate(played.joints)]
     # Frames alone are written as the run goes on too: kept until its end, they fill the memory.
     with contextlib.ExitStack() as stack:
-        frames = stack.enter_context(RawFrameLog(path, link))
+        frames = stack.enter_context(bus.RawFrameLog(path, link))
         how = names, aside, frames, plan.recording.overwrite or record is None
         yield stack.enter_context(MeasurementRecorder(record or Path(os.devnull), head, *how))

@@ -93,7 +93,7 @@ def make_plan(
         from robot_sysid.motion.trajectories import at_speed
 
         made = CheckedPlan(at_speed(made.plan, options.speed), made.problem)
-    require_countable(made.plan.duration, options.sample_rate, "--sample-rate")
+    require_countable(made.plan.duration, options.sample_rate)
     if made.problem is None:
         for contact in find_new_contacts(robot, _counted(made.plan, progress)):
             progress.note(f"{contact} along this trajectory; do not play it on the arm")

@@ -45,17 +45,14 @@ class TrajectoryOptions(OptionRecord):
             raise InputError(
                 "--duration times --sample-rate gives less than two samples; raise one of them"
             )
-        require_countable(self.duration / self.speed, self.sample_rate, "--sample-rate")
+        require_countable(self.duration / self.speed, self.sample_rate)
 
 
-def require_countable(duration: float, rate: float, option: str) -> None:
-    """Raise InputError where a trajectory of a duration [s] has too many samples at a rate [Hz].
-
-    The message names the option that sets the rate.
-    """
+def require_countable(duration: float, rate: float) -> None:
+    """Raise InputError where a trajectory of a duration [s] has too many samples at a rate [Hz]."""
     if not duration * rate <= MOST_SAMPLES:
         raise InputError(
-            f"a trajectory of {duration:.3g} s with {option} {rate:g} has {duration * rate:.3g} "
-            f"samples, more than the {MOST_SAMPLES:.0e} a run can take; shorten it, raise "
-            "--speed where that slows it down, or lower the rate"
+            f"a trajectory of {duration:.3g} s with --sample-rate {rate:g} has "
+            f"{duration * rate:.3g} samples, more than the {MOST_SAMPLES:.0e} a run can take; "
+            "shorten it, raise --speed where that slows it down, or lower the rate"
         )

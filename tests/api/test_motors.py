@@ -82,12 +82,12 @@ def test_an_arm_that_is_held_plays_nothing(model):
 def arm(monkeypatch):
     """Two motors on a bus in simulated time."""
     arm, clock = two_motor_arm(), ScriptedClock()
-    monkeypatch.setattr(execution, "SystemClock", lambda: clock)
+    monkeypatch.setattr(execution.bus, "SystemClock", lambda: clock)
 
     def opened(address, timing, clock, tell):
         return RememberingLink(execution.SimulatedLink(clock, arm, timing, echo=True), clock)
 
-    monkeypatch.setattr(execution, "open_bus", opened)
+    monkeypatch.setattr(execution.bus, "open_bus", opened)
     return arm
 
 

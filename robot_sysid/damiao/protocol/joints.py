@@ -326,9 +326,7 @@ def _read_lerobot_map(path: Path, names: Sequence[str]) -> tuple[DamiaoJoint, ..
     return _checked_map(path, tuple(replace(row, name=_known(row.name, names)) for row in rows))
 
 
-def _motors_in(
-    content: Mapping[str, Any], prefix: str = "", channel: str = ""
-) -> Iterator[DamiaoJoint]:
+def _motors_in(content: Mapping[str, Any], prefix: str = "") -> Iterator[DamiaoJoint]:
     parts = {key: part for key, part in content.items() if key in (*_SIDES, "robot")}
     for key, part in parts.items():
         yield from _motors_in(part, _SIDES.get(key, ""))
