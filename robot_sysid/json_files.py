@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, words_of
 
 _DIGITS = 300
 _LARGEST = 30_000_000
@@ -31,7 +31,7 @@ def read_json(path: Path, remedy: str) -> Any:
             parse_int=lambda digits: int(digits) if len(digits) < _DIGITS else float(digits),
         )
     except OSError as error:
-        reason = error.strerror or error
+        reason = words_of(error)
     except (ValueError, RecursionError) as error:
         reason = f"it is not JSON: {error}"
     raise InputError(f"cannot read {path}: {reason}; {remedy}")

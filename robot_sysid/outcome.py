@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_sysid.records import Motion, MotionPlan
-from robot_sysid.records.data import Traces
+from robot_sysid.records import Motion, MotionPlan, Traces
 from robot_sysid.results.record import Result
 
 if TYPE_CHECKING:

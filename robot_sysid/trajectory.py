@@ -14,8 +14,7 @@ from typing import Callable
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
-from robot_sysid.records.arm import check_arrays
+from robot_sysid.records import Array, Motion, MotionPlan, RobotModel, check_arrays
 from robot_sysid.records.sampling import TrajectoryOptions
 
 FREQUENCY_BAND_HZ = (0.1, 0.6)

@@ -32,8 +32,7 @@ from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.outcome import Analysis
 from robot_sysid.pipeline import analysed, designed, load, promise
-from robot_sysid.records import Measurement, RobotModel
-from robot_sysid.records.data import Traces
+from robot_sysid.records import Measurement, RobotModel, Traces
 from robot_sysid.records.options import record_from
 from robot_sysid.records.progress import Progress
 

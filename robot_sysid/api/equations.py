@@ -13,8 +13,7 @@ from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array
-from robot_sysid.records.arm import checked_array
+from robot_sysid.records import Array, checked_array
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
-from robot_sysid.errors import InputError, ModelError
+from robot_sysid.errors import InputError, ModelError, words_of
 from robot_sysid.records.atomic_files import require_utf8
 
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
@@ -226,8 +226,7 @@ def _read_bytes(path: Path) -> bytes:
         hint = "" if known else " (Expected an XML model file: .xml, .mjcf or .urdf)"
         raise InputError(f"model file {path} not found; check the path{hint}") from None
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot read model file {path}: {reason}") from None
+        raise InputError(f"cannot read model file {path}: {words_of(error)}") from None
 
 
 def _as_utf8(raw: bytes, path: Path) -> bytes:

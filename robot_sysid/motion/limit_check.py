@@ -18,6 +18,7 @@ import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
+from operator import attrgetter
 from typing import Any
 
 import mujoco
@@ -295,11 +296,8 @@ def as_one(first: RobotModel, second: RobotModel) -> RobotModel:
     the first, and it is no serial chain.
     """
 
-    def both(*path: str) -> Any:
-        found: Any = [first, second]
-        for name in path:
-            found = [getattr(each, name) for each in found]
-        return np.concatenate(found)
+    def both(name: str) -> Any:
+        return np.concatenate([attrgetter(name)(arm) for arm in (first, second)])
 
     limits = ("lower", "upper", "velocity", "torque")
     return replace(
@@ -308,8 +306,8 @@ def as_one(first: RobotModel, second: RobotModel) -> RobotModel:
         qpos_index=both("qpos_index"),
         dof_index=both("dof_index"),
         is_slide=both("is_slide"),
-        limits=JointLimits(*(both("limits", name) for name in limits)),
-        friction=JointFriction(both("friction", "coulomb"), both("friction", "viscous")),
+        limits=JointLimits(*(both(f"limits.{name}") for name in limits)),
+        friction=JointFriction(both("friction.coulomb"), both("friction.viscous")),
         links=first.links + second.links,
     )
 

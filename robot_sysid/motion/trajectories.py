@@ -24,8 +24,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.records import Array, Motion, MotionPlan
-from robot_sysid.records.arm import check_arrays
+from robot_sysid.records import Array, Motion, MotionPlan, check_arrays
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.trajectory import Series, SineTrajectory, faded, motion_chunks, smooth_step, window
 

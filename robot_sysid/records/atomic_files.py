@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TextIO
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, words_of
 from robot_sysid.interrupts import held_back
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
@@ -273,5 +273,4 @@ def _refusals(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"cannot write {path}: {reason}; choose another folder") from None
+        raise InputError(f"cannot write {path}: {words_of(error)}; choose another folder") from None

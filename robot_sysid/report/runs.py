@@ -20,9 +20,8 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.autocorrelation import autocovariance
 from robot_sysid.json_files import read_json
 from robot_sysid.logs.formats.arrays import npz_arrays
-from robot_sysid.records import Array, Validation
+from robot_sysid.records import SIGNALS, Array, Signals, Traces, Validation
 from robot_sysid.records.atomic_files import PARAMS_NAME
-from robot_sysid.records.data import SIGNALS, Signals, Traces
 from robot_sysid.results.cards import ERROR_NAMES
 from robot_sysid.results.json import SCHEMA_VERSION
 from robot_sysid.results.record import PAYLOAD, Figure

@@ -16,10 +16,9 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.write_back import plan_write_back
-from robot_sysid.records import DELAY_NAME, Array, Validation
+from robot_sysid.records import DELAY_NAME, Array, RolloutTest, Validation
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.records.progress import Detail
-from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.cards import INERTIA, NOT_KNOWN, load_errors
 from robot_sysid.results.record import BaseParameters, BodyEstimate, Payload, Result
 from robot_sysid.results.verdict import limitations, verdict_lines

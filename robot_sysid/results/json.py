@@ -26,9 +26,8 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.records import InertialParameters
+from robot_sysid.records import InertialParameters, RolloutTest
 from robot_sysid.records.atomic_files import write_whole
-from robot_sysid.records.results import RolloutTest
 from robot_sysid.results import record
 from robot_sysid.results.cards import ERROR_NAMES, INERTIA, Card, load_errors
 from robot_sysid.results.model import versions

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid import records
-from robot_sysid.records import Array, InertialParameters, Validation
-from robot_sysid.records.results import RolloutTest
+from robot_sysid.records import Array, InertialParameters, RolloutTest, Validation
 
 LINK, PAYLOAD = "link", "payload"
 """Questions: the terminal link with every other link around it, or what came on to it."""

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.autocorrelation import autocovariance, memory_of
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import CLOSED, Array, Measurement, RobotModel, RolloutError, RolloutTest
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import CLOSED, RolloutError, RolloutTest
 from robot_sysid.results.rollout import HORIZONS, split_time
 from robot_sysid.signals.resampling import part_of, usual_period
 from robot_sysid.simulation.playback import MOST_WINDOWS
