@@ -138,13 +138,14 @@ class Parser(argparse.ArgumentParser):
                     _add(group, each, default, hidden)
         return group
 
-    def add_console(self) -> None:
-        """Add what every command has."""
+    def with_console(self) -> Parser:
+        """Add what every command has, and return the parser."""
         group = self.add("console", ConsoleOptions)
         version = f"{PROGRAM} {__version__}"
         group.add_argument("--version", action="version", version=version, help="print the version")
         group.add_argument("-h", "--help", action="help", help="print the main options")
         group.add_argument("--help-all", action="help", help="print all options")
+        return self
 
 
 def _content(path: Path) -> Mapping[str, Any]:

@@ -58,8 +58,7 @@ def build_parser(full: bool = True) -> Parser:
     )
     parser.add_argument("name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES))
     parser.add("output", ExampleOptions)
-    parser.add_console()
-    return parser
+    return parser.with_console()
 
 
 def main(arguments: Sequence[str]) -> int:

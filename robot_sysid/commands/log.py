@@ -42,8 +42,7 @@ def build_parser(full: bool = True) -> Parser:
     parser.add("log", LogOptions, leave_out=LEFT_OUT)
     parser.add("preview", PreviewOptions)
     parser.add("motion that the log should have followed", TrajectoryOptions, only=("trajectory",))
-    parser.add_console()
-    return parser
+    return parser.with_console()
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -38,8 +38,7 @@ def build_parser(full: bool = True) -> Parser:
     )
     parser.add("page", PageOptions)
     parser.add("model", ModelOptions, only=("mesh_dir",))
-    parser.add_console()
-    return parser
+    return parser.with_console()
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -168,8 +168,7 @@ def build_parser(command: str = "", full: bool = True) -> Parser:
     for title, records in asked.groups.items():
         only = asked.only.get(title, ())
         parser.add(title, *records, only=only, leave_out=asked.left_out, usual=asked.usual)
-    parser.add_console()
-    return parser
+    return parser.with_console()
 
 
 def main(arguments: Sequence[str], command: str = "") -> int:

@@ -242,8 +242,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
     if command in _PLAYED:
         # Nothing is limited by default, but by the model.
         parser.add("limits", LimitOptions, only=LIMITS, usual=dict.fromkeys(LIMITS))
-    parser.add_console()
-    return parser
+    return parser.with_console()
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -279,8 +278,7 @@ def _overview() -> Parser:
         codes=_CODES,
     )
     parser.add_argument("command", metavar="|".join(COMMANDS), help="what to do")
-    parser.add_console()
-    return parser
+    return parser.with_console()
 
 
 def _play_on(
