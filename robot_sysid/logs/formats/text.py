@@ -222,27 +222,26 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
 
 def _fast(dialect: Dialect, columns: Sequence[int], texts: Sequence[str]) -> Array | None:
     """Parse rows with numpy; None where a row needs a closer look."""
-    mark, more = None if dialect.separator == " " else dialect.separator, len(dialect.titles) - 1
-    marks = (
-        map(str.count, texts, itertools.repeat(mark))
-        if mark
-        else (len(text.split()) - 1 for text in texts)
-    )
-    if dialect.quoted or {*marks} != {more}:
+    if dialect.quoted:
         return None
+    mark, first = None if dialect.separator == " " else dialect.separator, dialect.first_row
     if mark != ",":
         texts = [text.replace(",", ".") for text in texts]
-    first = dialect.first_row
     dates = [k for k in columns if k < len(first) and ":" in first[k]]
+    # A type of all columns, unlike a choice of some, refuses rows with more or fewer cells.
+    kinds = [("", float if k in columns else "U1") for k in range(len(dialect.titles))]
     try:
         if dates:
             rows = [text.split(mark) for text in texts]
             for row, k in itertools.product(rows, dates):
                 row[k] = repr(_number(row[k].strip(), first[k]))
             texts = [(mark or " ").join(row) for row in rows]
-        return np.loadtxt(texts, delimiter=mark, usecols=list(columns), comments=None, ndmin=2)
-    except ValueError:
+        read = np.loadtxt(texts, kinds, delimiter=mark, comments=None, ndmin=1)
+    except (ValueError, IndexError):
         return None
+    # Lines of odd blanks alone are no rows to numpy.
+    whole = len(read) == len(texts)
+    return np.column_stack([read[f"f{k}"] for k in columns]) if whole else None
 
 
 def _read_row(dialect: Dialect, columns: Sequence[int], text: str, row: Array) -> str:
