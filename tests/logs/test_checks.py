@@ -34,6 +34,10 @@ def short_rows(rows):
     return [r[:5] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
 
 
+def long_rows(rows):
+    return [[*r, 0.0] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
+
+
 def changed(place, change):
     """A fault that changes some cells of the table."""
 
@@ -64,6 +68,7 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
         ["5 of 400 rows", "line 11, column 'q2': 'oops' is not a number", "1 %"],
     ),
     "short rows": (short_rows, ["5 of 400 rows", "line 11: 5 cells instead of 7"]),
+    "long rows": (long_rows, ["5 of 400 rows", "line 11: 8 cells instead of 7"]),
     "absurd cells": (
         changed((list(RUBBISH), 4), lambda tau: np.full(len(tau), 1e30)),
         ["5 of 400 rows", "first: line 11)"],

@@ -31,8 +31,8 @@ _CHANNELS = 8
 _MAX_LAG, _LAG_BINS = 2000, 60
 # Slope at a minimum, beside that at the beginning: rounding of squared equations.
 _FLAT = 1e-9
-# Rows that are filtered at a time: some MB.
-_CHUNK = 250
+# Rows that are filtered at a time, by one product of matrices: chosen for cost.
+_CHUNK = 32
 # Largest share of a kernel's noise that a fit is said to take out: noise is divided by the rest.
 _MOST_ABSORBED = 0.8
 
@@ -217,16 +217,16 @@ def _crossed(rows: Array, decay: Array) -> Array:
     """Return rows^T u (m, k, k) with the filters u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i), of
     rows y (N, k): half of Q_i - Q_0.
     """
-    width, state = rows.shape[1], np.zeros((len(decay), rows.shape[1]))
-    found = np.zeros((width, state.size))
+    since, each = np.subtract.outer(np.arange(_CHUNK), np.arange(_CHUNK)), decay[:, None, None]
+    powers, width = each ** np.abs(since), rows.shape[1]
+    within, state = np.where(since > 0, powers, 0.0), np.zeros((len(decay), 1, width))
+    found = np.zeros((len(decay), width, width))
     for part in np.array_split(rows, len(rows) // _CHUNK + 1):
-        passed = np.empty((len(part), *state.shape))
-        for row, now in zip(part, passed):
-            now[:] = state
-            state += row
-            state *= decay[:, None]
-        found += part.T @ passed.reshape(len(part), -1)
-    return np.moveaxis(found.reshape(width, *state.shape), 1, 0)
+        size = len(part)
+        passed = within[:, :size, :size] @ part + powers[:, :size, :1] * state
+        found += part.T @ passed
+        state = each * (passed[:, -1:] + part[-1:])
+    return found
 
 
 def _reach(count: int) -> tuple[int, int]:
