@@ -91,11 +91,11 @@ class ChosenRows:
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint, all recordings together."""
         for same in zip(*self.parts):
-            index = same[0][0]
-            rows, tau = (np.concatenate([each[k] for each in same]) for k in (1, 2))
-            columns = self.parts[0].columns[index]
+            index, columns = same[0][0], self.parts[0].columns[same[0][0]]
             stay = np.isin(columns, self.unknowns.kept)
-            yield index, rows[:, stay], tau - rows[:, ~stay] @ self.unknowns.held[columns[~stay]]
+            known = self.unknowns.held[columns[~stay]]
+            tau = np.concatenate([tau - rows[:, ~stay] @ known for _, rows, tau in same])
+            yield index, np.concatenate([rows[:, stay] for _, rows, _ in same]), tau
 
 
 @dataclass(frozen=True)
@@ -290,8 +290,8 @@ def solved(
         sought, known, free, counts = _bounded(columns, sought, data, counted, memory, noise)
         noise = counts / np.sqrt(counted)
         if visits is not None and inflation is None:
-            rows, found, before = ChosenRows(samples, sought), free[sought.kept], counted
-            counted, memory = visits.inflation(known, rows, found)
+            before = counted
+            counted, memory = visits.inflation(_residuals(samples, free))
             widens = any(group.may_widen for group in sought.groups)
             if widens or not np.array_equal(before, counted):
                 again = columns, sought, data, counted, memory, noise
@@ -305,6 +305,13 @@ def solved(
     values = np.clip(values, sought.lower, sought.upper)
     made = columns, question, choice, point, samples, data, sought
     return Fit(*made, known, 1.0 / counts, counted, free, values)
+
+
+def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:
+    """Yield what values (p,) leave of each joint's torque (K,) [N m], all recordings together."""
+    for index in range(len(samples[0].joints)):
+        left = [e.tau[index] - e.rows[index] @ values[e.columns[index]] for e in samples]
+        yield np.concatenate(left)
 
 
 def _bounded(

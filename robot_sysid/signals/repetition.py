@@ -17,7 +17,7 @@ those with the smallest stay. Samples put together in whatever order are then a 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.autocorrelation import memory
-from robot_sysid.records import Array, Motion, SampleSource, SquareRootInformation
+from robot_sysid.records import Array, Motion
 
 PROBES = 2000
 """So many rows, spread evenly, stand for all; a third of all tells D within a quarter (tests)."""
@@ -49,25 +49,21 @@ class Visits:
     others: NDArray[np.int64]
     repeats: float
 
-    def inflation(
-        self, information: SquareRootInformation, samples: SampleSource, values: Array
-    ) -> tuple[Array, Array]:
-        """Return (D, M) (joints,) of an estimate (p,).
+    def inflation(self, residuals: Iterable[Array]) -> tuple[Array, Array]:
+        """Return (D, M) (joints,) of each joint's residuals (K,) [N m]; NaN where unused.
 
         D is 1 where the motion does not repeat as a whole; M is what the memory of a joint's own
         residuals does to the variance of a slow sum.
         """
-        again, own = np.ones((2, len(information.joints)))
-        each = np.unique(self.probes)
-        for index, rows, tau in samples:
-            left = tau - rows @ values[information.joints[index].columns]
-            residual = np.nan_to_num(left)
+        again, own, each = [], [], np.unique(self.probes)
+        for left in residuals:
+            residual, twice = np.nan_to_num(left), 0.0
             squared = float(np.sum(residual[each] ** 2))
             if self.repeats >= 1.0 and squared > 0.0:
-                twice = float(residual[self.probes] @ residual[self.others])
-                again[index] = max(1.0 + twice / squared, 1.0)
-            own[index] = memory(left, again[index])
-        return again, own
+                twice = float(residual[self.probes] @ residual[self.others]) / squared
+            again.append(max(1.0 + twice, 1.0))
+            own.append(memory(left, again[-1]))
+        return np.array(again), np.array(own)
 
 
 def visits(motions: Sequence[Motion]) -> Visits:

@@ -48,8 +48,7 @@ def repeated(count, noise, phase=0.0):
 
 
 def inflation(motions, samples):
-    given = samples.information, samples, np.array([1.0, 2.0, 3.0])
-    return visits(motions).inflation(*given)[0]
+    return visits(motions).inflation([samples.tau - samples.rows @ [1.0, 2.0, 3.0]])[0]
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 1), (0, 2), (1, 12)])
