@@ -149,12 +149,15 @@ class Columns:
         self._smooth = self._of_bodies | np.array([term in _SMOOTH for term, _, _ in terms])
 
     def coupled(self, couplings: tuple[Coupling, ...]) -> Columns:
-        """Return the same with some of the couplings; rows that are there are used again."""
+        """Return the same with some of the couplings; it takes the rows that are there."""
         found = Columns(self.robot, self.datasets, self.torques, couplings)
         found._known = self._known
-        if self._base is not None:
+        base, self._base = self._base, None
+        if base is not None:
+            down, delay, rows = base
             names = found._arm_names
-            found._base = *self._base[:2], [each.only(names) for each in self._base[2]]
+            # Each goes once it is made again: they take most of the memory.
+            found._base = down, delay, [rows.pop(0).only(names) for _ in range(len(rows))]
         return found
 
     def start(self) -> Point:

@@ -201,7 +201,8 @@ def _fitter(
         return fitter
     # Columns of couplings that are not there would cost every later pass time and memory.
     found = () if question.resting else coupled(fitter, question, given, offered)
-    return replace(fitter, columns=columns.coupled(found), _last=None)
+    fitter = replace(fitter, _last=None)
+    return replace(fitter, columns=columns.coupled(found))
 
 
 def tested(fit: Fit, errors: FitErrors, datasets: Sequence[Dataset], source: str) -> Validation:

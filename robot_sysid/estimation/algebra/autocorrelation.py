@@ -184,6 +184,8 @@ def joint_residuals(
     products, pairs = autocovariance(residual, lags)
     rows = np.where(kept[:, None], rows, 0.0)
     decay, basis = _decay(kernels), None
+    # A few channels at a time: all of a long log's are as large as the log.
+    parts = np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1)
     if len(rows) < len(columns) and not to_add:
         sums, basis = _sums_of_ones(len(rows), kernels), rows
     else:
@@ -196,7 +198,7 @@ def joint_residuals(
         sums=sums,
         lags=np.arange(lags + 1),
         products=products,
-        hats=lagged(rows @ root, lags) / np.maximum(pairs, 1.0),
+        hats=sum(lagged(rows @ some, lags) for some in parts) / np.maximum(pairs, 1.0),
         pairs=pairs,
         basis=basis,
     )
@@ -310,9 +312,5 @@ def autocovariance(residual: Array, lags: int) -> tuple[Array, Array]:
 def lagged(signal: Array, lags: int) -> Array:
     """Return sum_t s_t . s_(t+l) for l = 0 .. lags of a signal (N, r), by FFT."""
     size = 1 << int(np.ceil(np.log2(max(len(signal) + lags + 1, 2))))
-    power = np.zeros(size // 2 + 1)
-    # A few channels at a time: all of a long log's are as large as the log.
-    for start in range(0, signal.shape[1], _CHANNELS):
-        some = np.fft.rfft(signal[:, start : start + _CHANNELS], size, axis=0)
-        power += np.sum(np.abs(some) ** 2, axis=1)
+    power = np.sum(np.abs(np.fft.rfft(signal, size, axis=0)) ** 2, axis=1)
     return np.fft.irfft(power, size)[: lags + 1]
