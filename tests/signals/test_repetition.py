@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.autocorrelation import memory
-from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.records import Motion
 from robot_sysid.signals import repetition
 from robot_sysid.signals.repetition import sampled, visits
@@ -32,13 +31,6 @@ class Samples:
 
     def __init__(self, rows, tau):
         self.rows, self.tau = rows, tau
-        accumulator = InformationAccumulator(("a", "b", "c"), ("one",), [np.arange(3)])
-        used = np.isfinite(tau)
-        accumulator.add(0, rows[used], tau[used])
-        self.information = accumulator.result()
-
-    def __iter__(self):
-        yield 0, self.rows, self.tau
 
 
 def repeated(count, noise, phase=0.0):
