@@ -110,21 +110,21 @@ def velocity_findings(
     found = [_ways(piece) for piece in pieces if piece.qd is not None]
     if not found:
         return
-    count, way, summed, size, both, squared = np.sum(found, axis=0)
+    joined = [np.concatenate(same) for same in zip(*found)]
     # A drive's constant error of the speed is neither a time nor another motion.
-    pairs, count = ((way, way), (way, summed), (summed, summed)), np.maximum(count, 1.0)
-    size, both, squared = (v - a * b / count for v, (a, b) in zip((size, both, squared), pairs))
+    way, summed = (each - np.sum(each, axis=0) / max(len(each), 1) for each in joined)
+    size = np.sum(way**2, axis=0)
     clear = np.flatnonzero(size > 0.01 * np.max(size, initial=0.0))
-    size, both, squared = size[clear], both[clear], squared[clear]
-    each = both / size
+    way, summed, size = way[:, clear], summed[:, clear], size[clear]
+    each = np.sum(way * summed, axis=0) / size
     share = float(np.median(each)) - 1.0 if len(each) else 0.0
     if WRONG_TIME < abs(share) < OTHER and np.ptp(each) < ALIKE:
         text = f"by the recorded velocities, time in the log is {100.0 * abs(share):.2g} % too "
         text += f"{'long' if share > 0.0 else 'short'}; record the controller's own time stamps, "
         text += f"or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
         yield Finding("clock", Level.REFUSE, text)
-    off = np.flatnonzero(squared - 2.0 * both + size > OTHER**2 * size)
-    rest = squared - each * both > OTHER**2 * squared
+    off = np.flatnonzero(np.sum((summed - way) ** 2, axis=0) > OTHER**2 * size)
+    rest = np.sum((summed - each * way) ** 2, axis=0) > OTHER**2 * np.sum(summed**2, axis=0)
     said = [
         f"{joint_names[clear[k]]} {'another motion' if rest[k] else f'{each[k]:.3g} times that'}"
         for k in off
@@ -136,19 +136,13 @@ def velocity_findings(
         yield Finding(name, Level.NOTE, text)
 
 
-def _ways(piece: Measurement) -> Array:
-    """Return (6, n) sums over all windows: one for each, their ways by positions and by velocities,
-    and the first's squares, the products of both and the other's squares.
-    """
+def _ways(piece: Measurement) -> tuple[Array, Array]:
+    """Return the ways (M, n) of all windows, by positions and by velocities."""
     assert piece.qd is not None
     length = max(1, round(WINDOW / usual_period(piece.time)))
     parts = 0.5 * (piece.qd[1:] + piece.qd[:-1]) * np.diff(piece.time)[:, None]
-    since = np.concatenate((np.zeros((1, parts.shape[1])), np.cumsum(parts, axis=0)))
-    way, summed = piece.q[length:] - piece.q[:-length], since[length:] - since[:-length]
-    pairs = (way, way), (way, summed), (summed, summed)
-    products = [np.einsum("kn,kn->n", *pair) for pair in pairs]
-    ones = np.full(way.shape[1], float(len(way)))
-    return np.stack((ones, np.sum(way, axis=0), np.sum(summed, axis=0), *products))
+    summed = np.concatenate((np.zeros((1, parts.shape[1])), np.cumsum(parts, axis=0)))
+    return piece.q[length:] - piece.q[:-length], summed[length:] - summed[:-length]
 
 
 def _steps(piece: Measurement) -> tuple[Array, Array]:
