@@ -14,6 +14,12 @@ The regressor of a link's own parameters needs the twist of each joint below it:
 Turning by an angle d about an axis, Ad(exp([S] d)^-1) = 1 - ad(S) sin d + ad(S)^2 (1 - cos d);
 ad(S) of a slide has no square, and d stands for the sine.
 
+In the base's frame a joint's screw is the same for all links that it moves. There link i turns by
+X_i = sum_{k <= i} S_k dq_k, and
+
+    dS_i = ad(X_i) S_i,   V_i = sum_{k <= i} S_k qd_k,
+    A_i = sum_{k <= i} (S_k qdd_k + ad(V_k) S_k qd_k) + A_0.
+
 Arrays are component first: (6, N) holds N samples of a twist [omega, v].
 """
 
@@ -21,6 +27,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import mujoco
 import numpy as np
@@ -44,6 +52,47 @@ class LinksMotion:
     acceleration: tuple[Array, ...]
     steps: tuple[Array, ...]
     screws: tuple[Array, ...]
+
+    @cached_property
+    def to_links(self) -> Array:
+        """What takes twists from the base's frame to each link's (n, N, 6, 6)."""
+        steps = (np.moveaxis(each, -1, 0) for each in self.steps)
+        return np.array([*accumulate(steps, lambda before, step: step @ before)])
+
+    @cached_property
+    def joint_twists(self) -> Array:
+        """Each joint's screw in the base's frame (6, n, N)."""
+        screws = np.array(self.screws).T[:, :, None]
+        return self._from_links(np.tile(screws, self.velocity[0].shape[1]))
+
+    def _from_links(self, twists: Array) -> Array:
+        """Return twists (6, n, N) of the links' frames in the base's."""
+        blocks = self.to_links.reshape(*self.to_links.shape[:2], 2, 3, 2, 3)
+        # Ad(T) has the blocks of Ad(T^-1) transposed.
+        back = blocks.swapaxes(-1, -3).reshape(self.to_links.shape)
+        return np.einsum("inab,bin->ain", back, twists)
+
+    def gradient(
+        self, rates: Sequence[Array], screws: Array, twists: Sequence[Array], turns: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return a scalar's gradient (N, n) by q, qd and qdd, in reverse mode, at rates qd and qdd
+        (N, n) from that by ``joint_twists``, by links' ``velocity`` and ``acceleration``, and by
+        how links turn in the base's frame, (6, n, N) each.
+        """
+        (speed, change), own = (each.T for each in rates), self.joint_twists
+        moves = (np.stack(each, axis=1) for each in (self.velocity, self.acceleration))
+        here, faster = map(self._from_links, moves)
+        velocity, acceleration = (np.einsum("inba,bin->ain", self.to_links, x) for x in twists)
+        turns = turns + bracket_transposed(here, velocity)
+        turns += bracket_transposed(faster, acceleration)
+        acceleration = _beyond(acceleration)
+        velocity = _beyond(velocity - bracket_transposed(own, acceleration) * speed)
+        screws = screws + acceleration * change + velocity * speed
+        screws += bracket_transposed(here, acceleration) * speed
+        turns -= bracket_transposed(own, screws)
+        by_speed = np.sum(own * velocity + bracket(here, own) * acceleration, axis=0)
+        by_place, by_change = (np.sum(own * x, axis=0) for x in (_beyond(turns), acceleration))
+        return by_place.T, by_speed.T, by_change.T
 
     def columns(self, links: Sequence[int]) -> Array:
         """Return the joint torque regressor (N, n, 10 len(links)) of some links [N m].
@@ -141,6 +190,11 @@ class LinkDynamics:
             acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
             moves.append((velocity, acceleration, step, screw))
         return LinksMotion(*zip(*moves))
+
+
+def _beyond(values: Array) -> Array:
+    """Return sums (6, n, N) over each link and all that it carries."""
+    return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
 
 
 def _lower(turn: Array, shift: Array) -> Array:

@@ -23,7 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.dynamics.screws import ChainMotion, ScrewChain
+from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion
+from robot_sysid.dynamics.screws import bracket_transposed
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.regressor import wrench_regressor
@@ -82,15 +83,17 @@ class PredictedInformation:
     """Maps motions to information about all links with mass.
 
     Attributes:
-        chains: screws of the joints that carry each of these L links, in descending order.
-        theta: (L, 10) of these links in the model.
+        dynamics: motion of all links.
+        links: numbers (L,) of those with mass, in descending order.
+        theta: (L, 10) of these in the model.
         joints: chain joints whose torque is used.
         sigma: (len(joints),) standard deviation of their torque noise [N m].
         smoothing: (n,) speed below which sign(qd) is rounded off to tanh [rad/s]; 0 for none.
         own: see ``Known``.
     """
 
-    chains: ScrewChain
+    dynamics: LinkDynamics
+    links: tuple[int, ...]
     theta: Array
     joints: tuple[int, ...]
     sigma: Array
@@ -99,11 +102,15 @@ class PredictedInformation:
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Information:
         """Return the information of one sample per row of q, qd, qdd (N, n)."""
-        move, used = self.chains.evaluate(q, qd, qdd), list(self.joints)
-        # Link and sample first: products of many small matrices.
-        wrench = body_wrench(move.velocity, move.acceleration).transpose(2, 3, 0, 1)
-        jacobian = move.jacobian[:, used].transpose(2, 3, 1, 0)
-        rows = (jacobian @ wrench).transpose(2, 1, 0, 3).reshape(len(used), len(q), -1)
+        move, used, links = self.dynamics.motion(q, qd, qdd), list(self.joints), list(self.links)
+        twists = [np.stack(each, axis=1)[:, links] for each in (move.velocity, move.acceleration)]
+        # Of each sample, all links' wrenches in the base's frame side by side, (N, 6, 10 L).
+        own_frame = body_wrench(*twists).transpose(2, 3, 0, 1)
+        wrench = (move.to_links[links].swapaxes(-1, -2) @ own_frame).transpose(1, 2, 0, 3)
+        wrench, joint_twists = wrench.reshape(len(q), 6, -1), move.joint_twists[:, used]
+        rows = np.empty((len(used), len(q), self.theta.size))
+        np.matmul(joint_twists.transpose(2, 1, 0), wrench, out=rows.swapaxes(0, 1))
+        self._keep_carried(rows)
         own, slopes = self._own(qd[:, used].T, qdd[:, used].T, rows @ self.theta.ravel())
         weight = 1.0 / self.sigma[:, None, None]
         rows *= weight
@@ -120,14 +127,18 @@ class PredictedInformation:
         for ours, left, count in zip(rows, residual, self._carried):
             information[:count, :count] += ours[:, :count].T @ left[:, :count]
         residual *= weight
-        vjp = partial(self._vjp, move, jacobian, wrench, slopes, gain, residual)
+        vjp = partial(self._vjp, move, (qd, qdd), twists[0], wrench, slopes, gain, residual)
         return Information(0.5 * (information + information.T), vjp)
 
     @cached_property
     def _carried(self) -> list[int]:
         """How many of the parameters each joint's equations have: those of links that it moves."""
-        moved = np.any(self.chains.screws != 0.0, axis=0)[list(self.joints)]
-        return (10 * np.sum(moved, axis=1)).tolist()
+        return [10 * sum(link >= joint for link in self.links) for joint in self.joints]
+
+    def _keep_carried(self, rows: Array) -> None:
+        """Make zero what stands in rows (joints, N, 10 L) for links that a joint does not move."""
+        for block, count in zip(rows, self._carried):
+            block[:, count:] = 0.0
 
     def _own(self, qd: Array, qdd: Array, torque: Array) -> tuple[Array, list[Array]]:
         """Return Z (rows, N, 7), and what it changes by with speed, acceleration and torque."""
@@ -151,8 +162,9 @@ class PredictedInformation:
 
     def _vjp(
         self,
-        move: ChainMotion,
-        jacobian: Array,
+        move: LinksMotion,
+        rates: tuple[Array, Array],
+        velocity: Array,
         wrench: Array,
         slopes: list[Array],
         gain: Array,
@@ -164,12 +176,18 @@ class PredictedInformation:
         adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
         by_speed, by_acceleration, by_torque = (np.sum(adjoint * slope, axis=2) for slope in slopes)
         rows_adjoint += by_torque[:, :, None] * self.theta.ravel()
-        used, links = list(self.joints), len(self.theta)
-        blocks = rows_adjoint.reshape(*rows_adjoint.shape[:2], links, 10).transpose(2, 1, 0, 3)
-        turned = np.zeros_like(move.jacobian)
-        turned[:, used] = (blocks @ wrench.transpose(0, 1, 3, 2)).transpose(3, 2, 0, 1)
-        felt = (jacobian.transpose(0, 1, 3, 2) @ blocks).transpose(2, 3, 0, 1)
-        total = move.vjp(turned, *_wrench_vjp(move.velocity, felt))
+        self._keep_carried(rows_adjoint)
+        used, links, by_sample = list(self.joints), list(self.links), rows_adjoint.swapaxes(0, 1)
+        screws, turns, *by_twists = np.zeros((4, *move.joint_twists.shape))
+        screws[:, used] = (by_sample @ wrench.swapaxes(1, 2)).transpose(2, 1, 0)
+        felt = move.joint_twists[:, used].transpose(2, 0, 1) @ by_sample
+        split = (len(wrench), 6, len(links), 10)
+        felt, wrench = (each.reshape(split).transpose(1, 2, 3, 0) for each in (felt, wrench))
+        turns[:, links] = np.sum(bracket_transposed(felt, wrench), axis=2)
+        own_frame = (move.to_links[links] @ felt.transpose(1, 3, 0, 2)).transpose(2, 3, 0, 1)
+        for by_twist, part in zip(by_twists, _wrench_vjp(velocity, own_frame)):
+            by_twist[:, links] = part
+        total = move.gradient(rates, screws, by_twists, turns)
         total[1][:, used] += by_speed.T
         total[2][:, used] += by_acceleration.T
         return total
@@ -285,7 +303,8 @@ def predicted_information(
     """
     theta = np.array([problem.robot.links[link].theta for link in problem.links])
     smooth = smoothing * problem.limits.velocity
-    return PredictedInformation(problem.chains, theta, problem.rows, sigma, smooth, known.own)
+    arm = problem.dynamics, problem.links, theta, problem.rows
+    return PredictedInformation(*arm, sigma, smooth, known.own)
 
 
 def criterion(problem: ExcitationProblem, known: Known) -> Criterion:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import other_links
+from robot_sysid.dynamics.equations import N_INERTIAL, other_links
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.screws import ScrewChain
 from robot_sysid.errors import InputError
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion.clearance import Clearance
@@ -22,7 +20,6 @@ from robot_sysid.motion.solids import has_floor, mounting_height, outermost_poin
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint, per_joint
 from robot_sysid.records.progress import Detail
-from robot_sysid.regressor import wrench_regressor
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE, TorqueFunction
 
@@ -133,7 +130,9 @@ class ExcitationProblem:
 
     Attributes:
         rest: (n,) where the motion starts and ends [rad].
-        links, chains: see ``link_chains``.
+        links: numbers (L,) of links with mass, the terminal one first; they descend, so that a
+            joint's equations have the first ones alone.
+        dynamics: motion of all links.
         tool: the outermost points of the terminal link and all it carries.
         arm_torque: joint torques (N, n) along a motion, friction included, without any load.
         reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
@@ -148,7 +147,7 @@ class ExcitationProblem:
     rest: Array
     limits: MotionLimits
     links: tuple[int, ...]
-    chains: ScrewChain
+    dynamics: LinkDynamics
     tool: Tool
     arm_torque: TorqueFunction
     reserve: float
@@ -158,11 +157,6 @@ class ExcitationProblem:
     origins: Mapping[str, NDArray[np.str_]]
     notes: tuple[str, ...] = ()
     has_floor: bool = True
-
-    @cached_property
-    def chain(self) -> ScrewChain:
-        """Screws of all joints, as seen from the terminal body."""
-        return ScrewChain(self.chains.screws[..., 0], self.chains.home, self.chains.gravity[:, 0])
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -192,12 +186,9 @@ class ExcitationProblem:
 
     def torque_per_kilogram(self, motion: Motion) -> Array:
         """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg]."""
-        body = self.chain.evaluate(motion.q, motion.qd, motion.qdd)
-        theta = spatial.theta_from_com(1.0, self.tool.tip, np.zeros((3, 3)))
-        wrench = np.einsum(
-            "ikn,k->in", wrench_regressor(body.velocity.T, body.acceleration.T), theta
-        )
-        return np.einsum("ijn,in->nj", body.jacobian, wrench)
+        thetas = np.zeros((self.n_joints, N_INERTIAL))
+        thetas[-1] = spatial.theta_from_com(1.0, self.tool.tip, np.zeros((3, 3)))
+        return self.dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
 
     def load_left(self, motion: Motion) -> tuple[float, int]:
         """Return the heaviest load [kg] that keeps all torque limits, and the joint that ends it.
@@ -235,8 +226,8 @@ class ExcitationProblem:
         if torque or np.any(np.isfinite(self.limits.torque)):
             needed = self.torque(motion)
         if tool or np.isfinite(self.limits.tool_speed):
-            body = self.chain.evaluate(motion.q, motion.qd, motion.qdd)
-            fastest = self.tool.speed(body.velocity)
+            links = self.dynamics.motion(motion.q, motion.qd, motion.qdd)
+            fastest = self.tool.speed(links.velocity[-1])
         place = motion.q - self.limits.center
         return np.column_stack((place, motion.qd, motion.qdd, needed, fastest))
 
@@ -275,14 +266,14 @@ def build_problem(
     notes = (f"{words} ends with {', '.join(moved)}",) if moved else ()
     base = _above_base(robot, limits, rest)
     obstacles, more = _obstacles(robot, limits, rest, base)
-    links, chains = link_chains(robot)
+    links = (robot.n_joints - 1, *reversed(other_links(robot)))
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
         robot=robot,
         rest=rest,
         limits=motion_limits,
         links=links,
-        chains=chains,
+        dynamics=LinkDynamics(robot),
         tool=Tool(*outermost_points(robot)),
         arm_torque=ArmTorque(robot),
         reserve=limits.payload_reserve,
@@ -293,23 +284,6 @@ def build_problem(
         notes=notes + more,
         has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
     )
-
-
-def link_chains(robot: RobotModel) -> tuple[tuple[int, ...], ScrewChain]:
-    """Return the numbers (L,) of links with mass, the terminal one first, and their screws.
-
-    They descend, so that a joint's equations have the first ones alone.
-    """
-    still = np.zeros((1, robot.n_joints))
-    moves = LinkDynamics(robot).motion(robot.reference[None], still, still)
-    screws, twists = np.zeros((6, robot.n_joints, robot.n_joints)), list[Array]()
-    for link, step in enumerate(moves.steps):
-        twists = [*(step[:, :, 0] @ twist for twist in twists), moves.screws[link][:, None]]
-        screws[:, : link + 1, link] = np.hstack(twists)
-    # At rest the only acceleration is the missing fall: minus gravity.
-    falling = -np.hstack([each[3:] for each in moves.acceleration])
-    links = (robot.n_joints - 1, *reversed(other_links(robot)))
-    return links, ScrewChain(screws[..., links], robot.reference, falling[:, links])
 
 
 def _position_limits(robot: RobotModel) -> tuple[Array, Array]:

@@ -9,9 +9,9 @@ from hypothesis import given
 from robot_sysid.dynamics.equations import Equations, other_links
 from robot_sysid.dynamics.friction import TERMS, FrictionModel
 from robot_sysid.dynamics.kinematics import ChainKinematics
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import AmbiguousJointError
 from robot_sysid.motion.information import OWN, Criterion, PredictedInformation
-from robot_sysid.motion.problem import link_chains
 from robot_sysid.records import Measurement
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
@@ -22,12 +22,14 @@ SAMPLES = 60
 
 
 def predicted(robot, own, smoothing=0.0, rows=None):
-    n, (links, chains) = robot.n_joints, link_chains(robot)
+    n = robot.n_joints
+    links = (n - 1, *reversed(other_links(robot)))
     rows = tuple(range(n)) if rows is None else rows
     theta = np.array([robot.links[link].theta for link in links])
     own = np.tile(np.array(own)[:, None], len(rows))
     sigma = np.linspace(0.5, 2.0, len(rows))
-    return PredictedInformation(chains, theta, rows, sigma, np.full(n, smoothing), own)
+    arm = LinkDynamics(robot), links, theta, rows
+    return PredictedInformation(*arm, sigma, np.full(n, smoothing), own)
 
 
 def eliminated_by_hand(robot, motion, torques, sigma, own):
@@ -136,11 +138,11 @@ def test_equals_mujoco(xml, seed):
     if robot is None:
         return
     q, qd, qdd = random_motion(np.random.default_rng(seed), robot.n_joints, 5)
-    ours = link_chains(robot)[1].evaluate(q, qd, qdd)
+    ours = LinkDynamics(robot).motion(q, qd, qdd)
     theirs = ChainKinematics(robot).evaluate(q, qd, qdd)
     for mine, yours in (
-        (ours.jacobian[:, :, 0].transpose(2, 0, 1), theirs.jacobian),
-        (ours.velocity[:, 0].T, theirs.velocity),
-        (ours.acceleration[:, 0].T, theirs.acceleration),
+        (np.einsum("nab,bin->nai", ours.to_links[-1], ours.joint_twists), theirs.jacobian),
+        (ours.velocity[-1].T, theirs.velocity),
+        (ours.acceleration[-1].T, theirs.acceleration),
     ):
         assert np.max(np.abs(mine - yours)) < 1e-10 * max(1.0, np.max(np.abs(yours)))

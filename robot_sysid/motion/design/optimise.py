@@ -277,10 +277,11 @@ def _vjp(
     _add_torque(problem, motion, np.split(signals, ends, axis=1)[3], torque, (q, qd, qdd))
     used = np.flatnonzero(fastest)
     if len(used):
-        tool = problem.chain.evaluate(*(part[used] for part in motion))
-        none = np.zeros_like(tool.jacobian), np.zeros_like(tool.acceleration)
-        along = problem.tool.speed_vjp(tool.velocity, fastest[used, 0])
-        for total, part in zip((q, qd, qdd), tool.vjp(none[0], along, none[1])):
+        q_used, *rates = (part[used] for part in motion)
+        links = problem.dynamics.motion(q_used, *rates)
+        none, along = np.zeros((2, 6, problem.n_joints, len(used)))
+        along[:, -1] = problem.tool.speed_vjp(links.velocity[-1], fastest[used, 0])
+        for total, part in zip((q, qd, qdd), links.gradient(rates, none, (along, none), none)):
             total[used] += part
     return q, qd, qdd
 
