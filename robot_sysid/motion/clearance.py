@@ -113,8 +113,8 @@ class Clearance:
         self._required = np.full((model.nbody, model.nbody), clearance)
         self._place(rest)
         self._part = part = parts_of(robot)
-        solid = np.any(model.geom_contype | model.geom_conaffinity)
-        self.is_empty = not (solid or model.npair or half_spaces)
+        self._solid = bool(np.any(model.geom_contype | model.geom_conaffinity) or model.npair)
+        self.is_empty = not (self._solid or half_spaces)
         # Where nothing is in the way, no motion uses up any of its room.
         self.rates = approach_rates(robot, self._data, part) * (not self.is_empty)
         self._rows = part[:, None] * (robot.n_joints + 1) + part
@@ -169,7 +169,7 @@ class Clearance:
         """The same arm, with each slack the whole distance of a pair, and without half-spaces."""
         other = copy.copy(self)
         other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
-        other._spaces = None
+        other._spaces, other.rates = None, self.rates * self._solid
         return other
 
     def _label(self, first: int, second: int) -> str:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.model.contacts import parts_of
+from robot_sysid.motion import limit_check
 from robot_sysid.motion.limit_check import (
     CLEARANCE_RESOLUTION,
     RESERVE,
@@ -129,6 +130,18 @@ def test_finds_a_wall_that_samples_step_over():
     assert not check.holds
     assert "clearance of arm and wall" in str(check.excesses[0])
     assert first_contact(some, plan).time == pytest.approx(check.closest.time, abs=3.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_samples_that_are_looked_at_together_find_what_each_alone_does(seed, monkeypatch):
+    some = problem(TUBES_AND_POST)
+    plan, found = plan_of(some, seed, 0.1), []
+    for skipping in (0, 10**9):
+        monkeypatch.setattr(limit_check, "WORTH_SKIPPING", skipping)
+        found.append(check_limits(some, plan))
+    alone, together = (check.closest.slack for check in found)
+    assert abs(together - alone) <= CLEARANCE_RESOLUTION
+    assert found[0].holds == found[1].holds
 
 
 class Stopping:
