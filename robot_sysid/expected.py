@@ -17,11 +17,16 @@ import numpy as np
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.common_scale import doubted
-from robot_sysid.estimation.algebra.identifiability import describe
-from robot_sysid.estimation.algebra.nuisances import with_prior
+from robot_sysid.estimation.algebra.identifiability import describe, triangle_space
+from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.possible_errors import once_possible, possible_covariance
-from robot_sysid.estimation.algebra.uncertainty import Uncertainty, uncertainty
+from robot_sysid.estimation.algebra.uncertainty import (
+    Uncertainty,
+    triangle_of,
+    uncertainty,
+    whole_triangle,
+)
 from robot_sysid.estimation.choices import CANDIDATES
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.estimation.couplings import couplings_of
@@ -45,7 +50,7 @@ from robot_sysid.motion import information, prediction
 from robot_sysid.motion.information import Criterion, Known
 from robot_sysid.motion.prediction import Prediction, Remedy
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, Measurement, MotionPlan
+from robot_sysid.records import Array, Measurement, MotionPlan, SquareRootInformation
 from robot_sysid.records.figures import percent
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_count
@@ -209,18 +214,31 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     low_pass = dataset.signals.low_pass
     left = sigma * np.sqrt(np.sum(low_pass.kernel**2))
     counts = 1.0 / left, sigma / np.sqrt(low_pass.step)
-    found = uncertainty(with_prior(plain, sought.groups), *counts)
+    known = partial(_with_known, plain, counts, whole_triangle(plain, counts[0]))
+    found = known(sought.groups)
     causes = {NOISE: found.noise}
     for group in sought.groups:
         causes[group.cause] = group.explained(plain.names, found.inverse)
     doubt = 0.0, found
     if sought.may_be_scaled(question):
         wider = unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
-        doubt = _doubt(sought, found, wider, uncertainty(with_prior(plain, wider.groups), *counts))
+        doubt = _doubt(sought, found, wider, known(wider.groups))
     if not is_loaded:
         at, usual = sought.bodies[robot.body_name]
         found, causes = once_possible(found, causes, np.searchsorted(sought.kept, at), usual, usual)
     return _Posterior(sought, found, causes, *doubt)
+
+
+def _with_known(
+    plain: SquareRootInformation,
+    counts: tuple[Array, Array],
+    triangle: Array,
+    groups: Sequence[NuisanceGroup],
+) -> Uncertainty:
+    """Return how well data, whose triangle it is by its weights, and priors tell all."""
+    both = with_prior(plain, groups)
+    whole = triangle if both.prior is None else triangle_of((triangle, both.prior))
+    return uncertainty(both, *counts, space=triangle_space(whole[:, :-1]))
 
 
 def _doubt(

@@ -109,6 +109,8 @@ def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
 
     All parts, one at least, have the same parameters and joints.
     """
+    if len(parts) == 1:
+        return parts[0]
     joints = tuple(
         JointInformation(
             same[0].joint,

@@ -95,7 +95,14 @@ def uncertainty(
 
 def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSpace:
     """Return what data and prior knowledge see together; its inverse is C."""
-    return triangle_space(triangle_of(information.blocks(weights))[:, :-1])
+    return triangle_space(whole_triangle(information, weights)[:, :-1])
+
+
+def whole_triangle(information: SquareRootInformation, weights: Array) -> Array:
+    """Return the triangle of all equations by weights (joints,)."""
+    # The last joints' first: they have the columns of few links.
+    backwards = replace(information, joints=information.joints[::-1])
+    return triangle_of(backwards.blocks(weights[::-1]))
 
 
 def triangle_of(blocks: Iterable[Array]) -> Array:
@@ -105,7 +112,11 @@ def triangle_of(blocks: Iterable[Array]) -> Array:
     for block in blocks:
         waiting.append(block)
         if sum(map(len, waiting)) > _AT_ONCE * block.shape[1]:
-            waiting = [update_triangle(block[:0], np.vstack(waiting))]
+            rows = np.vstack(waiting)
+            at = np.any(rows != 0.0, axis=0)
+            triangle = update_triangle(rows[:0, at], rows[:, at])
+            waiting = [np.zeros((len(triangle), len(at)))]
+            waiting[0][:, at] = triangle
     return update_triangle(waiting[0][:0], np.vstack(waiting))
 
 
