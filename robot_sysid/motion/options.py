@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from robot_sysid.errors import InputError
@@ -31,6 +31,10 @@ acceleration limit."""
 FEWEST_HARMONICS = 3
 LONGEST_PERIOD = 60.0
 """A longer motion repeats itself, so that a search costs in proportion to its length [s]."""
+USUAL_JOINTS, USUAL_EVALUATIONS = 10, 400
+"""Joints up to which a search is as thorough as it can be; what a long round of it evaluates."""
+FEWEST_DRAWS, FEWEST_EVALUATIONS = 5, 20
+"""Those of the search of an arm with more joints."""
 WORTH_WORKERS = 5.0
 """Time budget from which on it pays to start other processes, which takes each a second [s]."""
 
@@ -160,7 +164,7 @@ class ExcitationOptions(OptionRecord):
         draws: number of random trajectories to begin with.
         starts: how many of the best are improved by one round; the best of them goes on.
         rounds: that a start is improved by at most.
-        iterations: of the optimiser per round.
+        iterations, evaluations: of the optimiser per round, at most.
         workers: processes to use; 1 stays in this one, None takes one per processor.
     """
 
@@ -181,6 +185,7 @@ class ExcitationOptions(OptionRecord):
     starts: int = 2
     rounds: int = 20
     iterations: int = 60
+    evaluations: int = 15000
     workers: int | None = None
 
     def basis(self, duration: float) -> FourierBasis:
@@ -190,6 +195,21 @@ class ExcitationOptions(OptionRecord):
         base = max(1, math.ceil(duration / LONGEST_PERIOD)) / duration
         harmonics = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         return FourierBasis(duration, base, harmonics, min(LONGEST_FADE, 0.25 * duration))
+
+    def for_joints(self, count: int) -> ExcitationOptions:
+        """Return the search that takes about as long as that of a usual arm, whatever the number of
+        joints: a step takes the square of it. A time budget says itself how long.
+        """
+        share = min(1.0, (USUAL_JOINTS / count) ** 2)
+        if share == 1.0 or self.time_budget is not None:
+            return self
+        return replace(
+            self,
+            draws=max(min(FEWEST_DRAWS, self.draws), round(share * self.draws)),
+            starts=max(1, round(share * self.starts)),
+            rounds=max(min(2, self.rounds), round(share * self.rounds)),
+            evaluations=max(FEWEST_EVALUATIONS, round(share * USUAL_EVALUATIONS)),
+        )
 
     @property
     def n_workers(self) -> int:

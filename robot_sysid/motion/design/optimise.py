@@ -126,7 +126,8 @@ def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> C
     def keep(flat: Array) -> None:
         reached.append(unit * flat.reshape(shape))
 
-    options = {"maxiter": design.options.iterations, "maxcor": MEMORY, "maxls": 30}
+    most = {"maxiter": design.options.iterations, "maxfun": design.options.evaluations}
+    options = {**most, "maxcor": MEMORY, "maxls": 30}
     start = (candidate.x / unit).ravel()
     with contextlib.suppress(TimeoutError):
         minimize(function, start, jac=True, method="L-BFGS-B", callback=keep, options=options)
@@ -172,7 +173,8 @@ class Design:
         motion: TrajectoryOptions,
         known: Known | None = None,
     ) -> None:
-        self.problem, self.options, self.sample_rate = problem, options, motion.sample_rate
+        self.problem, self.sample_rate = problem, motion.sample_rate
+        self.options = options.for_joints(problem.n_joints)
         self.basis: FourierBasis = options.basis(motion.duration)
         top = self.basis.top_frequency_hz
         if top > 0.5 * motion.sample_rate:
