@@ -93,6 +93,7 @@ def fit_file(
     judge = held_out(fit)
     choice = replace(choice, friction=_polynomials(judge, fit, question, choice))
     choice = replace(choice, prior_scale=prior_scale(judge, fit, question, choice))
+    del judge  # what it squares takes as much memory as the rows
     choice = shown_offsets(fit, question, choice)
     after, level = fit.next_point, None
     if FILE_GRAVITY not in kept and fit.unknowns.settle:
