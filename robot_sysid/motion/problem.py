@@ -17,7 +17,7 @@ from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.options import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.solids import has_floor, mounting_height, outermost_points
-from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records import Array, JointLimits, Motion, RobotModel
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint, per_joint
 from robot_sysid.records.progress import Detail
 from robot_sysid.simulator import ArmTorque
@@ -38,18 +38,14 @@ MODEL, ASKED, ASSUMED, NONE = "the model", "the options", "an assumption", "noth
 
 
 @dataclass(frozen=True)
-class MotionLimits:
+class MotionLimits(JointLimits):
     """What the motion must obey, each (n,) [rad or m, s, N m or N]; infinite without a limit.
 
     Positions are finite, with the margin already taken off. The speed is that of the tool's fastest
     point [m/s].
     """
 
-    lower: Array
-    upper: Array
-    velocity: Array
     acceleration: Array
-    torque: Array
     tool_speed: float = np.inf
 
     def __post_init__(self) -> None:
