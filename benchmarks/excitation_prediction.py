@@ -155,7 +155,7 @@ def lines(path, runs, exact):
     motion, options = TrajectoryOptions(sample_rate=RATE), ExcitationOptions(workers=1)
     design = Design(problem, options, motion, known_of(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
-    after = _posterior(problem, plan, RATE, OPTIONS, "link")
+    after = _posterior(problem, plan, (RATE, OPTIONS, "link"))
     own = np.ix_(*[[after.sought.kept_names.index(name) for name in PARAMETER_NAMES]] * 2)
     covariance = (after.causes[NOISE] if exact else after.found.covariance)[own]
     then = possible_covariance(robot.prior.theta, after.then.covariance[own])

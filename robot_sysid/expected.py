@@ -192,6 +192,7 @@ class _Posterior:
 
 
 def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Posterior:
+    """Return what an estimate from a recording knows."""
     sample_rate, options, asked = how
     rate = min(sample_rate, HIGHEST_RATE_HZ)
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
