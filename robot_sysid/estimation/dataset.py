@@ -19,8 +19,8 @@ Mask = NDArray[np.bool_]
 BLOCKS, LONGEST_STRETCH = 5, 10.0
 """How many parts recordings are predicted in, each from the others. A part is every fifth stretch
 of a recording; stretches are less than so long [s], as a motion may show a joint for a while."""
-# Samples and numbers per pass: memory stays small, results are the same for any.
-_CHUNK, _NUMBERS = 2048, 8_000_000
+# Numbers per pass: memory stays small, results are the same for any.
+_NUMBERS = 8_000_000
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,7 @@ def decimated_equations(equations: Equations, signals: ProcessedSignals) -> Deci
         InputError: no joint ever moves fast enough for its equations to be used.
     """
     width = sum(len(each) for each in equations.columns)
-    most = min(_CHUNK, max(1, _NUMBERS // width))
-    bodies = signals.passed(equations.bodies, smooth=True, most=most)
+    bodies = signals.passed(equations.bodies, smooth=True, most=max(1, _NUMBERS // width))
     unknown = itertools.repeat(np.array(np.nan))
     friction = signals.passed(lambda motion: equations.friction(motion, unknown))
     usable = signals.usable()[:, list(equations.rows_of)]

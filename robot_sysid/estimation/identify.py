@@ -201,7 +201,7 @@ def _fitter(
         return fitter
     # Columns of couplings that are not there would cost every later pass time and memory.
     found = () if question.resting else coupled(fitter, question, given, offered)
-    fitter = replace(fitter, _last=None)
+    fitter = replace(fitter, _last=None)  # before rows are made anew, which take as much memory
     return replace(fitter, columns=columns.coupled(found))
 
 

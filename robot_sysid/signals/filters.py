@@ -77,13 +77,14 @@ class LowPass:
         rate, half = self.rate / stride, self.half_width // stride
         frequency = np.linspace(0.0, rate / 2.0, _RESPONSES * half)
         counts = np.where(frequency <= 3.0 * self.cutoff, 1.0, _BEYOND)[:, None]
-        each, few = (
-            counts * np.cos(2.0 * np.pi * np.outer(frequency, np.arange(count + 1) / of))
-            for count, of in ((self.half_width, self.rate), (half, rate))
-        )
-        each[:, 1:] *= 2.0  # both sides of the centre
-        few[:, 1:] *= 2.0
-        later = np.linalg.lstsq(few, each @ self.kernel[self.half_width :], rcond=None)[0]
+
+        def responses(half: int, rate: float) -> Array:
+            found = counts * np.cos(2.0 * np.pi * np.outer(frequency, np.arange(half + 1) / rate))
+            found[:, 1:] *= 2.0  # both sides of the centre
+            return found
+
+        wanted = responses(self.half_width, self.rate) @ self.kernel[self.half_width :]
+        later = np.linalg.lstsq(responses(half, rate), wanted, rcond=None)[0]
         kernel = np.concatenate((later[:0:-1], later))
         return LowPass(self.cutoff, rate, kernel, self.step // stride)
 

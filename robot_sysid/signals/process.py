@@ -133,11 +133,11 @@ class ProcessedSignals:
                 are enough (``LowPass.at_every``).
         """
         stride = self.low_pass.stride if smooth else 1
-        low_pass = self.low_pass.at_every(stride)
+        low_pass, size = self.low_pass.at_every(stride), min(most, _CHUNK) * stride
         parts: defaultdict[int, list[Array]] = defaultdict(list)
         decimators: defaultdict[int, Decimator] = defaultdict(lambda: Decimator(low_pass))
-        for start in range(0, len(self), most * stride):
-            motion = self.motion(slice(start, start + most * stride, stride))
+        for start in range(0, len(self), size):
+            motion = self.motion(slice(start, start + size, stride))
             for number, values in enumerate(made(motion)):
                 parts[number].append(decimators[number].push(values))
         return [np.concatenate(each) for each in parts.values()]

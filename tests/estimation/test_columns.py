@@ -12,10 +12,10 @@ from hypothesis import given
 from robot_sysid.dynamics.friction import BENT, TERMS
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned
-from robot_sysid.estimation import dataset as samples_module
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import neighbours
 from robot_sysid.records import DELAY_NAME
+from robot_sysid.signals import process as process_module
 from robot_sysid.signals.filters import LowPass, design_low_pass
 from tests.support import arms
 from tests.support.payload_logs import changed, exact_recording, four_joint_arm, wide_motion
@@ -201,7 +201,7 @@ def test_the_chunk_size_changes_nothing(monkeypatch):
     _, columns = recorded(bare, values, True, 4, low_pass)
     point = point_at(columns, values, exact_load=True)
     (whole,) = columns.samples(point)
-    monkeypatch.setattr(samples_module, "_CHUNK", 7)
+    monkeypatch.setattr(process_module, "_CHUNK", 7)
     (parts,) = Columns(columns.robot, columns.datasets).samples(point)
     for one, other in zip((*whole.rows, *whole.tau), (*parts.rows, *parts.tau)):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
