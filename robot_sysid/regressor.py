@@ -10,13 +10,12 @@ its linear part is the classical acceleration minus omega x v minus g, so that g
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.records import Array, BodyMotion
+from robot_sysid.records import Array
 
 
 def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
@@ -77,21 +76,3 @@ def wrench_regressor(velocity: Array, acceleration: Array) -> Array:
     regressor[4, :4] = (ay, more_z, -zz - xx, -less_x)
     regressor[5, :4] = (az, -less_y, more_x, -yy - xx)
     return regressor
-
-
-def joint_regressor(motion: BodyMotion, joints: Sequence[int]) -> Array:
-    """Return the joint torque regressor J^T Y6 of the terminal link.
-
-    Args:
-        motion: body motion of N samples.
-        joints: which chain joints to make rows for.
-
-    Returns:
-        (len(joints), N, 10): one block of rows per joint, tau = rows theta [N m].
-    """
-    wrench = wrench_regressor(motion.velocity, motion.acceleration)
-    jacobian = np.ascontiguousarray(motion.jacobian.transpose(2, 1, 0))
-    rows = np.empty((len(joints), len(motion.velocity), len(PARAMETER_NAMES)))
-    for row, joint in zip(rows, joints):
-        row[...] = np.einsum("ik,ijk->jk", jacobian[joint], wrench).T
-    return rows

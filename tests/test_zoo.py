@@ -15,7 +15,7 @@ import pytest
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
-from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.model.contacts import find_new_contacts
@@ -25,7 +25,6 @@ from robot_sysid.motion.design.search import design_excitation
 from robot_sysid.motion.options import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
-from robot_sysid.regressor import joint_regressor
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory, motion_chunks
@@ -119,9 +118,8 @@ def test_rest_plus_link_is_mujocos_inverse_dynamics(model, joint):
     robot = load(model, joint)
     heavier, theta = with_heavier_link(robot)
     motion = excitation(robot, 6.0).evaluate(np.linspace(0.0, 6.0, 60))
-    body = ChainKinematics(robot).evaluate(motion.q, motion.qd, motion.qdd)
-    rows = joint_regressor(body, range(robot.n_joints))
-    predicted = body.tau_rest + (rows @ theta).T
+    rows, rest = arms.rows_and_rest(robot, (motion.q, motion.qd, motion.qdd))
+    predicted = rest + rows @ theta
     actual = ArmDynamics(robot, heavier).torque(motion.q, motion.qd, motion.qdd)
     np.testing.assert_allclose(predicted, actual, rtol=0.0, atol=1e-9 * np.max(np.abs(actual)))
 

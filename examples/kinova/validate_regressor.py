@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.dynamics.equations import NO_FRICTION, Equations
+from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, RobotModel
-from robot_sysid.regressor import joint_regressor
 
 Array = NDArray[np.float64]
 
@@ -66,9 +66,9 @@ def random_motion(joints: int, rng: np.random.Generator) -> Motion:
 
 def both_torques(robot: RobotModel, theta: Array, motion: Motion) -> tuple[Array, Array]:
     """Return torques (N, n) without friction: MuJoCo's, and known part + Y theta."""
-    body = ChainKinematics(robot).evaluate(motion.q, motion.qd, motion.qdd)
-    rows = joint_regressor(body, range(robot.n_joints))
-    ours = body.tau_rest + (rows @ theta).T
+    equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
+    each = np.stack([*equations.bodies(motion)], axis=1)
+    ours = each[..., :-1] @ theta + each[..., -1]
     carrying = replace(robot, mj_model=with_link(robot, theta))
     return ArmDynamics(carrying).torque(motion.q, motion.qd, motion.qdd), ours
 

@@ -83,12 +83,12 @@ def regressor(
     links = [k for k, link in enumerate(robot.links) if link.has_mass]
     of_joints = [np.eye(n) * each[:, None] for each in (motion[2], motion[1], np.sign(motion[1]))]
     columns = LinkDynamics(robot).motion(*motion).columns(links)
-    friction, armature = robot.friction, robot.mj_model.dof_armature[robot.dof_index]
-    theta = [*(robot.links[k].theta for k in links), armature, friction.viscous, friction.coulomb]
+    joint = robot.armature, robot.friction.viscous, robot.friction.coulomb
+    theta = [*(robot.links[k].theta for k in links), *joint]
     names = [name for k in links for name in link_names(robot, k)]
     terms = ("armature", "viscous", "coulomb")
     names += [f"{term}[{joint}]" for term in terms for joint in robot.joint_names]
     matrix = np.concatenate((columns, *of_joints), axis=-1)
-    tau = ArmDynamics(robot).torque(*motion) + friction.torque(motion[1])
+    tau = ArmDynamics(robot).torque(*motion) + robot.friction.torque(motion[1])
     rows = 0 if alone else slice(None)
     return Regressor(matrix[rows], tau[rows], np.concatenate(theta), tuple(names))

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.kinematics import ArmDynamics, has_only_armature
+from robot_sysid.dynamics.kinematics import BeyondRigidBodies
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.spatial import characteristic_length, com_from_theta, parameter_scale
 from robot_sysid.records import Array, Measurement, RobotModel
@@ -164,10 +164,9 @@ class ModelFit:
         usual = np.maximum(usual, _LEAST * float(np.max(usual)))
         self.sample = Sample(q, qd, qdd, tau, np.hypot(TOLERANCE * usual, self.noise))
         self._dynamics = {False: LinkDynamics(robot), True: LinkDynamics(robot, np.zeros(3))}
-        self._beyond = None if has_only_armature(robot.mj_model) else ArmDynamics(robot)
-        self.links = robot.thetas
-        armature = robot.mj_model.dof_armature[robot.dof_index]
-        self._start = np.append(self.links, np.outer(armature, [0.0, 0.0, 0.0, 1.0]))
+        self._beyond, self.links = BeyondRigidBodies(robot), robot.thetas
+        rotors = np.outer(robot.armature, [0.0, 0.0, 0.0, 1.0])
+        self._start = np.append(self.links, rotors)
         self._scales = _link_scales(robot)
         self.model_torque = self.torque(self.sample, self.links) + self._springs(q, qd)
 
@@ -278,8 +277,7 @@ class ModelFit:
 
     def _springs(self, q: Array, qd: Array) -> Array:
         """Return (K, n) the torque of springs, tendons and actuators."""
-        still, beyond = np.zeros_like(q), self._beyond
-        return beyond.beyond_rigid_bodies(q, qd, still) if beyond else still
+        return self._beyond.torque(q, qd, np.zeros_like(q))
 
     def plausible(self, found: Fit, heaviest: float = HEAVIEST) -> bool:
         """Return whether a terminal link's mass could be that of a link with a payload."""

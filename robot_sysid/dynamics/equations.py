@@ -2,6 +2,9 @@
 
 The parameters are the terminal link's ten, each joint's friction terms, those of motors that turn
 with several joints, and last, where they are sought, the ten of other links (``link_names``).
+
+The torque of the rest of the arm is Newton's and Euler's, without the regressor: a wrong regressor
+shows as a wrong result, also on the model's own simulation, whose torques are MuJoCo's.
 """
 
 from __future__ import annotations
@@ -12,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import Coupling, FrictionModel
-from robot_sysid.dynamics.kinematics import ChainKinematics
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.kinematics import BeyondRigidBodies
+from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
-from robot_sysid.regressor import joint_regressor
 
 TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
 NO_FRICTION = FrictionModel(())
@@ -65,8 +67,9 @@ class Equations:
         self._friction = tuple(friction)
         self._friction_known = np.array([not model.terms for model in friction])
         self._armature_sought = np.array(["armature" in model.terms for model in friction])
-        self._kinematics = ChainKinematics(robot)
-        self._links, self._others = tuple(links), LinkDynamics(robot) if links else None
+        self._links, self._dynamics = tuple(links), LinkDynamics(robot)
+        self._beyond, self._rest = BeyondRigidBodies(robot), robot.thetas
+        self._rest[[*self._links, -1]] = 0.0
         last = robot.n_joints - 1
         self.rows_of = tuple(range(robot.n_joints)) if torques == "chain" else (last,)
         self.joints = tuple(robot.joint_names[j] for j in self.rows_of)
@@ -97,7 +100,7 @@ class Equations:
             joint = self._robot.joint_names[j]
             values[f"coulomb[{joint}]"] = self._robot.friction.coulomb[j]
             values[f"viscous[{joint}]"] = self._robot.friction.viscous[j]
-            values[f"armature[{joint}]"] = self._kinematics.armature[j]
+            values[f"armature[{joint}]"] = self._robot.armature[j]
         for link in self._links:
             values.update(zip(link_names(self._robot, link), self._robot.links[link].theta))
         return np.array([float(values.get(name, 0.0)) for name in self.names])
@@ -125,10 +128,12 @@ class Equations:
         that it carries, and the torque of the rest of the arm [N m]. They follow the motion
         smoothly.
         """
-        inertial, others, rest = self._bodies(motion.q, motion.qd, motion.qdd)
-        for block, j in zip(inertial, self.rows_of):
-            beyond = others[:, j, N_INERTIAL * sum(link < j for link in self._links) :]
-            yield np.concatenate((block.T, beyond.T, rest[None, :, j])).T
+        moved = motion.q, motion.qd, motion.qdd
+        links, rest = self._dynamics.motion(*moved), self._beyond.torque(*moved)
+        if np.any(self._rest):
+            rest = rest + links.torque(self._rest)
+        for j, (own, beyond) in zip(self.rows_of, self._columns(links)):
+            yield np.concatenate((own.T, beyond.T, rest[None, :, j])).T
 
     def friction(self, motion: Motion, carried: Iterable[Array]) -> Iterator[Array]:
         """Yield (N, k + 1) per joint of ``joints``: columns of its friction and of motors that turn
@@ -137,7 +142,7 @@ class Equations:
         """
         qd, qdd = motion.qd, motion.qdd
         known = np.where(self._friction_known, self._robot.friction.torque(qd), 0.0)
-        known -= np.where(self._armature_sought, self._kinematics.armature * qdd, 0.0)
+        known -= np.where(self._armature_sought, self._robot.armature * qdd, 0.0)
         shared = [(each.ratios, each.columns(qd, qdd).T) for each in self._motors]
         for load, j in zip(carried, self.rows_of):
             own = self._friction[j].columns(qd[:, j], qdd[:, j], load)
@@ -148,27 +153,22 @@ class Equations:
         """Yield the part (N, k) of the rows of each joint of ``joints`` that is made by a gravity
         (3,) [m/s^2] at positions (N, n), which is linear in it.
         """
-        still, links = np.zeros_like(q), (*self._links, q.shape[1] - 1)
-        columns = LinkDynamics(self._robot, gravity).motion(q, still, still).columns(links)
-        for j, places in zip(self.rows_of, self.columns):
+        still, dynamics = np.zeros_like(q), LinkDynamics(self._robot, gravity)
+        each = self._columns(dynamics.motion(q, still, still))
+        for places, (own, beyond) in zip(self.columns, each):
             rows = np.zeros((len(q), len(places)))
-            beyond = columns[:, j, N_INERTIAL * sum(link < j for link in self._links) : -N_INERTIAL]
-            rows[:, :N_INERTIAL] = columns[:, j, -N_INERTIAL:]
+            rows[:, :N_INERTIAL] = own
             rows[:, len(places) - beyond.shape[1] :] = beyond
             yield rows
 
-    def _bodies(self, q: Array, qd: Array, qdd: Array) -> tuple[Sequence[Array], Array, Array]:
-        """Return columns of the terminal link per row (N, 10), and of all joints' other links
-        (N, n, 10 links), and the torque of the rest of the arm (N, n).
+    def _columns(self, motion: LinksMotion) -> Iterator[tuple[Array, Array]]:
+        """Yield columns of the terminal link (N, 10), and of other links that are carried, per
+        joint of ``joints``.
         """
-        if self._others is None:
-            motion = self._kinematics.evaluate(q, qd, qdd)
-            inertial = [*joint_regressor(motion, self.rows_of)]
-            return inertial, np.zeros((*qd.shape, 0)), motion.tau_rest
-        columns = self._others.motion(q, qd, qdd).columns((*self._links, qd.shape[1] - 1))
-        inertial = [columns[:, j, -N_INERTIAL:] for j in self.rows_of]
-        rest = self._kinematics.beyond_rigid_bodies(q, qd, qdd)
-        return inertial, columns[..., :-N_INERTIAL], rest
+        columns = motion.columns((*self._links, len(motion.screws) - 1))
+        for j in self.rows_of:
+            first = N_INERTIAL * sum(link < j for link in self._links)
+            yield columns[:, j, -N_INERTIAL:], columns[:, j, first:-N_INERTIAL]
 
 
 def joined(bodies: Array, friction: Array, tau: Array) -> tuple[Array, Array]:

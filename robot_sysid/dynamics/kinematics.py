@@ -1,9 +1,4 @@
-"""Motion of the terminal body and torque of the rest of the arm, both by MuJoCo.
-
-The torque of the rest never passes through the regressor: it comes from a copy of the model whose
-terminal link has neither mass nor inertia. A wrong regressor therefore shows as a wrong result,
-also on the model's own simulation.
-"""
+"""Torque of the whole arm, and of what is beside its rigid bodies, by MuJoCo."""
 
 from __future__ import annotations
 
@@ -13,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.records import Array, BodyMotion, RobotModel
+from robot_sysid.records import Array, RobotModel
 
 MUJOCO_VERSION: str = mujoco.__version__
 
@@ -106,55 +101,18 @@ class ArmDynamics:
         return beyond
 
 
-class ChainKinematics:
-    """Evaluates terminal body motion, Jacobian and the torque of the rest of the arm, whose joints
-    have the model's rotor inertia ``armature`` (n,) [kg m^2].
-    """
+class BeyondRigidBodies:
+    """Torque of armature, springs, tendons and actuators, which no link's parameters make."""
 
     def __init__(self, robot: RobotModel) -> None:
-        self._robot, self._model = robot, analysis_copy(robot.mj_model)
-        self._full = None if has_only_armature(self._model) else ArmDynamics(robot)
-        self.armature: Array = self._model.dof_armature[robot.dof_index].copy()
-        link = subtree(self._model, robot.body_id)
-        self._model.body_mass[link] = self._model.body_inertia[link] = 0.0
-        self._data = mujoco.MjData(self._model)
-        self._data.qpos[:] = robot.reference_qpos
-        self._chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)
+        self._armature = robot.armature
+        self._arm = None if has_only_armature(robot.mj_model) else ArmDynamics(robot)
 
-    def evaluate(self, q: Array, qd: Array, qdd: Array) -> BodyMotion:
-        """Return the body motion for chain motions (N, n), by the least of MuJoCo's calls."""
-        model, data, body = self._model, self._data, self._robot.body_id
-        at_q, at_v = self._chain
-        frame, samples = int(mujoco.mjtObj.mjOBJ_XBODY), len(q)
-        jacobians = np.zeros((samples, 2, 3, model.nv))
-        rotation, acceleration = np.empty((samples, 9)), np.empty((samples, 6))
-        rest = np.empty((samples, model.nv))
-        qpos, qvel, qacc, xmat = data.qpos, data.qvel, data.qacc, data.xmat
-        for k in range(samples):
-            qpos[at_q], qvel[at_v], qacc[at_v] = q[k], qd[k], qdd[k]
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_comVel(model, data)
-            mujoco.mj_rne(model, data, 1, rest[k])
-            mujoco.mj_rnePostConstraint(model, data)
-            mujoco.mj_objectAcceleration(model, data, frame, body, acceleration[k], 1)
-            mujoco.mj_jacBody(model, data, jacobians[k, 1], jacobians[k, 0], body)
-            rotation[k] = xmat[body]
-        chain = self._robot.dof_index
-        to_body = rotation.reshape(-1, 1, 3, 3).swapaxes(2, 3)
-        jacobian = (to_body @ jacobians[..., chain]).reshape(samples, 6, len(chain))
-        velocity = np.einsum("kij,kj->ki", jacobian, qd)
-        # MuJoCo's linear acceleration is the classical one minus gravity; the spatial one lacks
-        # the omega x v of the moving body frame.
-        acceleration[:, 3:] -= np.cross(velocity[:, :3], velocity[:, 3:])
-        rest = rest[:, chain] + self.beyond_rigid_bodies(q, qd, qdd)
-        return BodyMotion(velocity, acceleration, jacobian, rest)
-
-    def beyond_rigid_bodies(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the torque (N, n) of armature, springs, tendons and actuators alone."""
-        if self._full is None:
-            return np.asarray(self.armature * qdd)
-        return self._full.beyond_rigid_bodies(q, qd, qdd)
+    def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return it (N, n) for motions (N, n) [N m]."""
+        if self._arm is None:
+            return np.asarray(self._armature * qdd)
+        return self._arm.beyond_rigid_bodies(q, qd, qdd)
 
 
 def _as_slice(index: Any) -> Any:

@@ -138,13 +138,12 @@ class Answer:
         noise = self.fit.noise_per_joint
         own, robot = self._own_terms(), self.robot
         models = dict(zip(robot.joint_names, self.fit.choice.friction))
-        armature = robot.mj_model.dof_armature[robot.dof_index]
         for index, joint in enumerate(robot.joint_names):
             terms = {name: self.figure(f"{name}[{joint}]") for name in own.get(joint, ())}
             before = {
                 "coulomb": float(robot.friction.coulomb[index]),
                 "viscous": float(robot.friction.viscous[index]),
-                "armature": float(armature[index]),
+                "armature": float(robot.armature[index]),
             }
             yield (
                 joint,

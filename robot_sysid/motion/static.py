@@ -21,7 +21,7 @@ from itertools import islice
 
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import ChainKinematics
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import trajectories
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
@@ -29,7 +29,6 @@ from robot_sysid.motion.options import PoseOptions
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import LineTrajectory, straight_way
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.regressor import joint_regressor
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 STARTS, PARENTS, SPREADS = 1000, 50, (0.1, 0.05, 0.02, 0.01, 0.005)
@@ -177,8 +176,7 @@ def design_poses(
 def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
     """Return (K, n, 4) torques per [m, hx, hy, hz] of a payload at rest, scaled by noise."""
     still = np.zeros_like(poses)
-    motion = ChainKinematics(problem.robot).evaluate(poses, still, still)
-    every = joint_regressor(motion, range(problem.n_joints)).transpose(1, 0, 2)
+    every = LinkDynamics(problem.robot).motion(poses, still, still).columns((problem.n_joints - 1,))
     length = problem.scale[1] / problem.scale[0]
     sigma = np.full(problem.n_joints, np.inf)
     sigma[list(problem.rows)] = problem.sigma

@@ -253,6 +253,11 @@ class RobotModel:
         return np.array([link.theta for link in self.links])
 
     @property
+    def armature(self) -> Array:
+        """Rotor inertia (n,) of its joints [kg m^2]."""
+        return np.array(self.mj_model.dof_armature[self.dof_index])
+
+    @property
     def terminal_joint(self) -> str:
         """Name of the last chain joint."""
         return self.joint_names[-1]

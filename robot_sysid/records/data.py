@@ -75,23 +75,6 @@ class Measurement:
 
 
 @dataclass(frozen=True)
-class BodyMotion:
-    """What the regressor needs to know about the terminal body, in its own coordinates.
-
-    Attributes:
-        velocity: (N, 6) spatial velocity [omega, v] of the body-frame origin.
-        acceleration: (N, 6) spatial acceleration [alpha, a - omega x v] minus gravity.
-        jacobian: (N, 6, n) body Jacobian, velocity = jacobian qd.
-        tau_rest: (N, n) torque of the arm without the terminal link and without friction [N m].
-    """
-
-    velocity: Array
-    acceleration: Array
-    jacobian: Array
-    tau_rest: Array
-
-
-@dataclass(frozen=True)
 class JointInformation:
     """Square-root information of one joint's equations, which contain the global parameters in
     ``columns`` (k,): the upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau], or fewer rows

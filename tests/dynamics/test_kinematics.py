@@ -8,15 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid.dynamics.kinematics import (
-    ArmDynamics,
-    ChainKinematics,
-    analysis_copy,
-    has_only_armature,
-)
+from robot_sysid.dynamics.equations import NO_FRICTION, Equations
+from robot_sysid.dynamics.kinematics import ArmDynamics, analysis_copy, has_only_armature
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.model.inertia import body_theta, composite_theta
-from robot_sysid.regressor import joint_regressor
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, rigid_bodies, robot_of
 from tests.support.model_files import random_theta
@@ -31,16 +26,11 @@ def with_link(robot, theta):
     return model, composite_theta(model, robot.reference_qpos, robot.body_id)
 
 
-def link_torque(robot, theta, body):
-    """Y theta (N, n)."""
-    return (joint_regressor(body, range(robot.n_joints)) @ theta).T
-
-
 def assert_reproduces(robot, theta, motion):
     """tau_rest + Y theta' = inverse dynamics of the model with theta' written into it."""
     model, composite = with_link(robot, theta)
-    body = ChainKinematics(robot).evaluate(*motion)
-    link = link_torque(robot, composite, body)
+    rows, rest = arms.rows_and_rest(robot, motion)
+    link = rows @ composite
     actual = ArmDynamics(robot, model).torque(*motion)
     # 1e-9 of the link's own torque; beside it only the rounding errors of terms that cancel:
     # what the rest weighs, and what the link's mass would take one metre away from the axis.
@@ -48,7 +38,7 @@ def assert_reproduces(robot, theta, motion):
     metre_away = composite[0] * (10.0 + np.max(np.abs(qdd)) + np.max(qd**2))
     rounding = 1e-13 * (np.max(np.abs(actual)) + metre_away)
     allowed = 1e-9 * np.max(np.abs(link)) + rounding
-    np.testing.assert_allclose(body.tau_rest + link, actual, rtol=0.0, atol=allowed)
+    np.testing.assert_allclose(rest + link, actual, rtol=0.0, atol=allowed)
 
 
 @given(random_chain(), rigid_bodies(), SEEDS)
@@ -75,7 +65,7 @@ def test_model_of_the_user_is_left_alone():
     robot = robot_of(arms.COUPLED_FINGERS)
     before = robot.mj_model.body_mass.copy(), robot.mj_model.opt.disableflags
     motion = random_motion(np.random.default_rng(0), robot.n_joints, 2)
-    ChainKinematics(robot).evaluate(*motion)
+    Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
     ArmDynamics(robot).torque(*motion)
     np.testing.assert_array_equal(robot.mj_model.body_mass, before[0])
     assert robot.mj_model.opt.disableflags == before[1]

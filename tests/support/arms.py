@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.model.compilation import CompiledModel
 from robot_sysid.parser import robot_from_compiled
+from robot_sysid.records import Motion
 
 X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
 SEVEN_AXES = (Z, Y, Z, Y, Z, Y, Z)
@@ -215,6 +217,13 @@ def random_motion(rng, joints, samples, speed=2.0):
     """(q, qd, qdd), each (samples, joints), without any relation between them."""
     q, qd, qdd = rng.normal(size=(3, samples, joints))
     return q, speed * qd, speed**2 * qdd
+
+
+def rows_and_rest(robot, motion):
+    """Rows (N, n, 10) of the terminal link and the torque (N, n) of the rest of the arm."""
+    equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
+    each = np.stack([*equations.bodies(Motion(np.arange(len(motion[0])), *motion))], axis=1)
+    return each[..., :-1], each[..., -1]
 
 
 def random_rotation(rng):
