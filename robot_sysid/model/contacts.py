@@ -119,6 +119,8 @@ class ContactFinder:
                 "so many parts of the model touch each other that MuJoCo's memory does not hold "
                 'their contacts; give it more with <size memory="1G"/>, or let fewer parts collide'
             ) from None
+        if not self._data.ncon:
+            return set()
         geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
         bodies = np.sort(self._model.geom_bodyid[geoms[np.all(geoms >= 0, axis=1)]], axis=1)
         pairs = {(int(a), int(b)) for a, b in bodies}
