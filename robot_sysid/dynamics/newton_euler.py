@@ -159,7 +159,9 @@ class LinksMotion:
 
 
 class LinkDynamics:
-    """Recursive Newton-Euler of one arm; another gravity (3,) may stand for its own [m/s^2]."""
+    """Recursive Newton-Euler of one arm; another gravity (3,), or each sample's (3, N), may stand
+    for its own [m/s^2].
+    """
 
     def __init__(self, robot: RobotModel, gravity: Array | None = None) -> None:
         self._home, self._slides = robot.reference, robot.is_slide
@@ -173,12 +175,12 @@ class LinkDynamics:
         options = robot.mj_model.opt
         weightless = options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         there = np.array(options.gravity) if gravity is None else gravity
-        self._gravity = np.zeros(3) if weightless else there
+        self._gravity = np.reshape((not weightless) * there, (3, -1))
 
     def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
         """Return the motion of all links for chain motions (N, n) [rad, rad/s, rad/s^2]."""
         velocity, acceleration = np.zeros((2, 6, len(q)))
-        acceleration[3:] = -self._gravity[:, None]
+        acceleration[3:] = -self._gravity
         turns = (q - self._home).T
         sines, versines = np.where(self._slides[:, None], turns, np.sin(turns)), 1.0 - np.cos(turns)
         moves = []

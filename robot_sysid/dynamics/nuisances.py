@@ -59,9 +59,10 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
     """Return (N, n, 2) torque per radian of tilt around the arm's gravity [N m/rad], of links
     known as theta (n, 10), at positions q (N, n).
     """
-    here, still = gravity(robot), np.zeros_like(q)
-    arms = [LinkDynamics(robot, np.cross(axis, here)) for axis in tilt_axes(here)]
-    return np.stack([arm.motion(q, still, still).torque(thetas) for arm in arms], axis=-1)
+    here, twice = gravity(robot), np.tile(q, (2, 1))
+    down, still = np.cross(tilt_axes(here), here), np.zeros_like(twice)
+    dynamics = LinkDynamics(robot, np.repeat(down.T, len(q), axis=1))
+    return np.stack(np.split(dynamics.motion(twice, still, still).torque(thetas), 2), axis=-1)
 
 
 _MOST_NUMBERS = 500_000
