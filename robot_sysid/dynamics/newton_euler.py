@@ -33,8 +33,7 @@ from itertools import accumulate
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.screws import bracket, bracket_transposed
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, skew, symmetric_from_six
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES, cross, skew, symmetric_from_six
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
 
@@ -192,6 +191,16 @@ class LinkDynamics:
             acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
             moves.append((velocity, acceleration, step, screw))
         return LinksMotion(*zip(*moves))
+
+
+def bracket(a: Array, b: Array) -> Array:
+    """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] for twists (6, ...)."""
+    return np.concatenate((cross(a[:3], b[:3]), cross(a[3:], b[:3]) + cross(a[:3], b[3:])), axis=0)
+
+
+def bracket_transposed(a: Array, b: Array) -> Array:
+    """Return ad(a)^T b = -[w_a x m + v_a x f, w_a x f] for b = [m, f] (6, ...)."""
+    return -np.concatenate((cross(a[:3], b[:3]) + cross(a[3:], b[3:]), cross(a[:3], b[3:])), axis=0)
 
 
 def _beyond(values: Array) -> Array:

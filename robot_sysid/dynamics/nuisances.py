@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.screws import exponential
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
 
@@ -50,9 +49,9 @@ def tilt_axes(vector: Array) -> Array:
 def turned(vector: Array, angles: Array) -> Array:
     """Return gravity (3,) turned by two angles (2,) [rad] about ``tilt_axes``."""
     turn = angles @ tilt_axes(vector)
+    # Perpendicular to gravity, as Rodrigues' formula has it; numpy's sinc(x) is that of pi x.
     size = float(np.linalg.norm(turn))
-    rotation, _ = exponential(np.append(turn / (size or 1.0), np.zeros(3)), np.array([size]))
-    return rotation[:, :, 0] @ vector
+    return np.cos(size) * vector + np.sinc(size / np.pi) * np.cross(turn, vector)
 
 
 def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:

@@ -23,8 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion
-from robot_sysid.dynamics.screws import bracket_transposed
+from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion, bracket_transposed
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.regressor import wrench_regressor
