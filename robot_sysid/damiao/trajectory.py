@@ -382,9 +382,9 @@ def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mis
     beside = np.pad(step[:, 0], 1, mode="edge")
     spans = np.column_stack([starts, ends + 2]).ravel()
     longest = np.maximum.reduceat(beside, spans)[::2, None]
-    way = _summed(0.5 * (qd[1:] + qd[:-1]) * step)
+    parts = 0.5 * (qd[1:] + qd[:-1]) * step, np.abs(np.diff(qd, axis=0))
+    way, turns = (np.cumsum(np.insert(each, 0, 0.0, axis=0), axis=0) for each in parts)
     came, said = q[ends] - q[starts], way[ends] - way[starts]
-    turns = _summed(np.abs(np.diff(qd, axis=0)))
     # Half a row early or late, and a fifth more; then what trapezoids leave out where it bends.
     before = np.vstack([slope[:1], slope])
     sped_up = [np.abs(each[ends] - each[starts]) for each in (slope, before)]
@@ -395,11 +395,6 @@ def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mis
     for k, j in np.argwhere(np.abs(came - said) > allowed * (1.0 + 1e-9))[:1]:
         span = float(length[k, 0])
         yield Mismatch(int(starts[k]), int(j), float(said[k, j]) / span, float(came[k, j]) / span)
-
-
-def _summed(parts: Array) -> Array:
-    """Return the sums (N, n) of the first 0, 1, ... of (N - 1, n) parts."""
-    return np.vstack([np.zeros(parts.shape[1]), np.cumsum(parts, axis=0)])
 
 
 def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
