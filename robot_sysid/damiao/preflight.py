@@ -301,7 +301,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
     if len(limits) == len(joints):
         checks += _within_limits(plan, limits, "its registers'")
         checks += _in_time(inspection.round_trip, settings)
-        checks += _near_start(plan, present)
+        checks += _near_start(plan, plan.places(inspection))
     return [*checks, *_other_motors(plan, plan.others(inspection))]
 
 
@@ -472,10 +472,9 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
     )
 
 
-def _near_start(plan: Plan, motors: Sequence[InspectedMotor]) -> Iterator[Check]:
-    joints, tolerance = plan.trajectory.joints, plan.settings.start_tolerance
-    places = JointSpace.of(joints).joint_position(np.array([m.position for m in motors]))
-    for joint, here, first in zip(joints, places, plan.trajectory.q[0]):
+def _near_start(plan: Plan, places: Array) -> Iterator[Check]:
+    tolerance = plan.settings.start_tolerance
+    for joint, here, first in zip(plan.trajectory.joints, places, plan.trajectory.q[0]):
         away = abs(here - first)
         if away > tolerance:
             whole = abs(away - 2.0 * np.pi) < tolerance
