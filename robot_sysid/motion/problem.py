@@ -164,11 +164,6 @@ class ExcitationProblem:
         """Number of chain joints n."""
         return self.robot.n_joints
 
-    @property
-    def torques(self) -> str:
-        """Which torques will be used: "chain" for all of them, "terminal" for the last joint's."""
-        return "chain" if len(self.rows) > 1 else "terminal"
-
     def torque(self, motion: Motion) -> Array:
         """Return the torques (N, n) that have to be kept within limits [N m].
 
