@@ -19,11 +19,11 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import ORDERS, STRAIGHT, HoldingCheck, passed, torque_doubt
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
-from robot_sysid.motion.limit_check import BetweenArms, Closest, first_contact
+from robot_sysid.motion.limit_check import BetweenArms, first_contact
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
-from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
+from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.simulation.playback import interpolated
 from robot_sysid.simulator import ArmTorque
 
@@ -54,19 +54,11 @@ class Contacts:
     """Where the arms of a model touch themselves, each other, what is around them, or planes."""
 
     def __init__(self, arms: Sequence[RobotModel], limits: LimitOptions = NO_LIMITS) -> None:
-        self.arms, self._between = arms, BetweenArms(*arms) if len(arms) > 1 else None
-        self._problems = [build_problem(robot, limits) for robot in arms]
+        self.arms, self.between = arms, BetweenArms(*arms) if len(arms) > 1 else None
+        self.problems = [build_problem(robot, limits) for robot in arms]
         ends = np.cumsum([0, *(robot.n_joints for robot in arms)]).tolist()
         self.own = [slice(*each) for each in zip(ends, ends[1:])]
         """Which of all joints are those of each arm."""
-
-    def of_arm(self, k: int, motion: MotionPlan) -> Closest | None:
-        """Return what touches first along a motion of one arm, or None."""
-        return first_contact(self._problems[k], motion)
-
-    def between(self, motion: MotionPlan) -> float | None:
-        """Return when the arms touch each other along a motion of both [s], or None."""
-        return None if self._between is None else self._between.touch_at(motion)
 
     def order(self, begin: Array, end: Array) -> tuple[str, str]:
         """Return in which of ``ORDERS`` the arms touch nothing between two poses (n,) [rad].
@@ -81,11 +73,12 @@ class Contacts:
 
     def _on_the_way(self, poses: Sequence[Array]) -> str:
         for begin, end in zip(poses, poses[1:]):
-            for k, own in enumerate(self.own):
-                touched = self.of_arm(k, straight_way(begin[own], end[own]))
+            for problem, own in zip(self.problems, self.own):
+                touched = first_contact(problem, straight_way(begin[own], end[own]))
                 if touched is not None:
                     return touched.label
-            if self.between(straight_way(begin, end)) is not None:
+            way = straight_way(begin, end)
+            if self.between is not None and self.between.touch_at(way) is not None:
                 return "arms"
         return ""
 
@@ -103,16 +96,17 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     remedy, excesses = "export a smaller trajectory for this arm", []
     if not np.any(np.ptp(played.q, axis=0)):
         remedy = "bring the arm elsewhere by hand"
-    for k, (robot, own) in enumerate(zip(contacts.arms, contacts.own)):
+    for robot, problem, own in zip(contacts.arms, contacts.problems, contacts.own):
         part = {name: getattr(played, name)[:, own] for name in ("q", "qd", "tau")}
         motion = SampledTrajectory(replace(played, joints=played.joints[own], **part), speed)
         excesses += [f"{each}; {remedy}" for each in _joint_excesses(robot, motion)]
-        if (touched := contacts.of_arm(k, motion)) is not None:
+        if (touched := first_contact(problem, motion)) is not None:
             said = f"the model's {touched.label} touch at {touched.time:.2f} s"
             excesses.append(f"{said}; {remedy}")
         if pose is not None:
             excesses += _beyond(robot, pose[own])
-    if (at := contacts.between(SampledTrajectory(played, speed))) is not None:
+    whole, between = SampledTrajectory(played, speed), contacts.between
+    if between is not None and (at := between.touch_at(whole)) is not None:
         excesses.append(f"the arms touch while both move, at {at:.2f} s; play one after the other")
     yield from (Check(STOP, excess) for excess in excesses)
     if not excesses:
