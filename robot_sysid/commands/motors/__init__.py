@@ -14,6 +14,7 @@ from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.commands.motors.asked import Asked, check_lines, motor_table, run_lines, said_yes
 from robot_sysid.commands.motors.directions import DirectionChoices, verify
+from robot_sysid.commands.motors.setup import LifetimeOptions
 from robot_sysid.damiao import bus, preflight, simulated
 from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
 from robot_sysid.damiao.execution import lasting
@@ -48,11 +49,10 @@ class PlayChoices(OptionRecord):
 
 
 @dataclass(frozen=True)
-class SimulatedMotorOptions(OptionRecord):
+class SimulatedMotorOptions(LifetimeOptions):
     """What ``motors simulate`` puts on the bus, and for how long."""
 
     play: bool = option(False, "play the trajectory at once, in simulated time, without a bus")
-    lifetime: float | None = motors_setup.lifetime_option()
     watchdog: float = option(simulated.DEFAULT_WATCHDOG, "of the simulated motors", "S [s] > 0")
 
 
@@ -125,16 +125,9 @@ def simulate(asked: Asked) -> int:
     return 0
 
 
-@dataclass(frozen=True)
-class HoldOptions(OptionRecord):
-    """For how long ``motors hold`` holds."""
-
-    lifetime: float | None = motors_setup.lifetime_option()
-
-
 def hold(asked: Asked) -> int:
     """Hold the arm where it stands, its weight carried by torques of its model."""
-    seconds = record_from(HoldOptions, asked.values).lifetime or _FOR_EVER
+    seconds = record_from(LifetimeOptions, asked.values).lifetime or _FOR_EVER
     choices = record_from(PlayChoices, asked.values)
     with asked.bus() as link:
         plan = asked.hold_plan(inspect_bus(link))
@@ -185,7 +178,7 @@ COMMANDS: Mapping[str, _Command] = {
         "--channel can0 --model arm.xml --park rest",
         "Hold the arm where it stands, stiff, its weight carried by torques of its model. Ctrl-C "
         "lowers it with --park rest, and lets go of it without. All checks of play are made.",
-        {"holding": (HoldOptions,), **_MOTION, "recording": (RecordingOptions,), **_ASKING},
+        {"holding": (LifetimeOptions,), **_MOTION, "recording": (RecordingOptions,), **_ASKING},
     ),
     "setup": _Command(
         motors_setup.setup,

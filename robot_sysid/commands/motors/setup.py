@@ -255,16 +255,19 @@ def _moved_one(
     raise HardwareAbort(f"it cannot be told which motor drives {name}; nothing was written")
 
 
-def lifetime_option() -> Any:
-    """Return the option that ends what would go on until Ctrl-C."""
-    return option(None, "end after this time", "S [s] > 0", flag="--for", usual="Ctrl-C")
+@dataclass(frozen=True)
+class LifetimeOptions(OptionRecord):
+    """When that ends which would go on until Ctrl-C."""
+
+    lifetime: float | None = option(
+        None, "end after this time", "S [s] > 0", flag="--for", usual="Ctrl-C"
+    )
 
 
 @dataclass(frozen=True)
-class MonitorOptions(OptionRecord):
+class MonitorOptions(LifetimeOptions):
     """How ``motors monitor`` watches."""
 
-    lifetime: float | None = lifetime_option()
     interval: float = option(0.2, "time between two looks", "S [s] > 0", flag="--every")
 
 
