@@ -150,11 +150,6 @@ class Source(Enum):
     SIMULATED_ARM = "simulated plant"
     LOG = "log"
 
-    @property
-    def is_measured(self) -> bool:
-        """Whether the data says something that the model does not know already."""
-        return self is not Source.ITSELF
-
 
 @dataclass(frozen=True)
 class DataOrigin:

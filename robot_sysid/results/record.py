@@ -278,7 +278,7 @@ class Result:
     @property
     def is_measured(self) -> bool:
         """Whether the data says something that the model does not know already."""
-        return self.data.source.is_measured
+        return self.data.source is not records.Source.ITSELF
 
     @property
     def body(self) -> BodyEstimate:
