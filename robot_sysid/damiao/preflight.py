@@ -248,7 +248,8 @@ def _load(
     buses, limit = [bus for bus, _ in addresses], frames.PLANNING_LIMIT
     n_motors = max(buses.count(bus) for bus in buses)
     load = frames.bus_load(n_motors, 1.0 / settings.period, timing)
-    text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
+    kind = "CAN-FD" if timing.fd else "classic CAN"
+    text = f"{n_motors} motors at {settings.rate:g} Hz load {kind} to {100 * load:.0f} %"
     handy = frames.suggested_rate(n_motors, timing)
     full = f"{text}, limit {100 * limit:.0f} %; use --rate {handy:g}"
     return _first((OK, load <= limit, text), (STOP, True, full))

@@ -202,11 +202,6 @@ class BusTiming(OptionRecord):
             return _CLASSIC_BITS / self.bitrate
         return _FD_NOMINAL_BITS / self.bitrate + _FD_DATA_BITS / self.data_bitrate
 
-    @property
-    def name(self) -> str:
-        """How messages call this bus."""
-        return "CAN-FD" if self.fd else "classic CAN"
-
 
 def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
     """Return the worst-case share of the bus that n motors at ``rate`` [Hz] take (1 = full)."""
