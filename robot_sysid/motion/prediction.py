@@ -83,11 +83,6 @@ class Prediction:
         return self.deviation / self.size
 
     @property
-    def com_deviation(self) -> float:
-        """Standard deviation of the centre of mass, root of summed squares [m]."""
-        return self._spread(self.covariance)[1]
-
-    @property
     def loose(self) -> tuple[int, ...]:
         """Which parameters are visible, but more uncertain than a fifth of their size."""
         share = self.share
@@ -95,10 +90,11 @@ class Prediction:
 
     def budget(self) -> Iterator[tuple[str, float, float]]:
         """Yield (cause, its part of the error of the mass [kg], of the centre of mass [m])."""
-        found = [(cause, *self._spread(part)) for cause, part in self.causes.items()]
+        found = [(cause, *self.spread(part)) for cause, part in self.causes.items()]
         yield from sorted(found, key=lambda each: -each[1])
 
-    def _spread(self, covariance: Array) -> tuple[float, float]:
+    def spread(self, covariance: Array) -> tuple[float, float]:
+        """Return the deviations of mass [kg] and centre of mass [m] that a covariance makes."""
         if not np.all(np.isfinite(covariance[:4, :4])):
             return float(np.sqrt(covariance[0, 0])), np.inf
         return spread_of(self.theta, covariance)
@@ -140,7 +136,7 @@ def _promise_lines(prediction: Prediction) -> Iterator[str]:
     yield f"An identification of one recording will state, of {prediction.of}:"
     if prediction.missing:
         yield f"  {prediction.missing}"
-    mass, centre = float(prediction.deviation[0]), prediction.com_deviation
+    mass, centre = prediction.spread(prediction.covariance)
     parts = [p for p in prediction.budget() if max(p[1] / mass, p[2] / centre) > _TOLD_PART]
     if np.isfinite(mass):
         of_mass = ", ".join(f"{cause} {part:.2g}" for cause, part, _ in parts)
