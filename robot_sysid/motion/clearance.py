@@ -89,7 +89,7 @@ class Clearance:
         clearance: distance to keep between bodies that are apart at rest [m].
 
     Attributes:
-        is_empty: whether nothing at all is looked at: a model without collision geometry.
+        is_solid: whether the model has collision geometry.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
         at_rest: pairs of bodies that need words, each with its distance in the starting
             configuration: "ignored" are neighbours inside each other, which are not looked at;
@@ -113,10 +113,9 @@ class Clearance:
         self._required = np.full((model.nbody, model.nbody), clearance)
         self._place(rest)
         self._part = part = parts_of(robot)
-        self._solid = bool(np.any(model.geom_contype | model.geom_conaffinity) or model.npair)
-        self.is_empty = not (self._solid or half_spaces)
+        self.is_solid = bool(np.any(model.geom_contype | model.geom_conaffinity) or model.npair)
         # Where nothing is in the way, no motion uses up any of its room.
-        self.rates = approach_rates(robot, self._data, part) * (not self.is_empty)
+        self.rates = approach_rates(robot, self._data, part) * (self.is_solid or bool(half_spaces))
         self._rows = part[:, None] * (robot.n_joints + 1) + part
         self._free = np.append(np.full(len(self.rates) - 1, np.inf), HORIZON)
         self.at_rest = self._learn_pairs(clearance)
@@ -169,7 +168,7 @@ class Clearance:
         """The same arm, with each slack the whole distance of a pair, and without half-spaces."""
         other = copy.copy(self)
         other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
-        other._spaces, other.rates = None, self.rates * self._solid
+        other._spaces, other.rates = None, self.rates * self.is_solid
         return other
 
     def _label(self, first: int, second: int) -> str:

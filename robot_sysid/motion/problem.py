@@ -341,7 +341,7 @@ def _obstacles(
     spaces = (*options.half_spaces(moving, subtree(model, robot.body_id)), *base)
     clearance = Clearance(robot, rest, options.clearance, spaces)
     none: tuple[str, ...] = ()
-    if not (np.any(model.geom_contype | model.geom_conaffinity) or model.npair):
+    if not clearance.is_solid:
         none = ("the model has no collision geometry; nothing keeps the arm from touching itself",)
     if clearance.left_at_rest:
         space, body, depth = max(clearance.left_at_rest, key=lambda entry: entry[2])
