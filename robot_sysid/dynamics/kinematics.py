@@ -82,8 +82,7 @@ class ArmDynamics:
 
     def __init__(self, robot: RobotModel, mj_model: Any = None) -> None:
         self.model = analysis_copy(robot.mj_model if mj_model is None else mj_model)
-        self.data = mujoco.MjData(self.model)
-        self.data.qpos[:] = robot.reference_qpos
+        self.data = posed(self.model, robot.reference_qpos)
         self._chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:

@@ -24,7 +24,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.dynamics.kinematics import posed, subtree
 from robot_sysid.model.contacts import parts_of
 from robot_sysid.motion.clearance import Clearance, Closest, approach_rates
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
@@ -329,9 +329,7 @@ class BetweenArms:
         self._model = model = copy.copy(first.mj_model)
         model.geom_margin[:] = model.body_margin[:] = _FAR
         model.geom_gap[:] = 0.0
-        self._data = mujoco.MjData(model)
-        self._data.qpos[:] = first.reference_qpos
-        mujoco.mj_kinematics(model, self._data)
+        self._data = posed(model, first.reference_qpos)
         both, arms = as_one(first, second), (first, second)
         self._at_q = both.qpos_index
         self._arm = np.zeros(model.nbody, int)

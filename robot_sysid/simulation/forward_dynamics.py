@@ -35,7 +35,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.kinematics import analysis_copy, inverse_dynamics
+from robot_sysid.dynamics.kinematics import analysis_copy, inverse_dynamics, posed
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Array, RobotModel
 
@@ -142,8 +142,8 @@ class ForwardPlant:
 
     def inverse(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torques (N, n) of a motion (N, n), MuJoCo's dry friction included."""
-        data, chain = mujoco.MjData(self.model), (self._plant.qpos_index, self._plant.dof_index)
-        data.qpos[:] = self._plant.reference_qpos
+        data = posed(self.model, self._plant.reference_qpos)
+        chain = self._plant.qpos_index, self._plant.dof_index
         return inverse_dynamics(self.model, data, chain, q, qd, qdd)
 
     def _read_friction(self) -> tuple[NDArray[np.int64], FrictionRamp]:
@@ -286,8 +286,7 @@ class ArmStepper:
         self._robot, self.n_joints, self.timestep = robot, robot.n_joints, timestep
         self._model = forward_copy(robot)
         self._model.dof_damping[:] = 0.0
-        self._data = mujoco.MjData(self._model)
-        self._data.qpos[:] = robot.reference_qpos
+        self._data = posed(self._model, robot.reference_qpos)
         self._coulomb, self._viscous = robot.friction.coulomb, robot.friction.viscous
         self.q: Array = np.array(robot.reference if q is None else q, dtype=float)
         self.qd: Array = np.zeros(robot.n_joints)
