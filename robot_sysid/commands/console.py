@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,11 +72,6 @@ class Console(ConsoleOptions, Progress):
         if self._out.isatty() and not self.quiet:
             self._out.write(f"\x1b[{lines}A")
 
-    def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
-        """Show a bar while items pass, on a terminal; leave one line behind."""
-        yield from self._new_bar(label, total, items=items) if self._shows_bars else items
-        self.stage(f"{label}: 100%")
-
     def advance(self, label: str, done: float, total: float, text: str) -> None:
         """Move the bar of something long, on a terminal; it is gone once that is done.
 
@@ -87,8 +82,11 @@ class Console(ConsoleOptions, Progress):
                 self._tell(f"{label}: {100.0 * done / total:.0f} %, {text}")
             return
         if self._bar is None or self._bar.desc != label:
+            from tqdm import tqdm
+
             self.close()
-            self._bar = self._new_bar(label, total, done)
+            look = {"bar_format": "{l_bar}{bar}| [{elapsed}<{remaining}{postfix}]", "leave": False}
+            self._bar = tqdm(desc=label, total=total, initial=done, delay=0.5, **look)
         self._bar.set_postfix_str(text, refresh=False)
         self._bar.update(done - self._bar.n)
         if done >= total:
@@ -111,15 +109,6 @@ class Console(ConsoleOptions, Progress):
     @property
     def _shows_bars(self) -> bool:
         return sys.stderr.isatty() and not self.quiet
-
-    @staticmethod
-    def _new_bar(label: str, total: float, done: float = 0, items: Any = None) -> Any:
-        from tqdm import tqdm
-
-        look: dict[str, Any] = {"leave": False, "delay": 0.5, "initial": done}
-        if items is None:
-            look["bar_format"] = "{l_bar}{bar}| [{elapsed}<{remaining}{postfix}]"
-        return tqdm(items, desc=label, total=total, **look)
 
     def note(self, *messages: str) -> None:
         """Print sentences the user should know."""

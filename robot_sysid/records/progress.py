@@ -20,8 +20,11 @@ class Progress:
         """Announce a stage, or tell what came of it."""
 
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
-        """Pass items through and count them."""
-        return items
+        """Pass items through and tell how many; one line says that all have passed."""
+        for done, item in enumerate(items, start=1):
+            yield item
+            self.advance(label, done, total, "")
+        self.stage(f"{label}: 100%")
 
     def advance(self, label: str, done: float, total: float, text: str) -> None:
         """Tell that ``done`` of ``total`` of something long are done, and how it stands."""
