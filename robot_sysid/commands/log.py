@@ -98,12 +98,10 @@ def _shown(robot: RobotModel, samples: Measurement, trajectory: Path | None) -> 
     if trajectory is None:
         return shown_log(robot, samples)
     from robot_sysid.motion.options import LimitOptions
-    from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
+    from robot_sysid.motion.problem import build_problem
     from robot_sysid.motion.trajectories import load_trajectory
 
     saved = load_trajectory(trajectory)
     saved.require_fits(robot.joint_names)
-    problem = build_problem(
-        robot, LimitOptions(below_base=True), "chain", DEFAULT_NOISE_TORQUE, None
-    )
+    problem = build_problem(robot, LimitOptions(below_base=True), top_frequency_hz=None)
     return shown_plan(problem, saved.plan, samples)
