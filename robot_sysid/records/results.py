@@ -235,11 +235,3 @@ class RolloutTest:
     def is_better(self) -> bool:
         """Whether the new model moves more like the arm."""
         return self.score is not None and self.score < 1.0
-
-    @property
-    def refusal(self) -> str | None:
-        """Why the new model should not be written, or None."""
-        if self.score is None:
-            return f"nothing could be played on held-out pieces ({'; '.join(self.notes)})"
-        worse = "played on held-out pieces, the new model is not better than the old one (errors "
-        return None if self.is_better else f"{worse}{self.score:.2f} times those before)"

@@ -63,8 +63,13 @@ def play(
 
 def refusal(test: RolloutTest | None, accepted: Collection[str]) -> str | None:
     """Return why a model that was played must not be written, or None."""
-    worse = None if test is None or "rollout" in accepted else test.refusal
-    return worse and f"no model was written: {worse}; to write it all the same: --accept rollout"
+    if test is None or test.is_better or "rollout" in accepted:
+        return None
+    worse = f"nothing could be played on held-out pieces ({'; '.join(test.notes)})"
+    if test.score is not None:
+        worse = "played on held-out pieces, the new model is not better than the old one (errors "
+        worse += f"{test.score:.2f} times those before)"
+    return f"no model was written: {worse}; to write it all the same: --accept rollout"
 
 
 def compare(
