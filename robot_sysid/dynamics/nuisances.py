@@ -12,6 +12,7 @@ estimated again, this converges in a few rounds.
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -58,22 +59,30 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
     """Return (N, n, 2) torque per radian of tilt around the arm's gravity [N m/rad], of links
     known as theta (n, 10), at positions q (N, n).
     """
-    here, twice = gravity(robot), np.tile(q, (2, 1))
-    down, still = np.cross(tilt_axes(here), here), np.zeros_like(twice)
-    dynamics = LinkDynamics(robot, np.repeat(down.T, len(q), axis=1))
-    return np.stack(np.split(dynamics.motion(twice, still, still).torque(thetas), 2), axis=-1)
+    here, found = gravity(robot), []
+    down = np.cross(tilt_axes(here), here).T
+    for (some,) in _in_parts(q):
+        twice, still = np.tile(some, (2, 1)), np.zeros((2 * len(some), q.shape[1]))
+        dynamics = LinkDynamics(robot, np.repeat(down, len(some), axis=1))
+        found.append(np.split(dynamics.motion(twice, still, still).torque(thetas), 2))
+    return np.moveaxis(np.concatenate(found, axis=1), 0, -1)
 
 
 _MOST_NUMBERS = 500_000
 """Numbers in an array of turned motions at once: some ten arrays of 4 MB."""
 
 
+def _in_parts(*motion: Array) -> Iterator[tuple[Array, ...]]:
+    """Yield arrays of a motion (N, n) in parts of not too many numbers at once."""
+    joints = motion[0].shape[1]
+    parts = -(-6 * max(joints, 12) * motion[0].size // _MOST_NUMBERS)
+    yield from zip(*(np.array_split(each, max(parts, 1)) for each in motion))
+
+
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
     """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad], of links
     known as theta (n, 10).
     """
-    dynamics, joints = LinkDynamics(robot), motion.q.shape[1]
-    parts = -(-6 * joints * motion.q.size // _MOST_NUMBERS)
-    split = [np.array_split(each, parts) for each in (motion.q, motion.qd, motion.qdd)]
-    slopes = (dynamics.motion(q, qd, qdd).slopes(thetas, qd) for q, qd, qdd in zip(*split))
-    return -np.concatenate([*slopes])
+    dynamics, parts = LinkDynamics(robot), _in_parts(motion.q, motion.qd, motion.qdd)
+    slopes = [dynamics.motion(q, qd, qdd).slopes(thetas, qd) for q, qd, qdd in parts]
+    return -np.concatenate(slopes)

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -118,7 +118,7 @@ class Columns:
         self.couplings = tuple(couplings)
         self._base: tuple[Array, float, list[DecimatedSamples]] | None = None
         self._arm: tuple[Array, RobotModel] | None = None
-        self._known: dict[int, tuple[Any, dict[bool, Array], Array]] = {}
+        self._known: tuple[Any, dict[bool, list[Array]], list[Array]] = ((), {}, [])
         arm = self._equations(robot)
         self._arm_names = arm.names
         self.rows_of, self.joints = arm.rows_of, arm.joints
@@ -219,13 +219,12 @@ class Columns:
         """Return the rows of each recording around a point."""
         arm = self._arm_at(point.gravity)
         delayed = [each.delayed(point.delay) for each in self.datasets]
-        pairs = zip(delayed, self._under(point, delayed))
+        bases = self._under(point, delayed)
         if point.in_file:
-            return tuple(self._held_by_file(each, base, arm, point) for each, base in pairs)
-        return tuple(
-            self._linearised(base, each, point, *self._by_links(number, arm, each, point))
-            for number, (each, base) in enumerate(pairs)
-        )
+            tilts = self._of_links(point, delayed, partial(self._tilt, arm))
+            return tuple(map(self._held_by_file, delayed, bases, tilts))
+        columns = zip(bases, delayed, *self._by_links(arm, point, delayed))
+        return tuple(self._linearised(point, *each) for each in columns)
 
     def _under(self, point: Point, delayed: Sequence[Dataset]) -> Iterator[DecimatedSamples]:
         """Yield the rows under a point's gravity that do not depend on what else is known.
@@ -271,7 +270,7 @@ class Columns:
         return values
 
     def _linearised(
-        self, base: DecimatedSamples, dataset: Dataset, point: Point, load: Array, common: Array
+        self, point: Point, base: DecimatedSamples, dataset: Dataset, load: Array, common: Array
     ) -> DecimatedSamples:
         """Return one recording's rows with the columns that depend on what is known."""
         later = {"load": load, **self._nonlinear(dataset, point)}
@@ -312,10 +311,9 @@ class Columns:
         )
 
     def _held_by_file(
-        self, dataset: Dataset, base: DecimatedSamples, arm: RobotModel, point: Point
+        self, dataset: Dataset, base: DecimatedSamples, tilt: Array
     ) -> DecimatedSamples:
-        """Return one recording's rows in what a model file holds, and in gravity."""
-        tilt = self._tilt(arm, self.thetas(point.values, dataset.is_loaded), dataset.motion.q)
+        """Return one recording's rows in what a model file holds, and in gravity (K, n, 2)."""
         loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
         places, own = self.at((*self._tilts, *loaded)), slice(len(loaded))
         blocks = [
@@ -325,36 +323,59 @@ class Columns:
         columns = tuple(np.append(each, places) for each in base.columns)
         return replace(base, names=self.names, columns=columns, rows=_Rows(blocks))
 
-    def _tilt(self, arm: RobotModel, thetas: Array, q: Array) -> Array:
+    def _tilt(self, arm: RobotModel, thetas: Array, motion: Motion) -> Array:
         """Return the columns of gravity's direction (K, n, 2); none (K, n, 0) without gravity."""
-        return tilt_columns(arm, thetas, q) if self._tilts else np.zeros((*q.shape, 0))
+        return (
+            tilt_columns(arm, thetas, motion.q) if self._tilts else np.zeros((*motion.q.shape, 0))
+        )
+
+    def _of_links(
+        self, point: Point, delayed: Sequence[Dataset], made: Callable[[Array, Motion], Array]
+    ) -> list[Array]:
+        """Return what is made of links (n, 10) and a motion (K, n) for each recording: of all that
+        carry the same together, as each has few rows.
+        """
+        found = dict[int, Array]()
+        for loaded in (False, True):
+            which = [k for k, each in enumerate(delayed) if each.is_loaded == loaded]
+            motions = [vars(delayed[k].motion).values() for k in which]
+            if motions:
+                whole = Motion(*map(np.concatenate, zip(*motions)))
+                ends = np.cumsum([len(time) for time, *_ in motions])[:-1]
+                parts = np.split(made(self.thetas(point.values, loaded), whole), ends)
+                found.update(zip(which, parts))
+        return [found[k] for k in range(len(delayed))]
 
     def _by_links(
-        self, number: int, arm: RobotModel, dataset: Dataset, point: Point
-    ) -> tuple[Array, Array]:
-        """Return the columns of load (K, rows), and of zeros and tilt (K, n, n + 2).
+        self, arm: RobotModel, point: Point, delayed: Sequence[Dataset]
+    ) -> tuple[list[Array], list[Array]]:
+        """Return the columns of load (K, rows), and of zeros and tilt (K, n, n + 2), of each
+        recording.
 
         They depend on the links alone, so that trials of friction share them.
         """
-        thetas = self.thetas(point.values, dataset.is_loaded)
-        key = (point.delay, point.gravity.tobytes(), thetas.tobytes())
-        if number not in self._known or self._known[number][0] != key:
+        thetas = [self.thetas(point.values, loaded) for loaded in (False, True)]
+        key = (point.delay, point.gravity.tobytes(), *(each.tobytes() for each in thetas))
+        if self._known[0] != key:
             # They are smooth and small, so that the motion at a row's own instant stands for all
             # that its filter sees.
-            motion = dataset.motion
-            tilt = self._tilt(arm, thetas, motion.q)
-            common = np.concatenate((zero_columns(arm, thetas, motion), tilt), axis=-1)
-            self._known[number] = key, {}, common
-        _, loads, common = self._known[number]
+            def common(theta: Array, motion: Motion) -> Array:
+                zeros = zero_columns(arm, theta, motion)
+                return np.concatenate((zeros, self._tilt(arm, theta, motion)), axis=-1)
+
+            self._known = key, {}, self._of_links(point, delayed, common)
+        _, loads, smooth = self._known
         if point.exact_load not in loads:
             dynamics, rows = LinkDynamics(arm), list(self.rows_of)
 
-            def load(motion: Motion) -> Array:
-                torque = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
+            def load(theta: Array, motion: Motion) -> Array:
+                torque = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(theta)
                 return (np.sign(motion.qd) * np.abs(torque))[:, rows]
 
-            loads[point.exact_load] = _filtered(dataset, point, load)
-        return loads[point.exact_load], common
+            loads[point.exact_load] = [
+                _filtered(each, point, partial(load, thetas[each.is_loaded])) for each in delayed
+            ]
+        return loads[point.exact_load], smooth
 
     def _nonlinear(self, dataset: Dataset, point: Point) -> dict[str, Array]:
         """Return the columns (K, rows) of nonlinear friction in its own joint's equation, and their
