@@ -108,11 +108,6 @@ class LimitCheck(Peaks):
     excesses: tuple[Excess, ...]
 
     @property
-    def tool_speed(self) -> float:
-        """Largest speed of the tool's fastest point [m/s]."""
-        return float(self.largest[-1])
-
-    @property
     def holds(self) -> bool:
         """Whether every limit is kept."""
         return not self.excesses

@@ -82,12 +82,6 @@ class Prediction:
         """Predicted standard deviation as share of each parameter's size (10,)."""
         return self.deviation / self.size
 
-    @property
-    def loose(self) -> tuple[int, ...]:
-        """Which parameters are visible, but more uncertain than a fifth of their size."""
-        share = self.share
-        return tuple(k for k in range(10) if np.isfinite(share[k]) and share[k] > LOOSE_SHARE)
-
     def budget(self) -> Iterator[tuple[str, float, float]]:
         """Yield (cause, its part of the error of the mass [kg], of the centre of mass [m])."""
         found = [(cause, *self.spread(part)) for cause, part in self.causes.items()]
@@ -172,7 +166,9 @@ def _advice_lines(prediction: Prediction) -> Iterator[str]:
             "is used now, or mount the base at another angle"
         )
     loose = [
-        f"{spatial.PARAMETER_NAMES[k]} {percent(prediction.share[k])}" for k in prediction.loose
+        f"{name} {percent(share)}"
+        for name, share in zip(spatial.PARAMETER_NAMES, prediction.share)
+        if LOOSE_SHARE < share < np.inf
     ]
     if loose:
         yield f"Stays loose: {', '.join(loose)}"
@@ -211,8 +207,9 @@ def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]
         ]
         reach = f"{check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
         yield f"  {name:{width}s}  position {reach}  {'  '.join(parts)}"
-    share = _share_text(check.tool_speed, problem.limits.tool_speed)
-    yield f"Fastest point of the tool: {check.tool_speed:.2f} m/s{share} at {check.time[-1]:.2f} s"
+    fastest, limit = check.largest[-1], problem.limits.tool_speed
+    share, when = _share_text(fastest, limit), f"at {check.time[-1]:.2f} s"
+    yield f"Fastest point of the tool: {fastest:.2f} m/s{share} {when}"
 
 
 def _share_text(peak: float, limit: float) -> str:
