@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -137,18 +137,12 @@ class SquareRootInformation:
         return np.array([np.sum((((t[:, :-1] @ x).T - t[:, -1]) ** 2).T, axis=0) for t, x in pairs])
 
 
-class SampleSource(Protocol):
-    """The equations behind an information, sample by sample, for methods that need several passes.
+SampleSource = Iterable[tuple[int, Array, Array]]
+"""The equations behind an information, sample by sample, for methods that need several passes.
 
-    Each iteration yields (joint number, rows (N, k), tau (N,)) of every joint, in the order of
-    time. tau is NaN where a sample is left out of the fit; such a row stays in its place so that
-    time lags keep their meaning.
-    """
-
-    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
-        """Start a new pass."""
-
-
+Each pass yields (joint number, rows (N, k), tau (N,)) of every joint, in the order of time. tau is
+NaN where a sample is left out of the fit; such a row stays in its place so that time lags keep
+their meaning."""
 SIGNALS = ("q", "qd", "measured", "predicted", "before", "friction")
 
 
