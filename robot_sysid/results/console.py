@@ -241,8 +241,8 @@ def _details(result: Result) -> Iterator[str]:
 
 def _base_lines(base: BaseParameters) -> Iterator[str]:
     yield (
-        f"  Base parameters of all links: {base.rank} of {base.structural_rank} that any motion "
-        f"can show; {sum(base.essential)} of them essential to these logs"
+        f"  Base parameters of all links: {len(base.values)} of {base.structural_rank} that any "
+        f"motion can show; {sum(base.essential)} of them essential to these logs"
     )
     rows = zip(base.combinations, base.values, base.standard_errors, base.essential)
     for words, value, error, kept in rows:

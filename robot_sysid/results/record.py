@@ -158,11 +158,6 @@ class BaseParameters:
     structural_rank: int
     essential: tuple[bool, ...]
 
-    @property
-    def rank(self) -> int:
-        """How many combinations the data shows."""
-        return len(self.combinations)
-
 
 @dataclass(frozen=True)
 class ModelFile:

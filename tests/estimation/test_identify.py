@@ -156,7 +156,7 @@ def test_what_the_torques_show_is_found_whatever_is_sought(link_uncertainty):
     options = EstimationOptions(link_uncertainty=link_uncertainty)
     fit = fitted(robot, [recording], options)
     found = base_parameters(fit, fit_errors(fit))
-    assert found.rank == found.structural_rank == structural_base(robot).rank
+    assert len(found.values) == found.structural_rank == structural_base(robot).rank
     known = dict(zip(fit.columns.names, arm.values(fit.columns)))
     truth = np.array([combined(words, known) for words in found.combinations])
     assert np.all(np.abs(found.values - truth) < 4.0 * found.standard_errors + 1e-3)
