@@ -57,7 +57,8 @@ def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
     for body in change.bodies:
         found, theta = find_element(document, "body", body.label), body.plan.theta
         inertial.check_settings(document, found, theta)
-        edits.comment(found, _comment(f"body '{body.label}'", change.rmse, body.comment))
+        addition = "; ".join(filter(None, (body.addition, body.plan.note)))
+        edits.comment(found, _comment(f"body '{body.label}'", change.rmse, addition))
         edits.put_inertial(found, _inertial(document, theta, change.principal))
         lumped = [find_element(document, "body", other.name) for other in body.plan.lumped]
         for other in lumped:
@@ -72,7 +73,7 @@ def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
     return mjcf_inertial(theta, principal)
 
 
-def _comment(what: str, rmse: float, addition: str | None) -> str:
+def _comment(what: str, rmse: float, addition: str) -> str:
     """Return the comment that says what was identified, of which body, say."""
     words = f"System ID: {what} identified with {inertial.rmse_words(rmse)}"
     words += f"; {addition}" if addition else ""

@@ -152,11 +152,6 @@ class BodyChange:
     plan: WriteBack
     addition: str | None = None
 
-    @property
-    def comment(self) -> str | None:
-        """What the comment says beside the body's name and the residual."""
-        return "; ".join(part for part in (self.addition, self.plan.note) if part) or None
-
 
 @dataclass(frozen=True)
 class JointChange:
