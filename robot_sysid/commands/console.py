@@ -77,7 +77,7 @@ class Console(ConsoleOptions, Progress):
 
         Elsewhere what has a text is told now and then, so that a log file shows that it lives.
         """
-        if not self._shows_bars:
+        if self.quiet or not sys.stderr.isatty():
             if text and not self.quiet:
                 self._tell(f"{label}: {100.0 * done / total:.0f} %, {text}")
             return
@@ -105,10 +105,6 @@ class Console(ConsoleOptions, Progress):
         if self._bar is not None:
             self._bar.close()
             self._bar = None
-
-    @property
-    def _shows_bars(self) -> bool:
-        return sys.stderr.isatty() and not self.quiet
 
     def note(self, *messages: str) -> None:
         """Print sentences the user should know."""
