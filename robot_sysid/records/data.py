@@ -143,6 +143,7 @@ SampleSource = Iterable[tuple[int, Array, Array]]
 Each pass yields (joint number, rows (N, k), tau (N,)) of every joint, in the order of time. tau is
 NaN where a sample is left out of the fit; such a row stays in its place so that time lags keep
 their meaning."""
+
 SIGNALS = ("q", "qd", "measured", "predicted", "before", "friction")
 
 
