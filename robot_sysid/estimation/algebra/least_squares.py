@@ -70,8 +70,16 @@ def solver(information: SquareRootInformation, prior: Array) -> Solved:
     plain = partial(_solved, information, prior)
     if information.prior is None:
         return plain
-    normal = _Normal(information, prior)
-    return lambda weights: normal.solved(weights) or plain(weights)
+    normal, known = _Normal(information, prior), dict[bytes, tuple[Array, Array]]()
+
+    def solved(weights: Array) -> tuple[Array, Array]:
+        # At the floor of the noise the same weights come again and again.
+        key = weights.tobytes()
+        if key not in known:
+            known[key] = normal.solved(weights) or plain(weights)
+        return known[key]
+
+    return solved
 
 
 def inverse_root(normal: Array, ridge: float = _RIDGE) -> Array | None:
