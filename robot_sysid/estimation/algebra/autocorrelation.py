@@ -184,13 +184,16 @@ def joint_residuals(
     products, pairs = autocovariance(residual, lags)
     rows = np.where(kept[:, None], rows, 0.0)
     decay, basis = _decay(kernels), None
-    # A few channels at a time: all of a long log's are as large as the log.
-    parts = np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1)
     if len(rows) < len(columns) and not to_add:
-        sums, basis = _sums_of_ones(len(rows), kernels), rows
+        sums, basis, seen = _sums_of_ones(len(rows), kernels), rows, rows @ root
+        hat = seen @ seen.T
+        hats = np.array([np.trace(hat, lag) for lag in range(lags + 1)])
     else:
         normal, cross = rows.T @ rows, _crossed(rows, decay)
         sums = np.array([normal, *(normal + half + half.T for half in cross)])
+        # A few channels at a time: all of a long log's are as large as the log.
+        parts = np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1)
+        hats = np.sum([lagged(rows @ some, lags) for some in parts], axis=0)
     return JointResiduals(
         columns=columns,
         count=count,
@@ -198,7 +201,7 @@ def joint_residuals(
         sums=sums,
         lags=np.arange(lags + 1),
         products=products,
-        hats=sum(lagged(rows @ some, lags) for some in parts) / np.maximum(pairs, 1.0),
+        hats=hats / np.maximum(pairs, 1.0),
         pairs=pairs,
         basis=basis,
     )
