@@ -12,7 +12,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
-from robot_sysid.estimation.algebra.information import combined, restricted
+from robot_sysid.estimation.algebra.information import combined, parts_of, restricted
 from robot_sysid.estimation.algebra.least_squares import sharpened, solver, weighted
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
@@ -36,16 +36,18 @@ class Evidence:
 
     There are the information of each part that is held out in turn, the sum of squares of its
     measured torque (blocks, joints) [N^2 m^2], and each joint's root mean square (n,) [N m].
+    ``whole`` is the information of all parts.
     """
 
     blocks: tuple[SquareRootInformation, ...]
     squared_torque: Array
     torque: Array
+    whole: SquareRootInformation = field(init=False)
 
-    @cached_property
-    def whole(self) -> SquareRootInformation:
-        """The information of all parts."""
-        return combined(self.blocks)
+    def __post_init__(self) -> None:
+        whole = combined(self.blocks)
+        object.__setattr__(self, "whole", whole)
+        object.__setattr__(self, "blocks", tuple(parts_of(whole, self.blocks)))
 
     def of(self, sought: Unknowns) -> SquareRootInformation:
         """Return what all parts say of what is sought, the rest held."""

@@ -8,7 +8,8 @@ memory does not grow with the number of samples.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice, product
 from typing import Any
 
@@ -122,6 +123,26 @@ def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
         for same in zip(*(part.joints for part in parts))
     )
     return SquareRootInformation(parts[0].names, joints, parts[0].prior)
+
+
+def parts_of(
+    whole: SquareRootInformation, parts: Sequence[SquareRootInformation]
+) -> Iterator[SquareRootInformation]:
+    """Yield the parts that a whole is ``combined`` from; what rows are there as they are is shared,
+    which takes half of the memory.
+    """
+    counts = np.array([[len(joint.triangle) for joint in part.joints] for part in parts])
+    sizes = [joint.triangle.shape for joint in whole.joints]
+    # A triangle would have as many rows as columns.
+    shared = [count == rows < width for count, (rows, width) in zip(np.sum(counts, axis=0), sizes)]
+    for part, ends, own in zip(parts, np.cumsum(counts, axis=0), counts):
+        joints = tuple(
+            replace(joint, triangle=every.triangle[end - count : end]) if is_there else joint
+            for joint, every, is_there, end, count in zip(
+                part.joints, whole.joints, shared, ends, own
+            )
+        )
+        yield replace(part, joints=joints)
 
 
 def restricted(
