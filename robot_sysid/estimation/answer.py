@@ -226,7 +226,7 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
 def _beside(file: Answer, after: Validation) -> Iterator[str]:
     """Yield what a file's torques lack beside offsets of sensors, where that is most of it."""
     fit, sought = file.fit, file.fit.unknowns.kept_names
-    counts = zip(fit.columns.joints, sample_counts(fit.information))
+    counts = zip(fit.columns.joints, sample_counts(fit.evidence.whole))
     free = {j: count for j, count in counts if j not in fit.choice.offsets}
     found = {j: file.figure(f"offset[{j}]") for j in free if f"offset[{j}]" in sought}
     squares = sum(found[joint].value ** 2 * free[joint] for joint in found)
@@ -267,8 +267,7 @@ def estimate_of(answer: Answer) -> Estimate:
     links = answer.body_names() - set(PARAMETER_NAMES)
     interest = [n for n in names if n not in links and (n not in sensors or n in asked)]
     order = [names.index(n) for n in (*interest, *(n for n in names if n not in set(interest)))]
-    information = fit.information
-    said, whole = residual_errors(information, fit.values[fit.unknowns.kept]), errors.whole
+    said, whole = residual_errors(fit.evidence.whole, fit.values), errors.whole
     return Estimate(
         names=tuple(names[k] for k in order),
         values=fit.final[fit.unknowns.kept][order],

@@ -80,7 +80,7 @@ class FitErrors:
     def share(self, fit: Fit) -> Array:
         """Return (k,) how much of each value comes from the data: 1 all, 0 all from before."""
         found = self.whole.data_share.copy()
-        names = fit.information.names
+        names = fit.unknowns.kept_names
         for group in fit.unknowns.groups:
             places = group.places(names)
             known = np.diag(group.widened**2 * group.factor @ group.factor.T)
@@ -144,7 +144,7 @@ def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...
     """
     if fit.question.loaded or fit.question.in_file:
         return ()
-    slow = sample_counts(fit.information) / np.maximum(effective, 1.0)
+    slow = sample_counts(fit.evidence.whole) / np.maximum(effective, 1.0)
     noise = np.sqrt(np.maximum(slow, 1.0)) / fit.weights
     return misfits(fit.evidence.of(fit.unknowns), noise, fit.unknowns.groups)
 

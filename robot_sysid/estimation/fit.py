@@ -111,7 +111,6 @@ class Fit:
         samples: each recording's rows; none where only their information is there.
         evidence: what they say.
         unknowns: what was sought, and what was known.
-        information: what data and priors say of the k parameters that are sought.
         weights: (joints,) by which each joint's equations count [1/(N m)].
         inflation: (joints,) by how much less than independent samples each joint's count.
         free: (p,) the estimate before bodies had to be possible.
@@ -125,11 +124,15 @@ class Fit:
     samples: tuple[DecimatedSamples, ...]
     evidence: Evidence
     unknowns: Unknowns
-    information: SquareRootInformation
     weights: Array
     inflation: Array
     free: Array
     values: Array
+
+    @property
+    def information(self) -> SquareRootInformation:
+        """What data and priors say of the k parameters that are sought; it is large."""
+        return with_prior(self.evidence.of(self.unknowns), self.unknowns.groups)
 
     @property
     def noise(self) -> Array:
@@ -139,7 +142,7 @@ class Fit:
     @property
     def noise_per_joint(self) -> dict[str, float]:
         """Joint to standard deviation of its torque noise [N m], of joints with samples."""
-        pairs = zip(self.information.joints, self.noise.tolist())
+        pairs = zip(self.evidence.whole.joints, self.noise.tolist())
         return {each.joint: noise for each, noise in pairs if each.n_samples}
 
     @property
@@ -254,8 +257,9 @@ def _rests(fit: Fit, after: Point) -> bool:
     steady = [k for k in kept if fit.columns.names[k] not in fit.unknowns.settle]
     moved = np.zeros(len(fit.values))
     moved[steady] = (after.values - before.values)[steady]
-    change = moved[kept]
-    effect = [rows[:, :-1] @ change for rows in fit.information.blocks(fit.weights)]
+    pairs, names = zip(fit.evidence.whole.joints, fit.weights), fit.unknowns.kept_names
+    effect = [w * (joint.triangle[:, :-1] @ moved[joint.columns]) for joint, w in pairs]
+    effect += [group.rows(names)[:, :-1] @ moved[kept] for group in fit.unknowns.groups]
     turn = float(np.linalg.norm(np.cross(after.gravity, before.gravity)))
     turn /= float(after.gravity @ after.gravity) or 1.0
     speeds = zip((after.speed or {}).values(), (before.speed or {}).values())
@@ -306,7 +310,7 @@ def solved(
             break
     values = np.clip(values, sought.lower, sought.upper)
     made = columns, question, choice, point, samples, data, sought
-    return Fit(*made, known, 1.0 / counts, counted, free, values)
+    return Fit(*made, 1.0 / counts, counted, free, values)
 
 
 def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:

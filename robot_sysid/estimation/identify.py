@@ -238,7 +238,7 @@ def _left_open(fit: Fit, errors: FitErrors, data: SquareRootInformation) -> Arra
     infinite where it tells nothing of a joint's friction, or of what else its torque depends on.
     """
     kept, found = fit.unknowns.kept, np.zeros(len(data.joints))
-    for row, (joint, own) in enumerate(zip(data.joints, fit.information.joints)):
+    for row, (joint, own) in enumerate(zip(data.joints, fit.evidence.whole.joints)):
         stay = np.isin(joint.columns, kept)
         change = np.zeros((len(joint.triangle), len(kept)))
         change[:, np.searchsorted(kept, joint.columns[stay])] = joint.triangle[:, :-1][:, stay]

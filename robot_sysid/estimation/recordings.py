@@ -93,7 +93,7 @@ def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tupl
     far = [k for k in range(len(logs)) if beyond_chance(wrong[[k]], noise[[k]]) > NOISE_EXPLAINS]
     chance = judge.chance(fit) if far else noise
     untold = [k for k in far if beyond_chance(wrong[[k]], chance[[k]]) <= NOISE_EXPLAINS]
-    joints = [joint.joint for joint in fit.information.joints]
+    joints = [joint.joint for joint in fit.evidence.whole.joints]
     tests = tuple(
         validation_of(
             joints, error, square, sample_counts(part), f"{name}, predicted from the other logs"

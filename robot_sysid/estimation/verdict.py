@@ -192,7 +192,7 @@ def _strangeness(name: str, before: Array, theta: Array, size: float) -> str:
 
 def noise_share(fit: Fit) -> float:
     """Return the torque noise of a fit as a part of the torque."""
-    squares = float(np.sum(fit.noise**2 * sample_counts(fit.information)))
+    squares = float(np.sum(fit.noise**2 * sample_counts(fit.evidence.whole)))
     torque = float(np.sum(fit.evidence.squared_torque))
     return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
 
