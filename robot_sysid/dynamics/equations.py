@@ -9,6 +9,7 @@ shows as a wrong result, also on the model's own simulation, whose torques are M
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
@@ -111,9 +112,10 @@ class Equations:
         if qd is None or qdd is None:
             raise InputError("a log without velocities or accelerations; differentiate it first")
         motion = Motion(measurement.time, measurement.q, qd, qdd)
-        bodies = [*self.bodies(motion)]
+        # Joint by joint: all of a long arm's rows are far more than one's.
+        bodies, same = itertools.tee(self.bodies(motion))
         # The model's own: the measured torque has friction in it already.
-        carried = (each[:, :-1] @ self._known(each) + each[:, -1] for each in bodies)
+        carried = (each[:, :-1] @ self._known(each) + each[:, -1] for each in same)
         tau = measurement.tau[:, list(self.rows_of)].T
         yield from map(joined, bodies, self.friction(motion, carried), tau)
 
