@@ -83,11 +83,13 @@ class HeldOut:
 
     @cached_property
     def _grams(self) -> Array:
-        """Gram matrices (blocks, p+1, p+1) of all whitened equations without each block in turn."""
-        size = len(self.data.blocks[0].names) + 1
-        found = np.zeros((len(self.data.blocks), size, size))
+        """Gram matrices (blocks, s+2, s+2) of all whitened equations without each block in turn, of
+        what has a column, right sides and nothing, which stands for all else.
+        """
+        at = np.append(np.flatnonzero(self.data.shown), -1)
+        found = np.zeros((len(self.data.blocks), len(at) + 1, len(at) + 1))
         for gram, block in zip(found, self.data.blocks):
-            gram[:] = normal_matrix(block, 1.0 / self.noise)
+            gram[:-1, :-1] = normal_matrix(block, 1.0 / self.noise)[np.ix_(at, at)]
         for rows in found.swapaxes(0, 1):  # which takes no memory
             rows[:] = np.array(_others(rows, np.add))
         return found
@@ -102,12 +104,13 @@ class HeldOut:
         What the other blocks do not show stays near zero; priors and friction terms leave nothing
         else.
         """
-        kept, held = sought.kept, sought.held.copy()
-        held[kept] = 0.0
-        prior = _prior_rows(sought)
+        shown, held = self.data.shown, sought.held.copy()
+        held[sought.kept] = 0.0
+        prior, places = _prior_rows(sought), np.where(shown, np.cumsum(shown) - 1, -1)
         known, rest = prior.T @ prior, np.flatnonzero(held)
+        kept, others = places[sought.kept], places[rest]
         for gram in self._grams:
-            right = gram[kept, -1] - gram[np.ix_(kept, rest)] @ held[rest] + known[:-1, -1]
+            right = gram[kept, -2] - gram[np.ix_(kept, others)] @ held[rest] + known[:-1, -1]
             scaled = gram[np.ix_(kept, kept)] + known[:-1, :-1]
             size = np.sqrt(np.diagonal(scaled))
             scale = 1.0 / np.where(size > 0.0, size, 1.0)
