@@ -293,7 +293,7 @@ def solved(
     inside: Unknowns | None = sought
     for _ in range(_MOST_BOUNDS):
         sought = inside or sought
-        sought, known, free, counts = _bounded(columns, sought, data, counted, memory, noise)
+        sought, free, counts = _bounded(columns, sought, data, counted, memory, noise)
         noise = counts / np.sqrt(counted)
         if visits is not None and inflation is None:
             before = counted
@@ -301,9 +301,9 @@ def solved(
             widens = any(group.may_widen for group in sought.groups)
             if widens or not np.array_equal(before, counted):
                 again = columns, sought, data, counted, memory, noise
-                sought, known, free, counts = _bounded(*again)
+                sought, free, counts = _bounded(*again)
                 noise = counts / np.sqrt(counted)
-        values = possible(sought, known, 1.0 / counts, free)
+        values = possible(sought, data, 1.0 / counts, free)
         # Bodies that have to be possible push others across their bounds.
         inside = sought.bounded(values)
         if inside is None:
@@ -327,41 +327,53 @@ def _bounded(
     inflation: Array,
     memory: Array,
     noise: Array | None,
-) -> tuple[Unknowns, SquareRootInformation, Array, Array]:
-    """Return (what is sought in the end, what is known of it, values (p,) within bounds, what
-    each joint's equations are divided by (joints,) [N m]).
+) -> tuple[Unknowns, Array, Array]:
+    """Return (what is sought in the end, values (p,) within bounds, what each joint's equations are
+    divided by (joints,) [N m]).
     """
     while True:  # each round holds at least one more parameter
         prior = columns.prior[sought.kept]
-        plain = data.of(sought)
-        known = with_prior(plain, sought.groups)
-        best = solver(known, prior)
-        noise = weighted(known, best, start=noise)
-        counts = noise * np.sqrt(inflation)
-        wide = widened_groups(plain, counts * np.sqrt(memory), sought.groups)
-        if wide is not sought.groups:
-            sought = replace(sought, groups=wide)
-            known = with_prior(plain, sought.groups)
-            best = solver(known, prior)
-        counts = sharpened(known, best, counts)
-        values = sought.full(best(1.0 / counts)[0])
+        sought, values, counts, noise = _weighed(sought, data, prior, inflation, memory, noise)
         inside = sought.bounded(values)
         if inside is None:
-            return sought, known, np.clip(values, sought.lower, sought.upper), counts
+            return sought, np.clip(values, sought.lower, sought.upper), counts
         sought = inside
 
 
-def possible(
-    sought: Unknowns, information: SquareRootInformation, weights: Array, free: Array
-) -> Array:
+def _weighed(
+    sought: Unknowns,
+    data: Evidence,
+    prior: Array,
+    inflation: Array,
+    memory: Array,
+    noise: Array | None,
+) -> tuple[Unknowns, Array, Array, Array]:
+    """Return the same without bounds, and the noise (joints,) [N m]. Rows and their squares, which
+    take most of the memory, go with each round.
+    """
+    plain = data.of(sought)
+    known = with_prior(plain, sought.groups)
+    best = solver(known, prior)
+    noise = weighted(known, best, start=noise)
+    counts = noise * np.sqrt(inflation)
+    wide = widened_groups(plain, counts * np.sqrt(memory), sought.groups)
+    if wide is not sought.groups:
+        sought = replace(sought, groups=wide)
+        known = with_prior(plain, sought.groups)
+        best = solver(known, prior)
+    counts = sharpened(known, best, counts)
+    return sought, sought.full(best(1.0 / counts)[0]), counts, noise
+
+
+def possible(sought: Unknowns, data: Evidence, weights: Array, free: Array) -> Array:
     """Return the best values (p,) with which all bodies that are sought are possible.
 
     Where they are possible already, that is the plain estimate.
     """
     if all(spatial.is_consistent(free[places]) for places, _ in sought.bodies.values()):
         return free
-    problem = links_problem(sought)
-    return sought.full(ConsistentLinks(*information.stacked(weights), problem).best())
+    rows = with_prior(data.of(sought), sought.groups).stacked(weights)
+    return sought.full(ConsistentLinks(*rows, links_problem(sought)).best())
 
 
 def links_problem(sought: Unknowns) -> LinksProblem:
