@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
-from robot_sysid.estimation.algebra.information import restricted, sample_counts
+from robot_sysid.estimation.algebra.information import normal_matrix, restricted, sample_counts
 from robot_sysid.estimation.algebra.nuisances import WithPriors, misfits
 from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
@@ -100,21 +100,15 @@ def fit_errors(
         pull: (joints, p) what the low-pass may move the estimate by, see ``filtering_bias``; None
             works it out from the rows.
     """
-    information, weights = fit.information, fit.weights
-    left, space = list(residuals), joint_space(information, weights)
-    if fit.samples and not left:
-        given = fit.rows, fit.values[fit.unknowns.kept], space.inverse_root(), weights
-        left = collect_residuals(information, *given)
-    left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
-    whole = uncertainty(information, weights, 1.0 / weights, left, space)
-    causes = {
-        group.cause: group.explained(information.names, whole.inverse)
-        for group in fit.unknowns.groups
-    }
     if pull is None:
         point = replace(fit.point, values=fit.values)
         pairs = zip([each.delayed(point.delay) for each in fit.columns.datasets], fit.samples)
         pull = np.sum([filtering_bias(fit.columns, point, *pair) for pair in pairs], axis=0)
+    whole, weights = _of_noise(fit, residuals), fit.weights
+    causes = {
+        group.cause: group.explained(fit.unknowns.kept_names, whole.inverse)
+        for group in fit.unknowns.groups
+    }
     found = _conflicts(fit, whole.effective)
     bias = whole.inverse @ (weights**2 @ pull[:, fit.unknowns.kept])
     more = _more(fit, whole.inverse, causes, found)
@@ -134,6 +128,17 @@ def fit_errors(
     counts = tuple(n / d for n, d in zip(whole.effective, fit.inflation.tolist()))
     whole = replace(whole, effective=counts)
     return FitErrors(whole, causes, _common(fit), found)
+
+
+def _of_noise(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
+    """Return the errors that noise and priors explain; see ``fit_errors``."""
+    information, weights = fit.information, fit.weights
+    left, space = list(residuals), joint_space(information, weights)
+    if fit.samples and not left:
+        given = fit.rows, fit.values[fit.unknowns.kept], space.inverse_root(), weights
+        left = collect_residuals(information, *given)
+    left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
+    return uncertainty(information, weights, 1.0 / weights, left, space)
 
 
 def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...]:
@@ -167,10 +172,10 @@ def _more(
     places = fit.columns.at(fit.unknowns.at_bound)
     places = places[fit.evidence.shown[places]]
     if len(places):
-        matrix, _ = fit.evidence.whole.stacked(fit.weights)
-        seen, held = matrix[:, fit.unknowns.kept], matrix[:, places]
-        moved = inverse @ (seen.T @ held)
-        left = held.T @ held - (seen.T @ held).T @ moved
+        normal, kept = normal_matrix(fit.evidence.whole, fit.weights), fit.unknowns.kept
+        crossed = normal[np.ix_(kept, places)]
+        moved = inverse @ crossed
+        left = normal[np.ix_(places, places)] - crossed.T @ moved
         yield HELD, moved @ np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ moved.T
 
 
