@@ -107,7 +107,9 @@ def fit_file(
         errors = held_out(level).of(level)
         if not is_clearly_lower(judge.score(squared), judge.score(errors)):
             fit, squared = replace(level, question=question), errors
-    return FileFit(fit, before, judge.validation(squared), fit_errors(fit, (), pull))
+    found = judge.validation(squared)
+    del judge, level  # and the rows of the fit that is not taken
+    return FileFit(fit, before, found, fit_errors(fit, (), pull))
 
 
 def _holds_rotors(robot: RobotModel, question: Question) -> bool:
