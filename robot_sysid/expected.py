@@ -64,6 +64,8 @@ LONGER, FASTER, BETTER = 4.0, 1.5, 0.5
 """By how much longer and faster, and to which part of the error of the links, remedies are told."""
 _INSTANTS, _FEWEST, _MOST = 10.0, 100, 4000
 """Instants of a motion per second that a remedy is worked out from, and at least and at most."""
+_NUMBERS = 1_000_000
+"""Numbers in an array of rows at once: a long arm's take more memory than what is known of it."""
 _NOISELESS = 1e-4
 """Torque noise that hides nothing [N m]."""
 _NEARLY = 1.0 - 1e-6
@@ -312,7 +314,9 @@ def _told(
     sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
     moved = motion.q, faster * motion.qd, faster**2 * motion.qdd
     predicted = information.predicted_information(problem, sigma, known)
-    return predicted.evaluate(*moved).information
+    count = 1 + 10 * motion.q.size * problem.n_joints // _NUMBERS
+    parts = zip(*(np.array_split(each, count) for each in moved))
+    return np.sum([predicted.evaluate(*part).information for part in parts], axis=0)
 
 
 def _remedies(

@@ -12,7 +12,6 @@ estimated again, this converges in a few rounds.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +21,8 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
 
 TILT_NAMES = ("tilt_1", "tilt_2")
+_MOST_NUMBERS, _MOST_TURNED = 500_000, 1000
+"""Numbers in an array of turned motions at once, some ten arrays of 4 MB; rows turned at once."""
 
 
 def gravity(robot: RobotModel) -> Array:
@@ -61,28 +62,19 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
     """
     here, found = gravity(robot), []
     down = np.cross(tilt_axes(here), here).T
-    for (some,) in _in_parts(q):
+    for some in np.array_split(q, len(q) // _MOST_TURNED + 1):
         twice, still = np.tile(some, (2, 1)), np.zeros((2 * len(some), q.shape[1]))
         dynamics = LinkDynamics(robot, np.repeat(down, len(some), axis=1))
         found.append(np.split(dynamics.motion(twice, still, still).torque(thetas), 2))
     return np.moveaxis(np.concatenate(found, axis=1), 0, -1)
 
 
-_MOST_NUMBERS = 500_000
-"""Numbers in an array of turned motions at once: some ten arrays of 4 MB."""
-
-
-def _in_parts(*motion: Array) -> Iterator[tuple[Array, ...]]:
-    """Yield arrays of a motion (N, n) in parts of not too many numbers at once."""
-    joints = motion[0].shape[1]
-    parts = -(-6 * max(joints, 12) * motion[0].size // _MOST_NUMBERS)
-    yield from zip(*(np.array_split(each, max(parts, 1)) for each in motion))
-
-
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
     """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad], of links
     known as theta (n, 10).
     """
-    dynamics, parts = LinkDynamics(robot), _in_parts(motion.q, motion.qd, motion.qdd)
-    slopes = [dynamics.motion(q, qd, qdd).slopes(thetas, qd) for q, qd, qdd in parts]
+    dynamics, joints = LinkDynamics(robot), motion.q.shape[1]
+    parts = -(-6 * joints * motion.q.size // _MOST_NUMBERS)
+    split = [np.array_split(each, parts) for each in (motion.q, motion.qd, motion.qdd)]
+    slopes = [dynamics.motion(q, qd, qdd).slopes(thetas, qd) for q, qd, qdd in zip(*split)]
     return -np.concatenate(slopes)
