@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,9 @@ from robot_sysid.logs.reader import (
 )
 from robot_sysid.outcome import Analysis
 from robot_sysid.records import DataOrigin, MotionPlan, RobotModel, Source
+from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
+from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
@@ -97,8 +99,13 @@ def of_plant(
     origin = DataOrigin(Source.SIMULATED_ARM, detail, plan.duration, rate, seed)
     pieces = [Piece(str(arm.plant_model), part, least_deadband=least) for part in parts]
     recorded = _filtered(config, robot, pieces, origin, notes)
-    found, truth = _identified(config, robot, recorded, progress), plant.prior
-    return replace(found, traces=lambda: replace(found.traces(), truth=truth))
+    found = _identified(config, robot, recorded, progress)
+    truth = plant.prior
+    return replace(found, traces=partial(_with_truth, found.traces, truth))
+
+
+def _with_truth(traces: Callable[[], Traces], truth: InertialParameters) -> Traces:
+    return replace(traces(), truth=truth)
 
 
 def _past_the_ramp(

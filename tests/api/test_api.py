@@ -103,6 +103,9 @@ def test_a_result_is_the_same_after_pickling(result, tmp_path):
     itself = rs.identify(result.robot.path, seed=1, duration=2.0)
     assert pickle.loads(pickle.dumps(itself)).mass == itself.mass
     assert "Self-test passed" in str(itself)
+    simulated = rs.identify(result.robot.path, plant_model=result.robot.path, seed=1, duration=4.0)
+    again = pickle.loads(pickle.dumps(simulated))
+    np.testing.assert_array_equal(again.analysis.traces().truth.theta, itself.robot.prior.theta)
 
 
 def test_results_plans_and_logs_say_what_they_are(workshop, result, monkeypatch):
