@@ -19,7 +19,7 @@ from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
-from robot_sysid.simulation.closed_loop import ClosedLoop, sensed
+from robot_sysid.simulation.closed_loop import ClosedLoop, Sensors
 from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.solver import identify_parameters
 from tests.support.closed_loop_proof import (
@@ -100,8 +100,7 @@ def sensor_table(robot) -> None:
         plant = plant_from(robot)
         exact = recorded(ClosedLoop(plant, excitation(robot, seed), RATE))
         for options in sensors:
-            seeds = np.random.default_rng(seed).integers(2**63, size=(2, 4))
-            (seen,) = sensed([exact], options, RATE, seeds)
+            (seen,) = Sensors(options, RATE, np.random.default_rng(seed)).read([exact])
             log = Measurement(seen.time, seen.q, None, seen.tau, None)
             estimate = identified_from_log(robot, log, deadband=0.1)
             steps, noise = options.encoder_resolution, options.noise_torque

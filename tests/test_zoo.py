@@ -19,7 +19,7 @@ from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.model.contacts import find_new_contacts
-from robot_sysid.model.inertia import body_theta
+from robot_sysid.model.inertia import body_theta, composite_theta
 from robot_sysid.motion.design.optimise import Design
 from robot_sysid.motion.design.search import design_excitation
 from robot_sysid.motion.options import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
@@ -29,7 +29,6 @@ from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_invers
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory, motion_chunks
 from tests.support import arms
-from tests.support.arms import composite_theta
 from tests.support.places import MODELS
 
 pytestmark = pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import json
 import tempfile
 from collections.abc import Mapping
@@ -18,7 +17,7 @@ from benchmarks.fuzz.mutations import damaged, damaged_json
 from robot_sysid.logs.reader import earlier_logs
 from robot_sysid.records.atomic_files import PARAMS_NAME
 from robot_sysid.report.page import html, save_data, sections_of
-from robot_sysid.report.runs import DATA_NAME, load_run
+from robot_sysid.report.runs import DATA_NAME, fingerprint, load_run
 from tests.support import arms, reports
 
 DATA_SHARE = 0.1
@@ -36,8 +35,7 @@ def _runs() -> tuple[tuple[Mapping[str, bytes], Any], ...]:
         model.write_text(reports.arm_text())
         result = reports.link_result(model)
         run = reports.saved(folder / "link", result)
-        content = (run / PARAMS_NAME).read_bytes()
-        save_data(run, reports.traces(result), hashlib.sha256(content).hexdigest())
+        save_data(run, reports.traces(result), fingerprint(run / PARAMS_NAME))
         link = {each: (run / each).read_bytes() for each in (PARAMS_NAME, DATA_NAME)}
         other = reports.saved(folder / "payload", reports.payload_result(model))
         payload = json.loads((other / PARAMS_NAME).read_bytes())

@@ -48,6 +48,11 @@ def subtree_bodies(
     return tuple(bodies.values())
 
 
+def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
+    """Return theta (10,), in its own frame, of a body with everything below it, at ``qpos``."""
+    return np.sum([body.theta for body in subtree_bodies(mj_model, qpos, body_id)], axis=0)
+
+
 def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
     """Return how far a body and all below it, held at ``qpos``, reach from its origin [m].
 
@@ -58,8 +63,7 @@ def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
     geoms = np.isin(mj_model.geom_bodyid, subtree(mj_model, body_id))
     away = np.linalg.norm(data.geom_xpos[geoms] - data.xpos[body_id], axis=1)
     spheres = away + mj_model.geom_rbound[geoms]
-    theta = np.sum([body.theta for body in subtree_bodies(mj_model, qpos, body_id)], axis=0)
-    rod = np.sqrt(3.0) * spatial.characteristic_length(theta)
+    rod = np.sqrt(3.0) * spatial.characteristic_length(composite_theta(mj_model, qpos, body_id))
     return float(max(rod, np.max(spheres, initial=0.0)))
 
 

@@ -264,6 +264,11 @@ def number(value: Any) -> float:
     return np.nan if value is None else float(value)
 
 
+def fingerprint(path: Path) -> str:
+    """Return the hash of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 def load_run(folder: Path) -> Run:
     """Return what a run left in a folder.
 
@@ -285,7 +290,7 @@ def load_run(folder: Path) -> Run:
     missing: tuple[str, ...] = ()
     try:
         data: ReportData | None = load_data(folder / DATA_NAME)
-        if data is not None and data.result != hashlib.sha256(path.read_bytes()).hexdigest():
+        if data is not None and data.result != fingerprint(path):
             raise InputError(f"{folder / DATA_NAME} belongs to another run; {_REMEDY}")
     except InputError as error:
         data, missing = None, (f"measured and predicted torques cannot be drawn: {error}",)

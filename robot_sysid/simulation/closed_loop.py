@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.dynamics.kinematics import posed
 from robot_sysid.errors import InputError, SimulationError
@@ -200,16 +199,16 @@ class PlantSimulation:
         if moved != plant.n_joints:
             raise InputError(f"the trajectory moves {moved} joints, the plant has {plant.n_joints}")
         self._plant, self._plan, self._sample_rate = plant, plan, sample_rate
-        self._options, self._seeds = options, rng.integers(2**63, size=(2, 4))
+        self._sensors = Sensors(options, sample_rate, rng)
         forward = options.simulation == "forward"
         self._loop = ClosedLoop(plant, plan, sample_rate) if forward else None
 
     def __iter__(self) -> Iterator[Measurement]:
         """Yield what the sensors report, chunk by chunk in constant memory."""
+        if self._loop is not None:
+            return self._sensors.read(self._loop.run())
         motions = motion_chunks(self._plan, self._sample_rate)
-        loop, exact = self._loop, simulate_inverse(self._plant, motions)
-        how = self._options, self._sample_rate, self._seeds
-        return sensed(exact if loop is None else loop.run(), *how)
+        return self._sensors.read(simulate_inverse(self._plant, motions))
 
     def notes(self) -> tuple[str, ...]:
         """Return what the last reading showed, one sentence each; ask once it is at its end."""
@@ -305,27 +304,34 @@ def _geometry_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
 _WHOLE = 1e-9
 
 
-def sensed(
-    measurements: Iterable[Measurement],
-    options: SimulatedArmOptions,
-    sample_rate: float,
-    seeds: NDArray[np.int64],
-) -> Iterator[Measurement]:
-    """Yield what imperfect sensors report of exact measurements, evenly spaced at a rate [Hz].
+class Sensors:
+    """Reads exact measurements the way imperfect sensors would, chunk by chunk.
 
-    Torques and positions have generators of their own, with ``seeds`` (2, k), so that the readings
-    do not depend on how the stream is cut into chunks, and are the same each time.
+    Args:
+        sample_rate: of the measurements, evenly spaced [Hz].
+        rng: source of randomness. Each channel gets a generator of its own from it, so that the
+            readings do not depend on how the stream is cut into chunks.
     """
-    torque, position = map(np.random.default_rng, seeds)
-    delay = TorqueDelay(options.torque_delay * sample_rate)
-    for exact in measurements:
-        tau = _noisy(delay.apply(exact.tau), options.noise_torque, torque)
-        spoiled = replace(exact, tau=tau)
-        if not options.exact_positions:
-            q = _noisy(exact.q, options.noise_position, position)
-            q = quantised(q, options.encoder_resolution)
-            spoiled = replace(spoiled, q=q, qd=None, qdd=None)
-        yield spoiled
+
+    def __init__(
+        self, options: SimulatedArmOptions, sample_rate: float, rng: np.random.Generator
+    ) -> None:
+        self._options, self._sample_rate = options, sample_rate
+        self._seeds = rng.integers(2**63, size=(2, 4))
+
+    def read(self, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+        """Yield what the sensors report; the same stream gives the same readings each time."""
+        options = self._options
+        torque, position = (np.random.default_rng(seed) for seed in self._seeds)
+        delay = TorqueDelay(options.torque_delay * self._sample_rate)
+        for exact in measurements:
+            tau = _noisy(delay.apply(exact.tau), options.noise_torque, torque)
+            spoiled = replace(exact, tau=tau)
+            if not options.exact_positions:
+                q = _noisy(exact.q, options.noise_position, position)
+                q = quantised(q, options.encoder_resolution)
+                spoiled = replace(spoiled, q=q, qd=None, qdd=None)
+            yield spoiled
 
 
 def _noisy(values: Array, sigma: PerJoint, rng: np.random.Generator) -> Array:

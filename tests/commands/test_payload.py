@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.inertia import composite_theta
 from tests.support import arms, schemas
-from tests.support.arms import composite_theta
 from tests.support.payload_logs import PAYLOAD
 
 JOINT = 'range="-2.5 2.5" frictionloss=".3" damping=".2" armature=".02"'

@@ -19,11 +19,12 @@ from robot_sysid.dynamics.equations import (
 )
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
+from robot_sysid.model.inertia import composite_theta
 from robot_sysid.records import JointFriction
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms
-from tests.support.arms import SEEDS, composite_theta, random_chain, rigid_bodies, robot_of
+from tests.support.arms import SEEDS, random_chain, rigid_bodies, robot_of
 
 RATE, DURATION = 40.0, 5.0
 ARMS = {

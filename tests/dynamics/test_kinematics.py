@@ -11,16 +11,9 @@ from hypothesis import given
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.dynamics.kinematics import ArmDynamics, analysis_copy, has_only_armature
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.model.inertia import body_theta
+from robot_sysid.model.inertia import body_theta, composite_theta
 from tests.support import arms
-from tests.support.arms import (
-    SEEDS,
-    composite_theta,
-    random_chain,
-    random_motion,
-    rigid_bodies,
-    robot_of,
-)
+from tests.support.arms import SEEDS, random_chain, random_motion, rigid_bodies, robot_of
 from tests.support.model_files import random_theta
 
 SAMPLES = 4

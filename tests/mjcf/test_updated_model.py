@@ -26,10 +26,9 @@ from robot_sysid.mjcf.write_back import (
 )
 from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.model.inertia import subtree_bodies
+from robot_sysid.model.inertia import composite_theta, subtree_bodies
 from robot_sysid.results.verification import reads_fullinertia_exactly, verify_written_model
 from tests.support import urdf
-from tests.support.arms import composite_theta
 from tests.support.model_files import ARM, INERTIAL, TETRAHEDRON, random_theta, write_files
 from tests.support.places import SHARED
 from tests.support.releases import since

@@ -20,7 +20,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import find_flange
-from robot_sysid.model.inertia import body_theta, subtree_bodies
+from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.atomic_files import whole_files
 from robot_sysid.results import model as model_module
@@ -29,7 +29,6 @@ from robot_sysid.results.model import ModelTarget, most_inflated, write_bundle, 
 from robot_sysid.results.verification import require_same_model
 from tests.support import arms, urdf
 from tests.support import results as made
-from tests.support.arms import composite_theta
 from tests.support.command_line import files_in
 from tests.support.model_files import ARM, random_theta, write_files
 from tests.support.places import EXAMPLE, GUESS

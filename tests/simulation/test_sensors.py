@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.closed_loop import quantised, sensed
+from robot_sysid.simulation.closed_loop import Sensors, quantised
 from robot_sysid.simulation.options import SimulatedArmOptions
 from tests.support.arms import SEEDS
 
@@ -35,8 +35,8 @@ def cut(measurement, lengths):
 
 def read(measurements, seed=0, **options):
     """All readings as one measurement."""
-    seeds = np.random.default_rng(seed).integers(2**63, size=(2, 4))
-    return join_measurements(sensed(measurements, SimulatedArmOptions(**options), RATE, seeds))
+    sensors = Sensors(SimulatedArmOptions(**options), RATE, np.random.default_rng(seed))
+    return join_measurements(sensors.read(measurements))
 
 
 def same(first, second):

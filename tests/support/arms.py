@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.model.compilation import CompiledModel
-from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.parser import robot_from_compiled
 from robot_sysid.records import Motion
 
@@ -24,11 +23,6 @@ X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
 SEVEN_AXES = (Z, Y, Z, Y, Z, Y, Z)
 LINK = '<inertial pos=".01 -.02 .1" mass="1.2" fullinertia=".02 .021 .004 .001 -.0005 .0007"/>'
 TIP = '<inertial pos=".02 .03 .06" mass=".8" fullinertia=".005 .006 .003 .0004 -.0003 .0005"/>'
-
-
-def composite_theta(mj_model, qpos, body_id):
-    """theta (10,), in its own frame, of a body with everything below it, at ``qpos``."""
-    return np.sum([body.theta for body in subtree_bodies(mj_model, qpos, body_id)], axis=0)
 
 
 def world(content, option="", extra=""):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DataOrigin, JointLimits, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.report.page import REPORT_NAME, save_data, write_report
-from robot_sysid.report.runs import load_run
+from robot_sysid.report.runs import fingerprint, load_run
 from robot_sysid.results.cards import payload_cards
 from robot_sysid.results.json import params_json_text
 from robot_sysid.results.record import Figure, Verdict
@@ -88,8 +87,7 @@ def link_run(tmp_path_factory):
     model.write_text(arm_text(), encoding="utf-8")
     result = link_result(model)
     run = saved(folder / "link", result)
-    content = (run / "params.json").read_bytes()
-    save_data(run, traces(result), hashlib.sha256(content).hexdigest())
+    save_data(run, traces(result), fingerprint(run / "params.json"))
     comment = "<!-- System ID: body 'x' identified with RMSE 0.030000 Nm -->"
     (run / "updated_model.xml").write_text(comment + arm_text(), encoding="utf-8")
     return run
