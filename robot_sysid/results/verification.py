@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.kinematics import ArmDynamics, BeyondRigidBodies
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial
@@ -260,7 +260,7 @@ def require_reproduction(
     samples = motion.q, motion.qd, motion.qdd
     # What is no rigid body (springs, armature) does not depend on the links' inertia.
     predicted = LinkDynamics(asked).motion(*samples).torque(thetas)
-    predicted += ArmDynamics(asked).beyond_rigid_bodies(*samples)
+    predicted += BeyondRigidBodies(asked).torque(*samples)
     del asked  # with its meshes
     actual = ArmDynamics(robot, written).torque(*samples)
     peak = np.max(np.abs(predicted), axis=0)
