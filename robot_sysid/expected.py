@@ -314,8 +314,8 @@ def _told(
     sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
     moved = motion.q, faster * motion.qd, faster**2 * motion.qdd
     predicted = information.predicted_information(problem, sigma, known)
-    count = 1 + 10 * motion.q.size * problem.n_joints // _NUMBERS
-    parts = zip(*(np.array_split(each, count) for each in moved))
+    pieces = 1 + 10 * motion.q.size * problem.n_joints // _NUMBERS
+    parts = zip(*(np.array_split(each, pieces) for each in moved))
     return np.sum([predicted.evaluate(*part).information for part in parts], axis=0)
 
 

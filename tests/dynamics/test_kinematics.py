@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.dynamics.kinematics import ArmDynamics, analysis_copy, has_only_armature
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.model.inertia import body_theta, composite_theta
@@ -65,7 +64,7 @@ def test_model_of_the_user_is_left_alone():
     robot = robot_of(arms.COUPLED_FINGERS)
     before = robot.mj_model.body_mass.copy(), robot.mj_model.opt.disableflags
     motion = random_motion(np.random.default_rng(0), robot.n_joints, 2)
-    Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
+    arms.rows_and_rest(robot, motion)
     ArmDynamics(robot).torque(*motion)
     np.testing.assert_array_equal(robot.mj_model.body_mass, before[0])
     assert robot.mj_model.opt.disableflags == before[1]
