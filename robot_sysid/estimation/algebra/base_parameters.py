@@ -31,6 +31,8 @@ ESSENTIAL_RATIO = 30.0
 WELL_KNOWN = 0.1
 """Relative standard deviation below which a parameter is essential in any case."""
 _ROUNDING = 1e-5
+# Share of their size by which columns may differ and still count as alike.
+_ALIKE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
     """Return those of a regressor (M, p) of links whose parameters have typical sizes (p,)."""
     from scipy.linalg import qr, solve_triangular
 
+    # Of columns that are alike the first one leads, whatever rounding has made of them.
+    scale = scale * (1.0 - _ALIKE * np.arange(len(scale)))
     triangle, order = qr(regressor * scale, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(triangle))
     rank = int(np.count_nonzero(diagonal > RELATIVE_CUT * np.max(diagonal, initial=0.0)))
