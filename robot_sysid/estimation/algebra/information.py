@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import islice, product
+from itertools import compress, islice, product
 from typing import Any
 
 import numpy as np
@@ -152,15 +152,15 @@ def restricted(
 
     The order that parameters have in the information is kept.
     """
-    kept = np.flatnonzero(np.isin(information.names, names))
-    joints = []
+    wanted, joints = set(names), list[JointInformation]()
+    kept = np.array([name in wanted for name in information.names])
     for joint in information.joints:
-        stay = np.isin(joint.columns, kept)
+        stay = kept[joint.columns]
         triangle = joint.triangle[:, np.append(stay, True)]
         if held is not None:
             known = joint.triangle[:, :-1][:, ~stay] @ held[joint.columns[~stay]]
             triangle[:, -1] -= known
-        columns = np.searchsorted(kept, joint.columns[stay])
+        columns = (np.cumsum(kept) - 1)[joint.columns[stay]]
         smaller = update_triangle(triangle[:0], triangle)
         joints.append(JointInformation(joint.joint, columns, smaller, joint.n_samples))
-    return SquareRootInformation(tuple(information.names[i] for i in kept), tuple(joints))
+    return SquareRootInformation(tuple(compress(information.names, kept)), tuple(joints))

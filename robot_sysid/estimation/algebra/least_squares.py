@@ -106,9 +106,14 @@ class _Normal:
     def __init__(self, information: SquareRootInformation, prior: Array) -> None:
         assert information.prior is not None
         size = len(information.names)
-        known = (np.arange(size + 1), information.prior)
-        parts = [(np.append(joint.columns, size), joint.triangle) for joint in information.joints]
-        self._parts = [(at, rows, rows.T @ rows, stretches(at)) for at, rows in (*parts, known)]
+        # What few joints have comes first, so that each joint's columns stand side by side.
+        has = np.array([np.isin(np.arange(size), j.columns) for j in information.joints])
+        self._order = np.lexsort((np.argmax(has, axis=0), np.sum(has, axis=0)))
+        places = np.append(np.argsort(self._order), size)
+        parts = [(places[[*j.columns, -1]], j.triangle) for j in information.joints]
+        parts.append((places, information.prior))
+        each = [(np.sort(at), rows[:, np.argsort(at)]) for at, rows in parts]
+        self._parts = [(at, rows, rows.T @ rows, stretches(at)) for at, rows in each]
         self._prior = prior
 
     def solved(self, weights: Array) -> tuple[Array, Array] | None:
@@ -125,7 +130,7 @@ class _Normal:
         root = inverse_root(normal[:-1, :-1], _LEAST_RIDGE)
         if root is None:
             return None
-        values, way, before = np.append(self._prior, -1.0), np.zeros(len(root)), np.inf
+        values, way, before = np.append(self._prior[self._order], -1.0), np.zeros(len(root)), np.inf
         for _ in range(_MOST_ROUNDS):
             slope = np.zeros_like(values)
             for (at, rows, *_), square in zip(self._parts, squares):
@@ -144,7 +149,7 @@ class _Normal:
             square * sum(np.einsum("ij,ij", gram[own], spread[there]) for own, there in places)
             for (*_, gram, places), square in zip(self._parts, squares[:-1])
         ]
-        return values[:-1], np.array(paid)
+        return values[np.argsort(self._order)], np.array(paid)
 
 
 def noise_floor(information: SquareRootInformation) -> float:
