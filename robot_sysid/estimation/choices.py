@@ -249,7 +249,7 @@ def choose(
         choice = replace(choice, common_scale=COMMON_SCALE)
         fit = fitter.fit(question, choice, fit.point, rounds=1)
     choice = replace(choice, prior_scale=prior_scale(held_out(fit), fit, question, choice))
-    return choice, errors, fit.point
+    return choice, errors, fit.point if choice != fit.choice else fit.next_point
 
 
 def _simplest(
