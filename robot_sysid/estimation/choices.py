@@ -166,13 +166,14 @@ class HeldOut:
         """Return the same of a fit, with bodies that are possible."""
         sought, values = fit.unknowns, self._predicted(fit.unknowns)
         problem, known = links_problem(sought), _prior_rows(sought)
-        places = [at for at, _ in sought.bodies.values()]
+        places, near = [at for at, _ in sought.bodies.values()], None
         for number, found in enumerate(values):
             if places and not all(spatial.is_consistent(found[at]) for at in places):
                 rows = np.vstack((self._rests(sought)[number], known))
-                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, self._near.get(number))
+                near = self._near.get(number, near)
+                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, near)
                 values[number] = sought.full(solver.best())
-                self._near[number] = solver.first
+                self._near[number] = near = solver.first
         return self.data.squared_residuals(values[..., None])[..., 0]
 
     def _rests(self, sought: Unknowns) -> Sequence[Array]:
