@@ -13,12 +13,12 @@ from robot_sysid.records import Array, SquareRootInformation
 
 # Measured: 5 to 7 rounds for seven joints; a millionth of the noise moves no printed digit.
 _MOST_ROUNDS, _SETTLED = 30, 1e-6
-# Shares of the root mean square torque, see ``noise_floor``; what keeps a scaled matrix, whose
-# diagonal is 1, definite in spite of rounding.
-_NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR, _RIDGE = 1e-9, 1e-4, 1e-12
-# Ridge of a solution that is found in steps (measured: up to ten), and what counts as no step any
-# more, as a share of all right-hand sides.
-_LEAST_RIDGE, _ROUNDING = 1e-14, 1e-14
+# Shares of the root mean square torque, see ``noise_floor``.
+_NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR = 1e-9, 1e-4
+# What keeps a scaled matrix, whose diagonal is 1, definite in spite of rounding (steps to a
+# solution, measured: up to ten), and what counts as no step any more, as a share of all right-hand
+# sides.
+_RIDGE, _ROUNDING = 1e-14, 1e-14
 # Noise within one per cent of its floor is at it; there it may be as small as a hundredth of the
 # floor, found in so many rounds.
 _AT_FLOOR, _SHARPEST, _SHARPER = 1.01, 0.01, 2
@@ -82,7 +82,7 @@ def solver(information: SquareRootInformation, prior: Array) -> Solved:
     return solved
 
 
-def inverse_root(normal: Array, ridge: float = _RIDGE) -> Array | None:
+def inverse_root(normal: Array) -> Array | None:
     """Return G (p, p) with G G^T the inverse of a normal matrix; None where it is not definite.
 
     A tenth of the time of a decomposition. Half of the digits are lost, which noise and widths of
@@ -92,12 +92,16 @@ def inverse_root(normal: Array, ridge: float = _RIDGE) -> Array | None:
 
     length = np.sqrt(np.diag(normal))
     scale = 1.0 / np.where(length > 0.0, length, 1.0)
-    scaled = scale[:, None] * normal * scale + ridge * np.eye(len(normal))
-    try:
-        root, failed = dtrtri(np.linalg.cholesky(scaled).T)
-    except np.linalg.LinAlgError:
-        return None
-    return None if failed else np.asarray(scale[:, None] * root)
+    scaled = scale[:, None] * normal * scale
+    for ridge in (0.0, _RIDGE):  # which would stand beside the prior of what nothing else tells
+        scaled[np.diag_indices_from(scaled)] += ridge
+        try:
+            root, failed = dtrtri(np.linalg.cholesky(scaled).T)
+        except np.linalg.LinAlgError:
+            continue
+        if not failed:
+            return np.asarray(scale[:, None] * root)
+    return None
 
 
 class _Normal:
@@ -117,39 +121,62 @@ class _Normal:
         self._prior = prior
 
     def solved(self, weights: Array) -> tuple[Array, Array] | None:
-        """Return what ``_solved`` returns; None where the equations show something too badly.
-
-        What rounding of the squares and the ridge have left is taken off by conjugate gradients of
-        the equations themselves, in coordinates in which their squares are next to one (Bjorck,
-        "Numerical methods for least squares problems", 1996, ch. 7.4).
-        """
+        """Return what ``_solved`` returns; None where the equations show something too badly."""
         normal, squares = np.zeros((len(self._prior) + 1,) * 2), np.append(weights, 1.0) ** 2
         for (*_, gram, places), square in zip(self._parts, squares):
             for own, there in places:
                 normal[there] += square * gram[own]
-        root = inverse_root(normal[:-1, :-1], _LEAST_RIDGE)
-        if root is None:
-            return None
-        values, way, before = np.append(self._prior[self._order], -1.0), np.zeros(len(root)), np.inf
-        for _ in range(_MOST_ROUNDS):
-            slope = np.zeros_like(values)
+
+        def slope(values: Array) -> Array:
+            found, full = np.zeros(len(normal)), np.append(values, -1.0)
             for (at, rows, *_), square in zip(self._parts, squares):
-                slope[at] -= square * ((rows @ values[at]) @ rows)
-            steep = root.T @ slope[:-1]
-            left = float(steep @ steep)
-            if left <= _ROUNDING**2 * normal[-1, -1]:
-                break
-            way, before = steep + left / before * way, left
-            step = root @ way
-            values[:-1] += left / (step @ normal[:-1, :-1] @ step) * step
-        else:
+                found[at] -= square * ((rows @ full[at]) @ rows)
+            return found[:-1]
+
+        found = descended(normal, slope, self._prior[self._order])
+        if found is None:
             return None
+        values, root = found
         spread = np.pad(root @ root.T, (0, 1))
         paid = [
             square * sum(np.einsum("ij,ij", gram[own], spread[there]) for own, there in places)
             for (*_, gram, places), square in zip(self._parts, squares[:-1])
         ]
         return values[np.argsort(self._order)], np.array(paid)
+
+
+def descended(
+    normal: Array, slope: Callable[[Array], Array], values: Array
+) -> tuple[Array, Array] | None:
+    """Return (values (p,) at which a slope vanishes, G (p, p) of ``inverse_root``), from values to
+    begin with; None where normal equations (p + 1, p + 1) show something too badly.
+
+    What rounding of the squares and the ridge have left is taken off by conjugate gradients of the
+    equations themselves, in coordinates in which their squares are next to one (Bjorck, "Numerical
+    methods for least squares problems", 1996, ch. 7.4).
+    """
+    root = inverse_root(normal[:-1, :-1])
+    if root is None:
+        return None
+    way, before = np.zeros(len(root)), np.inf
+    for _ in range(_MOST_ROUNDS):
+        steep = root.T @ slope(values)
+        left = float(steep @ steep)
+        if left <= _ROUNDING**2 * normal[-1, -1]:
+            return values, root
+        way, before = steep + left / before * way, left
+        step = root @ way
+        values = values + left / (step @ normal[:-1, :-1] @ step) * step
+    return None
+
+
+def decomposed(rows: Array) -> tuple[Array, Array]:
+    """Return (values (p,) of minimum norm in scaled columns, G (p, p) with G G^T the inverse of
+    squares) of equations (M, p + 1), by a decomposition.
+    """
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    space = triangle_space(triangle[:, :-1])
+    return space.solve(triangle[:, -1]), space.inverse_root()
 
 
 def noise_floor(information: SquareRootInformation) -> float:
@@ -198,9 +225,7 @@ def _solved(
 ) -> tuple[Array, Array]:
     """Return what ``solver`` says, by a decomposition."""
     matrix, right = information.stacked(weights)
-    rows = np.column_stack((matrix, right - matrix @ prior))
-    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-    space = triangle_space(triangle[:, :-1])
-    root, pairs = space.inverse_root(), zip(information.joints, weights)
+    values, root = decomposed(np.column_stack((matrix, right - matrix @ prior)))
+    pairs = zip(information.joints, weights)
     paid = [w**2 * np.sum((j.triangle[:, :-1] @ root[j.columns]) ** 2) for j, w in pairs]
-    return prior + space.solve(triangle[:, -1]), np.array(paid)
+    return prior + values, np.array(paid)

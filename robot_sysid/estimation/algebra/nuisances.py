@@ -19,9 +19,8 @@ from functools import lru_cache
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.algebra.information import normal_matrix
-from robot_sysid.estimation.algebra.least_squares import inverse_root
+from robot_sysid.estimation.algebra.least_squares import decomposed, descended
 from robot_sysid.records import Array, PriorConflict, SquareRootInformation
 
 ROD = float(np.sqrt(3.0))
@@ -36,8 +35,6 @@ WIDEST = 20.0
 _SHARE_OF_WORST = 0.3
 # Most rounds until a width rests, and to what; widths for "may be narrower" and "is known".
 _ROUNDS, _SETTLED, _NARROWEST, _FIXED = 30, 1e-3, 0.01, 1e-4
-# Solutions one after the other of what those before have left.
-_REFINED = 4
 
 
 @dataclass(frozen=True)
@@ -196,19 +193,18 @@ class WithPriors:
     def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
         """Return (values (p,), covariance (p, p), misfit of data and priors)."""
         known = np.vstack((self._gram[:0], *(group.rows(self.names) for group in groups)))
-        normal = self._gram + known.T @ known
-        root = inverse_root(normal[:-1, :-1])
-        if root is None:
-            rows, _ = self._data.stacked(self._weights)
-            root = visible_space(np.vstack((rows, known[:, :-1]))).inverse_root()
-        values = np.zeros(len(root))
-        # Squares lose what exact data tells: what they leave is solved for again.
-        for _ in range(_REFINED):
-            slope = (known[:, -1] - known[:, :-1] @ values) @ known[:, :-1]
+
+        def slope(values: Array) -> Array:
+            found = (known[:, -1] - known[:, :-1] @ values) @ known[:, :-1]
             for joint, weight in zip(self._data.joints, self._weights):
                 rows, at = joint.triangle[:, :-1], joint.columns
-                slope[at] += weight**2 * (joint.triangle[:, -1] - rows @ values[at]) @ rows
-            values += root @ (root.T @ slope)
+                found[at] += weight**2 * (joint.triangle[:, -1] - rows @ values[at]) @ rows
+            return found
+
+        found = descended(self._gram + known.T @ known, slope, np.zeros(len(self.names)))
+        if found is None:
+            found = decomposed(np.vstack((*self._data.blocks(self._weights), known)))
+        values, root = found
         left = self._weights**2 @ self._data.squared_residuals(values)
         return values, root @ root.T, float(left + np.sum((known @ np.append(values, -1.0)) ** 2))
 

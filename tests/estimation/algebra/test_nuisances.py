@@ -86,6 +86,21 @@ def test_exact_data_is_solved_as_exactly_under_priors():
 
 
 @given(SEEDS)
+def test_what_exact_data_does_not_tell_is_as_its_prior_says(seed):
+    """A ridge held it elsewhere, and said that it was known: torque scales of long arms."""
+    rng = np.random.default_rng(seed)
+    groups, rows = groups_of(rng), rng.normal(size=(ROWS, 16))
+    truth = np.concatenate((rng.normal(size=10), drawn(rng, groups, size=0.0)))
+    rows[:, 10] = rows[:, :10] @ rng.normal(size=10)
+    accumulator = InformationAccumulator(NAMES, ["j"], [np.arange(16)])
+    accumulator.add(0, rows, rows @ truth)
+    values, spread, _ = WithPriors(accumulator.result(), np.array([5e-6])).solve(groups)
+    known = np.linalg.inv(groups[0].factor @ groups[0].factor.T)
+    assert values[10] == pytest.approx(truth[10], abs=1e-3)
+    assert spread[10, 10] == pytest.approx(1.0 / known[0, 0], rel=0.2)
+
+
+@given(SEEDS)
 def test_priors_are_as_likely_as_the_data_is_under_them(seed):
     """Of what no plain parameter can explain, the density of the data, dense."""
     rng = np.random.default_rng(seed)
