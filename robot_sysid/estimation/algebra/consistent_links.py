@@ -222,11 +222,8 @@ class ScaledBodies:
         self._here = self._diagonal[:, :, None] * np.eye(4)
 
     def rows(self) -> Array:
-        """Return (10 links, 10 links) rows whose squares are the barrier's curvature."""
-        links = np.arange(len(self._basis))
-        rows = np.zeros((len(links), 10, len(links), 10))
-        rows[links, :, links] = _transposed(_components(self._basis))
-        return rows.reshape(10 * len(links), 10 * len(links))
+        """Return (links, 10, 10) rows of each link whose squares are the barrier's curvature."""
+        return _transposed(_components(self._basis))
 
     def aim(self, t: float) -> Array:
         """Return K and its duals (links, 4, 4) as they are to be at t, scaled."""
@@ -281,18 +278,26 @@ class _Newton:
     def __init__(
         self, cone: ScaledBodies, singular: Array, unexplained: Array, turn: Array
     ) -> None:
+        from scipy.linalg.lapack import dgeqrf, dtrtri
+
         self._cone, self._unexplained, self._turn = cone, unexplained, turn
-        rows = np.vstack((np.diag(singular), cone.rows() @ turn))
-        self._orthogonal, triangle = np.linalg.qr(rows)
-        self._inverse = np.linalg.inv(triangle)
+        curvature = cone.rows() @ turn.reshape(-1, 10, len(turn))
+        # Q in the few numbers that it is made of: written out, it takes longer than all else.
+        self._packed = dgeqrf(np.vstack((np.diag(singular), curvature.reshape(turn.shape))))[:2]
+        self._inverse, failed = dtrtri(np.triu(self._packed[0][: len(turn)]))
+        if failed:
+            raise np.linalg.LinAlgError("singular")
 
     def step(self, t: float, bold: _Step | None = None) -> _Step:
         """Return the step towards t, corrected for what a bolder one showed of second order."""
+        from scipy.linalg.lapack import dormqr
+
         cone, goal = self._cone, self._cone.aim(t)
         correction = 0.0 * goal if bold is None else cone.second_order(bold.primal, bold.dual)
         slope = t * (self._turn.T @ np.tile(_TRACES, len(goal)))
         goal = np.append(self._unexplained, _components(goal - correction))
-        scaled = self._orthogonal.T @ goal - self._inverse.T @ slope
+        turned = dormqr("L", "T", *self._packed, goal[:, None], len(goal))[0]
+        scaled = turned[: len(slope), 0] - self._inverse.T @ slope
         direction = self._turn @ (self._inverse @ scaled)
         return _Step(direction, *cone.changes(direction, t, correction), float(scaled @ scaled))
 
