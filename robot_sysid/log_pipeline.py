@@ -99,6 +99,7 @@ def of_plant(
     origin = DataOrigin(Source.SIMULATED_ARM, detail, plan.duration, rate, seed)
     pieces = [Piece(str(arm.plant_model), part, least_deadband=least) for part in parts]
     recorded = _filtered(config, robot, pieces, origin, notes)
+    del parts, pieces  # what was measured itself is needed no more
     found = _identified(config, robot, recorded, progress)
     truth = plant.prior
     return replace(found, traces=partial(_with_truth, found.traces, truth))

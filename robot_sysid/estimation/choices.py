@@ -245,7 +245,9 @@ def choose(
     fit = replace(fitter.fit(question, choice, rounds=1), samples=())
     errors: Errors = {}
     if given is None and fitter.columns.torques == "chain":
-        choice, errors, fit = _with_friction(fitter, question, choice, fit)
+        choice, errors, point = _with_friction(fitter, question, choice, fit)
+        del fit  # what its rows say, before others are made
+        fit = replace(fitter.fit(question, choice, point, rounds=1), samples=())
     if is_scaled(fit, question, choice):
         choice = replace(choice, common_scale=COMMON_SCALE)
         fit = fitter.fit(question, choice, fit.point, rounds=1)
@@ -290,7 +292,7 @@ def coupled(
 
 def _with_friction(
     fitter: Fitter, question: Question, choice: Choice, fit: Fit
-) -> tuple[Choice, Errors, Fit]:
+) -> tuple[Choice, Errors, Point]:
     """Give each joint the terms that predict its held-out torques clearly better."""
     squared, speeds = _tried(fitter, question, choice, fit)
     counts = held_out(fit).counts
@@ -306,9 +308,7 @@ def _with_friction(
             speed[term] = speed[term].copy()
             speed[term][index] = speeds[best][place]
     choice = replace(choice, friction=tuple(friction))
-    point = replace(fit.point, speed=speed, values=fit.values)
-    fit = fitter.fit(question, choice, point, rounds=1)
-    return choice, errors, replace(fit, samples=())
+    return choice, errors, replace(fit.point, speed=speed, values=fit.values)
 
 
 def _tried(
@@ -324,7 +324,7 @@ def _tried(
     for number in range(max(len(bent.tried) for bent in BENT.values())):
         tried = {term: np.full(robot.n_joints, bent.tried[number]) for term, bent in BENT.items()}
         point = replace(fit.point, speed=tried, values=fit.values, exact_load=True)
-        _, data = fitter.around(point)
+        data, _ = fitter.around(point)
         judge, around = HeldOut(data, 1.0 / fit.weights), replace(fit, evidence=data)
         for name in CANDIDATES:
             model = friction_model(name)
@@ -337,6 +337,7 @@ def _tried(
             lower = error.sum(axis=0) < before.sum(axis=0)
             squared[name] = np.where(lower, error, before)
             speeds[name] = np.where(lower, speed, speeds.get(name, np.zeros(error.shape[1])))
+        del data, judge, around  # before others are made: they take as much memory as the rows
     return squared, speeds
 
 

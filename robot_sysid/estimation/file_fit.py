@@ -142,7 +142,7 @@ def _as_it_was(fitter: Fitter, question: Question, choice: Choice, point: Point)
     The point of the rows has the model's gravity; nothing else of it counts.
     """
     columns = fitter.columns
-    _, data = fitter.around(point)
+    data, _ = fitter.around(point)
     sought = unknowns(columns, question, choice, data.torque, data.shown)
     offsets = [columns.place[f"offset[{joint}]"] for joint in columns.joints]
     kept = np.array([place for place in offsets if data.shown[place]], dtype=np.int64)

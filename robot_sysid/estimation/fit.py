@@ -196,17 +196,17 @@ class Fitter:
     torque: Array
     visits: Visits | None = None
     told: Callable[[], None] = lambda: None
-    _last: tuple[Point, tuple[DecimatedSamples, ...], Evidence] | None = field(default=None)
+    _last: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = field(default=None)
     _noise: Array | None = None
 
-    def around(self, point: Point) -> tuple[tuple[DecimatedSamples, ...], Evidence]:
-        """Return the rows around a point, and what they say."""
+    def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
+        """Return what the rows around a point say, and the rows."""
         if self._last is None or self._last[0] is not point:
             self.told()
             self._last = None  # rows go before others are made: they take most of the memory
             samples = self.columns.samples(point)
-            self._last = point, samples, evidence(samples, self.torque)
-        return self._last[1], self._last[2]
+            self._last = point, evidence(samples, self.torque), samples
+        return self._last[1:]
 
     def fit(
         self,
@@ -234,14 +234,14 @@ class Fitter:
         sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
         rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds
         for left in reversed(range(rounds)):
-            samples, data = self.around(point)
-            given = self.columns, question, choice, point, data
-            fit = solved(*given, samples, self.visits, noise=self._noise)
+            given = self.columns, question, choice, point
+            fit = solved(*given, *self.around(point), self.visits, noise=self._noise)
             self._noise, after = fit.noise, fit.next_point
             if _rests(fit, after):
                 return fit
             if left:
-                point, fit, samples = after, replace(fit, samples=()), ()
+                point = after
+                del fit  # its rows and what they say, before others are made
         if rounds == _SOUGHT_ROUNDS:
             raise SysidError(
                 f"the estimates of {' and '.join(sought)} do not settle within {rounds} rounds "

@@ -189,9 +189,9 @@ class _Fixed(Fitter):
         super().__init__(columns, found.evidence.torque)
         self._found, self._point = found, point or columns.start()
 
-    def around(self, point: Point) -> tuple[tuple[DecimatedSamples, ...], Evidence]:
-        """Return no rows, and what they said."""
-        return (), self._found.evidence
+    def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
+        """Return what rows said, and none."""
+        return self._found.evidence, ()
 
     def fit(
         self, question: Question, choice: Choice, point: Point | None = None, rounds: int = 1
