@@ -271,6 +271,11 @@ def squared_errors(judge: HeldOut, fit: Fit, question: Question, choice: Choice)
     return judge.squared(_sought(fit, question, choice))
 
 
+def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
+    """Return ``HeldOut.score`` (blocks,) of a choice, with bodies that are possible."""
+    return judge.score(judge.of(replace(fit, unknowns=_sought(fit, question, choice))))
+
+
 def coupled(
     fitter: Fitter, question: Question, given: FrictionModel | None, offered: tuple[Coupling, ...]
 ) -> tuple[Coupling, ...]:
@@ -423,8 +428,7 @@ def prior_scale(judge: HeldOut, fit: Fit, question: Question, choice: Choice) ->
     scores: list[float] = []
     for scale in SCALES:
         each = replace(choice, prior_scale=scale)
-        squared = judge.of(replace(fit, unknowns=_sought(fit, question, each)))
-        scores.append(float(np.mean(judge.score(squared))))
+        scores.append(float(np.mean(score_of(judge, fit, question, each))))
         if scores[-1] > AS_GOOD * min(scores):
             break
     return SCALES[int(np.flatnonzero(np.array(scores) <= AS_GOOD * min(scores))[0])]

@@ -8,7 +8,6 @@ written where the held-out error of all that is written together says so.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +21,7 @@ from robot_sysid.estimation.choices import (
     held_out,
     is_clearly_lower,
     prior_scale,
+    score_of,
     shown_offsets,
     shown_rotors,
     squared_errors,
@@ -93,22 +93,18 @@ def fit_file(
     judge = held_out(fit)
     choice = replace(choice, friction=_polynomials(judge, fit, question, choice))
     choice = replace(choice, prior_scale=prior_scale(judge, fit, question, choice))
-    del judge  # what it squares takes as much memory as the rows
     choice = shown_offsets(fit, question, choice)
-    after, level = fit.next_point, None
+    asked, after, rounds = question, fit.next_point, _ROUNDS
     if FILE_GRAVITY not in kept and fit.unknowns.settle:
-        as_it_is = replace(question, kept_parts=(*kept, FILE_GRAVITY))
-        level = fitter.fit(as_it_is, choice, point, rounds=1)
-    # A fitter of its own: rows under another gravity go where the level base is taken.
-    fit = copy(fitter).fit(question, choice, after, _ROUNDS)
-    # What makes the errors is large, and not kept.
-    squared, judge = held_out(fit).of(fit), held_out(fit)
-    if level is not None:
-        errors = held_out(level).of(level)
-        if not is_clearly_lower(judge.score(squared), judge.score(errors)):
-            fit, squared = replace(level, question=question), errors
-    found = judge.validation(squared)
-    del judge, level  # and the rows of the fit that is not taken
+        level = replace(question, kept_parts=(*kept, FILE_GRAVITY))
+        turned, straight = (score_of(judge, fit, each, choice) for each in (question, level))
+        if not is_clearly_lower(turned, straight):
+            asked, after, rounds = level, point, 1
+    del judge, fit  # what it squares takes as much memory as the rows
+    fit = replace(fitter.fit(asked, choice, after, rounds), question=question)
+    judge = held_out(fit)
+    found = judge.validation(judge.of(fit))
+    del judge
     return FileFit(fit, before, found, fit_errors(fit, (), pull))
 
 
