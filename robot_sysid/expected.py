@@ -219,16 +219,15 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     counts = 1.0 / left, sigma / np.sqrt(low_pass.step)
     known = partial(_with_known, plain, counts, whole_triangle(plain, counts[0]))
     found = known(sought.groups)
-    causes = {NOISE: found.noise}
-    for group in sought.groups:
-        causes[group.cause] = group.explained(plain.names, found.inverse)
+    rows = {g.cause: g.explained(plain.names, found.inverse) for g in sought.groups}
     doubt = 0.0, found
     if sought.may_be_scaled(question):
         wider = unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
         doubt = _doubt(sought, found, wider, known(wider.groups))
     if not is_loaded:
         at, usual = sought.bodies[robot.body_name]
-        found, causes = once_possible(found, causes, np.searchsorted(sought.kept, at), usual, usual)
+        found, rows = once_possible(found, rows, np.searchsorted(sought.kept, at), usual, usual)
+    causes = {NOISE: found.noise, **{cause: part.T @ part for cause, part in rows.items()}}
     return _Posterior(sought, found, causes, *doubt)
 
 

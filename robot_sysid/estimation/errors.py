@@ -32,6 +32,8 @@ FILTERING, HELD = "filtering", "friction at its bound"
 """What these causes of error are called in results."""
 # Weight of a hidden parameter in a combination that is rounding alone.
 _ROUNDING = 1e-9
+# Share of the largest eigenvalue from which on data tells what is held at bounds.
+_SEEN = 1e-12
 # Logarithm of odds that leave nothing of the other; more would not be finite. Where rounding alone
 # tells them apart, either is as likely.
 _SURE = 500.0
@@ -40,7 +42,7 @@ _SURE = 500.0
 @dataclass(frozen=True)
 class FitErrors:
     """The errors of the k parameters of a fit that are sought: ``whole`` of all causes, noise
-    correlated in time, and the covariance (k, k) of what each cause explains.
+    correlated in time, and rows (m, k) whose squares are the covariance that each cause explains.
 
     ``common`` is how far all torque scales may be off together, where nothing tells it (a share),
     ``conflicts`` are causes that the data asks for more clearly than chance does.
@@ -61,16 +63,16 @@ class FitErrors:
         blind, used = ~self.shown(change), np.flatnonzero(np.any(change != 0.0, axis=0))
         few, own = change[:, used], np.ix_(used, used)
 
-        def spread(covariance: Array) -> Array:
-            variance = np.sum((few @ covariance[own]) * few, axis=1)
-            return np.where(blind, np.inf, np.sqrt(np.maximum(variance, 0.0)))
+        def spread(products: Array) -> Array:
+            return np.where(blind, np.inf, np.sqrt(np.maximum(np.sum(products, axis=1), 0.0)))
 
-        covariance = few @ self.whole.covariance[own] @ few.T
-        budget = {name: spread(part) for name, part in self.causes.items() if name != COMMON}
+        covariance, noise = few @ self.whole.covariance[own] @ few.T, few @ self.whole.noise[own]
+        parts = ((name, part[:, used]) for name, part in self.causes.items() if name != COMMON)
+        budget = {name: spread((few @ part.T) ** 2) for name, part in parts}
         if self.common and theta is not None:
             covariance = covariance + self.common**2 * np.outer(theta, theta)
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
-        return covariance, spread(self.whole.noise), budget
+        return covariance, spread(noise * few), budget
 
     def shown(self, change: Array) -> NDArray[np.bool_]:
         """Return (m,) whether combinations (m, k) contain nothing that the data hides."""
@@ -112,19 +114,19 @@ def fit_errors(
     found = _conflicts(fit, whole.effective)
     bias = whole.inverse @ (weights**2 @ pull[:, fit.unknowns.kept])
     more = _more(fit, whole.inverse, causes, found)
-    for name, part in (*more, (FILTERING, np.outer(bias, bias))):
-        causes[name] = causes.get(name, 0.0) + part
-        whole = whole.with_part(part)
+    for name, part in (*more, (FILTERING, bias[None])):
+        causes[name] = np.vstack((causes.get(name, part[:0]), part))
+        whole = whole.with_part(part.T @ part)
     if not (fit.question.in_file or fit.question.loaded):
         at, usual = fit.unknowns.bodies[fit.columns.robot.body_name]
         places = np.searchsorted(fit.unknowns.kept, at)
         whole, causes = once_possible(whole, causes, places, fit.values[at], usual)
     # The best possible body is the edge of what is possible, and the truth is inside: it may be as
     # far off as it was moved.
-    moved = (fit.values - fit.free)[fit.unknowns.kept]
+    moved = (fit.values - fit.free)[None, fit.unknowns.kept]
     if np.any(moved):
-        causes[BODIES] = causes.get(BODIES, 0.0) + np.outer(moved, moved)
-        whole = whole.with_part(np.outer(moved, moved))
+        causes[BODIES] = np.vstack((causes.get(BODIES, moved[:0]), moved))
+        whole = whole.with_part(moved.T @ moved)
     counts = tuple(n / d for n, d in zip(whole.effective, fit.inflation.tolist()))
     whole = replace(whole, effective=counts)
     return FitErrors(whole, causes, _common(fit), found)
@@ -157,7 +159,7 @@ def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...
 def _more(
     fit: Fit, inverse: Array, causes: Mapping[str, Array], found: Sequence[PriorConflict]
 ) -> Iterator[tuple[str, Array]]:
-    """Yield (cause, (k, k) covariance) of what stands in no prior.
+    """Yield (cause, rows (m, k) whose squares are its covariance) of what stands in no prior.
 
     A prior that the data contradicts counts as wide as the data asks for. Where a scale of all
     torques is allowed for there may be none. What is held at a bound counts as if it were free: the
@@ -166,7 +168,7 @@ def _more(
     for conflict in found:
         asked = (conflict.asked / conflict.scale) ** 2 - 1.0
         if asked > 0.0:
-            yield conflict.cause, asked * causes[conflict.cause]
+            yield conflict.cause, np.sqrt(asked) * causes[conflict.cause]
     if fit.choice.common_scale:
         yield SCALES, _unscaled(fit)
     places = fit.columns.at(fit.unknowns.at_bound)
@@ -175,12 +177,13 @@ def _more(
         normal, kept = normal_matrix(fit.evidence.whole, fit.weights), fit.unknowns.kept
         crossed = normal[np.ix_(kept, places)]
         moved = inverse @ crossed
-        left = normal[np.ix_(places, places)] - crossed.T @ moved
-        yield HELD, moved @ np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ moved.T
+        size, axes = np.linalg.eigh(normal[np.ix_(places, places)] - crossed.T @ moved)
+        seen = size > _SEEN * size[-1]
+        yield HELD, (moved @ (axes[:, seen] / np.sqrt(size[seen]))).T
 
 
 def _unscaled(fit: Fit) -> Array:
-    """Return the mean square (k, k) of what a common torque scale changes that may not be there.
+    """Return what a common torque scale changes (1, k), root mean square, that may not be there.
 
     With and without one count by how likely they make the data (Hoeting, Madigan, Raftery,
     Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14(4), 1999, eq. 1, 2).
@@ -193,7 +196,7 @@ def _unscaled(fit: Fit) -> Array:
     likely = WithPriors(fit.evidence.of(known), 1.0 / fit.weights).likely
     (values, one), (unscaled, other) = (likely([*others, each]) for each in scales)
     share = 1.0 / (1.0 + np.exp(min(np.nan_to_num(one - other), _SURE)))
-    return np.asarray(share * np.outer(values - unscaled, values - unscaled))
+    return np.asarray(np.sqrt(share) * (values - unscaled))[None]
 
 
 def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:

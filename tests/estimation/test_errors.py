@@ -85,7 +85,7 @@ def test_a_cutoff_close_to_the_motion_is_paid_for(plant, cutoff):
 
 def test_beside_noise_the_low_pass_does_not_count(plant):
     errors, off = filtered_fit(plant, 8.0, 1, noise_torque=0.1, encoder_resolution=1e-4)
-    part = np.sqrt(np.diag(errors.causes[FILTERING]))
+    part = np.linalg.norm(errors.causes[FILTERING], axis=0)
     assert np.all(part < 0.05 * np.sqrt(np.diag(errors.whole.noise)))
     assert np.max(off / errors.whole.standard_errors) < WITHIN
 

@@ -17,8 +17,8 @@ METHODS = {"ols": ordinary, "wls": weighted}
 
 def explained(errors, group, names):
     """The part of the standard errors (p,) that what is known of some nuisances stands for."""
-    spread = np.diag(group.explained(names, errors.inverse))
-    return np.where(np.isfinite(errors.standard_errors), np.sqrt(np.maximum(spread, 0.0)), np.inf)
+    spread = np.linalg.norm(group.explained(names, errors.inverse), axis=0)
+    return np.where(np.isfinite(errors.standard_errors), spread, np.inf)
 
 
 def identified(information, prior, method="ols", samples=None, nuisances=()):

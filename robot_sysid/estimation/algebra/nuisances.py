@@ -74,9 +74,10 @@ class NuisanceGroup:
         return [names.index(name) for name in self.names]
 
     def explained(self, names: Sequence[str], inverse: Array) -> Array:
-        """Return the part (p, p) of an estimate's covariance that the prior makes, by its C."""
-        rows = self.rows(names)[:, :-1] @ inverse
-        return np.asarray(rows.T @ rows)
+        """Return rows (k, p) whose squares are the part of an estimate's covariance that the prior
+        makes, by its C.
+        """
+        return np.asarray(np.linalg.solve(self.widened * self.factor, inverse[self.places(names)]))
 
     def deviations(self, names: Sequence[str], values: Array) -> Array:
         """Return (k,) by how many prior standard deviations, not widened, each direction is off."""

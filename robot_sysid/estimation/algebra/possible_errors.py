@@ -34,9 +34,10 @@ def once_possible(
     theta: Array,
     usual: Array,
 ) -> tuple[Uncertainty, dict[str, Array]]:
-    """Return errors, whole and by cause (k, k), of estimates whose body is a possible one.
+    """Return errors, whole and by cause, of estimates whose body is a possible one.
 
     Args:
+        causes: cause to rows (m, k) whose squares are the covariance that it explains.
         places: (10,) of the body among the k that are sought.
         theta: (10,) of the body.
         usual: (10,) what such bodies usually are.
@@ -46,19 +47,21 @@ def once_possible(
     if left is None:
         return whole, dict(causes)
     turn, rest = left
-    along = np.linalg.solve(own, whole.covariance[places]).T
-    change = np.eye(len(along))
-    change[:, places] += along @ (turn - np.eye(10))
-    found = {cause: change @ part @ change.T for cause, part in causes.items()}
-    added = along @ rest @ along.T
-    found[BODIES] = found.get(BODIES, 0.0) + added
-    covariance = change @ whole.covariance @ change.T + added
+    along = np.linalg.solve(own, whole.covariance[places])
+    change = (turn - np.eye(10)).T @ along
+
+    def changed(rows: Array) -> Array:
+        return rows + rows[:, places] @ change
+
+    found = {cause: changed(rows) for cause, rows in causes.items()}
+    found[BODIES] = rest @ along
+    covariance = changed(changed(whole.covariance).T) + found[BODIES].T @ found[BODIES]
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     hidden = np.isinf(whole.standard_errors)
     return replace(
         whole,
         covariance=covariance,
-        noise=change @ whole.noise @ change.T,
+        noise=changed(changed(whole.noise).T),
         standard_errors=np.where(hidden, np.inf, errors),
     ), found
 
@@ -66,12 +69,12 @@ def once_possible(
 def possible_covariance(theta: Array, covariance: Array) -> Array:
     """Return what becomes of errors (10, 10) of a body (10,) once it has to be possible."""
     left = _left(theta, covariance, theta)
-    return covariance if left is None else left[0] @ covariance @ left[0].T + left[1]
+    return covariance if left is None else left[0] @ covariance @ left[0].T + left[1].T @ left[1]
 
 
 def _left(theta: Array, covariance: Array, usual: Array) -> tuple[Array, Array] | None:
-    """Return (T, R), both (10, 10), of a body; None where all that is drawn is possible, or cannot
-    be made so: plain errors are larger.
+    """Return T (10, 10) of a body, and rows (m, 10) whose squares are R; None where all that is
+    drawn is possible, or cannot be made so: plain errors are larger.
     """
     half = np.random.default_rng(0).standard_normal((_DRAWS // 2, 10))
     draws = np.vstack((half, -half))
@@ -92,5 +95,4 @@ def _left(theta: Array, covariance: Array, usual: Array) -> tuple[Array, Array] 
     if near is None:
         return None
     turn = left.T @ draws @ rows / _DRAWS
-    rest = left - off @ turn.T
-    return turn, rest.T @ rest / _DRAWS
+    return turn, (left - off @ turn.T) / np.sqrt(_DRAWS)

@@ -52,7 +52,7 @@ def test_what_is_left_is_the_spread_of_possible_bodies(seed):
 
 def test_where_every_body_is_possible_nothing_changes():
     spread = covariance(1e-3)
-    whole, causes = whole_of(spread, {"noise": spread})
+    whole, causes = whole_of(spread, {"noise": np.linalg.cholesky(spread).T})
     again, parts = once_possible(whole, causes, PLACES, LIGHT, LIGHT)
     assert again is whole and parts == causes
     np.testing.assert_array_equal(possible_covariance(LIGHT, spread), spread)
@@ -63,10 +63,12 @@ def test_causes_still_add_up_and_what_hangs_on_the_body_follows_it():
     body, own = covariance(0.8), 0.01
     change = np.vstack((np.eye(10), np.eye(10)[:1], np.zeros((1, 10))))
     spread = change @ body @ change.T + np.diag([0.0] * 10 + [own**2] * 2)
-    parts = {"links": 0.7 * spread, "noise": 0.3 * spread}
+    root = np.linalg.cholesky(spread).T
+    parts = {"links": np.sqrt(0.7) * root, "noise": np.sqrt(0.3) * root}
     whole, parts = once_possible(*whole_of(spread, parts), PLACES, LIGHT, LIGHT)
     assert set(parts) == {"links", "noise", BODIES}
-    np.testing.assert_allclose(sum(parts.values()), whole.covariance, atol=1e-9 * spread.max())
+    rows = np.vstack([*parts.values()])
+    np.testing.assert_allclose(rows.T @ rows, whole.covariance, atol=1e-9 * spread.max())
     np.testing.assert_allclose(whole.standard_errors**2, np.diag(whole.covariance), rtol=1e-9)
     assert whole.covariance[10, 10] == pytest.approx(whole.covariance[0, 0] + own**2)
     assert whole.covariance[11, 11] == pytest.approx(own**2)
