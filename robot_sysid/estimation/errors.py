@@ -34,6 +34,8 @@ FILTERING, HELD = "filtering", "friction at its bound"
 _ROUNDING = 1e-9
 # Share of the largest eigenvalue from which on data tells what is held at bounds.
 _SEEN = 1e-12
+# Numbers of columns at once: a long arm's take more memory than all that is known of it.
+_NUMBERS = 1_000_000
 # Logarithm of odds that leave nothing of the other; more would not be finite. Where rounding alone
 # tells them apart, either is as likely.
 _SURE = 500.0
@@ -140,6 +142,8 @@ def _of_noise(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
         given = fit.rows, fit.values[fit.unknowns.kept], space.inverse_root(), weights
         left = collect_residuals(information, *given)
     left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
+    if left:  # which take as much memory as the triangles, and stand for them
+        information = replace(information, joints=())
     return uncertainty(information, weights, 1.0 / weights, left, space)
 
 
@@ -260,7 +264,9 @@ def filtering_bias(
 
 def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]:
     """Return the torque (K,) of each joint by the equations' own parameters (p,) [N m]."""
-    still = np.zeros_like(motion.q)
-    measurement = Measurement(motion.time, motion.q, motion.qd, still, motion.qdd)
-    pairs = zip(equations.rows(measurement), equations.columns)
-    return [block @ values[columns] - right for (block, right), columns in pairs]
+    pieces, found = 1 + motion.q.size * len(values) // _NUMBERS, []
+    for time, q, qd, qdd in zip(*(np.array_split(e, pieces) for e in vars(motion).values())):
+        measurement = Measurement(time, q, qd, np.zeros_like(q), qdd)
+        pairs = zip(equations.rows(measurement), equations.columns)
+        found.append([block @ values[columns] - right for (block, right), columns in pairs])
+    return [np.concatenate(parts) for parts in zip(*found)]

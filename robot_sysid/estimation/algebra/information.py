@@ -61,7 +61,9 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
     """Return the triangle (k, k) of all rows so far and the new ones (N, k); fewer than k rows that
     are not zero, which no triangle makes fewer, as they are.
     """
-    stacked = np.vstack([each[np.any(each != 0.0, axis=1)] for each in (triangle, rows)])
+    stacked = np.vstack((triangle, rows))
+    there = np.any(stacked != 0.0, axis=1)
+    stacked = stacked if np.all(there) else stacked[there]
     is_tall = len(stacked) >= stacked.shape[1]
     return np.asarray(np.linalg.qr(stacked, mode="r")) if is_tall else stacked
 

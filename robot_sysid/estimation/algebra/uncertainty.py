@@ -114,7 +114,8 @@ def triangle_of(blocks: Iterable[Array]) -> Array:
         if sum(map(len, waiting)) > _AT_ONCE * block.shape[1]:
             rows = np.vstack(waiting)
             at = np.any(rows != 0.0, axis=0)
-            triangle = update_triangle(rows[:0, at], rows[:, at])
+            waiting, rows = [], rows[:, at]
+            triangle = update_triangle(rows[:0], rows)
             waiting = [np.zeros((len(triangle), len(at)))]
             waiting[0][:, at] = triangle
     return update_triangle(waiting[0][:0], np.vstack(waiting))
