@@ -115,9 +115,11 @@ class _Normal:
         self._order = np.lexsort((np.argmax(has, axis=0), np.sum(has, axis=0)))
         places = np.append(np.argsort(self._order), size)
         parts = [(places[[*j.columns, -1]], j.triangle) for j in information.joints]
-        parts.append((places, information.prior))
-        each = [(np.sort(at), rows[:, np.argsort(at)]) for at, rows in parts]
-        self._parts = [(at, rows, rows.T @ rows, stretches(at)) for at, rows in each]
+        self._parts = []
+        for at, rows in (*parts, (places, information.prior)):
+            sorted_rows = rows[:, np.argsort(at)]
+            gram = sorted_rows.T @ sorted_rows
+            self._parts.append((at, rows, gram, stretches(np.sort(at))))
         self._prior = prior
 
     def solved(self, weights: Array) -> tuple[Array, Array] | None:
