@@ -15,10 +15,10 @@ from robot_sysid.records import Array, SquareRootInformation
 _MOST_ROUNDS, _SETTLED = 30, 1e-6
 # Shares of the root mean square torque, see ``noise_floor``.
 _NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR = 1e-9, 1e-4
-# What keeps a scaled matrix, whose diagonal is 1, definite in spite of rounding (steps to a
-# solution, measured: up to ten), and what counts as no step any more, as a share of all right-hand
-# sides.
-_RIDGE, _ROUNDING = 1e-14, 1e-14
+# Least pivot of a scaled matrix, whose diagonal is 1: rounding makes up to 1e-14 of none, and exact
+# data of arms leaves 1e-12 beside priors (measured). What counts as no step any more, as a share of
+# all right-hand sides.
+_LEAST_PIVOT, _ROUNDING = 1e-13, 1e-14
 # Noise within one per cent of its floor is at it; there it may be as small as a hundredth of the
 # floor, found in so many rounds.
 _AT_FLOOR, _SHARPEST, _SHARPER = 1.01, 0.01, 2
@@ -83,7 +83,8 @@ def solver(information: SquareRootInformation, prior: Array) -> Solved:
 
 
 def inverse_root(normal: Array) -> Array | None:
-    """Return G (p, p) with G G^T the inverse of a normal matrix; None where it is not definite.
+    """Return G (p, p) with G G^T the inverse of a normal matrix; None where it is not definite, or
+    no more than rounding makes of what nothing shows.
 
     A tenth of the time of a decomposition. Half of the digits are lost, which noise and widths of
     priors do not notice.
@@ -92,16 +93,12 @@ def inverse_root(normal: Array) -> Array | None:
 
     length = np.sqrt(np.diag(normal))
     scale = 1.0 / np.where(length > 0.0, length, 1.0)
-    scaled = scale[:, None] * normal * scale
-    for ridge in (0.0, _RIDGE):  # which would stand beside the prior of what nothing else tells
-        scaled[np.diag_indices_from(scaled)] += ridge
-        try:
-            root, failed = dtrtri(np.linalg.cholesky(scaled).T)
-        except np.linalg.LinAlgError:
-            continue
-        if not failed:
-            return np.asarray(scale[:, None] * root)
-    return None
+    try:
+        root = np.linalg.cholesky(scale[:, None] * normal * scale)
+    except np.linalg.LinAlgError:
+        return None
+    is_clear = np.min(np.diag(root)) ** 2 > _LEAST_PIVOT
+    return np.asarray(scale[:, None] * dtrtri(root.T)[0]) if is_clear else None
 
 
 class _Normal:
@@ -153,9 +150,9 @@ def descended(
     """Return (values (p,) at which a slope vanishes, G (p, p) of ``inverse_root``), from values to
     begin with; None where normal equations (p + 1, p + 1) show something too badly.
 
-    What rounding of the squares and the ridge have left is taken off by conjugate gradients of the
-    equations themselves, in coordinates in which their squares are next to one (Bjorck, "Numerical
-    methods for least squares problems", 1996, ch. 7.4).
+    What rounding of the squares has left is taken off by conjugate gradients of the equations
+    themselves, in coordinates in which their squares are next to one (Bjorck, "Numerical methods
+    for least squares problems", 1996, ch. 7.4).
     """
     root = inverse_root(normal[:-1, :-1])
     if root is None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.estimation.algebra.least_squares import joint_noise, solver
 from tests.support.estimates import identified
 from tests.support.synthetic_data import Samples, noisy_samples
@@ -67,3 +68,19 @@ def test_equations_with_a_prior_are_solved_to_rounding(seed):
     best = np.linalg.lstsq(*information.stacked(weights), rcond=None)[0]
     found, _ = solver(information, PRIOR)(weights)
     np.testing.assert_allclose(found, best, rtol=0.0, atol=1e-11 * np.max(np.abs(truth)))
+
+
+@given(SEEDS)
+def test_what_exact_data_does_not_see_keeps_the_priors_value(seed):
+    """Beside other priors; squares left it anywhere where rounding made them definite."""
+    rng, names = np.random.default_rng(seed), noisy_samples(seed)[1]
+    for _ in range(10):
+        rows, truth, prior = rng.normal(size=(60, 16)), *rng.normal(size=(2, 16))
+        ratios = rng.normal(size=2)
+        rows[:, [2, 5]] = ratios * rows[:, [1, 4]]
+        accumulator = InformationAccumulator(names, ["j"], [np.arange(16)])
+        accumulator.add(0, rows, rows @ truth)
+        known = np.pad(np.eye(6), ((0, 0), (10, 1)))
+        found, _ = solver(replace(accumulator.result(), prior=known), prior)(np.array([10.0]))
+        moved = found - prior
+        np.testing.assert_allclose(moved[[2, 5]], ratios * moved[[1, 4]], atol=1e-6)
