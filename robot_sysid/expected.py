@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from robot_sysid.dynamics.newton_euler import in_parts
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.common_scale import doubted
@@ -64,8 +65,6 @@ LONGER, FASTER, BETTER = 4.0, 1.5, 0.5
 """By how much longer and faster, and to which part of the error of the links, remedies are told."""
 _INSTANTS, _FEWEST, _MOST = 10.0, 100, 4000
 """Instants of a motion per second that a remedy is worked out from, and at least and at most."""
-_NUMBERS = 1_000_000
-"""Numbers in an array of rows at once: a long arm's take more memory than what is known of it."""
 _NOISELESS = 1e-4
 """Torque noise that hides nothing [N m]."""
 _NEARLY = 1.0 - 1e-6
@@ -161,7 +160,8 @@ def expect(
         sought, found = after.sought, after.found
         places = [sought.kept_names.index(name) for name in names]
         own = np.ix_(places, places)
-        causes = {cause: part[own] for cause, part in after.causes.items()}
+        parts = {cause: rows[:, places] for cause, rows in after.causes.items()}
+        causes = {NOISE: found.noise[own], **{c: rows.T @ rows for c, rows in parts.items()}}
         covariance = found.covariance[own]
         np.fill_diagonal(covariance, found.standard_errors[places] ** 2)
         others = dict(_masses(problem, sought, found)) if asked == "arm" else {}
@@ -169,9 +169,8 @@ def expect(
             words = f"In about {percent(after.doubted)} of recordings {DOUBTED}"
             then = possible_covariance(theta, after.then.covariance[own])
             doubt = Remedy(words, *information.spread_of(theta, then))
-    remedies = _best_first(problem, plan, how, known, told)
-    about = others, _never(problem, told), remedies, missing, scaled, doubt
-    return Prediction(of, theta, size, covariance, causes, *about)
+    rest = _never(problem, told), _best_first(problem, plan, how, known, told)
+    return Prediction(of, theta, size, covariance, causes, others, *rest, missing, scaled, doubt)
 
 
 def _read_alike(problem: ExcitationProblem, options: EstimationOptions) -> float:
@@ -182,8 +181,8 @@ def _read_alike(problem: ExcitationProblem, options: EstimationOptions) -> float
 
 @dataclass(frozen=True)
 class _Posterior:
-    """What is sought, how well it is known, and why; in which share of recordings all torque
-    scales are doubted, and how well it is known then.
+    """What is sought, how well it is known, and why beside noise (see ``FitErrors``); in which
+    share of recordings all torque scales are doubted, and how well it is known then.
     """
 
     sought: Unknowns
@@ -219,15 +218,14 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     counts = 1.0 / left, sigma / np.sqrt(low_pass.step)
     known = partial(_with_known, plain, counts, whole_triangle(plain, counts[0]))
     found = known(sought.groups)
-    rows = {g.cause: g.explained(plain.names, found.inverse) for g in sought.groups}
+    causes = {g.cause: g.explained(plain.names, found.inverse) for g in sought.groups}
     doubt = 0.0, found
     if sought.may_be_scaled(question):
         wider = unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
         doubt = _doubt(sought, found, wider, known(wider.groups))
     if not is_loaded:
         at, usual = sought.bodies[robot.body_name]
-        found, rows = once_possible(found, rows, np.searchsorted(sought.kept, at), usual, usual)
-    causes = {NOISE: found.noise, **{cause: part.T @ part for cause, part in rows.items()}}
+        found, causes = once_possible(found, causes, np.searchsorted(sought.kept, at), usual, usual)
     return _Posterior(sought, found, causes, *doubt)
 
 
@@ -313,9 +311,8 @@ def _told(
     sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
     moved = motion.q, faster * motion.qd, faster**2 * motion.qdd
     predicted = information.predicted_information(problem, sigma, known)
-    pieces = 1 + 10 * motion.q.size * problem.n_joints // _NUMBERS
-    parts = zip(*(np.array_split(each, pieces) for each in moved))
-    return np.sum([predicted.evaluate(*part).information for part in parts], axis=0)
+    parts = in_parts(10 * problem.n_joints**2, *moved)
+    return np.asarray(sum(predicted.evaluate(*part).information for part in parts))
 
 
 def _remedies(

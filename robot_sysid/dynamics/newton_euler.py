@@ -25,7 +25,7 @@ Arrays are component first: (6, N) holds N samples of a twist [omega, v].
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
@@ -38,6 +38,8 @@ from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
 
 N_PARAMETERS = len(PARAMETER_NAMES)
+# Numbers in an array at once: a long arm's take more memory than all that is known of it.
+_NUMBERS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -191,6 +193,14 @@ class LinkDynamics:
             acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
             moves.append((velocity, acceleration, step, screw))
         return LinksMotion(*zip(*moves))
+
+
+def in_parts(width: int, *motion: Array) -> Iterator[tuple[Array, ...]]:
+    """Yield arrays (N, ...) of a motion in parts, so that what has so many numbers a sample stays
+    small.
+    """
+    parts = 1 + len(motion[0]) * width // _NUMBERS
+    yield from zip(*(np.array_split(each, parts) for each in motion))
 
 
 def bracket(a: Array, b: Array) -> Array:

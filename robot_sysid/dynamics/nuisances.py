@@ -16,13 +16,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.newton_euler import LinkDynamics, in_parts
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
 
 TILT_NAMES = ("tilt_1", "tilt_2")
-_MOST_NUMBERS, _MOST_TURNED = 500_000, 1000
-"""Numbers in an array of turned motions at once, some ten arrays of 4 MB; rows turned at once."""
+_MOST_TURNED = 1000
+"""Rows turned at once."""
 
 
 def gravity(robot: RobotModel) -> Array:
@@ -73,8 +73,6 @@ def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
     """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad], of links
     known as theta (n, 10).
     """
-    dynamics, joints = LinkDynamics(robot), motion.q.shape[1]
-    parts = -(-6 * joints * motion.q.size // _MOST_NUMBERS)
-    split = [np.array_split(each, parts) for each in (motion.q, motion.qd, motion.qdd)]
-    slopes = [dynamics.motion(q, qd, qdd).slopes(thetas, qd) for q, qd, qdd in zip(*split)]
-    return -np.concatenate(slopes)
+    dynamics, width = LinkDynamics(robot), 12 * motion.q.shape[1] ** 2
+    parts = in_parts(width, motion.q, motion.qd, motion.qdd)
+    return -np.concatenate([dynamics.motion(*each).slopes(thetas, each[1]) for each in parts])

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.newton_euler import in_parts
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
 from robot_sysid.estimation.algebra.information import normal_matrix, restricted, sample_counts
 from robot_sysid.estimation.algebra.nuisances import WithPriors, misfits
@@ -34,8 +35,6 @@ FILTERING, HELD = "filtering", "friction at its bound"
 _ROUNDING = 1e-9
 # Share of the largest eigenvalue from which on data tells what is held at bounds.
 _SEEN = 1e-12
-# Numbers of columns at once: a long arm's take more memory than all that is known of it.
-_NUMBERS = 1_000_000
 # Logarithm of odds that leave nothing of the other; more would not be finite. Where rounding alone
 # tells them apart, either is as likely.
 _SURE = 500.0
@@ -264,8 +263,8 @@ def filtering_bias(
 
 def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]:
     """Return the torque (K,) of each joint by the equations' own parameters (p,) [N m]."""
-    pieces, found = 1 + motion.q.size * len(values) // _NUMBERS, []
-    for time, q, qd, qdd in zip(*(np.array_split(e, pieces) for e in vars(motion).values())):
+    width, found = motion.q.shape[1] * len(values), []
+    for time, q, qd, qdd in in_parts(width, *vars(motion).values()):
         measurement = Measurement(time, q, qd, np.zeros_like(q), qdd)
         pairs = zip(equations.rows(measurement), equations.columns)
         found.append([block @ values[columns] - right for (block, right), columns in pairs])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.newton_euler import LinkDynamics, in_parts
 from robot_sysid.dynamics.nuisances import tilt_axes, turned, zero_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Motion
@@ -44,3 +44,13 @@ def test_a_zero_changes_the_torque_as_differences_of_it_say(xml, seed):
     found = zero_columns(robot, thetas, Motion(np.arange(5.0), q, qd, qdd))
     rounding = 1e-9 * np.max(np.abs(above), initial=1.0)
     np.testing.assert_allclose(found, (below - above) / (2.0 * step), rtol=1e-6, atol=rounding)
+
+
+@given(st.integers(0, 40), st.integers(0, 10**6))
+def test_a_motion_in_parts_is_the_motion_and_no_part_is_large(samples, width):
+    motion = np.arange(3.0 * samples).reshape(-1, 3), np.arange(samples)
+    parts = list(in_parts(width, *motion))
+    for each, whole in zip(zip(*parts), motion):
+        np.testing.assert_array_equal(np.concatenate(each), whole)
+    # Up to one sample more, where they do not divide evenly.
+    assert all(width * (len(part) - 1) < 10**6 for part, _ in parts)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from typing import Any
 
@@ -278,26 +278,25 @@ class _Newton:
     def __init__(
         self, cone: ScaledBodies, singular: Array, unexplained: Array, turn: Array
     ) -> None:
-        from scipy.linalg.lapack import dgeqrf, dtrtri
+        from scipy.linalg.lapack import dgeqrf, dormqr, dtrtri
 
         self._cone, self._unexplained, self._turn = cone, unexplained, turn
         curvature = cone.rows() @ turn.reshape(-1, 10, len(turn))
         # Q in the few numbers that it is made of: written out, it takes longer than all else.
-        self._packed = dgeqrf(np.vstack((np.diag(singular), curvature.reshape(turn.shape))))[:2]
-        self._inverse, failed = dtrtri(np.triu(self._packed[0][: len(turn)]))
+        packed = dgeqrf(np.vstack((np.diag(singular), curvature.reshape(turn.shape))))[:2]
+        self._turned = partial(dormqr, "L", "T", *packed)
+        self._inverse, failed = dtrtri(np.triu(packed[0][: len(turn)]))
         if failed:
             raise np.linalg.LinAlgError("singular")
 
     def step(self, t: float, bold: _Step | None = None) -> _Step:
         """Return the step towards t, corrected for what a bolder one showed of second order."""
-        from scipy.linalg.lapack import dormqr
-
         cone, goal = self._cone, self._cone.aim(t)
         correction = 0.0 * goal if bold is None else cone.second_order(bold.primal, bold.dual)
         slope = t * (self._turn.T @ np.tile(_TRACES, len(goal)))
         goal = np.append(self._unexplained, _components(goal - correction))
-        turned = dormqr("L", "T", *self._packed, goal[:, None], len(goal))[0]
-        scaled = turned[: len(slope), 0] - self._inverse.T @ slope
+        turned = self._turned(goal[:, None], len(goal))[0][: len(slope), 0]
+        scaled = turned - self._inverse.T @ slope
         direction = self._turn @ (self._inverse @ scaled)
         return _Step(direction, *cone.changes(direction, t, correction), float(scaled @ scaled))
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.estimation.algebra.identifiability import triangle_space
 from robot_sysid.estimation.algebra.information import sample_counts, stretches
@@ -25,6 +26,8 @@ _AT_FLOOR, _SHARPEST, _SHARPER = 1.01, 0.01, 2
 
 
 Solved = Callable[[Array], tuple[Array, Array]]
+Part = tuple[NDArray[np.int64], Array]
+"""Which of all parameters, right-hand sides last, some rows [A b] have, and the rows."""
 
 
 def ordinary(information: SquareRootInformation, solved: Solved) -> Array:
@@ -109,46 +112,38 @@ class _Normal:
         size = len(information.names)
         # What few joints have comes first, so that each joint's columns stand side by side.
         has = np.array([np.isin(np.arange(size), j.columns) for j in information.joints])
-        self._order = np.lexsort((np.argmax(has, axis=0), np.sum(has, axis=0)))
-        places = np.append(np.argsort(self._order), size)
-        parts = [(places[[*j.columns, -1]], j.triangle) for j in information.joints]
-        self._parts = []
-        for at, rows in (*parts, (places, information.prior)):
-            sorted_rows = rows[:, np.argsort(at)]
-            gram = sorted_rows.T @ sorted_rows
-            self._parts.append((at, rows, gram, stretches(np.sort(at))))
-        self._prior = prior
+        order = np.lexsort((np.argmax(has, axis=0), np.sum(has, axis=0)))
+        self._places, self._prior = np.append(np.argsort(order), size), prior[order]
+        parts = [(self._places[[*j.columns, -1]], j.triangle) for j in information.joints]
+        self._parts: list[Part] = [*parts, (self._places, information.prior)]
+        ordered = ((np.sort(at), rows[:, np.argsort(at)]) for at, rows in self._parts)
+        self._squares = [(rows.T @ rows, stretches(at)) for at, rows in ordered]
 
     def solved(self, weights: Array) -> tuple[Array, Array] | None:
         """Return what ``_solved`` returns; None where the equations show something too badly."""
         normal, squares = np.zeros((len(self._prior) + 1,) * 2), np.append(weights, 1.0) ** 2
-        for (*_, gram, places), square in zip(self._parts, squares):
+        for (gram, places), square in zip(self._squares, squares):
             for own, there in places:
                 normal[there] += square * gram[own]
-
-        def slope(values: Array) -> Array:
-            found, full = np.zeros(len(normal)), np.append(values, -1.0)
-            for (at, rows, *_), square in zip(self._parts, squares):
-                found[at] -= square * ((rows @ full[at]) @ rows)
-            return found[:-1]
-
-        found = descended(normal, slope, self._prior[self._order])
+        found = descended(normal, self._parts, squares, self._prior)
         if found is None:
             return None
         values, root = found
         spread = np.pad(root @ root.T, (0, 1))
         paid = [
             square * sum(np.einsum("ij,ij", gram[own], spread[there]) for own, there in places)
-            for (*_, gram, places), square in zip(self._parts, squares[:-1])
+            for (gram, places), square in zip(self._squares, squares[:-1])
         ]
-        return values[np.argsort(self._order)], np.array(paid)
+        return values[self._places[:-1]], np.array(paid)
 
 
 def descended(
-    normal: Array, slope: Callable[[Array], Array], values: Array
+    normal: Array, parts: Sequence[Part], squares: Array, values: Array
 ) -> tuple[Array, Array] | None:
-    """Return (values (p,) at which a slope vanishes, G (p, p) of ``inverse_root``), from values to
-    begin with; None where normal equations (p + 1, p + 1) show something too badly.
+    """Return (least squares' values (p,), G (p, p) of ``inverse_root``), from values to begin with;
+    None where normal equations (p + 1, p + 1) show something too badly.
+
+    They are those of parts, each of which counts by the square (parts,) of its weight.
 
     What rounding of the squares has left is taken off by conjugate gradients of the equations
     themselves, in coordinates in which their squares are next to one (Bjorck, "Numerical methods
@@ -159,7 +154,10 @@ def descended(
         return None
     way, before = np.zeros(len(root)), np.inf
     for _ in range(_MOST_ROUNDS):
-        steep = root.T @ slope(values)
+        slope, full = np.zeros(len(normal)), np.append(values, -1.0)
+        for (at, rows), square in zip(parts, squares):
+            slope[at] -= square * ((rows @ full[at]) @ rows)
+        steep = root.T @ slope[:-1]
         left = float(steep @ steep)
         if left <= _ROUNDING**2 * normal[-1, -1]:
             return values, root

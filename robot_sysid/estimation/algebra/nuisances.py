@@ -194,15 +194,10 @@ class WithPriors:
     def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
         """Return (values (p,), covariance (p, p), misfit of data and priors)."""
         known = np.vstack((self._gram[:0], *(group.rows(self.names) for group in groups)))
-
-        def slope(values: Array) -> Array:
-            found = (known[:, -1] - known[:, :-1] @ values) @ known[:, :-1]
-            for joint, weight in zip(self._data.joints, self._weights):
-                rows, at = joint.triangle[:, :-1], joint.columns
-                found[at] += weight**2 * (joint.triangle[:, -1] - rows @ values[at]) @ rows
-            return found
-
-        found = descended(self._gram + known.T @ known, slope, np.zeros(len(self.names)))
+        size, squares = len(self.names), np.append(self._weights, 1.0) ** 2
+        parts = [(np.append(joint.columns, size), joint.triangle) for joint in self._data.joints]
+        parts.append((np.arange(size + 1), known))
+        found = descended(self._gram + known.T @ known, parts, squares, np.zeros(size))
         if found is None:
             found = decomposed(np.vstack((*self._data.blocks(self._weights), known)))
         values, root = found
