@@ -75,4 +75,4 @@ def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
     """
     dynamics, width = LinkDynamics(robot), 12 * motion.q.shape[1] ** 2
     parts = in_parts(width, motion.q, motion.qd, motion.qdd)
-    return -np.concatenate([dynamics.motion(*each).slopes(thetas, each[1]) for each in parts])
+    return np.concatenate([-dynamics.motion(*each).slopes(thetas, each[1]) for each in parts])

@@ -46,7 +46,7 @@ from robot_sysid.dynamics.nuisances import (
     zero_columns,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, RowsBeside, stored
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
 
 PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
@@ -80,24 +80,6 @@ class Point:
     speed: Mapping[str, Array] | None = None
     exact_load: bool = False
     in_file: bool = False
-
-
-class _Rows(Sequence[Array]):
-    """Each joint's rows, from parts side by side, each with what it is multiplied by.
-
-    They are put together when they are asked for: most of them are the same around any point.
-    """
-
-    def __init__(self, parts: Sequence[tuple[tuple[Array, Any], ...]]) -> None:
-        self._parts, self._last = parts, (-1, np.zeros((0, 0)))
-
-    def __len__(self) -> int:
-        return len(self._parts)
-
-    def __getitem__(self, joint: Any) -> Any:
-        if self._last[0] != joint:
-            self._last = joint, np.hstack([part * factor for part, factor in self._parts[joint]])
-        return self._last[1]
 
 
 class Columns:
@@ -157,7 +139,8 @@ class Columns:
             down, delay, rows = base
             names = found._arm_names
             # Each goes once it is made again: they take most of the memory.
-            found._base = down, delay, [rows.pop(0).only(names) for _ in range(len(rows))]
+            fewer = (rows.pop(0).only(names) for _ in range(len(rows)))
+            found._base = down, delay, stored(fewer)
         return found
 
     def start(self) -> Point:
@@ -236,7 +219,7 @@ class Columns:
         turn = np.inf if base is None else np.linalg.norm(down - base[0])
         if base is None or base[1] != point.delay or turn > _SMALL_TURN * np.linalg.norm(down):
             equations = self._equations(self._arm_at(down))
-            base = down, point.delay, [each.samples(equations) for each in delayed]
+            base = down, point.delay, stored(each.samples(equations) for each in delayed)
             self._base = base
         if np.array_equal(base[0], down):
             yield from base[2]
@@ -275,7 +258,7 @@ class Columns:
         """Return one recording's rows with the columns that depend on what is known."""
         later = {"load": load, **self._nonlinear(dataset, point)}
         values = self._arm_values(point, dataset.is_loaded)
-        blocks, right, columns = [], [], []
+        parts, right, columns = [], [], []
         for row, joint in enumerate(self.rows_of):
             block, tau = base.rows[row], base.tau[row]
             known = values[base.columns[row]]
@@ -300,15 +283,14 @@ class Columns:
                 (self._drifts[row],): (friction[:, None], dataset.place),
                 (*self._zeros, *self._tilts): (common[:, joint], 1.0 + exact),
                 (DELAY_NAME,): (late[:, None], 1.0),
-                PAYLOAD_NAMES: (block[:, :N_INERTIAL], (1.0 + exact) * dataset.is_loaded),
+                PAYLOAD_NAMES: (slice(N_INERTIAL), (1.0 + exact) * dataset.is_loaded),
             }
             there = {names: part for names, part in sides.items() if names[0] not in self._nowhere}
-            blocks.append(((block, factor), *there.values()))
+            parts.append(((slice(None), factor), *there.values()))
             right.append(tau + exact * linear + drift * dataset.place * friction)
             columns.append(np.concatenate((base.columns[row], *map(self.at, there))))
-        return replace(
-            base, names=self.names, columns=tuple(columns), rows=_Rows(blocks), tau=tuple(right)
-        )
+        found = replace(base, names=self.names, columns=tuple(columns), tau=tuple(right))
+        return replace(found, rows=RowsBeside(base.rows, parts))
 
     def _held_by_file(
         self, dataset: Dataset, base: DecimatedSamples, tilt: Array
@@ -316,12 +298,12 @@ class Columns:
         """Return one recording's rows in what a model file holds, and in gravity (K, n, 2)."""
         loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
         places, own = self.at((*self._tilts, *loaded)), slice(len(loaded))
-        blocks = [
-            ((block, 1.0), (tilt[:, joint], 1.0), (block[:, own], dataset.is_loaded))
-            for block, joint in zip(base.rows, self.rows_of)
+        parts = [
+            ((slice(None), 1.0), (tilt[:, joint], 1.0), (own, dataset.is_loaded))
+            for joint in self.rows_of
         ]
         columns = tuple(np.append(each, places) for each in base.columns)
-        return replace(base, names=self.names, columns=columns, rows=_Rows(blocks))
+        return replace(base, names=self.names, columns=columns, rows=RowsBeside(base.rows, parts))
 
     def _tilt(self, arm: RobotModel, thetas: Array, motion: Motion) -> Array:
         """Return the columns of gravity's direction (K, n, 2); none (K, n, 0) without gravity."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import tempfile
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +24,8 @@ BLOCKS, LONGEST_STRETCH = 5, 10.0
 of a recording; stretches are less than so long [s], as a motion may show a joint for a while."""
 # Numbers per pass: memory stays small, results are the same for any.
 _NUMBERS = 8_000_000
+# Numbers in rows that are kept in memory; the rows of two minutes of an arm of seven joints.
+_IN_MEMORY = 500_000
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,12 @@ class DecimatedSamples:
         """Yield (joint number, rows, right-hand sides) of each joint."""
         return zip(range(len(self.rows)), self.rows, self.tau)
 
+    def in_use(self, joint: int) -> tuple[Array, Array]:
+        """Return a joint's rows (m, k) and right-hand sides (m,) of the samples in use."""
+        used, rows = np.isfinite(self.tau[joint]), self.rows
+        some = rows.some(joint, used) if isinstance(rows, RowsBeside) else rows[joint][used]
+        return some, self.tau[joint][used]
+
     def information(self) -> SquareRootInformation:
         """Return the square-root information of the samples in use."""
         return information_of([[self]])[0]
@@ -74,6 +85,76 @@ class DecimatedSamples:
         return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
 
 
+class _RowFile:
+    """A temporary file of rows; it goes with the last of them."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self.file = file
+
+    def __del__(self) -> None:
+        self.file.close()
+
+
+class _StoredRows(Sequence[Array]):
+    """Each joint's rows in a file, looked up when they are asked for."""
+
+    def __init__(self, rows: Sequence[Array], to: _RowFile) -> None:
+        self._in, self._places = to, list[tuple[int, Any]]()
+        for each in rows:
+            self._places.append((to.file.seek(0, 2), each.shape))
+            to.file.write(np.ascontiguousarray(each).data)
+        to.file.flush()
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, joint: Any) -> Any:
+        # Mapped, not read: threads share the file, and the place at which it is read.
+        start, shape = self._places[joint]
+        return np.asarray(np.memmap(self._in.file, np.float64, "r", start, shape))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return tuple, (tuple(map(np.array, self)),)
+
+
+class RowsBeside(Sequence[Array]):
+    """Each joint's rows, from parts side by side, each with what it is multiplied by.
+
+    They are put together when they are asked for: most of them are the same around any point, and
+    stand in ``base``, of which a part may be some columns.
+    """
+
+    def __init__(
+        self, base: Sequence[Array], parts: Sequence[tuple[tuple[Array | slice, Any], ...]]
+    ) -> None:
+        self._base, self._parts = base, parts
+
+    def __len__(self) -> int:
+        return len(self._parts)
+
+    def __getitem__(self, joint: Any) -> Any:
+        return self.some(joint, slice(None))
+
+    def some(self, joint: int, used: Mask | slice) -> Array:
+        """Return some rows of a joint, which is less than all of them take."""
+        base = self._base[joint]
+        pairs = [(base[:, p] if isinstance(p, slice) else p, f) for p, f in self._parts[joint]]
+        return np.hstack([part[used] * factor for part, factor in pairs])
+
+
+def stored(samples: Iterable[DecimatedSamples], room: int = _IN_MEMORY) -> list[DecimatedSamples]:
+    """Return samples with their rows in a file where they are more than so many numbers."""
+    found, file = list[DecimatedSamples](), None
+    for each in samples:
+        room -= sum(rows.size for rows in each.rows)
+        if room < 0:
+            with contextlib.suppress(OSError):  # where nothing can be written, memory has to do
+                file = file or _RowFile(tempfile.TemporaryFile())  # noqa: SIM115
+                each = replace(each, rows=_StoredRows(each.rows, file))
+        found.append(each)
+    return found
+
+
 def information_of(
     parts: Collection[Sequence[DecimatedSamples]],
 ) -> tuple[SquareRootInformation, ...]:
@@ -84,10 +165,8 @@ def information_of(
     for index, (accumulator, part) in itertools.product(
         range(len(first.joints)), zip(found, parts)
     ):
-        used = [np.isfinite(each.tau[index]) for each in part]
-        rows = np.concatenate([each.rows[index][some] for each, some in zip(part, used)])
-        tau = np.concatenate([each.tau[index][some] for each, some in zip(part, used)])
-        accumulator.add(index, rows, tau)
+        rows, tau = zip(*[each.in_use(index) for each in part])
+        accumulator.add(index, np.concatenate(rows), np.concatenate(tau))
     return tuple(each.result() for each in found)
 
 

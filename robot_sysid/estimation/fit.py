@@ -92,12 +92,16 @@ class ChosenRows:
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint, all recordings together."""
-        for same in zip(*self.parts):
-            index, columns = same[0][0], self.parts[0].columns[same[0][0]]
-            stay = np.isin(columns, self.unknowns.kept)
+        ends = np.cumsum([len(part) for part in self.parts])
+        for index, columns in enumerate(self.parts[0].columns):
+            stay, tau = np.isin(columns, self.unknowns.kept), list[Array]()
             known = self.unknowns.held[columns[~stay]]
-            tau = np.concatenate([tau - rows[:, ~stay] @ known for _, rows, tau in same])
-            yield index, np.concatenate([rows[:, stay] for _, rows, _ in same]), tau
+            chosen = np.empty((ends[-1], np.count_nonzero(stay)))
+            for part, room in zip(self.parts, np.split(chosen, ends[:-1])):
+                rows = part.rows[index]
+                room[:] = rows[:, stay]
+                tau.append(part.tau[index] - rows[:, ~stay] @ known)
+            yield index, chosen, np.concatenate(tau)
 
 
 @dataclass(frozen=True)

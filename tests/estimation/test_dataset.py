@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import tempfile
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +19,10 @@ from robot_sysid.estimation.dataset import (
     Dataset,
     DecimatedSamples,
     RestingPoses,
+    RowsBeside,
     block_masks,
     decimated_equations,
+    stored,
 )
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
@@ -120,3 +124,35 @@ def test_the_truth_solves_the_equations_of_resting_poses():
     for rows, right, places, ok in zip(samples.rows, samples.tau, samples.columns, used.T):
         np.testing.assert_array_equal(np.isfinite(right), ok)
         np.testing.assert_allclose(rows[ok] @ truth[places], right[ok], atol=1e-9)
+
+
+def test_rows_in_a_file_are_the_rows(monkeypatch):
+    """Also after a pickle, and where nothing can be written; the first ones stay in memory."""
+    samples = [random_samples(seed) for seed in (0, 1, 2)]
+    size = sum(rows.size for rows in samples[0].rows)
+    found = stored(samples, size)
+    assert [isinstance(each.rows, tuple) for each in found] == [True, False, False]
+    for some in (found, pickle.loads(pickle.dumps(found))):
+        for each, plain in zip(some, samples):
+            assert len(each.rows) == 2
+            assert all(map(np.array_equal, each.rows, plain.rows))
+
+    def full(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    assert all(each is plain for each, plain in zip(stored(samples, 0), samples))
+
+
+@given(st.integers(0, 100))
+def test_rows_put_together_are_those_beside_each_other(seed):
+    samples, factor = random_samples(seed), np.array([2.0, 0.0, -1.0])
+    beside = np.random.default_rng(seed).normal(size=(40, 2))
+    rows = RowsBeside(samples.rows, [((slice(None), factor), (beside, 0.5), (slice(1), 3.0))])
+    first = samples.rows[0]
+    whole = np.hstack((first * factor, 0.5 * beside, 3.0 * first[:, :1]))
+    np.testing.assert_array_equal(rows[0], whole)
+    used = np.isfinite(samples.tau[0])
+    some, tau = replace(samples, rows=rows).in_use(0)
+    np.testing.assert_array_equal(some, whole[used])
+    np.testing.assert_array_equal(tau, samples.tau[0][used])

@@ -182,18 +182,17 @@ def joint_residuals(
     count = int(np.count_nonzero(kept))
     lags, kernels = _reach(10 * _MAX_LAG if to_add else count)
     products, pairs = autocovariance(residual, lags)
-    rows = np.where(kept[:, None], rows, 0.0)
     decay, basis = _decay(kernels), None
     if len(rows) < len(columns) and not to_add:
-        sums, basis, seen = _sums_of_ones(len(rows), kernels), rows, rows @ root
+        basis = np.where(kept[:, None], rows, 0.0)
+        sums, seen = _sums_of_ones(len(rows), kernels), basis @ root
         hat = seen @ seen.T
         hats = np.array([np.trace(hat, lag) for lag in range(lags + 1)])
     else:
-        normal, cross = rows.T @ rows, _crossed(rows, decay)
-        sums = np.array([normal, *(normal + half + half.T for half in cross)])
+        sums = _sums(rows, kept, decay)
         # A few channels at a time: all of a long log's are as large as the log.
         parts = np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1)
-        hats = np.sum([lagged(rows @ some, lags) for some in parts], axis=0)
+        hats = np.sum([lagged(np.where(kept[:, None], rows @ p, 0.0), lags) for p in parts], axis=0)
     return JointResiduals(
         columns=columns,
         count=count,
@@ -218,20 +217,23 @@ def _sums_of_ones(count: int, kernels: int) -> Array:
     return np.asarray(np.append(0.0, _decay(kernels))[:, None, None] ** apart)
 
 
-def _crossed(rows: Array, decay: Array) -> Array:
-    """Return rows^T u (m, k, k) with the filters u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i), of
-    rows y (N, k): half of Q_i - Q_0.
+def _sums(rows: Array, kept: NDArray[np.bool_], decay: Array) -> Array:
+    """Return the Q_i (1 + m, k, k) of rows y (N, k), zero where they are not kept (N,).
+
+    Half of Q_i - Q_0 is y^T u with the filters u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i).
     """
     since, each = np.subtract.outer(np.arange(_CHUNK), np.arange(_CHUNK)), decay[:, None, None]
     powers, width = each ** np.abs(since), rows.shape[1]
     within, state = np.where(since > 0, powers, 0.0), np.zeros((len(decay), 1, width))
-    found = np.zeros((len(decay), width, width))
-    for part in np.array_split(rows, len(rows) // _CHUNK + 1):
-        size = len(part)
+    normal, half = np.zeros((width, width)), np.zeros((len(decay), width, width))
+    parts = (np.array_split(every, len(rows) // _CHUNK + 1) for every in (rows, kept))
+    for some, counts in zip(*parts):
+        part, size = np.where(counts[:, None], some, 0.0), len(some)
         passed = within[:, :size, :size] @ part + powers[:, :size, :1] * state
-        found += part.T @ passed
+        normal += part.T @ part
+        half += part.T @ passed
         state = each * (passed[:, -1:] + part[-1:])
-    return found
+    return np.array([normal, *(normal + half + half.swapaxes(1, 2))])
 
 
 def _reach(count: int) -> tuple[int, int]:
