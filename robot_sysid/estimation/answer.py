@@ -21,7 +21,7 @@ from robot_sysid.estimation.algebra.base_parameters import (
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
 from robot_sysid.estimation.algebra.information import residual_errors, restricted, sample_counts
 from robot_sysid.estimation.algebra.uncertainty import triangle_of
-from robot_sysid.estimation.choices import Errors, held_out
+from robot_sysid.estimation.choices import Errors
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.errors import FitErrors
@@ -62,6 +62,7 @@ class Answer:
         fit: the estimate.
         file: what a model file is given; None where none is asked for.
         errors: how far off the estimate may be.
+        validation: its own prediction of stretches that were not fitted.
         tests: its prediction of other logs.
         candidates: how well friction models that were tried predict what was not fitted.
         acceleration_error: expected error of the acceleration, as a part of it.
@@ -71,6 +72,7 @@ class Answer:
     fit: Fit
     file: FileFit | None
     errors: FitErrors
+    validation: Validation
     tests: tuple[Validation, ...] = ()
     candidates: Errors = field(default_factory=dict)
     acceleration_error: float = 0.0
@@ -80,12 +82,6 @@ class Answer:
     def robot(self) -> RobotModel:
         """The arm."""
         return self.fit.columns.robot
-
-    @cached_property
-    def validation(self) -> Validation:
-        """The fit's own prediction of stretches that were not fitted."""
-        judge = held_out(self.fit)
-        return judge.validation(judge.of(self.fit))
 
     @cached_property
     def share(self) -> Array:

@@ -15,6 +15,7 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT, Coupling, FrictionModel, friction_model
@@ -27,7 +28,7 @@ from robot_sysid.estimation.algebra.information import (
     update_triangle,
 )
 from robot_sysid.estimation.algebra.nuisances import WithPriors
-from robot_sysid.estimation.columns import Point
+from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
 from robot_sysid.estimation.unknowns import COMMON_SCALE, Choice, Question, Unknowns, unknowns
 from robot_sysid.records import Array, Validation
@@ -68,11 +69,13 @@ Errors = Mapping[str, Mapping[str, float]]
 @dataclass(frozen=True)
 class HeldOut:
     """Recordings in blocks, each to be predicted from the others; the noise (joints,) is the
-    standard deviation of each joint's torque, as it counts [N m].
+    standard deviation of each joint's torque, as it counts [N m]. Nothing but a part of what is
+    ``asked`` is sought, where that is given: of many joints that takes less memory.
     """
 
     data: Evidence
     noise: Array
+    asked: Unknowns | None = None
     _known: dict[tuple[bytes, bytes], Sequence[Array]] = field(default_factory=dict)
     _near: dict[int, Any] = field(default_factory=dict)
 
@@ -82,11 +85,19 @@ class HeldOut:
         return np.array([sample_counts(part) for part in self.data.blocks])
 
     @cached_property
+    def _there(self) -> NDArray[np.bool_]:
+        """Which parameters (p,) have columns, and may be asked for."""
+        shown, asked = self.data.shown, self.asked
+        if asked is None:
+            return shown
+        return shown & (np.isin(np.arange(len(shown)), asked.kept) | (asked.held != 0.0))
+
+    @cached_property
     def _grams(self) -> Array:
         """Gram matrices (blocks, s+2, s+2) of all whitened equations without each block in turn, of
         what has a column, right sides and nothing, which stands for all else.
         """
-        at = np.append(np.flatnonzero(self.data.shown), -1)
+        at = np.append(np.flatnonzero(self._there), -1)
         found = np.zeros((len(self.data.blocks), len(at) + 1, len(at) + 1))
         for gram, block in zip(found, self.data.blocks):
             gram[:-1, :-1] = normal_matrix(block, 1.0 / self.noise)[np.ix_(at, at)]
@@ -104,7 +115,7 @@ class HeldOut:
         What the other blocks do not show stays near zero; priors and friction terms leave nothing
         else.
         """
-        shown, held = self.data.shown, sought.held.copy()
+        shown, held = self._there, sought.held.copy()
         held[sought.kept] = 0.0
         prior, places = _prior_rows(sought), np.where(shown, np.cumsum(shown) - 1, -1)
         known, rest = prior.T @ prior, np.flatnonzero(held)
@@ -200,9 +211,9 @@ class HeldOut:
         return validation_of(joints, np.sum(squared, axis=0), torque, counts, source)
 
 
-def held_out(fit: Fit) -> HeldOut:
-    """Return what judges choices around a fit."""
-    return HeldOut(fit.evidence, 1.0 / fit.weights)
+def held_out(fit: Fit, asked: Unknowns | None = None) -> HeldOut:
+    """Return what judges choices around a fit, of what is ``asked`` at most."""
+    return HeldOut(fit.evidence, 1.0 / fit.weights, asked)
 
 
 def _others(each: Sequence[Array], add: Callable[[Array, Array], Array]) -> list[Array]:
@@ -245,13 +256,15 @@ def choose(
     fit = replace(fitter.fit(question, choice, rounds=1), samples=())
     errors: Errors = {}
     if given is None and fitter.columns.torques == "chain":
-        choice, errors, point = _with_friction(fitter, question, choice, fit)
+        begun = replace(fit.point, values=fit.values), 1.0 / fit.weights
         del fit  # what its rows say, before others are made
+        choice, errors, point = _with_friction(fitter, question, choice, *begun)
         fit = replace(fitter.fit(question, choice, point, rounds=1), samples=())
     if is_scaled(fit, question, choice):
         choice = replace(choice, common_scale=COMMON_SCALE)
         fit = fitter.fit(question, choice, fit.point, rounds=1)
-    choice = replace(choice, prior_scale=prior_scale(held_out(fit), fit, question, choice))
+    judge = held_out(fit, _sought(fit, question, choice))
+    choice = replace(choice, prior_scale=prior_scale(judge, fit, question, choice))
     return choice, errors, fit.point if choice != fit.choice else fit.next_point
 
 
@@ -266,9 +279,10 @@ def _sought(fit: Fit, question: Question, choice: Choice) -> Unknowns:
     return unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
 
 
-def squared_errors(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
-    """Return held-out squared errors (blocks, joints) of a choice, around a fit's point."""
-    return judge.squared(_sought(fit, question, choice))
+def squared_errors(judge: HeldOut, columns: Columns, question: Question, choice: Choice) -> Array:
+    """Return held-out squared errors (blocks, joints) of a choice."""
+    data = judge.data
+    return judge.squared(unknowns(columns, question, choice, data.torque, data.shown))
 
 
 def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
@@ -281,8 +295,9 @@ def coupled(
 ) -> tuple[Coupling, ...]:
     """Return which offered couplings are there: those that predict torques clearly better."""
     fit = fitter.fit(question, _simplest(fitter, given, ()), rounds=1)
-    judge, left, choice = held_out(fit), list(offered), fit.choice
-    best = judge.score(squared_errors(judge, fit, question, choice))
+    left, choice = list(offered), fit.choice
+    judge = held_out(fit, _sought(fit, question, replace(choice, couplings=offered)))
+    best = judge.score(squared_errors(judge, fit.columns, question, choice))
     while left:
         wider = replace(choice, couplings=(*choice.couplings, *left))
         squared = judge.with_each(_sought(fit, question, wider), left)
@@ -296,12 +311,13 @@ def coupled(
 
 
 def _with_friction(
-    fitter: Fitter, question: Question, choice: Choice, fit: Fit
+    fitter: Fitter, question: Question, choice: Choice, point: Point, noise: Array
 ) -> tuple[Choice, Errors, Point]:
-    """Give each joint the terms that predict its held-out torques clearly better."""
-    squared, speeds = _tried(fitter, question, choice, fit)
-    counts = held_out(fit).counts
-    friction, speed = list(choice.friction), dict(fit.point.speed or {})
+    """Give each joint the terms that predict its held-out torques clearly better, around a point,
+    beside noise (joints,) [N m].
+    """
+    squared, speeds, counts = _tried(fitter, question, choice, point, noise)
+    friction, speed = list(choice.friction), dict(point.speed or {})
     errors = {}
     for place, (index, joint) in enumerate(zip(fitter.columns.rows_of, fitter.columns.joints)):
         own = {name: each[:, place] for name, each in squared.items()}
@@ -313,13 +329,14 @@ def _with_friction(
             speed[term] = speed[term].copy()
             speed[term][index] = speeds[best][place]
     choice = replace(choice, friction=tuple(friction))
-    return choice, errors, replace(fit.point, speed=speed, values=fit.values)
+    return choice, errors, replace(point, speed=speed)
 
 
 def _tried(
-    fitter: Fitter, question: Question, choice: Choice, fit: Fit
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return candidate to its squared errors (blocks, joints), and to the speeds (joints,).
+    fitter: Fitter, question: Question, choice: Choice, point: Point, noise: Array
+) -> tuple[dict[str, Array], dict[str, Array], Array]:
+    """Return candidate to its squared errors (blocks, joints), and to the speeds (joints,), and
+    ``HeldOut.counts``.
 
     A term that is nonlinear in a speed is tried at several; each joint keeps its best.
     """
@@ -328,22 +345,22 @@ def _tried(
     speeds: dict[str, Array] = {}
     for number in range(max(len(bent.tried) for bent in BENT.values())):
         tried = {term: np.full(robot.n_joints, bent.tried[number]) for term, bent in BENT.items()}
-        point = replace(fit.point, speed=tried, values=fit.values, exact_load=True)
-        data, _ = fitter.around(point)
-        judge, around = HeldOut(data, 1.0 / fit.weights), replace(fit, evidence=data)
+        data, _ = fitter.around(replace(point, speed=tried, exact_load=True))
+        judge = HeldOut(data, noise)
         for name in CANDIDATES:
             model = friction_model(name)
             if number and not model.bent:
                 continue
             each = replace(choice, friction=(model,) * robot.n_joints)
-            error = squared_errors(judge, around, question, each)
+            error = squared_errors(judge, fitter.columns, question, each)
             speed = tried[model.bent[0]][0] if model.bent else 0.0
             before = squared.get(name, np.full_like(error, np.inf))
             lower = error.sum(axis=0) < before.sum(axis=0)
             squared[name] = np.where(lower, error, before)
             speeds[name] = np.where(lower, speed, speeds.get(name, np.zeros(error.shape[1])))
-        del data, judge, around  # before others are made: they take as much memory as the rows
-    return squared, speeds
+        counts = judge.counts
+        del data, judge  # before others are made: they take as much memory as the rows
+    return squared, speeds, counts
 
 
 def clearly_best(scores: Mapping[str, Array]) -> str:

@@ -102,7 +102,7 @@ def fit_file(
             asked, after, rounds = level, point, 1
     del judge, fit  # what it squares takes as much memory as the rows
     fit = replace(fitter.fit(asked, choice, after, rounds), question=question)
-    judge = held_out(fit)
+    judge = held_out(fit, fit.unknowns)
     found = judge.validation(judge.of(fit))
     del judge
     return FileFit(fit, before, found, fit_errors(fit, (), pull))
@@ -165,7 +165,7 @@ def _polynomials(
         return choice.friction
     wider = _friction(robot, question, choice.rotors, WITH_POLYNOMIAL)
     tried = choice, replace(choice, friction=wider)
-    squared = [squared_errors(judge, fit, question, each) for each in tried]
+    squared = [squared_errors(judge, fit.columns, question, each) for each in tried]
     for place, joint in enumerate(fit.columns.rows_of):
         better = is_clearly_lower(squared[1][:, place], squared[0][:, place])
         if better and holds_polynomial(robot, joint):

@@ -49,6 +49,10 @@ class Evidence:
         object.__setattr__(self, "whole", whole)
         object.__setattr__(self, "blocks", tuple(parts_of(whole, self.blocks)))
 
+    def undivided(self) -> Evidence:
+        """Return what all parts say, as one."""
+        return Evidence((self.whole,), np.sum(self.squared_torque, axis=0)[None], self.torque)
+
     def of(self, sought: Unknowns) -> SquareRootInformation:
         """Return what all parts say of what is sought, the rest held."""
         return restricted(self.whole, sought.kept_names, sought.held)

@@ -21,7 +21,7 @@ from robot_sysid.estimation.dataset import Dataset, Mask, mean_torque
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
-from robot_sysid.estimation.recordings import logs_compared
+from robot_sysid.estimation.recordings import logs_compared, parts_compared
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.estimation.verdict import NOISE_EXPLAINS, beyond_chance
 from robot_sysid.records import Array, Measurement, RobotModel, SquareRootInformation, Validation
@@ -114,14 +114,15 @@ def answer_link(
     fit = fitter.fit(question, choice, start)
     errors = fit_errors(fit)
     said, apart = logs_compared(fit, [each.name for each in datasets])
-    file = None
+    file, validation = None, parts_compared(fit)
     if kept is not None:
         progress.stage(Detail("Fitting the model file..."))
-        fit = replace(fit, samples=())  # the file's rows are drawn, and take as much memory
+        # What the file's rows say, which are drawn, takes as much memory.
+        fit = replace(fit, samples=(), evidence=fit.evidence.undivided())
         file = fit_file(fitter, options, kept, fit)
     signals = [each.signals for each in datasets if each.signals is not None]
     coarsest = max((each.acceleration_error for each in signals), default=0.0)
-    answer = Answer(fit, file, errors, (), tried, coarsest)
+    answer = Answer(fit, file, errors, validation, (), tried, coarsest)
     notes: list[str] = []
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
         notes += [note for each in signals for note in each.one_way_joints(robot.joint_names)]
@@ -152,7 +153,7 @@ def answer_payload(
     choice, tried, start = choose(fitter, weighing, given)
     free = fitter.fit(weighing, choice, start)
     progress.stage(Detail("Finding out how far off it may be..."))
-    weighed = Answer(free, None, fit_errors(free), (), tried)
+    weighed = Answer(free, None, fit_errors(free), parts_compared(free), (), tried)
     if question.known_mass is None:
         if kept is not None and options.torques == "chain" and not question.resting:
             progress.stage(Detail("Fitting the model file..."))
@@ -161,7 +162,7 @@ def answer_payload(
             weighed = replace(weighed, file=file)
         return weighed, weighed
     fit = fitter.fit(question, choice, free.point)
-    return Answer(fit, None, fit_errors(fit), (), tried), weighed
+    return Answer(fit, None, fit_errors(fit), parts_compared(fit), (), tried), weighed
 
 
 def refit(answer: Answer, used: Sequence[Mask], kept: tuple[str, ...]) -> Answer:

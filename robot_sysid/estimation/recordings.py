@@ -15,7 +15,7 @@ from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.algebra.information import combined, sample_counts
 from robot_sysid.estimation.algebra.least_squares import solver, weighted
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
-from robot_sysid.estimation.choices import HeldOut
+from robot_sysid.estimation.choices import HeldOut, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
@@ -75,6 +75,16 @@ def alone(
     of_noise = plain.stacked(weights)[0] @ inverse
     whole = np.where(np.outer(seen, seen), inverse, np.inf)
     return solved(weights)[0], of_noise.T @ of_noise, whole
+
+
+def parts_compared(fit: Fit) -> Validation:
+    """Return a fit's own prediction of stretches that were not fitted."""
+    judge = held_out(fit, fit.unknowns)
+    wrong, noise = judge.of(fit), judge.counts * fit.noise**2
+    found = judge.validation(wrong)
+    if beyond_chance(wrong, noise) <= NOISE_EXPLAINS:
+        return found
+    return replace(found, told_enough=beyond_chance(wrong, judge.chance(fit)) > NOISE_EXPLAINS)
 
 
 def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[Validation, ...]]:

@@ -34,6 +34,7 @@ from robot_sysid.estimation.errors import (
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence, solved
 from robot_sysid.estimation.identify import Piece, filtered, predicted
+from robot_sysid.estimation.recordings import parts_compared
 from robot_sysid.estimation.unknowns import FILE_GRAVITY, Choice, Question
 from robot_sysid.records import (
     Array,
@@ -302,4 +303,5 @@ def answer_from(
         tests = (
             predicted(fit, errors, validation.evidence, f"{validation.origin.detail}, not fitted"),
         )
-    return Answer(fit, file, errors, tests, {}, found.acceleration_error, found.notes)
+    own = parts_compared(fit)
+    return Answer(fit, file, errors, own, tests, {}, found.acceleration_error, found.notes)

@@ -13,7 +13,6 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import sample_counts
-from robot_sysid.estimation.choices import OWN_SOURCE, held_out
 from robot_sysid.estimation.columns import PLACEHOLDER, usual_bodies
 from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
@@ -92,9 +91,6 @@ def unexplained(
         errors = test.rmse_per_joint
         squares = [(errors[joint] / noise[joint]) ** 2 for joint in noise if joint in errors]
         ratio = float(np.sqrt(np.mean(squares or [0.0])))
-        if test.source == OWN_SOURCE and ratio > NOISE_EXPLAINS:
-            judge = held_out(fit)
-            ratio = beyond_chance(judge.of(fit), judge.chance(fit))
         if ratio > NOISE_EXPLAINS and (test.relative_error or 0.0) > HARMLESS:
             yield (
                 Verdict.UNEXPLAINED,
