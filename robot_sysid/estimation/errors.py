@@ -25,7 +25,7 @@ from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
-from robot_sysid.estimation.fit import ChosenRows, Fit
+from robot_sysid.estimation.fit import ChosenRows, Fit, give_back
 from robot_sysid.estimation.unknowns import COMMON, SCALES, common_error, unknowns
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
@@ -135,6 +135,7 @@ def fit_errors(
 
 def _of_noise(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     """Return the errors that noise and priors explain; see ``fit_errors``."""
+    give_back()
     information, weights = fit.information, fit.weights
     left, space = list(residuals), joint_space(information, weights)
     if fit.samples and not left:
@@ -143,6 +144,7 @@ def _of_noise(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
     if left:  # which take as much memory as the triangles, and stand for them
         information = replace(information, joints=())
+    give_back()
     return uncertainty(information, weights, 1.0 / weights, left, space)
 
 
