@@ -184,11 +184,11 @@ def require_one_clock(rows: LogRows, robot: RobotModel) -> None:
     if stamps is None:
         return
     remedy = "keep them out with 'joint_time = none' in the file of --columns"
-    backwards = rows.lines[1:][np.any(np.diff(stamps, axis=0) < 0.0, axis=1)]
+    backwards = rows.lines[1:][np.any([np.diff(each) < 0.0 for each in stamps.T], axis=0)]
     if len(backwards):
         where = rows.listed(backwards)
         raise InputError(f"a joint's own time stamp runs backwards at {where}; {remedy}")
-    apart = np.max(np.abs(stamps - rows.samples.time[:, None]))
+    apart = max(np.max(np.abs(each - rows.samples.time)) for each in stamps.T)
     if apart > _OTHER_CLOCK:
         raise InputError(f"joints' own time stamps are up to {apart:.3g} s off the row's; {remedy}")
 
@@ -204,12 +204,12 @@ def _seconds(period: float) -> str:
 def require_radians(rows: LogRows, robot: RobotModel) -> None:
     """Refuse positions or speeds that no arm has in radians and seconds, and say what they are."""
     time, q = rows.samples.time, rows.samples.q
-    largest = np.max(np.abs(q), axis=0)
+    largest = np.maximum(np.max(q, axis=0), -np.min(q, axis=0))
     limit = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
     reach = np.where(np.isfinite(limit), np.maximum(2.0 * limit, 2.0 * np.pi), 4.0 * np.pi)
     hinge = ~robot.is_slide
     far = hinge & (largest > reach)
-    fast = hinge & _often_fast(np.diff(q, axis=0), np.diff(time))
+    fast = hinge & _often_fast(q, np.diff(time))
     if np.any(far):
         turns = np.round(np.median(q, axis=0) / _TURN)
         near = np.max(np.abs(q - _TURN * turns), axis=0) <= np.where(limit < np.inf, limit, np.pi)
@@ -228,9 +228,10 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
         raise InputError(_why_fast(time, q, robot.joint_names[int(np.argmax(fast))], fast))
 
 
-def _often_fast(moved: Array, step: Array) -> Mask:
-    """Return (n,) whether joints that moved so far (R, n) in steps of time (R,) are often fast."""
-    return np.asarray(np.mean(np.abs(moved) > _FAST * step[:, None], axis=0) > _OFTEN)
+def _often_fast(q: Array, step: Array) -> Mask:
+    """Return (n,) whether joints at (N, n) are often fast in steps of time (R,) of N - R rows."""
+    few = len(q) - len(step)
+    return np.array([np.mean(np.abs(x[few:] - x[:-few]) > _FAST * step) > _OFTEN for x in q.T])
 
 
 def _why_fast(time: Array, q: Array, name: str, fast: Mask) -> str:
@@ -239,7 +240,7 @@ def _why_fast(time: Array, q: Array, name: str, fast: Mask) -> str:
     what = f"joint {name} would often exceed {_FAST:g} rad/s"
     if period < _DENSE:
         return f"time steps of {period:.3g} s are so short that {what}{_seconds(period)}"
-    if not np.any(fast & _often_fast(np.diff(q, axis=0), np.maximum(step, np.median(step)))):
+    if not np.any(fast & _often_fast(q, np.maximum(step, np.median(step)))):
         mean = float(np.mean(step))
         return (
             f"time stamps are uneven ({np.mean(step < 0.5 * mean):.0%} of the steps are below half "
@@ -248,7 +249,7 @@ def _why_fast(time: Array, q: Array, name: str, fast: Mask) -> str:
             f"'rate = {1.0 / mean:.6g}' in --columns FILE if rows are evenly spaced"
         )
     few = max(2, int(np.ceil(_WINDOW / period)))
-    if not np.any(fast & _often_fast(q[few:] - q[:-few], time[few:] - time[:-few])):
+    if not np.any(fast & _often_fast(q, time[few:] - time[:-few])):
         noise = np.median(np.abs(np.diff(q, axis=0)[:, int(np.argmax(fast))]))
         return (
             f"the position of joint {name} goes to and fro by {noise:.2g} rad from row to row; "
@@ -262,14 +263,12 @@ def _why_fast(time: Array, q: Array, name: str, fast: Mask) -> str:
 
 def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
     """Refuse single positions no joint can reach within one step."""
-    step, time = np.abs(np.diff(rows.samples.q, axis=0)), np.diff(rows.samples.time)[:, None]
-    jump = (step > _JUMP) & (step > _JUMP_SPEED * time)
-    if np.any(jump):
-        each = [
-            f"of joint {name} jumps at {rows.listed(rows.lines[1:][jumps])}"
-            for name, jumps in zip(robot.joint_names, jump.T)
-            if np.any(jumps)
-        ]
+    least, each = np.maximum(_JUMP, _JUMP_SPEED * np.diff(rows.samples.time)), []
+    for name, q in zip(robot.joint_names, rows.samples.q.T):
+        jumps = np.abs(np.diff(q)) > least
+        if np.any(jumps):
+            each.append(f"of joint {name} jumps at {rows.listed(rows.lines[1:][jumps])}")
+    if each:
         raise InputError(f"the position {', '.join(each)}; delete the bad rows")
 
 
@@ -285,7 +284,8 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
         yield f"joints that do not move in this log: {', '.join(still)}"
     long = max(_SHORT_REST, _SHORT_PART * (time[-1] - time[0]))
     # A joint that moves by _AT_REST is away from the first and from the last posture at some time.
-    first, last = (int(np.argmax(np.any(np.abs(x - x[0]) > _STILL, axis=1))) for x in (q, q[::-1]))
+    away = ([np.abs(x - x[0]) > _STILL for x in each.T] for each in (q, q[::-1]))
+    first, last = (int(np.argmax(np.any(each, axis=0))) for each in away)
     last = len(q) - last
     for rest, where in (
         (time[first] - time[0], f"up to {rows.word} {rows.lines[first]}"),
@@ -297,13 +297,15 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
 
 def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield a note on positions outside what the model allows."""
-    over = np.maximum(rows.samples.q - robot.limits.upper, robot.limits.lower - rows.samples.q)
-    lines = rows.lines[np.any(over > _LIMIT_MARGIN, axis=1)]
+    limits = zip(rows.samples.q.T, robot.limits.lower, robot.limits.upper)
+    over = (np.maximum(q - upper, lower - q) for q, lower, upper in limits)
+    most, where = zip(*((np.max(each), each > _LIMIT_MARGIN) for each in over))
+    lines = rows.lines[np.any(where, axis=0)]
     if not len(lines):
         return
     outside = [
         f"{name} by {excess:.3g} {position(slide)}"
-        for name, excess, slide in zip(robot.joint_names, np.max(over, axis=0), robot.is_slide)
+        for name, excess, slide in zip(robot.joint_names, most, robot.is_slide)
         if excess > _LIMIT_MARGIN
     ]
     yield (
