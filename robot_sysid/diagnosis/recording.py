@@ -107,24 +107,22 @@ def velocity_findings(
     pieces: Sequence[Measurement], joint_names: Sequence[str]
 ) -> Iterator[Finding]:
     """Yield where positions and recorded velocities disagree about the time, or altogether."""
-    found = [_ways(piece) for piece in pieces if piece.qd is not None]
-    if not found:
+    known = [piece for piece in pieces if piece.qd is not None]
+    if not known:
         return
-    joined = [np.concatenate(same) for same in zip(*found)]
-    # A drive's constant error of the speed is neither a time nor another motion.
-    way, summed = (each - np.sum(each, axis=0) / max(len(each), 1) for each in joined)
-    size = np.sum(way**2, axis=0)
+    products = np.array([_products(known, k) for k in range(len(joint_names))])
+    size = products[:, 0, 0]
     clear = np.flatnonzero(size > 0.01 * np.max(size, initial=0.0))
-    way, summed, size = way[:, clear], summed[:, clear], size[clear]
-    each = np.sum(way * summed, axis=0) / size
+    (size, crossed), (_, other) = products[clear].T
+    each = crossed / size
     share = float(np.median(each)) - 1.0 if len(each) else 0.0
     if WRONG_TIME < abs(share) < OTHER and np.ptp(each) < ALIKE:
         text = f"by the recorded velocities, time in the log is {100.0 * abs(share):.2g} % too "
         text += f"{'long' if share > 0.0 else 'short'}; record the controller's own time stamps, "
         text += f"or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
         yield Finding("clock", Level.REFUSE, text)
-    off = np.flatnonzero(np.sum((summed - way) ** 2, axis=0) > OTHER**2 * size)
-    rest = np.sum((summed - each * way) ** 2, axis=0) > OTHER**2 * np.sum(summed**2, axis=0)
+    off = np.flatnonzero(other - 2.0 * crossed + size > OTHER**2 * size)
+    rest = other - each * crossed > OTHER**2 * other
     said = [
         f"{joint_names[clear[k]]} {'another motion' if rest[k] else f'{each[k]:.3g} times that'}"
         for k in off
@@ -136,31 +134,43 @@ def velocity_findings(
         yield Finding(name, Level.NOTE, text)
 
 
-def _ways(piece: Measurement) -> tuple[Array, Array]:
-    """Return the ways (M, n) of all windows, by positions and by velocities."""
-    assert piece.qd is not None
-    length = max(1, round(WINDOW / usual_period(piece.time)))
-    parts = 0.5 * (piece.qd[1:] + piece.qd[:-1]) * np.diff(piece.time)[:, None]
-    summed = np.concatenate((np.zeros((1, parts.shape[1])), np.cumsum(parts, axis=0)))
-    return piece.q[length:] - piece.q[:-length], summed[length:] - summed[:-length]
+def _products(pieces: Sequence[Measurement], joint: int) -> Array:
+    """Return products (2, 2) of a joint's ways in all windows, by positions and by velocities.
+
+    Joint by joint: of all at once, a long log would be in memory twice more.
+    """
+    parts = []
+    for piece in pieces:
+        assert piece.qd is not None
+        q, qd = piece.q[:, joint], piece.qd[:, joint]
+        length = max(1, round(WINDOW / usual_period(piece.time)))
+        moved = 0.5 * (qd[1:] + qd[:-1]) * np.diff(piece.time)
+        summed = np.concatenate(([0.0], np.cumsum(moved)))
+        parts.append((q[length:] - q[:-length], summed[length:] - summed[:-length]))
+    ways = np.concatenate(parts, axis=1)
+    # A drive's constant error of the speed is neither a time nor another motion.
+    ways -= np.sum(ways, axis=1, keepdims=True) / max(ways.shape[1], 1)
+    return np.asarray(ways @ ways.T)
 
 
 def _steps(piece: Measurement) -> tuple[Array, Array]:
     """Return per clear step its speed over that around it, and its length over the usual one."""
     step = np.diff(piece.time)
     usual = float(np.median(step))
-    way = np.diff(piece.q, axis=0)
-    pace = way * (usual / step)[:, None]
-    a, b, c, d = (pace[k : len(pace) - 4 + k] for k in (0, 1, 3, 4))
-    # The mean of the middle two is the median of four.
-    lower = np.maximum(np.minimum(a, b), np.minimum(c, d))
-    around = 0.5 * (lower + np.minimum(np.maximum(a, b), np.maximum(c, d)))
-    inner, length = way[2:-2], step[2:-2] / usual
-    size = np.sum(around**2, axis=1)
-    noise = np.sum(np.median(np.abs(np.diff(way, axis=0)), axis=0) ** 2)
-    clear = size > max(_CLEAR**2 * float(noise), 0.02 * float(np.max(size, initial=0.0)))
-    along = np.sum(inner * around, axis=1)[clear] / size[clear]
-    return along / length[clear], length[clear]
+    size, along, noise = np.zeros(len(step) - 4), np.zeros(len(step) - 4), 0.0
+    for q in piece.q.T:
+        way = np.diff(q)
+        pace = way * (usual / step)
+        a, b, c, d = (pace[k : len(pace) - 4 + k] for k in (0, 1, 3, 4))
+        # The mean of the middle two is the median of four.
+        lower = np.maximum(np.minimum(a, b), np.minimum(c, d))
+        around = 0.5 * (lower + np.minimum(np.maximum(a, b), np.maximum(c, d)))
+        size += around**2
+        along += way[2:-2] * around
+        noise += float(np.median(np.abs(np.diff(way)))) ** 2
+    length = step[2:-2] / usual
+    clear = size > max(_CLEAR**2 * noise, 0.02 * float(np.max(size, initial=0.0)))
+    return along[clear] / size[clear] / length[clear], length[clear]
 
 
 LONG = 0.3
