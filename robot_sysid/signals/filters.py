@@ -33,6 +33,8 @@ _TRANSITION = 1.2
 _STRIDES, _MOST_STRIDES = 6, 9
 # Of the weights for them: frequencies per weight, what those above three cut-offs count (chosen).
 _RESPONSES, _BEYOND = 12, 1e-5
+CHUNK = 2048
+"""Samples at a time: what fits into a cache."""
 # Samples of half a kernel that no log has: three hours at 1 kHz.
 _LONGEST = 1e7
 HIGHEST_CUTOFF = 0.3
@@ -155,7 +157,7 @@ class Decimator:
     def push(self, values: Array) -> Array:
         """Take the next samples (N, ...) and return the decimated ones (K, ...) they complete."""
         # Samples of one number side by side in memory: up to eight times as fast as otherwise.
-        waiting = np.ascontiguousarray(np.moveaxis(np.asarray(values, dtype=float), 0, -1))
+        waiting = np.ascontiguousarray(np.moveaxis(values, 0, -1), dtype=float)
         if self._waiting is not None:
             waiting = np.concatenate((self._waiting, waiting), axis=-1)
         skipped = min(self._skip, waiting.shape[-1])
@@ -195,7 +197,7 @@ def first_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     """
     ahead, weights = _central_weights(reach)
     later = weights / ahead
-    return _of_differences(values, np.concatenate((-later[::-1], [0.0], later)), 1) * rate
+    return _correlated(values, np.concatenate((-later[::-1], [0.0], later)), 1, rate)
 
 
 def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
@@ -206,7 +208,7 @@ def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     ahead, weights = _central_weights(reach)
     later = 2.0 * weights / ahead**2
     stencil = np.concatenate((later[::-1], [-2.0 * np.sum(later)], later))
-    return _of_differences(values, stencil, 2) * rate**2
+    return _correlated(values, stencil, 2, rate**2)
 
 
 def _central_weights(reach: int) -> tuple[Array, Array]:
@@ -234,20 +236,20 @@ def advanced(values: Array, samples: float) -> tuple[Array, int]:
     return inner[start:stop], first
 
 
-def _of_differences(values: Array, stencil: Array, order: int) -> Array:
-    """Return ``_correlated`` of a stencil that is blind to polynomials below an order.
+def _correlated(values: Array, stencil: Array, order: int = 0, scale: float = 1.0) -> Array:
+    """Return scaled sums of a stencil that is blind to polynomials below an order.
 
     Sum_k s_k x_k = -sum_k S_k (x_(k+1) - x_k), S_k = s_0 + ... + s_k. Neighbours' differences have
     no rounding errors, which the square of the rate would make large.
     """
-    for _ in range(order):
-        values, stencil = np.diff(values, axis=0), -np.cumsum(stencil)[:-1]
-    return _correlated(values, stencil)
-
-
-def _correlated(values: Array, stencil: Array) -> Array:
-    count = max(0, len(values) - len(stencil) + 1)
+    reach, count = len(stencil) - 1, max(0, len(values) - len(stencil) + 1)
     out = np.zeros((count, *np.shape(values)[1:]))
-    for offset, weight in enumerate(stencil):
-        out += weight * values[offset : offset + count]
+    for _ in range(order):
+        stencil = -np.cumsum(stencil)[:-1]
+    for start in range(0, count, CHUNK):
+        block = out[start : start + CHUNK]
+        moved = np.diff(values[start : start + len(block) + reach], order, axis=0)
+        for offset, weight in enumerate(stencil):
+            block += weight * moved[offset : offset + len(block)]
+        block *= scale
     return out

@@ -40,6 +40,7 @@ from robot_sysid.signals.cutoff import (
 )
 from robot_sysid.signals.filters import (
     ATTENUATION,
+    CHUNK,
     FINE_REACH,
     REACH,
     Decimator,
@@ -75,8 +76,6 @@ _NOISELESS = 1e-3 / 67.0
 _CORNER = 20.0
 # Part of the log that must be free of corners.
 _MOSTLY = 0.5
-# Samples at a time: what fits into a cache.
-_CHUNK = 2048
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ class ProcessedSignals:
         return self.low_pass.rate
 
     def passed(
-        self, made: Callable[[Motion], Iterable[Array]], smooth: bool = False, most: int = _CHUNK
+        self, made: Callable[[Motion], Iterable[Array]], smooth: bool = False, most: int = CHUNK
     ) -> list[Array]:
         """Return each (K, ...) of what is made of the motion, through the low-pass and decimated.
 
@@ -133,7 +132,7 @@ class ProcessedSignals:
                 are enough (``LowPass.at_every``).
         """
         stride = self.low_pass.stride if smooth else 1
-        low_pass, size = self.low_pass.at_every(stride), min(most, _CHUNK) * stride
+        low_pass, size = self.low_pass.at_every(stride), min(most, CHUNK) * stride
         parts: defaultdict[int, list[Array]] = defaultdict(list)
         decimators: defaultdict[int, Decimator] = defaultdict(lambda: Decimator(low_pass))
         for start in range(0, len(self), size):
@@ -181,7 +180,7 @@ class ProcessedSignals:
         """Return (K, n) how much of each decimated row's weight is on samples in the deadband."""
         size = np.abs(self.low_pass.kernel)
         weights = replace(self.low_pass, kernel=size / size.sum())
-        return weights.decimated((np.abs(self.qd) < self.deadband).astype(float))
+        return weights.decimated(np.less(np.abs(self.qd), self.deadband))
 
     def one_way_joints(self, joint_names: Sequence[str]) -> Iterator[str]:
         """Yield a sentence per joint whose sign(qd) hardly takes both values."""
@@ -312,11 +311,12 @@ def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | 
     nothing in smooth motion, and a lot around a jump of a higher derivative.
     """
     fine = second_derivative(uniform.q, uniform.rate, FINE_REACH)
-    less = second_derivative(uniform.q[1:-1], uniform.rate, FINE_REACH - 1)
-    apart = np.max(np.abs(fine - less), axis=1, initial=0.0)
+    largest = np.max(np.sqrt(np.mean(fine**2, axis=0)))
+    fine -= second_derivative(uniform.q[1:-1], uniform.rate, FINE_REACH - 1)
+    apart = np.max(np.abs(fine), axis=1, initial=0.0)
     moves = np.any(np.diff(uniform.q[FINE_REACH - 1 : -FINE_REACH], axis=0) != 0.0, axis=1)
     usual = np.median(apart[moves]) if np.any(moves) else math.inf
-    if usual > _NOISELESS * np.max(np.sqrt(np.mean(fine**2, axis=0))):
+    if usual > _NOISELESS * largest:
         return None
     # At the ends of its reach a corner is where the two may agree by chance.
     corners = np.convolve(apart > _CORNER * usual, np.ones(5), "same") > 0.0

@@ -80,11 +80,11 @@ def rows_lost(measurement: Measurement) -> NDArray[np.int64]:
     long = np.flatnonzero(step > GAP_STEPS * usual)
     if len(long) > _RARELY * len(step):
         return lost
-    moved = np.diff(measurement.q, axis=0)
     for place in long[(long > 0) & (long < len(step) - 1)]:
         missing = round(float(step[place]) / usual) - 1
-        around = 0.5 * (moved[place - 1] + moved[place + 1])
-        further = np.sum(moved[place] * around) - (1.0 + 0.5 * missing) * np.sum(around**2)
+        before, moved, after = np.diff(measurement.q[place - 1 : place + 3], axis=0)
+        around = 0.5 * (before + after)
+        further = np.sum(moved * around) - (1.0 + 0.5 * missing) * np.sum(around**2)
         lost[place] = missing if further > 0.0 else 0
     return lost
 

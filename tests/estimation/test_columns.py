@@ -201,7 +201,7 @@ def test_the_chunk_size_changes_nothing(monkeypatch):
     _, columns = recorded(bare, values, True, 4, low_pass)
     point = point_at(columns, values, exact_load=True)
     (whole,) = columns.samples(point)
-    monkeypatch.setattr(process_module, "_CHUNK", 7)
+    monkeypatch.setattr(process_module, "CHUNK", 7)
     (parts,) = Columns(columns.robot, columns.datasets).samples(point)
     for one, other in zip((*whole.rows, *whole.tau), (*parts.rows, *parts.tau)):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
