@@ -53,7 +53,7 @@ _SHORTEST = 64
 
 @dataclass(frozen=True)
 class Spectra:
-    """Spectra (F, n) of the acceleration at F frequencies [Hz]: what is motion, what is not.
+    """Spectra (F,) of all joints' accelerations at F frequencies [Hz]: what is motion, what is not.
 
     Attributes:
         rate: sample rate of the readings [Hz].
@@ -119,6 +119,7 @@ def spectra_of(q: Array, rate: float, steps: Array) -> Spectra | None:
         stairs[:, stepped] = _acceleration_spectrum(steps[:, stepped], rate, length)[1]
     motion = _motion(frequency, power, np.maximum(noise, stairs))
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
+    motion, noise = np.sum(motion, axis=1), np.sum(noise, axis=1)
     return Spectra(rate, len(q), length, frequency, motion, noise, level)
 
 
@@ -128,7 +129,7 @@ def _without_repeats(q: Array, steps: Array, rate: float) -> tuple[Array, Array,
     A reading that is held for several rows has images at multiples of its own rate, which look like
     noise at every frequency.
     """
-    fresh = np.concatenate(([True], np.any(np.diff(q, axis=0) != 0.0, axis=1)))
+    fresh = np.concatenate(([True], np.any(q[1:] != q[:-1], axis=1)))
     share, row, kept = float(np.mean(fresh)), np.arange(len(q)), np.flatnonzero(fresh)
     if share > _HELD or len(kept) < _SHORTEST:
         return q, steps, rate
@@ -164,14 +165,13 @@ def _acceleration_spectrum(q: Array, rate: float, length: int) -> tuple[Array, A
     The mean over segments of the squared Fourier transform under a Blackman-Harris window, the
     mean taken off (Welch, IEEE Trans. Audio Electroacoust. 15, 1967; Harris, Proc. IEEE 66, 1978).
     """
-    acceleration = np.diff(q, 2, axis=0) * rate**2
     turn = 2.0 * np.pi / length * np.arange(length)
     window = np.cos(np.outer(turn, range(4))) @ _BLACKMAN_HARRIS
-    starts = range(0, len(acceleration) - length + 1, length - 3 * length // 4)
+    starts = range(0, len(q) - 2 - length + 1, length - 3 * length // 4)
     frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))
     power = np.zeros((len(frequency), q.shape[1]))
     for start in starts:
-        part = acceleration[start : start + length]
+        part = np.diff(q[start : start + length + 2], 2, axis=0) * rate**2
         seen = np.fft.rfft((part - np.mean(part, axis=0)) * window[:, None], axis=0)
         power += seen.real**2 + seen.imag**2
     power *= 2.0 / (rate * np.sum(window**2) * len(starts))
@@ -190,9 +190,10 @@ def _motion(frequency: Array, power: Array, noise: Array) -> Array:
     pooled = np.sum(power, axis=1)
     if not np.any(motion):
         return motion
-    slow = _speed_index(frequency, motion)
+    moved = np.sum(motion, axis=1)
+    slow = _speed_index(frequency, moved)
     rising = slow + int(np.argmin(_smooth(pooled)[slow : max(slow + 1, int(0.9 * len(pooled)))]))
-    gap = frequency[_first_gap(frequency, motion)]
+    gap = frequency[_first_gap(frequency, moved)]
     last = min(rising, int(np.searchsorted(frequency, _WELL_BEYOND * gap)))
     return np.where(np.arange(len(frequency))[:, None] <= last, motion, 0.0)
 
@@ -204,8 +205,8 @@ def _speed_index(frequency: Array, motion: Array) -> int:
 
 
 def _squared_speed(frequency: Array, motion: Array) -> Array:
-    """Return (F,) the squared speed up to each frequency, all joints together."""
-    return np.asarray(np.cumsum(np.sum(motion, axis=1) / frequency**2))
+    """Return (F,) the squared speed up to each frequency."""
+    return np.asarray(np.cumsum(motion / frequency**2))
 
 
 def _first_gap(frequency: Array, motion: Array) -> int:
@@ -237,7 +238,6 @@ def _smooth(power: Array) -> Array:
 def _error(cutoff: float, spectra: Spectra) -> float:
     """Return the expected squared error of acceleration as a part of its mean square."""
     kernel = design_low_pass(cutoff, spectra.rate).kernel
-    gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:]
-    motion, noise = np.sum(spectra.motion, axis=1), np.sum(spectra.noise, axis=1)
-    wrong, total = (1.0 - gain) ** 2 @ motion + gain**2 @ noise, np.sum(motion)
+    gain, total = np.abs(np.fft.rfft(kernel, spectra.length))[1:], np.sum(spectra.motion)
+    wrong = (1.0 - gain) ** 2 @ spectra.motion + gain**2 @ spectra.noise
     return float(wrong / total) if total > 0.0 else float(wrong)
