@@ -149,14 +149,14 @@ class ModelFit:
             signals = process(piece, robot.joint_names, cutoff)
             smooth, lost = signals.low_pass.filtered(signals.tau), signals.low_pass.half_width
             inner = slice(lost, len(signals) - lost)
-            at = _instants(signals.time[inner], signals.bridged[inner], count)
-            self._torques.append((signals.time[inner][at], signals.time[inner], smooth))
-            third = np.gradient(signals.qdd, 1.0 / signals.rate, axis=0)
-            kept = (signals.time, signals.q, signals.qd, signals.qdd, third)
-            parts.append([values[inner][at] for values in kept])
-            rest = signals.tau[inner] - smooth
-            noises.append(np.std(rest, axis=0) * np.sqrt(np.sum(signals.low_pass.kernel**2)))
-        self.cutoff = signals.cutoff
+            at = lost + _instants(signals.time[inner], signals.bridged[inner], count)
+            self._torques.append((signals.time[at], signals.time[inner], smooth))
+            third = 0.5 * signals.rate * (signals.qdd[at + 1] - signals.qdd[at - 1])
+            parts.append([signals.time[at], signals.q[at], signals.qd[at], signals.qdd[at], third])
+            rest = [np.std(raw - low) for raw, low in zip(signals.tau[inner].T, smooth.T)]
+            noises.append(np.multiply(rest, np.sqrt(np.sum(signals.low_pass.kernel**2))))
+            self.cutoff = signals.cutoff
+            del signals  # before the next piece's are made, which take as much memory
         self.time, q, qd, qdd, self.jerk = (np.concatenate(same) for same in zip(*parts))
         tau = self.later(np.zeros(robot.n_joints))
         self.noise = np.sqrt(np.mean(np.square(noises), axis=0))
@@ -243,11 +243,10 @@ class ModelFit:
         q, qd, qdd = map(np.concatenate, some)
         friction = [_friction_columns(each)[at.ravel()] for each in motions.values()]
         links = self._dynamics[False].motion(q, qd, qdd).columns(range(n))
-        rows = np.concatenate((links, np.concatenate(friction)), axis=2)
-        torque = rows @ self._start + self._springs(q, qd)
-        shape = len(motions), *at.shape, n
-        parts = (v.reshape(*shape, *v.shape[2:]).sum(axis=2) for v in (rows, torque))
-        known = dict(zip(motions, zip(*parts)))
+        parts, shape = (links, np.concatenate(friction)), (len(motions), *at.shape, n, -1)
+        rows = np.concatenate([each.reshape(shape).sum(axis=2) for each in parts], axis=3)
+        springs = self._springs(q, qd).reshape(shape).sum(axis=2)
+        known = dict(zip(motions, zip(rows, rows @ self._start + springs[..., 0])))
         for sample in samples:
             columns, own = known[id(sample.q)]
             weight = np.sqrt(INDEPENDENT / count / _NEIGHBOURS) / sample.sigma[:, None]

@@ -162,11 +162,14 @@ def strongest_sine(log: ModelFit) -> Offsets:
     span, step = float(np.ptp(time)), float(np.median(np.diff(time)))
     rates = np.arange(2.0 / span, 0.4 / step, 0.25 / span)
     # Powers, as the rates are evenly spaced: a tenth of the time of as many exponentials.
-    waves = np.vander(np.exp(0.5j * np.pi / span * time), len(rates) + 8, increasing=True).T[8:]
-    taken = np.abs(waves @ base.residual) ** 2 * (2.0 / count)
+    turns, most = np.exp(0.5j * np.pi / span * time), len(rates) + 8
+    parts = zip(*(np.array_split(each, 10) for each in (turns, base.residual)))
+    sums = (np.vander(turn, most, increasing=True).T[8:] @ left for turn, left in parts)
+    taken = np.abs(sum(sums)) ** 2 * (2.0 / count)
     at, joint = np.unravel_index(int(np.argmax(taken / log.sample.sigma**2)), taken.shape)
     columns = np.zeros((count, len(log.links), 2))
-    columns[:, joint] = np.stack((waves[at].real, waves[at].imag), axis=1)
+    phase = 2.0 * np.pi * rates[at] * time
+    columns[:, joint] = np.stack((np.cos(phase), np.sin(phase)), axis=1)
     size = log.sample.sigma[joint] / model_fit.TOLERANCE
     after = log.fit(extra=columns, prior=np.full(2, size))
     return Offsets(np.array([joint, rates[at], np.hypot(*after.extra)]), np.zeros(3), after)
