@@ -72,9 +72,11 @@ def _read(config: SysidConfig, robot: RobotModel, progress: Progress) -> _Record
         tests.append(open_log(robot, options.validation_measurements, options, progress))
         progress.note(*(type(n)(f"validation log: {n}") for n in tests[0].notes))
     checked(config, robot, [*logs, *tests], progress)
-    pieces = [Piece(str(log.path), part) for log in logs for part in log.pieces]
+    pieces = [Piece(str(log.path), p.without_velocities()) for log in logs for p in log.pieces]
     notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
-    return _filtered(config, robot, pieces, origin_of(logs), notes, tests)
+    origin = origin_of(logs)
+    del logs  # and with them the velocities, before signals are made
+    return _filtered(config, robot, pieces, origin, notes, tests)
 
 
 def of_plant(

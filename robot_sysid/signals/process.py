@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -212,6 +213,12 @@ class LogPiece(Measurement):
     def of(cls, measurement: Measurement) -> LogPiece:
         """Return a stretch of a log as such a piece."""
         return measurement if isinstance(measurement, cls) else cls(**vars(measurement))
+
+    def without_velocities(self) -> LogPiece:
+        """Return the piece, spectra and all, without what is only checked."""
+        found = copy(self)
+        object.__setattr__(found, "qd", None)
+        return found
 
     @cached_property
     def spectra(self) -> Spectra | None:
