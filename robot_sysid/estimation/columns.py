@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,8 @@ PLACEHOLDER = 1e-3
 """Share of the other links' usual mass below which a body's numbers say nothing."""
 _DRIFTING = ("coulomb", "viscous", "sqrt", "load", *BENT, "quadratic", "cubic")
 _SMOOTH = ("viscous", "armature")
+# Rows for which what is made of links alone is made together: calls against memory.
+_TOGETHER = 4000
 # Up to which change, as a part of it, gravity's part of the rows is not filtered anew.
 _SMALL_TURN = 0.1
 
@@ -317,15 +320,18 @@ class Columns:
         """Return what is made of links (n, 10) and a motion (K, n) for each recording: of all that
         carry the same together, as each has few rows.
         """
-        found = dict[int, Array]()
-        for loaded in (False, True):
-            which = [k for k, each in enumerate(delayed) if each.is_loaded == loaded]
-            motions = [vars(delayed[k].motion).values() for k in which]
-            if motions:
-                whole = Motion(*map(np.concatenate, zip(*motions)))
-                ends = np.cumsum([len(time) for time, *_ in motions])[:-1]
-                parts = np.split(made(self.thetas(point.values, loaded), whole), ends)
-                found.update(zip(which, parts))
+        found, motions = dict[int, Array](), [each.motion for each in delayed]
+        ends = np.cumsum([len(motion.time) for motion in motions])
+
+        def alike(k: int) -> tuple[bool, int]:
+            return delayed[k].is_loaded, ends[k] // _TOGETHER
+
+        for (loaded, _), some in groupby(sorted(range(len(delayed)), key=alike), alike):
+            which = list(some)
+            whole = Motion(*map(np.concatenate, zip(*(vars(motions[k]).values() for k in which))))
+            counts = np.cumsum([len(motions[k].time) for k in which])[:-1]
+            parts = np.split(made(self.thetas(point.values, loaded), whole), counts)
+            found.update(zip(which, parts))
         return [found[k] for k in range(len(delayed))]
 
     def _by_links(

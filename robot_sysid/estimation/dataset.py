@@ -24,8 +24,8 @@ BLOCKS, LONGEST_STRETCH = 5, 10.0
 of a recording; stretches are less than so long [s], as a motion may show a joint for a while."""
 # Numbers per pass: memory stays small, results are the same for any.
 _NUMBERS = 8_000_000
-# Numbers in rows that are kept in memory; the rows of two minutes of an arm of seven joints.
-_IN_MEMORY = 500_000
+# Numbers in a recording's rows that are kept in memory: of an arm of seven joints, half a minute's.
+_IN_MEMORY = 250_000
 
 
 @dataclass(frozen=True)
@@ -142,12 +142,11 @@ class RowsBeside(Sequence[Array]):
         return np.hstack([part[used] * factor for part, factor in pairs])
 
 
-def stored(samples: Iterable[DecimatedSamples], room: int = _IN_MEMORY) -> list[DecimatedSamples]:
-    """Return samples with their rows in a file where they are more than so many numbers."""
+def stored(samples: Iterable[DecimatedSamples], most: int = _IN_MEMORY) -> list[DecimatedSamples]:
+    """Return each recording's samples, with rows of more than so many numbers in a file."""
     found, file = list[DecimatedSamples](), None
     for each in samples:
-        room -= sum(rows.size for rows in each.rows)
-        if room < 0:
+        if sum(rows.size for rows in each.rows) > most:
             with contextlib.suppress(OSError):  # where nothing can be written, memory has to do
                 file = file or _RowFile(tempfile.TemporaryFile())  # noqa: SIM115
                 each = replace(each, rows=_StoredRows(each.rows, file))

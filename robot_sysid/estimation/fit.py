@@ -106,16 +106,19 @@ class ChosenRows:
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint, all recordings together."""
-        ends = np.cumsum([len(part) for part in self.parts])
-        for index, columns in enumerate(self.parts[0].columns):
-            stay, tau = np.isin(columns, self.unknowns.kept), list[Array]()
-            known = self.unknowns.held[columns[~stay]]
-            chosen = np.empty((ends[-1], np.count_nonzero(stay)))
-            for part, room in zip(self.parts, np.split(chosen, ends[:-1])):
-                rows = part.rows[index]
-                room[:] = rows[:, stay]
-                tau.append(part.tau[index] - rows[:, ~stay] @ known)
-            yield index, chosen, np.concatenate(tau)
+        for joint in range(len(self.parts[0].columns)):
+            yield joint, *self._of(joint)  # nothing is kept while the next joint's are made
+
+    def _of(self, joint: int) -> tuple[Array, Array]:
+        columns, ends = self.parts[0].columns[joint], np.cumsum([len(part) for part in self.parts])
+        stay, tau = np.isin(columns, self.unknowns.kept), list[Array]()
+        known = self.unknowns.held[columns[~stay]]
+        chosen = np.empty((ends[-1], np.count_nonzero(stay)))
+        for part, room in zip(self.parts, np.split(chosen, ends[:-1])):
+            rows = part.rows[joint]
+            room[:] = rows[:, stay]
+            tau.append(part.tau[joint] - rows[:, ~stay] @ known)
+        return chosen, np.concatenate(tau)
 
 
 @dataclass(frozen=True)

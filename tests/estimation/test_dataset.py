@@ -127,10 +127,9 @@ def test_the_truth_solves_the_equations_of_resting_poses():
 
 
 def test_rows_in_a_file_are_the_rows(monkeypatch):
-    """Also after a pickle, and where nothing can be written; the first ones stay in memory."""
-    samples = [random_samples(seed) for seed in (0, 1, 2)]
-    size = sum(rows.size for rows in samples[0].rows)
-    found = stored(samples, size)
+    """Also after a pickle, and where nothing can be written; short ones stay in memory."""
+    samples = [random_samples(seed, 40 + seed) for seed in (0, 1, 2)]
+    found = stored(samples, sum(rows.size for rows in samples[0].rows))
     assert [isinstance(each.rows, tuple) for each in found] == [True, False, False]
     for some in (found, pickle.loads(pickle.dumps(found))):
         for each, plain in zip(some, samples):

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import starmap
 
 import mujoco
 import numpy as np
@@ -26,7 +27,7 @@ from robot_sysid.records import Array, SampleSource, SquareRootInformation
 CHANCE = 2.0
 """Standard errors of an autocorrelation of independent values that are taken for none."""
 # How many channels are transformed at a time: memory against calls.
-_CHANNELS = 8
+_CHANNELS = 4
 # Largest lag that is looked at [samples], and bins over the lags: chosen for cost.
 _MAX_LAG, _LAG_BINS = 2000, 60
 # Slope at a minimum, beside that at the beginning: rounding of squared equations.
@@ -156,12 +157,13 @@ def collect_residuals(
     """Return each joint's sums, from one pass: of the estimate (p,) by weights (joints,) [1/(N m)]
     with C = root root^T, root (p, r); ``to_add`` as in ``joint_residuals``.
     """
-    results = []
-    for index, rows, tau in samples:
+
+    def of(index: int, rows: Array, tau: Array) -> JointResiduals:
         columns = information.joints[index].columns
         residual, scaled = tau - rows @ values[columns], weights[index] * root[columns]
-        results.append(joint_residuals(columns, scaled, rows, residual, to_add))
-    return results
+        return joint_residuals(columns, scaled, rows, residual, to_add)
+
+    return list(starmap(of, samples))
 
 
 def joint_residuals(
