@@ -164,8 +164,7 @@ def information_of(
     for index, (accumulator, part) in itertools.product(
         range(len(first.joints)), zip(found, parts)
     ):
-        rows, tau = zip(*[each.in_use(index) for each in part])
-        accumulator.add(index, np.concatenate(rows), np.concatenate(tau))
+        accumulator.add(index, *map(np.concatenate, zip(*[e.in_use(index) for e in part])))
     return tuple(each.result() for each in found)
 
 

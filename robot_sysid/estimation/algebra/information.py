@@ -61,7 +61,7 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
     """Return the triangle (k, k) of all rows so far and the new ones (N, k); fewer than k rows that
     are not zero, which no triangle makes fewer, as they are.
     """
-    stacked = np.vstack((triangle, rows))
+    stacked = np.vstack((triangle, rows)) if len(triangle) else rows
     there = np.any(stacked != 0.0, axis=1)
     stacked = stacked if np.all(there) else stacked[there]
     is_tall = len(stacked) >= stacked.shape[1]
