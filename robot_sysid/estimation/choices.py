@@ -116,6 +116,7 @@ class HeldOut:
         else.
         """
         shown, held = self._there, sought.held.copy()
+        assert not np.any(self.data.shown[sought.kept] & ~shown[sought.kept])
         held[sought.kept] = 0.0
         prior, places = _prior_rows(sought), np.where(shown, np.cumsum(shown) - 1, -1)
         known, rest = prior.T @ prior, np.flatnonzero(held)

@@ -317,8 +317,8 @@ class Columns:
     def _of_links(
         self, point: Point, delayed: Sequence[Dataset], made: Callable[[Array, Motion], Array]
     ) -> list[Array]:
-        """Return what is made of links (n, 10) and a motion (K, n) for each recording: of all that
-        carry the same together, as each has few rows.
+        """Return what is made of links (n, 10) and a motion (K, n) for each recording, of some that
+        carry the same together, as most have few rows.
         """
         found, motions = dict[int, Array](), [each.motion for each in delayed]
         ends = np.cumsum([len(motion.time) for motion in motions])

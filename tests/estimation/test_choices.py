@@ -234,6 +234,10 @@ def test_a_motor_among_others_is_judged_as_if_it_were_offered_alone(robot, noisy
 
     for motor, squared in zip(motors, judge.with_each(sought(*motors), motors)):
         np.testing.assert_allclose(squared, judge.squared(sought(motor)), rtol=1e-6)
+        alone = held_out(fit, sought(motor))
+        np.testing.assert_allclose(alone.squared(sought(motor)), squared, rtol=1e-6)
+        with pytest.raises(AssertionError):
+            alone.squared(sought(*motors))
 
 
 def test_the_error_is_that_of_the_noise(payload_fit):
