@@ -34,7 +34,7 @@ _SPEED_SETTLED = 0.02
 
 def give_back() -> None:
     """Give free memory back to the system, where the C library keeps what was freed between what is
-    in use (glibc): of many joints, whose triangles are of all sizes, that is a third of all.
+    in use (glibc): of many joints, whose triangles are of all sizes, that is a quarter of all.
     """
     with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)

@@ -217,7 +217,7 @@ def part_of(samples: Measurement, start: int, stop: int) -> Measurement:
 
 
 MOST_KEPT = 300_000
-"""Rows beyond which a log is thinned; so 1 GB is read in 264 MB (docs/logs.md)."""
+"""Rows beyond which a log is thinned; so 1 GB is read in 153 MB (docs/logs.md)."""
 LEAST_RATE = 60.0
 """Rows per second that thinning leaves at least (docs/logs.md) [Hz]."""
 # Of the rate that is left; flat below 0.4 times this, and what folds back stays above that.
