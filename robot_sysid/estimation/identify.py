@@ -23,7 +23,7 @@ from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import logs_compared, parts_compared
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.estimation.verdict import NOISE_EXPLAINS, beyond_chance
+from robot_sysid.estimation.verdict import speaks
 from robot_sysid.records import Array, Measurement, RobotModel, SquareRootInformation, Validation
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.results import validation_of
@@ -225,13 +225,9 @@ def predicted(fit: Fit, errors: FitErrors, data: Evidence, source: str) -> Valid
     wrong = data.whole.squared_residuals(fit.values)
     joints = [joint.joint for joint in data.whole.joints]
     found = validation_of(joints, wrong, squares, counts, source)
-    noise = counts * fit.noise**2
-    if beyond_chance(wrong[None], noise[None]) <= NOISE_EXPLAINS:
-        return found
-    chance = noise + _left_open(fit, errors, data.whole)
-    told = np.flatnonzero(np.isfinite(chance))
-    ratio = beyond_chance(wrong[None, told], chance[None, told]) if np.any(chance[told]) else 0.0
-    return replace(found, told_enough=ratio > NOISE_EXPLAINS)
+    noise = counts[None] * fit.noise**2
+    told = speaks(wrong[None], noise, lambda: noise + _left_open(fit, errors, data.whole))
+    return replace(found, told_enough=told)
 
 
 def _left_open(fit: Fit, errors: FitErrors, data: SquareRootInformation) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
 from robot_sysid.estimation.unknowns import WEIGHT, Unknowns, independent
-from robot_sysid.estimation.verdict import NOISE_EXPLAINS, beyond_chance
+from robot_sysid.estimation.verdict import speaks
 from robot_sysid.records import Array, Flange, Validation
 from robot_sysid.records.results import validation_of
 from robot_sysid.results.record import OneRecording
@@ -81,10 +82,8 @@ def parts_compared(fit: Fit) -> Validation:
     """Return a fit's own prediction of stretches that were not fitted."""
     judge = held_out(fit, fit.unknowns)
     wrong, noise = judge.of(fit), judge.counts * fit.noise**2
-    found = judge.validation(wrong)
-    if beyond_chance(wrong, noise) <= NOISE_EXPLAINS:
-        return found
-    return replace(found, told_enough=beyond_chance(wrong, judge.chance(fit)) > NOISE_EXPLAINS)
+    told = speaks(wrong, noise, lambda: judge.chance(fit))
+    return replace(judge.validation(wrong), told_enough=told)
 
 
 def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[Validation, ...]]:
@@ -98,18 +97,20 @@ def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tupl
         return (), ()
     data = evidence_of(logs.values(), fit.evidence.torque)
     parts, squares = data.blocks, data.squared_torque
-    judge = HeldOut(data, 1.0 / fit.weights)
+    judge = HeldOut(data, 1.0 / fit.weights, fit.unknowns)
     wrong, noise = judge.of(fit), judge.counts * fit.noise**2
-    far = [k for k in range(len(logs)) if beyond_chance(wrong[[k]], noise[[k]]) > NOISE_EXPLAINS]
-    chance = judge.chance(fit) if far else noise
-    untold = [k for k in far if beyond_chance(wrong[[k]], chance[[k]]) <= NOISE_EXPLAINS]
+    chance = cache(partial(judge.chance, fit))
+
+    def told(k: int) -> bool:
+        return speaks(wrong[[k]], noise[[k]], lambda: chance()[[k]])
+
     joints = [joint.joint for joint in fit.evidence.whole.joints]
     tests = tuple(
         validation_of(
             joints, error, square, sample_counts(part), f"{name}, predicted from the other logs"
         )
         for k, (name, part, error, square) in enumerate(zip(logs, parts, wrong, squares))
-        if k not in untold
+        if told(k)
     )
     masses, sought = {}, fit.unknowns
     for name, own in logs.items():

@@ -7,7 +7,7 @@ better than the one before.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -66,10 +66,22 @@ def first(findings: Iterable[Judged], otherwise: Verdict) -> tuple[Verdict, tupl
     return (found[0][0] if found else otherwise), tuple(reason for _, reason in found)
 
 
-def beyond_chance(squared: Array, chance: Array) -> float:
+def _beyond_chance(squared: Array, chance: Array) -> float:
     """Return errors over what chance makes them, of squares (blocks, joints) of both."""
     some = np.any(chance > 0.0, axis=0)
     return float(np.sqrt(np.mean(squared.sum(axis=0)[some] / chance.sum(axis=0)[some])))
+
+
+def speaks(squared: Array, noise: Array, chance: Callable[[], Array]) -> bool:
+    """Tell whether squares of errors (blocks, joints) say something of a fit: they are noise, or
+    more than what is left open makes by ``chance``, which has no bound where it is infinite.
+    """
+    if _beyond_chance(squared, noise) <= NOISE_EXPLAINS:
+        return True
+    most = chance()
+    told = np.all(np.isfinite(most), axis=0)
+    squared, most = squared[:, told], most[:, told]
+    return bool(np.any(most)) and _beyond_chance(squared, most) > NOISE_EXPLAINS
 
 
 def unexplained(
