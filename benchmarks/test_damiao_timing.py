@@ -26,7 +26,7 @@ from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import SimulatedArm, serve, simulated_motor
-from robot_sysid.damiao.supervision import StopRequest
+from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.damiao_rig import Pendulums, swing
 

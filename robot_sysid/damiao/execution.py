@@ -26,7 +26,7 @@ from robot_sysid.damiao.references import STRAIGHT, FileHolding, HoldingCheck, a
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings, SecondArm
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
-from robot_sysid.damiao.supervision import StopRequest
+from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, words_of
 from robot_sysid.model.options import ModelOptions
@@ -99,10 +99,12 @@ class MotorRun:
 
     def _planned(self, trajectory: DamiaoTrajectory) -> Plan:
         inertia = None
+        model_range = None
         if self.robot is not None:
             from robot_sysid.simulation.forward_dynamics import ArmStepper
 
             inertia = ArmStepper(self.robot, trajectory.q[0]).moved_inertia()
+            model_range = self.robot.limits.lower, self.robot.limits.upper
         return Plan(
             trajectory,
             record_from(PlaySettings, self.values),
@@ -111,6 +113,7 @@ class MotorRun:
             record_from(RecordingOptions, self.values),
             inertia,
             self._limits(),
+            model_range,
         )
 
     def _limits(self) -> LimitOptions:
@@ -310,7 +313,7 @@ def run(
     motors = [inspection.motors[joint.address] for joint in joints]
     scaling = Scaling(motor.limits for motor in motors)
     places = np.array([motor.position for motor in motors[n:]])
-    session = MotorSession(link, joints, scaling)
+    session = MotorSession(link, joints, scaling, plan.room(places))
     settings = _with_held(plan, held)
     park = settings.park if pose is None else np.concatenate([pose, places])
     console, written = Aside(link.clock.live), Aside(link.clock.live)

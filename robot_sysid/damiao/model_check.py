@@ -24,6 +24,7 @@ from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.simulation.forward_dynamics import ArmStepper
 from robot_sysid.simulation.playback import interpolated
 from robot_sysid.simulator import ArmTorque
 
@@ -198,6 +199,10 @@ def torque_checks(
         )
 
 
+# For slopes of the end's place [rad].
+_STEP = 1e-4
+
+
 def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:
     """Return what compares holding torques with the model's gravity."""
     arm = ArmTorque(robot)
@@ -206,5 +211,18 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
         still = np.zeros((1, len(q)))
         return np.asarray(arm(Motion(np.zeros(1), q[None], still, still))[0])
 
+    stepper = ArmStepper(robot)
+    gravity = np.array(robot.mj_model.opt.gravity)
+
+    def tip(q: Array) -> Array:
+        stepper.q = q
+        return stepper.tip()
+
+    def load(q: Array) -> Array:
+        # A mass follows the end of the arm: its torque is minus gravity times that place's slope.
+        steps = _STEP * np.eye(len(q))
+        slopes = np.array([tip(q + step) - tip(q - step) for step in steps]) / (2.0 * _STEP)
+        return -slopes @ gravity
+
     needs = f"the model {robot.path.name} needs"
-    return HoldingCheck(joints, holding, robot.friction.coulomb, needs)
+    return HoldingCheck(joints, holding, robot.friction.coulomb, needs, load)

@@ -16,13 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.damiao import references as paths
-from robot_sysid.damiao import supervision
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import HoldingCheck, Reference, ReferenceFunction, hold
-from robot_sysid.damiao.session import MotorSession, Replies
+from robot_sysid.damiao.safety.observer import Fault, Observer
+from robot_sysid.damiao.safety.samples import Replies
+from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
+from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.errors import HardwareAbort, words_of
 from robot_sysid.records import Array
 
@@ -70,17 +73,22 @@ class CycleTimer:
 # Stiffness and the torque that carries the arm come in together, in this share of the ramp: before
 # the arm has sunk. For the rest of it the arm is watched while it should stand.
 _LIFT_SHARE = 0.2
+# In fewer cycles than this an arm falls between two of them: it is lifted in one.
+_LEAST_LIFT_STEPS = 4.0
 # Of a cycle: how long replies are waited for, and at least, where it began late. The rest is for
 # the checks; seven motors' commands and replies take 1.9 of 4 ms on classic CAN.
 _REPLY_SHARE, _LEAST_REPLY_SHARE = 0.9, 0.3
-# Judgements: how often scales are judged, the progress is told [s], and over how many cycles the
-# torque that holds the arm is averaged.
-_SCALING_CHECK_CYCLES, _PROGRESS_INTERVAL, _STILL_SAMPLES = 50, 0.1, 100
+# Judgements: how often the progress is shown [s], and over how many cycles the torque that holds
+# the arm is averaged.
+_PROGRESS_INTERVAL = 0.1
+_STILL_SAMPLES = 100
 # A busy thread gives way after this long [s]; Python's own default is more than a control cycle.
 _SWITCH_INTERVAL = 2e-4
 # Nothing heard for longer than this while braking: the watchdogs (0.1 s, and half as much again)
 # have stopped the motors, or the bus is gone [s].
 _DEAF = 0.15
+# A stopped arm that does not come to rest is disabled all the same after this time [s].
+_LONGEST_CARRIED = 2.0
 
 
 @dataclass(frozen=True)
@@ -116,7 +124,7 @@ class Player:
         self,
         session: MotorSession,
         settings: PlaySettings,
-        stop: supervision.StopRequest,
+        stop: StopRequest,
         recorder: MeasurementRecorder | None,
         on_phase: Callable[[str], None],
         on_progress: Callable[[float], None],
@@ -124,26 +132,32 @@ class Player:
         holding: HoldingCheck,
         orders: Sequence[str],
     ) -> None:
-        self._session, self._clock, self._settings = session, session.clock, settings
-        self._stop, self._recorder = stop, recorder
-        self._announce, self._on_progress = on_phase, on_progress
-        _, velocity_step, torque_step = session.steps
-        self._supervisor = supervision.Supervisor(session.joints, settings, velocity_step)
-        # Without stiffness there is next to none: 0 / 0 would tell nothing of any joint.
-        fades = settings.period * np.maximum(settings.kp, 1e-9) / np.array(settings.kd)
-        self._velocity_check = supervision.VelocityScalingCheck(velocity_step, fades)
-        self._torque_check = supervision.TorqueScalingCheck(torque_step, session.peak_torque)
+        self._session = session
+        self._clock = session.clock
+        self._settings = settings
+        self._stop = stop
+        self._recorder = recorder
+        self._announce = on_phase
+        self._on_progress = on_progress
+        self._park = park
+        self._holding = holding
+        self._orders = orders
+        self._observer = Observer(
+            session.joints, settings, session.steps, session.peak_torque, holding
+        )
         self._timer: CycleTimer
-        self._kp, self._kd = np.array(settings.kp), np.array(settings.kd)
-        self._gain, self._standing, self._rising = 0.0, True, False
+        self._kp = np.array(settings.kp)
+        self._kd = np.array(settings.kd)
+        self._gain = 0.0
+        self._standing = True
+        self._rising = False
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
-        self._measured = np.full((2, session.n_joints), np.nan)
+        self._follower: paths.Lowering | CarriedStop | None = None
         self._heard_at = 0.0
-        self._cycles = self._played = 0
-        self._told_at = -np.inf
-        self._park, self._holding, self._orders = park, holding, orders
-        self._lowering: paths.Lowering | None = None
+        self._cycles = 0
+        self._played = 0
+        self._shown_at = -np.inf
         self._still: list[Array] = []
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
@@ -157,12 +171,20 @@ class Player:
                 self._run_phases(trajectory, duration)
             except BaseException as error:
                 self._stop_gently()
+                if isinstance(error, Fault):
+                    raise self._explain(error) from None
                 if isinstance(error, HardwareAbort):
                     raise
                 raise HardwareAbort(f"{type(error).__name__}: {words_of(error)}") from error
-        timer, watched = self._timer, self._supervisor
+        timer = self._timer
         counts = self._played, timer.skipped, timer.lateness(50.0), timer.lateness(99.0)
-        return PlayReport(*counts, watched.total_missed, watched.worst_tracking)
+        return PlayReport(*counts, self._observer.total_missed, self._observer.worst_tracking)
+
+    def _explain(self, fault: Fault) -> HardwareAbort:
+        """Return a fault with its cause, by what has held the arm since it was stopped."""
+        if not self._still:
+            return fault
+        return self._observer.explain(fault, *np.mean(self._still, axis=0))
 
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
         settings = self._settings
@@ -217,13 +239,16 @@ class Player:
         self._phase(hold(target), self._settings.rest_time)
 
     def _lower_from(self, begin: Reference) -> paths.Lowering:
-        speed, peak = self._settings.approach_speed, self._session.peak_torque
-        self._lowering = paths.Lowering(begin, speed, peak)
-        return self._lowering
+        if not self._holding.is_model:
+            self._session.open_range()
+        speed = self._settings.approach_speed
+        lowering = paths.Lowering(begin, speed, self._session.peak_torque)
+        self._follower = lowering
+        return lowering
 
     @property
     def _lowering_is_done(self) -> bool:
-        return self._lowering is not None and self._lowering.done
+        return isinstance(self._follower, paths.Lowering) and self._follower.done
 
     def _phase(
         self,
@@ -261,58 +286,46 @@ class Player:
 
     def _cycle(self, reference: Reference, deadline: float) -> tuple[Replies, MitCommand]:
         """Exchange one command; return the replies and the command they were sampled under."""
-        lift_time = _LIFT_SHARE * self._settings.ramp_time
-        self._gain = min(self._gain + self._settings.period / lift_time, 1.0)
-        before, command = self._command, self._command_for(reference)
+        steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
+        self._gain = min(self._gain + 1.0 / steps, 1.0) if steps > _LEAST_LIFT_STEPS else 1.0
+        command = self._command_for(reference)
+        # A motor makes no torque before its first command.
+        idle = command._replace(kp=0.0 * self._kp, kd=0.0 * self._kd, torque=0.0 * command.torque)
+        acted = self._command or idle
         replies = self._session.exchange(command, self._reply_deadline(deadline))
-        self._supervisor.update(replies)
-        self._reference, self._command = reference, replies.command
-        self._note(replies)
-        return replies, before or command
+        self._observer.update(replies)
+        self._reference = reference
+        self._command = replies.command
+        self._note(replies, acted)
+        return replies, acted
 
-    def _note(self, replies: Replies) -> None:
-        now = np.stack([replies.feedback.position, replies.feedback.velocity])
-        self._measured = np.where(replies.answered, now, self._measured)
-        if self._lowering is not None:
-            old, new = self._lowering.torque, replies.feedback.torque
-            self._lowering.torque = np.where(replies.answered, new, old)
+    def _note(self, replies: Replies, acted: MitCommand) -> None:
+        """Keep what was heard: for a reference that follows the arm, and what holds it still."""
+        q, qd = self._session.believed
+        commanded = acted.motor_torque(q, qd)
+        if isinstance(self._follower, paths.Lowering):
+            self._follower.torque = commanded
+        elif self._follower is not None:
+            trusted = self._observer.trusted
+            self._follower.q = np.where(trusted, q, np.nan)
+            self._follower.qd = np.where(trusted, qd, np.nan)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
+        if np.all(np.isfinite(q)):
+            self._still.append(np.stack([q, commanded]))
+            del self._still[:-_STILL_SAMPLES]
 
     def _keep(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
         self._played += 1
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
             self._recorder.end_cycle()
-        if time - self._told_at >= _PROGRESS_INTERVAL:
-            self._told_at = time
+        if time - self._shown_at >= _PROGRESS_INTERVAL:
+            self._shown_at = time
             self._on_progress(time)
 
     def _check(self, replies: Replies, acted: MitCommand) -> None:
-        self._supervisor.check(replies, acted, self._standing, self._rising)
-        feedback = replies.feedback
-        self._velocity_check.add(replies.time, feedback.position, feedback.velocity)
-        told = acted.motor_torque(feedback.position, feedback.velocity)
-        self._torque_check.add(told, feedback.torque, feedback.velocity)
-        if np.all(replies.answered):
-            self._still.append(np.stack([feedback.position, feedback.torque]))
-            del self._still[:-_STILL_SAMPLES]
-        self._cycles += 1
-        if self._cycles % _SCALING_CHECK_CYCLES == 0:
-            self._check_scaling()
-
-    def _check_scaling(self) -> None:
-        torque, moved = self._torque_check.worst(), self._velocity_check.worst()
-        for found, words in (
-            (torque, "reports {:.2f} times the torque that it was told to make: its TMAX register "
-            "does not describe its torques, or its torque ratio is another"),
-            (moved, "moves {:.3f} times as far as its velocity says, and sampling does not explain "
-            "it: one of the two has another scale; turn the joint by hand by a known angle and "
-            "compare with 'motors monitor', before anything is changed"),
-        ):  # fmt: skip
-            if found:
-                j, factor = found
-                raise HardwareAbort(f"{self._session.joints[j].label} {words.format(factor)}")
+        self._observer.check(replies, acted, self._standing, self._rising)
 
     def _command_for(self, reference: Reference) -> MitCommand:
         position, velocity, torque = reference
@@ -331,34 +344,49 @@ class Player:
         # What holds an arm that was stopped while the gains rose is its full stiffness.
         self._gain = 1.0
         self._heard_at = self._clock.now()
+        self._still.clear()
         # Drivers raise SystemExit and KeyboardInterrupt too; people's wishes come by ``stop``.
         with contextlib.suppress(BaseException):
-            start = self._stop_start(self._reference)
-            braking, duration = paths.come_to_rest(start, self._settings.deceleration)
-            rest = hold(braking(duration))
-            for reference, length in ((braking, duration), (rest, self._settings.rest_time)):
-                self._stop_phase(reference, length)
+            self._session.switch_off(self._observer.to_switch_off)
+            self._observer.failed |= self._observer.to_switch_off
+            carried = self._carry_from(self._reference)
+            self._stop_phase(carried, _LONGEST_CARRIED)
             if self._park is not None and not self._stop.insisted:
-                self._stop_phase(self._lower_from(rest(0.0)), paths.LONGEST)
+                self._stop_phase(self._lower_from(carried.last), paths.LONGEST)
 
-    def _stop_start(self, reference: Reference) -> Reference:
-        """Return where braking begins.
+    def _carry_from(self, reference: Reference) -> CarriedStop:
+        """Return how the arm is stopped, from what it was led to and what is believed of it.
 
-        A joint that is far from where it should be, or from how fast it should be, brakes from
-        where it is. Where it is on the side to which its feed-forward torque pushes, this torque
-        has just proved wrong; where it sank against it, it would sink farther without.
+        Where a joint has left its place on the side to which its feed-forward torque pushes, this
+        torque has just proved wrong; where it sank against it, it would sink farther without.
         """
-        settings, (q, qd) = self._settings, self._measured
+        observer = self._observer
+        settings = self._settings
+        q, qd = (np.where(observer.trusted, x, np.nan) for x in self._session.believed)
+        place = q, reference.position, reference.torque
         away = np.abs(q - reference.position) > settings.max_tracking_error
-        fast = np.abs(qd - reference.velocity) > settings.max_speed_error
-        place, watched = (reference.position, reference.torque), self._supervisor
-        left = watched.has_left(q, *place) if self._standing else away
-        wrong = (away | fast | left) & watched.is_pushed(q, *place)
-        return Reference(
-            np.where(away | fast, q, reference.position),
-            np.where(away, 0.0, reference.velocity),
-            np.where(wrong, 0.0, reference.torque),
+        left = observer.has_left(*place) if self._standing else away
+        wrong = left & observer.is_pushed(*place)
+        model = self._holding.torque(np.where(np.isfinite(q), q, reference.position))
+        fed = np.where(wrong, 0.0, model if self._holding.is_model else observer.fed)
+        start = StopStart(
+            Reference(self._session.sent_position, reference.velocity, reference.torque),
+            q,
+            qd,
+            np.nan_to_num(fed),
+            self._kp,
+            self._kd,
+            observer.stuck,
+            self._session.room,
         )
+        self._follower = CarriedStop(
+            start, settings.deceleration, settings.period, settings.rest_time
+        )
+        return self._follower
+
+    @property
+    def _is_carried_to_rest(self) -> bool:
+        return isinstance(self._follower, CarriedStop) and self._follower.is_at_rest
 
     def _stop_phase(self, reference: ReferenceFunction, duration: float) -> None:
         origin = self._timer.next_deadline
@@ -366,8 +394,9 @@ class Player:
             deadline = self._timer.wait(lenient=True)
             silent = self._clock.now() - self._heard_at > _DEAF
             # Where all have failed or are silent, nothing that is sent has an effect any more.
-            hopeless = bool(np.all(self._supervisor.failed)) or silent
-            if hopeless or self._stop.insisted or self._lowering_is_done:
+            hopeless = bool(np.all(self._observer.failed)) or silent
+            done = self._lowering_is_done or self._is_carried_to_rest
+            if hopeless or self._stop.insisted or done:
                 return
             # A bus that fails now may work again in the next cycle.
             with contextlib.suppress(BaseException):
@@ -375,12 +404,14 @@ class Player:
 
     def _stop_cycle(self, wanted: Reference, deadline: float) -> None:
         # A motor that does not answer may still obey, so only failed ones are left out.
-        driving = ~self._supervisor.failed
-        command = self._command_for(Reference(*self._session.clipped(*wanted)))
+        driving = ~self._observer.failed
+        command = self._command_for(wanted)
+        acted = self._command or command
         until = self._reply_deadline(deadline)
-        replies = self._session.exchange(command, until, driving, regardless=True)
-        self._supervisor.update(replies)
-        self._note(replies)
+        replies = self._session.exchange(command, until, driving, braking=True)
+        self._command = replies.command
+        self._observer.update(replies)
+        self._note(replies, acted)
         if self._recorder:
             self._recorder.end_cycle()
 

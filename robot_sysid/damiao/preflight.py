@@ -21,6 +21,7 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_probl
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.references import FileHolding, HoldingCheck, torque_doubt, way_rows
+from robot_sysid.damiao.safety.bounds import Room
 from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, InputError
@@ -41,6 +42,8 @@ _ANSWER_SHARE = 0.9
 # Speed that one step of torque may give a joint within a cycle [rad/s]: a judgement, a third of
 # what ``--max-speed-error`` stops at.
 _SHAKEN = 0.3
+# Commands may move by a tenth faster than what is played: rows are rounded.
+_SPEED_ROOM = 1.1
 # Relative; register values went through float32.
 _FLOAT32_SLACK = 1e-6
 
@@ -95,7 +98,8 @@ class Plan:
     """What is to be played, and how; settings left open are chosen for these motors and this bus.
 
     ``inertia`` is what each joint moves (n,), where a model is known [kg m^2]; ``limits`` hold for
-    the trajectory, the way to it and the way to where the arm is parked.
+    the trajectory, the way to it and the way to where the arm is parked; ``model_range`` are the
+    least and greatest positions (n,) of the model's joints [rad].
     """
 
     trajectory: motion.DamiaoTrajectory
@@ -105,6 +109,7 @@ class Plan:
     recording: RecordingOptions = RecordingOptions()
     inertia: Array | None = None
     limits: LimitOptions = motion.NO_LIMITS
+    model_range: tuple[Array, Array] | None = None
 
     def __post_init__(self) -> None:
         if len(self.trajectory.time) < 2:
@@ -134,6 +139,24 @@ class Plan:
         if pose.shape != (n,) or not np.all(np.isfinite(pose)):
             raise InputError(f"{where} has to hold {n} positions in one line, separated by commas")
         return pose
+
+    def room(self, held: Array) -> Room:
+        """Return where and how fast commands may go, held motors at ``held`` (m,) behind [rad].
+
+        Positions are within the model's range, or else within that of the trajectory.
+        """
+        played = self.trajectory
+        lower, upper = self.model_range or (np.min(played.q, axis=0), np.max(played.q, axis=0))
+        if self.model_range is None and self.pose is not None:
+            lower = np.minimum(lower, self.pose)
+            upper = np.maximum(upper, self.pose)
+        slope = np.diff(played.q, axis=0) / np.diff(played.time)[:, None]
+        fastest = np.maximum(np.abs(slope).max(axis=0), np.abs(played.qd).max(axis=0))
+        speed = np.maximum(self.settings.speed * fastest, self.settings.approach_speed)
+        still = np.full_like(held, self.settings.approach_speed)
+        return Room(
+            np.append(lower, held), np.append(upper, held), _SPEED_ROOM * np.append(speed, still)
+        )
 
     def ways(self, here: Array) -> Iterator[tuple[str, Array, Array]]:
         """Yield from where to where (n,) an arm at ``here`` goes to begin and to park [rad]."""

@@ -2,8 +2,8 @@
 
 Comment lines say how it was made (motors, register values, gains, time stamps). Then one row per
 control cycle: ``time``, position, velocity and torque of each joint, and per joint the time stamp
-of its own sample, the command in force when it was sampled, status and temperatures. Cells of a
-joint that did not answer are empty.
+of its own sample, the command in force when it was sampled, whether an answer was doubted, status
+and temperatures. Cells of a joint that did not answer, or whose answer was not believed, are empty.
 
 Printing and recording happen beside a run. A terminal that is gone, held (Ctrl-S) or full, a disk
 that is full or does not answer: a control loop that printed by itself would fail or wait with it,
@@ -87,7 +87,17 @@ class Aside:
 
 
 _MEASURED = ("pos", "vel", "tau")
-_EXTRA = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "status", "temp_mos", "temp_rotor")
+_EXTRA = (
+    "time",
+    "cmd_pos",
+    "cmd_vel",
+    "cmd_tau",
+    "cmd_step",
+    "doubted",
+    "status",
+    "temp_mos",
+    "temp_rotor",
+)
 
 
 @dataclass(frozen=True)
@@ -147,6 +157,7 @@ def head_lines(
         "centred=1: jN_tau is the torque with half of jN_cmd_step added",
         "jN_cmd_step is the torque step that the command answered by this sample then made",
         "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
+        "jN_doubted=1: an answer came that cannot be true; it is left out here",
     ]
 
 
@@ -217,6 +228,7 @@ class MeasurementRecorder:
         state = (measured.status, measured.temperature_mos, measured.temperature_rotor)
         for j, answered in enumerate(replies.answered[: self._n]):
             cells += _numbers([column[j] for column in columns])
+            cells.append(str(int(replies.doubted[j])))
             cells += [str(code[j]) if answered else "" for code in state]
         return ",".join(cells) + "\n"
 

@@ -126,19 +126,6 @@ def way_rows(
     return replace(trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau)
 
 
-def come_to_rest(last: Reference, deceleration: float) -> tuple[ReferenceFunction, float]:
-    """Return a motion that brakes all joints together from ``last``, and its duration [s]."""
-    duration = float(np.max(np.abs(last.velocity))) / deceleration
-
-    def reference(time: float) -> Reference:
-        t = min(max(time, 0.0), duration)
-        left = 1.0 - t / duration if duration > 0.0 else 0.0
-        position = last.position + last.velocity * t * (1.0 + left) / 2.0
-        return Reference(position, last.velocity * left, last.torque)
-
-    return reference, duration
-
-
 def hold(reference: Reference) -> ReferenceFunction:
     """Return a function that stays at a reference, at rest."""
     still = Reference(reference.position, np.zeros_like(reference.velocity), reference.torque)
@@ -211,6 +198,13 @@ class HoldingCheck:
         torque: from a pose (n,) [rad] to what should hold the arm there (n,) [N m].
         doubt: (n,) dry friction, where it is known [N m].
         source: who says what should, in words.
+        load: from a pose to the torque that a kilogram at the arm's end takes there (n,) [N m];
+            None without a model.
+
+    Attributes:
+        n_joints: joints that are judged; motors beside the arm come behind them.
+        doubt: (n,) torque that says nothing [N m].
+        is_model: whether a model of the arm says what should hold it, in every pose.
     """
 
     def __init__(
@@ -219,22 +213,33 @@ class HoldingCheck:
         torque: Callable[[Array], Array],
         doubt: Array | float,
         source: str,
+        load: Callable[[Array], Array] | None = None,
     ) -> None:
-        self._due, self._joints, self._source = torque, joints, source
-        self._n, self.doubt = len(joints), doubt + torque_doubt(joints)
+        self._due = torque
+        self._joints = joints
+        self._source = source
+        self._load = load
+        self.n_joints = len(joints)
+        self.doubt = doubt + torque_doubt(joints)
+        self.is_model = load is not None
 
     def unjudged(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) shows no direction."""
         bare = np.abs(self._due(q)) <= _LOADED * self.doubt
         return [j for j, is_bare in zip(self._joints, bare) if is_bare and not j.verified]
 
+    def load(self, q: Array) -> Array:
+        """Return the torque (n,) that a kilogram at the arm's end takes at q [N m]."""
+        assert self._load is not None
+        return self._load(q[: self.n_joints])
+
     def torque(self, q: Array) -> Array:
         """Return what holds the arm at q [N m]; zero for motors beside it, behind the joints."""
-        return np.append(self._due(q[: self._n]), np.zeros(len(q) - self._n))
+        return np.append(self._due(q[: self.n_joints]), np.zeros(len(q) - self.n_joints))
 
     def __call__(self, q: Array, tau: Array) -> None:
         """Raise HardwareAbort where a torque (n,) [N m] at rest at q (n,) is not what holds it."""
-        due, tau = self._due(q[: self._n]), tau[: self._n]
+        due, tau = self._due(q[: self.n_joints]), tau[: self.n_joints]
         along = np.sign(due) * tau
         wrong = (np.abs(due) > self.doubt) & (along < -self.doubt)
         wrong |= (np.abs(due) > _LOADED * self.doubt) & (along < _BARE * self.doubt)
@@ -270,9 +275,9 @@ class FileHolding(HoldingCheck):
 
     def __call__(self, q: Array, tau: Array) -> None:
         """Raise HardwareAbort as above, and where nothing is fed forward to carry the arm."""
-        if np.any(np.abs(q[: self._n] - self._first) > _NEAR):
+        if np.any(np.abs(q[: self.n_joints] - self._first) > _NEAR):
             return
-        loaded = np.abs(tau[: self._n]) > _LOADED * self.doubt
+        loaded = np.abs(tau[: self.n_joints]) > _LOADED * self.doubt
         for j in [] if self._carries else np.flatnonzero(loaded).tolist():
             raise HardwareAbort(
                 f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m, and the trajectory "

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.protocol import codec, frames
-from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, Address, Frame
+from robot_sysid.damiao.protocol.frames import ENABLED, Address, Frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
+from robot_sysid.damiao.safety.bounds import CommandBounds, Room
+from robot_sysid.damiao.safety.samples import NO_STATUS, Mask, Replies, SampleFilter
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
@@ -23,24 +24,10 @@ _CONFIRM_TIMEOUT = 0.02
 # A bus that comes back within this time still gets its motors disabled.
 _CONFIRM_PATIENCE = 0.5
 _ENABLE_TRIES = 3
-NO_STATUS = -1
-Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Replies:
-    """What came back in one cycle; status -1 and NaN values where a joint did not answer.
-
-    ``time`` (n,) is when each joint took its sample, in the link's clock [s]: when its command was
-    on the bus where the adapter reports that, else when the reply arrived. ``command`` is what each
-    joint is under now, as the motors read it; ``asked`` are those that were sent something.
-    """
-
-    answered: Mask
-    time: Array
-    feedback: codec.Feedback
-    asked: Mask
-    command: codec.MitCommand | None = None
+# An arm that nobody drives yet stays this near to where it was between two questions [rad].
+_SAME_PLACE = 0.02
+# However long nothing was sent, a command goes no farther than in this time [s].
+_LONGEST_PAUSE = 0.2
 
 
 PAUSE = 4
@@ -55,11 +42,14 @@ class Outstanding:
     next thing heard from that motor may be it, late, or the answer to the next command. So it is
     told nothing new until the missing answer has come or is long overdue: what a slow adapter holds
     back is out of the way then, and each answer that is believed belongs to the command before it.
+    ``surplus`` (n,) counts the answers of this cycle that no command had asked for.
     """
 
     def __init__(self, n: int) -> None:
-        self._owed, self._silent = np.zeros(n, int), np.zeros(n, int)
+        self._owed = np.zeros(n, int)
+        self._silent = np.zeros(n, int)
         self._told = np.zeros(n, bool)
+        self.surplus = np.zeros(n, int)
 
     def may_be_told(self, wanted: Mask) -> Mask:
         """Begin a cycle: return which of the motors ``wanted`` (n,) get a command in it."""
@@ -72,6 +62,7 @@ class Outstanding:
     def heard(self, j: int) -> bool:
         """Note an answer; return whether it is that to the command of this cycle."""
         timely = bool(self._told[j] and self._owed[j] == 1)
+        self.surplus[j] += self._owed[j] == 0
         self._owed[j] = max(self._owed[j] - 1, 0)
         self._silent[j] = 0
         return timely
@@ -85,34 +76,78 @@ class MotorSession:
 
     Commands and measurements are in joint space, see ``JointSpace``. The scaling is that of the
     motors' registers; half a quantisation step is added to what they measure, because motors drop
-    the fraction. ``steps`` and ``peak_torque`` (n,) are in [rad, rad/s, N m]; ``last_replies`` is
-    what the last exchange collected, also where an error cut it short; ``unconfirmed`` are the
-    joints whose motors could be enabled and have not said that they are off.
+    the fraction. Every command passes ``CommandBounds``, and every answer ``SampleFilter``.
+
+    Args:
+        room: where commands may go; by default as far and as fast as frames can say.
+
+    Attributes:
+        steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
+        peak_torque: (n,) of each joint [N m].
+        last_replies: what the last exchange collected, also where an error cut it short.
+        unconfirmed: joints whose motors could be enabled and have not said that they are off.
     """
 
     def __init__(
-        self, link: GuardedLink, joints: Sequence[DamiaoJoint], scaling: codec.Scaling
+        self,
+        link: GuardedLink,
+        joints: Sequence[DamiaoJoint],
+        scaling: codec.Scaling,
+        room: Room | None = None,
     ) -> None:
-        self._link, self.clock = link, link.clock
-        self.joints, self.scaling = tuple(joints), scaling
-        self.n_joints, self.space = len(joints), JointSpace.of(joints)
-        position, velocity, torque = scaling.steps
-        self.steps = position, velocity, torque * self.space.ratio
+        self._link = link
+        self.clock = link.clock
+        self.joints = tuple(joints)
+        self.scaling = scaling
+        self.n_joints = len(joints)
+        self.space = JointSpace.of(joints)
+        position_step, velocity_step, torque_step = scaling.steps
+        self.steps = position_step, velocity_step, torque_step * self.space.ratio
         # A frame cannot say more than the scale's end either.
         peaks = np.minimum([j.spec.peak_torque for j in joints], scaling.limits[:, 2])
         self.peak_torque: Array = peaks * self.space.ratio
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
         self._command: codec.MitCommand | None = None
+        self._bounds = CommandBounds(room or self._scale(), self.peak_torque, *self.steps)
+        self._sent_position = np.full(self.n_joints, np.nan)
+        self._sent_at = np.full(self.n_joints, -np.inf)
+        self._sent_data: dict[int, bytes] = {}
+        self._filter = SampleFilter(self.peak_torque, velocity_step)
         self._outstanding = Outstanding(self.n_joints)
+        self._foreign = np.zeros(self.n_joints, int)
         self._regardless = True
         self._by_reply = {(joint.bus, joint.master_id): j for j, joint in enumerate(joints)}
         self._by_command = {joint.address: j for j, joint in enumerate(joints)}
 
-    def clipped(self, q: Array, qd: Array, tau: Array) -> tuple[Array, ...]:
-        """Return the nearest values (n,) that the joints' frames carry [rad, rad/s, N m]."""
-        limits = self.scaling.limits.T
-        return self.space.to_joints(*np.clip(self.space.to_motors(q, qd, tau), -limits, limits))
+    def _scale(self) -> Room:
+        """Return how far and how fast frames can tell the joints to go."""
+        limit = self.scaling.limits.T
+        ends = [self.space.joint_position(sign * limit[0]) for sign in (-1.0, 1.0)]
+        return Room(np.minimum(*ends), np.maximum(*ends), limit[1])
+
+    @property
+    def believed(self) -> tuple[Array, Array]:
+        """Positions and velocities (n,) as believed last, NaN where never heard [rad, rad/s]."""
+        return self._filter.q, self._filter.qd
+
+    @property
+    def room(self) -> Room:
+        """How far and how fast commands may go."""
+        return self._bounds.room
+
+    @property
+    def sent_position(self) -> Array:
+        """Positions (n,) that were commanded last, at first where the arm stood [rad]."""
+        return self._sent_position
+
+    def open_range(self) -> None:
+        """Let positions go as far as frames can say, no faster than before.
+
+        For lowering an arm of which no model tells how far its load may take it.
+        """
+        scale = self._scale()
+        self._bounds = self._bounds.including(scale.lower).including(scale.upper)
 
     def is_off(self, motor: Address) -> bool:
         """Tell whether a motor was never enabled or has confirmed that it is disabled."""
@@ -133,47 +168,102 @@ class MotorSession:
             ) from error
 
     def enable(self) -> Array:
-        """Enable every motor, or raise HardwareAbort; return where each was then (n,) [rad]."""
+        """Enable every motor, or raise HardwareAbort; return where each was then (n,) [rad].
+
+        Where a motor stands is believed when two of its answers agree.
+        """
         self.unconfirmed = self.joints
+        asked = [self._ask(j, frames.refresh_frame(i.address)) for j, i in enumerate(self.joints)]
         position = np.empty(self.n_joints)
         for j, joint in enumerate(self.joints):
-            feedback = self._enable_one(j, joint)
-            status = int(feedback.status[j])
-            if status != ENABLED:
-                said = "no answer" if status == NO_STATUS else frames.describe(status)
-                raise HardwareAbort(f"{joint.label} did not enable: {said}")
-            position[j] = feedback.position[j]
+            position[j] = self._enable_one(j, joint, asked[j])
+        now = self.clock.now()
+        self._filter.start(now, position)
+        self._bounds = self._bounds.including(position)
+        self._sent_position = position.copy()
+        self._sent_at = np.full(self.n_joints, now)
         return position
+
+    def _enable_one(self, j: int, joint: DamiaoJoint, before: tuple[int, float]) -> float:
+        status, position = before
+        for _ in range(_ENABLE_TRIES):
+            last_status = status
+            last_position = position
+            status, position = self._ask(j, frames.enable_frame(joint.address))
+            agree = abs(position - last_position) <= _SAME_PLACE
+            if status == ENABLED and agree:
+                return position
+            if frames.is_fault(status) and status == last_status != NO_STATUS:
+                break
+        words = "no answer" if status == NO_STATUS else frames.describe(status)
+        if status == ENABLED:
+            words = f"its answers disagree, {last_position:.3f} and {position:.3f} rad"
+        raise HardwareAbort(f"{joint.label} did not enable: {words}")
+
+    def _ask(self, j: int, request: Frame) -> tuple[int, float]:
+        """Send a request to a motor; return the status and the position [rad] it answers."""
+        self._link.drain()
+        self._link.send(request)
+        only = np.arange(self.n_joints) == j
+        feedback = self._collect(only, self.clock.now() + _CONFIRM_TIMEOUT).feedback
+        return int(feedback.status[j]), float(feedback.position[j])
 
     def exchange(
         self,
         command: codec.MitCommand,
         until: float,
         joints: Mask | None = None,
-        regardless: bool = False,
+        braking: bool = False,
     ) -> Replies:
         """Command joints (n,), or all, and collect their replies ``until`` then [s].
 
-        The reply to a command is the state before that command acted. ``regardless`` commands also
-        where answers are missing, see ``Outstanding``, as braking has to. InputError, before
-        anything is sent, where a value does not fit into its frame; LinkError from the bus.
+        The reply to a command is the state before that command acted. While ``braking``, joints are
+        commanded also where answers are missing, see ``Outstanding``, and what is asked too much is
+        confined to the bounds. Else a command beyond them raises HardwareAbort, and InputError one
+        that does not fit into its frame, both before anything is sent. LinkError from the bus.
         """
-        self.last_replies, self._regardless = None, regardless
-        packed = codec.encode_mit(self.space.command_to_motors(command), self.scaling)
+        self.last_replies = None
+        self._regardless = braking
+        self._outstanding.surplus[:] = 0
+        self._foreign[:] = 0
         wanted = np.ones(self.n_joints, bool) if joints is None else joints
         # What has arrived since the last exchange is late, but it is known whose answer it was.
         while (frame := self._link.receive(self.clock.now())) is not None:
+            self._note_foreign(frame)
             if (sender := self._sender(frame)) is not None:
                 self._outstanding.heard(sender)
-        told = wanted if regardless else self._outstanding.may_be_told(wanted)
+        now = self.clock.now()
+        command = self._bounded(command, now, braking)
+        packed = codec.encode_mit(self.space.command_to_motors(command), self.scaling)
+        told = wanted if braking else self._outstanding.may_be_told(wanted)
         # As the motors read it; one that is told nothing stays under its old command.
         new = self.space.command_to_joints(codec.decode_mit(packed, self.scaling))
-        old = self._command or new
+        acted = self._command
+        old = acted or new
         self._command = codec.MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
-        for j in np.flatnonzero(told):
+        self._sent_position = np.where(told, new.position, self._sent_position)
+        self._sent_at = np.where(told, now, self._sent_at)
+        for j in np.flatnonzero(told).tolist():
             bus, can_id = self.joints[j].address
-            self._link.send(Frame(can_id, packed[j].tobytes(), bus=bus))
-        return self._collect(told, until, self._command)
+            self._sent_data[j] = packed[j].tobytes()
+            self._link.send(Frame(can_id, self._sent_data[j], bus=bus))
+        return self._collect(told, until, self._command, acted, believe=True)
+
+    def _bounded(self, command: codec.MitCommand, now: float, braking: bool) -> codec.MitCommand:
+        """Return a command within the bounds, or raise HardwareAbort unless ``braking``."""
+        last = np.where(np.isnan(self._sent_position), command.position, self._sent_position)
+        elapsed = np.minimum(now - self._sent_at, _LONGEST_PAUSE)
+        where = last, elapsed, self._filter.q
+        if braking:
+            return self._bounds.confine(command, *where)
+        for j, words in filter(None, [self._bounds.excess(command, *where)]):
+            raise HardwareAbort(f"{self.joints[j].label} {words}")
+        return command
+
+    def switch_off(self, joints: Mask) -> None:
+        """Tell the motors of joints (n,) to disable; ``disable`` has it confirmed at the end."""
+        for j in np.flatnonzero(joints).tolist():
+            self._tell_off(self.joints[j])
 
     def disable(self) -> None:
         """Disable every motor; ``unconfirmed`` tells which ones did not confirm it.
@@ -209,43 +299,45 @@ class MotorSession:
                 self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
             self.unconfirmed = tuple(self.joints[j] for j in np.flatnonzero(running))
 
-    def _enable_one(self, j: int, joint: DamiaoJoint) -> codec.Feedback:
-        only = np.arange(self.n_joints) == j
-        for _ in range(_ENABLE_TRIES):
-            self._link.drain()
-            self._link.send(frames.enable_frame(joint.address))
-            replies = self._collect(only, self.clock.now() + _CONFIRM_TIMEOUT)
-            if replies.feedback.status[j] not in (NO_STATUS, DISABLED):
-                break
-        return replies.feedback
-
     def _collect(
-        self, wanted: Mask, until: float, command: codec.MitCommand | None = None
+        self,
+        wanted: Mask,
+        until: float,
+        command: codec.MitCommand | None = None,
+        acted: codec.MitCommand | None = None,
+        believe: bool = False,
     ) -> Replies:
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
-        received, sent = np.full((2, self.n_joints), np.nan)
+        received = np.full(self.n_joints, np.nan)
+        sent = np.full(self.n_joints, np.nan)
         missing = int(np.count_nonzero(wanted))
         try:
             while missing and (frame := self._link.receive(until)) is not None:
                 missing -= self._take(frame, wanted, raw, received, sent)
         finally:
             answered = np.isfinite(received)
-            told = codec.decode_feedback(raw, self.scaling, half_step=True)
-            measured = self.space.to_joints(told.position, told.velocity, told.torque)
+            decoded = codec.decode_feedback(raw, self.scaling, half_step=True)
+            measured = self.space.to_joints(decoded.position, decoded.velocity, decoded.torque)
             q, qd, tau = np.where(answered, measured, np.nan)
-            status = np.where(answered, told.status, NO_STATUS)
-            feedback = replace(told, status=status, position=q, velocity=qd, torque=tau)
+            status = np.where(answered, decoded.status, NO_STATUS)
+            feedback = replace(decoded, status=status, position=q, velocity=qd, torque=tau)
             stamps = np.where(answered & np.isfinite(sent), sent, received)
-            self.last_replies = Replies(answered, stamps, feedback, wanted, command)
-        return self.last_replies
+            replies = Replies(answered, stamps, feedback, wanted, command)
+            if believe:
+                surplus = self._outstanding.surplus.copy()
+                counted = replace(replies, surplus=surplus, foreign=self._foreign.copy())
+                replies = self._filter.believe(counted, acted)
+            self.last_replies = replies
+        return replies
 
     def _take(
         self, frame: Frame, wanted: Mask, raw: codec.Bytes, received: Array, sent: Array
     ) -> bool:
         """File a frame where it belongs; return whether it is an answer that was missing."""
-        told = self._by_command.get(Address(frame.bus, frame.id))
-        if frame.echo and told is not None:
-            sent[told] = frame.time
+        commanded = self._by_command.get(Address(frame.bus, frame.id))
+        if frame.echo and commanded is not None:
+            sent[commanded] = frame.time
+        self._note_foreign(frame)
         j = self._sender(frame)
         if j is None:
             return False
@@ -255,6 +347,12 @@ class MotorSession:
         raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
         received[j] = frame.time
         return True
+
+    def _note_foreign(self, frame: Frame) -> None:
+        """Count a command to one of our motors that is not what we sent it last."""
+        j = self._by_command.get(Address(frame.bus, frame.id))
+        if j is not None and not frame.echo and frame.data != self._sent_data.get(j):
+            self._foreign[j] += 1
 
     def _sender(self, frame: Frame) -> int | None:
         """Return the joint whose feedback a frame is, or None."""

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.references import ORDERS, Reference, approach, come_to_rest, sampled
+from robot_sysid.damiao.references import ORDERS, Reference, approach, sampled
 from tests.support.damiao_rig import swing, trajectory_file
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
@@ -50,17 +50,3 @@ def test_an_approach_goes_from_rest_to_rest_within_its_speed(start, data, speed,
     np.testing.assert_allclose((ahead - q[:-1]) / 1e-6, qd[:-1], atol=1e-3 * speed + 1e-6)
     extra = (tau - np.sin(q) - 2.0) / (-np.sin(target) - 2.0)
     assert np.all(np.diff(extra, axis=0) >= -1e-9)
-
-
-@given(q=ANGLES, data=st.data(), deceleration=st.floats(0.5, 50.0))
-def test_braking_is_continuous_and_ends_at_rest(q, data, deceleration):
-    q = np.array(q)
-    v = np.array([data.draw(st.floats(-3.0, 3.0)) for _ in q])
-    path, duration = come_to_rest(Reference(q, v, 0 * q), deceleration)
-    np.testing.assert_allclose(path(0.0).position, q, atol=1e-12)
-    if duration > 0.0:
-        np.testing.assert_allclose(path(0.0).velocity, v, atol=1e-12)
-    end = path(duration + 1.0)
-    np.testing.assert_allclose(end.velocity, 0.0, atol=1e-12)
-    np.testing.assert_allclose(end.position, q + 0.5 * v * duration, atol=1e-9)
-    assert duration == pytest.approx(np.max(np.abs(v)) / deceleration)

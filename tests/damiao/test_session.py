@@ -16,6 +16,7 @@ from robot_sysid.damiao.protocol.frames import (
     REGISTER_ID,
     Address,
     Frame,
+    refresh_frame,
 )
 from robot_sysid.damiao.session import PAUSE, Outstanding
 from robot_sysid.errors import HardwareAbort
@@ -87,9 +88,10 @@ def test_a_reply_is_the_state_before_the_command_acted():
     bench = Bench()
     with bench.session as session:
         session.enable()
-        first = session.exchange(bench.command(0.5, kp=100.0), bench.clock.now() + 0.004)
         bench.clock.sleep_until(bench.clock.now() + 0.004)
-        second = session.exchange(bench.command(0.5, kp=100.0), bench.clock.now() + 0.004)
+        first = session.exchange(bench.command(0.03, kp=500.0), bench.clock.now() + 0.004)
+        bench.clock.sleep_until(bench.clock.now() + 0.004)
+        second = session.exchange(bench.command(0.03, kp=500.0), bench.clock.now() + 0.004)
     half = 0.5 * 28.0 * 2 / 4095
     assert np.all(np.abs(first.feedback.torque) <= half * 1.01)
     assert np.all(second.feedback.torque > 10.0)
@@ -101,9 +103,9 @@ def test_joints_that_were_not_asked_do_not_answer():
         session.enable()
         session.exchange(bench.command(), bench.clock.now() + 0.004)
         only = np.array([True, False, True])
-        replies = session.exchange(bench.command(0.5), bench.clock.now() + 0.004, only)
+        replies = session.exchange(bench.command(0.005), bench.clock.now() + 0.004, only)
     # Who was told nothing is under its old command.
-    np.testing.assert_allclose(replies.command.position, [0.5, 0.0, 0.5], atol=1e-3)
+    np.testing.assert_allclose(replies.command.position, [0.005, 0.0, 0.005], atol=1e-3)
     assert replies.answered.tolist() == [True, False, True]
     assert np.isnan(replies.feedback.position[1]) and np.isnan(replies.time[1])
     assert replies.feedback.status[1] == -1
@@ -154,6 +156,50 @@ def test_a_watchdog_trip_needs_more_than_enabling():
     assert [m.status for m in bench.motors] == [LOST_COMMUNICATION] * 2
     with pytest.raises(HardwareAbort, match="motor 1 did not enable: status D"):
         bench.session.enable()
+
+
+def test_a_damaged_answer_while_enabling_is_asked_again():
+    """Where the arm is held would be where it never was."""
+    bench = Bench()
+    answer = bench.motors[1]._feedback
+    damaged = []
+
+    def once(*arguments):
+        said = answer(*arguments)
+        if bench.motors[1].status == ENABLED and not damaged:
+            damaged.append(said)
+            said = said[:1] + bytes([said[1] ^ 0x20]) + said[2:]
+        return said
+
+    bench.motors[1]._feedback = once
+    with bench.session as session:
+        position = session.enable()
+    assert damaged
+    np.testing.assert_allclose(position, 0.0, atol=1e-3)
+
+
+def test_a_command_beyond_its_bounds_is_not_sent():
+    bench = Bench()
+    with bench.session as session:
+        session.enable()
+        sent = len(bench.bus.sent)
+        with pytest.raises(HardwareAbort, match="motor 1 would be sent to 1.000 rad"):
+            session.exchange(bench.command(1.0), bench.clock.now() + 0.004)
+        assert len(bench.bus.sent) == sent
+        replies = session.exchange(bench.command(1.0), bench.clock.now() + 0.004, braking=True)
+    assert np.all(np.abs(replies.command.position) < 0.1)
+
+
+def test_commands_of_others_and_answers_that_nobody_asked_for_are_counted():
+    bench = Bench()
+    with bench.session as session:
+        session.enable()
+        session.exchange(bench.command(), bench.clock.now() + 0.004)
+        bench.bus.inject(Frame(2, bytes(8)))
+        bench.bus.inject(bench.motors[0].handle(refresh_frame(Address(0, 1)), 0.0))
+        replies = session.exchange(bench.command(), bench.clock.now() + 0.004)
+    assert replies.foreign.tolist() == [0, 1]
+    assert replies.surplus.tolist() == [1, 0]
 
 
 ONE = np.ones(1, bool)

@@ -14,6 +14,11 @@ class RememberingLink:
     def __init__(self, link, clock):
         self._link, self._clock = link, clock
         self.frames = []
+        self._injected = []
+
+    def inject(self, frame):
+        """Let a frame arrive next that nobody on this link has sent."""
+        self._injected.append(frame)
 
     @property
     def sent(self):
@@ -25,7 +30,7 @@ class RememberingLink:
         self.frames.append((frame._replace(time=self._clock.now()), True))
 
     def receive(self, until):
-        frame = self._link.receive(until)
+        frame = self._injected.pop(0) if self._injected else self._link.receive(until)
         if frame is not None and not frame.echo:
             self.frames.append((frame, False))
         return frame

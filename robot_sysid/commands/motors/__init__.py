@@ -24,7 +24,7 @@ from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.serial_adapter import slcan_terminal
 from robot_sysid.damiao.settings import PlaySettings, SecondArm
 from robot_sysid.damiao.simulated import serve
-from robot_sysid.damiao.supervision import StopRequest
+from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model.options import ModelOptions

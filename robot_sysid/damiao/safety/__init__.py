@@ -1,0 +1,1 @@
+"""What keeps an arm safe: which samples are believed, how far commands may go, faults, stops."""

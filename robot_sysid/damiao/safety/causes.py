@@ -1,0 +1,142 @@
+"""Why an arm suddenly needs another torque: which one cause explains what every joint holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.references import HoldingCheck
+from robot_sysid.records import Array
+
+# In units of each joint's doubt: less in all joints is no change; what one cause has to explain of
+# the squares; and how much better than a weak motor another cause has to be.
+_NO_CHANGE = 1.0
+_EXPLAINED = 0.6
+_BETTER = 0.5
+# Of the largest: where the others' changes are smaller, one joint alone is concerned.
+_ALONE = 0.3
+# Judgements: less is no load [kg], and less or more no moved zero [rad].
+_LEAST_LOAD = 0.1
+_LEAST_SHIFT, _MOST_SHIFT = 0.02, 1.0
+_DIFFERENCE = 0.02
+
+
+@dataclass(frozen=True)
+class EffortChange:
+    """A joint's control suddenly adds another torque, each (n,) [N m].
+
+    Attributes:
+        joint: which one.
+        before: what the joints' control added before.
+        at_once: what it added when that was noticed.
+    """
+
+    joint: int
+    before: Array
+    at_once: Array
+
+
+class _Cause(NamedTuple):
+    """What may have happened, in words, and the shape of the torques that it makes (n,)."""
+
+    words: str
+    shape: Array
+
+
+def explain_change(
+    change: EffortChange,
+    holding: HoldingCheck,
+    q: Array,
+    commanded: Array,
+    fed: Array,
+    joints: Sequence[DamiaoJoint],
+) -> str:
+    """Return what explains the torque that holds a stopped arm; "" where nothing does.
+
+    Each possible cause makes torques of one shape over the joints; the one whose shape leaves least
+    of the squares is named. A weak motor shows in its own joint alone, and is named unless another
+    cause explains clearly more.
+
+    Args:
+        change: what was noticed.
+        holding: what carries the arm by its model, or by the file.
+        q: (n,) where the arm stands [rad].
+        commanded: (n,) torque that holds it there, as commanded [N m].
+        fed: (n,) torque that should hold it, where no model tells [N m].
+    """
+    n_joints = holding.n_joints
+    needed = (holding.torque(q) if holding.is_model else fed)[:n_joints]
+    residual = (commanded - change.before)[:n_joints] - needed
+    weighted = residual / holding.doubt
+    if np.max(np.abs(weighted)) < _NO_CHANGE:
+        return _passing(change, needed, holding, joints)
+    weak = [_unexplained(cause, weighted, holding) for cause in _weak(residual, needed, joints)]
+    others = [
+        _unexplained(cause, weighted, holding) for cause in _changed(holding, q, residual, joints)
+    ]
+    best_weak = min(weak, default=(np.inf, ""))
+    best_other = min(others, default=(np.inf, ""))
+    left, words = best_other if best_other[0] < _BETTER * best_weak[0] else best_weak
+    if left > (1.0 - _EXPLAINED) * float(weighted @ weighted):
+        return "something pushes it or holds it back, or it carries more than before"
+    return words
+
+
+def _passing(
+    change: EffortChange, needed: Array, holding: HoldingCheck, joints: Sequence[DamiaoJoint]
+) -> str:
+    """Return what explains a change of which nothing is left now that the arm stands."""
+    sudden = (change.at_once - change.before)[: holding.n_joints]
+    weighted = np.abs(sudden / holding.doubt)
+    is_alone = change.joint == int(np.argmax(weighted)) and (
+        np.sort(weighted)[-2:].min() < _ALONE * weighted[change.joint]
+    )
+    if is_alone and sudden[change.joint] * needed[change.joint] > 0.0:
+        return f"{joints[change.joint].label} was held back for a moment, or its motor is weak"
+    return "something pushed it for a moment"
+
+
+def _unexplained(cause: _Cause, weighted: Array, holding: HoldingCheck) -> tuple[float, str]:
+    """Return the sum of squares that a cause leaves of weighted torques (n,), and its words."""
+    shape = cause.shape / holding.doubt
+    explained = float(weighted @ shape) ** 2 / max(float(shape @ shape), 1e-12)
+    return float(weighted @ weighted) - explained, cause.words
+
+
+def _weak(residual: Array, needed: Array, joints: Sequence[DamiaoJoint]) -> Iterator[_Cause]:
+    """Yield each joint whose motor may make only a share of its torque."""
+    commanded = needed + residual
+    for j, shape in enumerate(np.eye(len(residual))):
+        share = needed[j] / commanded[j] if commanded[j] else 1.0
+        if 0.0 < share < 1.0:
+            said = f"{joints[j].label} makes {share:.2f} times the torque that it is commanded"
+            yield _Cause(f"{said}: its motor is weak", shape)
+
+
+def _changed(
+    holding: HoldingCheck, q: Array, residual: Array, joints: Sequence[DamiaoJoint]
+) -> Iterator[_Cause]:
+    """Yield a new load and each joint whose zero may have moved, where a model knows them."""
+    if not holding.is_model:
+        return
+    load = holding.load(q)
+    mass = _fitted(load, residual, holding.doubt)
+    if mass > _LEAST_LOAD:
+        yield _Cause(f"the arm carries about {mass:.1f} kg more at its end than before", load)
+    for j, unit in enumerate(np.eye(len(q))[: len(residual)]):
+        step = _DIFFERENCE * unit
+        slope = (holding.torque(q + step) - holding.torque(q - step)) / (2.0 * _DIFFERENCE)
+        shift = _fitted(slope[: len(residual)], residual, holding.doubt)
+        if _LEAST_SHIFT < abs(shift) < _MOST_SHIFT:
+            moved = f"the zero of {joints[j].label} has moved by {abs(shift):.2f} rad"
+            yield _Cause(f"{moved}: its gear or its encoder slips", slope[: len(residual)])
+
+
+def _fitted(shape: Array, residual: Array, doubt: Array) -> float:
+    """Return how much of a shape (n,) explains torques (n,) best, each weighted by its doubt."""
+    weighted = shape / doubt
+    return float(weighted @ (residual / doubt)) / max(float(weighted @ weighted), 1e-12)

@@ -1,0 +1,483 @@
+"""One observer of the whole arm: it stops a run when signals disagree, and says why.
+
+Every cycle it compares what each motor was commanded, what it says that it did, and what the arm
+needs. Which of these disagree, and for which joints, names the cause:
+
+=====================================  =========================================================
+the bus                                answers missing, damaged, doubled; commands of others
+torque reported, torque commanded      torque scale or sign, weak motor, another master, supply
+position, integrated velocity          velocity scale or sign, slipping gear or encoder
+position, command                      blocked joint, frozen encoder, answers that repeat
+torque commanded, torque needed        weak motor, new load, push, moved zero
+=====================================  =========================================================
+
+Torque needed is what is fed forward, by the model or by the file, and what the joint's own control
+had to add a moment ago: a wrong model is no fault, a sudden change is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from robot_sysid.damiao.protocol.codec import MitCommand
+from robot_sysid.damiao.protocol.frames import ENABLED, describe
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.references import HoldingCheck, torque_doubt
+from robot_sysid.damiao.safety.causes import EffortChange, explain_change
+from robot_sysid.damiao.safety.samples import NO_STATUS, Mask, Replies
+from robot_sysid.damiao.safety.scales import TorqueScalingCheck, VelocityScalingCheck
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.errors import HardwareAbort
+from robot_sysid.records import Array
+
+# Both velocities compared may be off by a quantisation step.
+_STEPS = 2.0
+# Cycles without an answer per unanswered command that is allowed: a motor whose answer is missing
+# is sent nothing for four cycles, see ``session.PAUSE``, so commands alone would count too slowly.
+_SILENT_CYCLES = 2
+# How far a joint that is to stand still may sag, by what its rated torque does to its stiffness: an
+# arm half a radian from the first point, or with a new load, takes up half of that. Half as far the
+# way that its feed-forward torque pushes: no load makes it go there.
+_SAG, _PUSHED = 2.0, 0.5
+_DRIVEN = (
+    "drives it off; a motor turns the other way than its joint, two ids are swapped, or the file "
+    "is for another pose or arm: see 'motors map'"
+)
+_SINKS = (
+    "does not carry it; the trajectory's torque lacks gravity, two ids are swapped, or the arm is "
+    "far heavier than its model"
+)
+# How often scales are judged [cycles].
+_SCALING_CYCLES = 50
+# Of the last so many cycles, so many have to disagree: one is a damaged frame.
+_RECENT, _ENOUGH = 5, 3
+# Answers beyond those asked for, and commands of others, in a row of cycles. A wrong one alone is a
+# damaged frame.
+_MEMORY = 0.9
+_FEW = 2.5
+# Of the peak torque: how far a torque may be from the one commanded, and how far a joint's own
+# control may change what it adds within ``_MOMENT`` [s], which depends on its stiffness.
+_OTHER_TORQUE = 0.15
+# No two types' scales are so far apart.
+_NO_SCALE = 0.4
+_LEAST_EFFORT, _MOST_EFFORT = 0.1, 0.25
+_STILL_EFFORT = 0.03
+_EFFORT_WAY = 0.05
+_MOMENT = 0.25
+# A change that took some time to be noticed is compared with what was usual over this time [s].
+_LONG = 1.5
+# A model may be off by this share of what the needed torque changes in that time.
+_MODEL_SHARE = 0.5
+# Over how long the torque that is fed forward is averaged [s].
+_FED_TIME = 0.3
+# Positions that do not change at all while the command moves on by this many steps are frozen.
+_STILL_STEPS = 20.0
+_STILL_CYCLES = 3
+# In units of the torque that says nothing: dry friction holds a joint against less.
+_FROZEN_DOUBTS = 2.0
+# A joint that was led so far [rad] within so many cycles and came by this share of it is blocked.
+_MOMENTS = 25
+_LED_BY = 0.015
+_CAME_SHARE = 0.3
+
+
+class Fault(HardwareAbort):
+    """Something about one joint is out of order; ``joint`` is its number, ``what`` says what."""
+
+    def __init__(self, joint: int, label: str, what: str) -> None:
+        super().__init__(f"{label} {what}")
+        self.joint = joint
+        self.what = what
+
+
+class Observer:
+    """Checks every cycle's replies; HardwareAbort names the first thing that is out of order.
+
+    Args:
+        steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
+        peak_torque: (n,) of each joint [N m].
+        holding: what carries the arm.
+
+    Attributes:
+        missed, silent: commands without an answer, and cycles without one, in a row (n,).
+        total_missed: (n,) commands without an answer.
+        worst_tracking: (n,) largest distance from the path [rad].
+        failed: (n,) joints whose motor does not drive any more.
+        stuck: (n,) joints that stand still against their motor.
+        to_switch_off: (n,) joints whose motor only does harm as long as it drives.
+        fed: (n,) feed-forward torque lately [N m].
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[DamiaoJoint],
+        settings: PlaySettings,
+        steps: tuple[Array, Array, Array],
+        peak_torque: Array,
+        holding: HoldingCheck,
+    ) -> None:
+        n_joints = len(joints)
+        self._joints = joints
+        self._settings = settings
+        self._holding = holding
+        self._peak = peak_torque
+        self._position_step, self._velocity_step, torque_step = steps
+        self._speed_limit = settings.max_speed_error + _STEPS * self._velocity_step
+        self._torque_limit = np.array(settings.max_torque_error)
+        self._doubt = torque_doubt(joints)
+        rated = np.array([j.spec.rated_torque * j.torque_ratio for j in joints])
+        kp = np.maximum(settings.kp, 1e-9)
+        self._sag = np.minimum(_SAG * rated / kp, settings.max_tracking_error)
+        effort = np.clip(_EFFORT_WAY * kp, _LEAST_EFFORT * peak_torque, _MOST_EFFORT * peak_torque)
+        self._effort_limit = effort
+        self._still_limit = np.maximum(_EFFORT_WAY * kp, _STILL_EFFORT * peak_torque)
+        self._other_torque = _OTHER_TORQUE * peak_torque + 4.0 * torque_step
+        # Without stiffness there is next to none: 0 / 0 would tell nothing of any joint.
+        fades = settings.period * kp / np.array(settings.kd)
+        self._velocity_check = VelocityScalingCheck(self._velocity_step, fades)
+        self._torque_check = TorqueScalingCheck(torque_step, peak_torque)
+        self._forget = settings.period / _MOMENT
+        self._forget_usual = settings.period / _LONG
+        self._forget_fed = settings.period / _FED_TIME
+        self._cycles = 0
+        self.missed, self.silent, self.total_missed, self._damaged = np.zeros((4, n_joints), int)
+        self.worst_tracking = np.zeros(n_joints)
+        self.failed: Mask = np.zeros(n_joints, dtype=bool)
+        self._stale: Mask = np.zeros(n_joints, dtype=bool)
+        self.to_switch_off: Mask = np.zeros(n_joints, dtype=bool)
+        self.stuck: Mask = np.zeros(n_joints, dtype=bool)
+        self.fed = np.full(n_joints, np.nan)
+        self._surplus, self._foreign = np.zeros((2, n_joints))
+        self._added = np.full(n_joints, np.nan)
+        self._usual = np.full(n_joints, np.nan)
+        self._needed = np.full(n_joints, np.nan)
+        self._sudden = np.zeros(n_joints, int)
+        self._has_agreed: Mask = np.zeros(n_joints, dtype=bool)
+        self._pairs = np.full((2, _RECENT, n_joints), np.nan)
+        self._last = np.full((3, n_joints), np.nan)
+        self._still_since = np.full((2, n_joints), np.nan)
+        self._slip: tuple[int, str] | None = None
+        self._moments = np.full((_MOMENTS, 2, n_joints), np.nan)
+        self._sudden_added = np.full(n_joints, np.nan)
+        self._still, self._repeated = np.zeros((2, n_joints), int)
+        self._change: EffortChange | None = None
+
+    def update(self, replies: Replies) -> None:
+        """Count missed replies and note which motors no longer drive."""
+        unanswered = replies.asked & ~replies.answered
+        self.missed = np.where(replies.answered, 0, self.missed + unanswered)
+        self.silent = np.where(replies.answered, 0, self.silent + 1)
+        self._damaged = np.where(replies.answered, 0, self._damaged + replies.doubted)
+        self.total_missed += unanswered
+        self._surplus = _MEMORY * self._surplus + replies.surplus
+        self._foreign = _MEMORY * self._foreign + replies.foreign
+        feedback = replies.feedback
+        is_faulty = (feedback.status != ENABLED) & (feedback.status != NO_STATUS)
+        # Where two motors answer, nobody knows whose status it is.
+        is_double = is_faulty & (self._surplus > 1.0)
+        self._surplus = np.where(is_double, np.inf, self._surplus)
+        self.failed |= is_faulty & ~is_double
+        self._velocity_check.add(replies.time, feedback.position, feedback.velocity)
+        slip = self._velocity_check.slip()
+        if slip is not None:
+            self._slip = slip[0], self._words_for_slip(*slip)
+
+    def check(
+        self, replies: Replies, acted: MitCommand, standing: bool = False, rising: bool = False
+    ) -> None:
+        """Raise HardwareAbort naming the first thing that is out of order; after ``update``.
+
+        ``acted`` is the command in force when the replies were sampled; while ``standing`` nothing
+        is to move. While gains are ``rising`` an arm that takes up a new load swings about where it
+        will settle, with twice the torque: how far it sinks tells enough.
+        """
+        feedback = replies.feedback
+        q, qd, tau = feedback.position, feedback.velocity, feedback.torque
+        commanded = acted.motor_torque(q, qd)
+        self._check_bus()
+        self._check_states(replies)
+        self._check_jump(replies)
+        self._check_frozen(replies, acted, commanded)
+        self._check_reported(commanded, tau)
+        self._torque_check.add(commanded, tau, qd)
+        if standing:
+            self._check_standing(replies, acted)
+        self._check_scales()
+        self._check_effort(replies, acted, commanded, rising)
+        self._check_limits(replies, acted, rising)
+
+    @property
+    def trusted(self) -> Mask:
+        """Joints (n,) that are heard, and whose position may be used to control them."""
+        return ~self._stale & (self.silent < self._settings.max_missed)
+
+    # --- the bus ----------------------------------------------------------------------------------
+
+    def _check_states(self, replies: Replies) -> None:
+        feedback = replies.feedback
+        settings = self._settings
+        self._stop_where(
+            replies.answered & (feedback.status != ENABLED),
+            lambda j: f"reports {describe(int(feedback.status[j]))}",
+        )
+        silent = self.missed >= settings.max_missed
+        silent |= self.silent >= _SILENT_CYCLES * settings.max_missed
+        self._stop_where(
+            silent & (self._damaged >= settings.max_missed),
+            lambda j: (
+                f"answered {self._damaged[j]} times in a row what cannot be true: its line is "
+                "disturbed, its encoder is not sound, or another motor has its id"
+            ),
+        )
+        self._stop_where(silent, lambda j: f"did not answer in time for {self.silent[j]} cycles")
+        hot = np.maximum(feedback.temperature_mos, feedback.temperature_rotor)
+        self._stop_where(
+            replies.answered & (hot > settings.max_temperature),
+            lambda j: f"is at {hot[j]} deg C, limit {settings.max_temperature:g}",
+        )
+
+    def _check_bus(self) -> None:
+        self._stop_where(
+            self._foreign > _FEW,
+            lambda j: "gets commands of another program: end it; one master moves an arm",
+        )
+        self._stop_where(
+            self._surplus > _FEW,
+            lambda j: (
+                "answers more often than it is asked: a second motor has its id, or another "
+                "program commands it"
+            ),
+        )
+
+    # --- what motors say --------------------------------------------------------------------------
+
+    def _check_jump(self, replies: Replies) -> None:
+        self.stuck |= replies.jump != 0.0
+        self._stop_where(
+            replies.jump != 0.0,
+            lambda j: (
+                f"jumped by {abs(replies.jump[j]):.3f} rad between two samples: its encoder or its "
+                "mounting is not sound"
+            ),
+        )
+
+    def _check_reported(self, commanded: Array, tau: Array) -> None:
+        """Compare the torque that motors report with what they were commanded to make."""
+        self._pairs = np.roll(self._pairs, 1, axis=1)
+        self._pairs[:, 0] = np.clip(commanded, -self._peak, self._peak), tau
+        error = np.abs(self._pairs[1] - self._pairs[0])
+        is_large = np.abs(self._pairs[0, 0]) > 0.5 * self._other_torque
+        self._has_agreed |= is_large & (error[0] < 0.5 * self._other_torque)
+        differs = error > self._other_torque
+        often = np.count_nonzero(differs, axis=0) >= _ENOUGH
+        self._stop_where(often, lambda j: self._words_for_torque(j, differs))
+
+    def _words_for_torque(self, joint: int, differs: Mask) -> str:
+        was_right = bool(self._has_agreed[joint])
+        asked, reported = self._pairs[:, :, joint][:, differs[:, joint]]
+        shares = reported / np.where(np.abs(asked) > 1e-9, asked, 1e-9)
+        share = float(np.median(shares))
+        is_steady = bool(np.all(np.abs(shares - share) < 0.2 * max(abs(share), 0.5)))
+        weak = np.count_nonzero(differs, axis=0) >= _ENOUGH - 1
+        if is_steady and abs(share + 1.0) < 0.2:
+            return "reports -1 times the torque that it was commanded to make: its sign is reversed"
+        if is_steady and (0.0 <= share < 1.0 and was_right or abs(share) < _NO_SCALE):
+            labels = [self._joints[j].label for j in np.flatnonzero(weak).tolist()]
+            if len(labels) > 1:
+                return (
+                    f"makes {share:.2f} times its commanded torque, and so do others "
+                    f"({', '.join(labels)}): the supply sags"
+                )
+            return f"makes {share:.2f} times its commanded torque: it is weak, or its supply sags"
+        if is_steady and not was_right:
+            return _TORQUE_SCALE.format(share)
+        if self._still[joint] >= _STILL_CYCLES:
+            return "reports one and the same position while its torque changes: it is frozen"
+        return (
+            f"does not do what it is commanded ({reported[0]:.1f} for {asked[0]:.1f} N m): another "
+            "program commands it, or its position or velocity is another than it reports"
+        )
+
+    def _check_scales(self) -> None:
+        if self._slip is not None:
+            self._raise(*self._slip)
+        self._cycles += 1
+        if self._cycles % _SCALING_CYCLES:
+            return
+        worst_torque = self._torque_check.worst()
+        if worst_torque is not None:
+            self._raise(worst_torque[0], _TORQUE_SCALE.format(worst_torque[1]))
+        worst_velocity = self._velocity_check.worst()
+        if worst_velocity is not None:
+            self._raise(worst_velocity[0], _VELOCITY_SCALE.format(worst_velocity[1]))
+
+    def _words_for_slip(self, joint: int, speed: float) -> str:
+        integral = self._velocity_check.integral[joint]
+        change = self._velocity_check.change[joint]
+        if abs(integral + change) < 0.3 * abs(change):
+            return "moves against the velocity that it reports: the sign of one is reversed"
+        return (
+            f"moves {abs(speed):.2f} rad/s beside the velocity that it reports: its gear or its "
+            "encoder slips"
+        )
+
+    def _check_frozen(self, replies: Replies, acted: MitCommand, commanded: Array) -> None:
+        """Notice joints whose answers, or whose positions, do not change while they are led on.
+
+        A motor with a frozen encoder cannot hold its joint: it is to be switched off at once, and
+        its shorted windings brake.
+        """
+        feedback = replies.feedback
+        now = np.stack([feedback.position, feedback.velocity, feedback.torque])
+        same = replies.answered & (now[:2] == self._last[:2]).all(axis=0)
+        begins = replies.answered & ~same
+        self._still_since = np.where(begins, [acted.position, commanded], self._still_since)
+        self._still = np.where(begins, 0, self._still + same)
+        identical = same & (now[2] == self._last[2])
+        self._repeated = np.where(begins, 0, self._repeated + identical)
+        self._last = np.where(replies.answered, now, self._last)
+        led_by = np.abs(acted.position - self._still_since[0])
+        turned_by = np.abs(commanded - self._still_since[1])
+        is_led = (led_by > _STILL_STEPS * self._position_step) & (self._still >= _STILL_CYCLES)
+        does_not_follow = np.abs(commanded - feedback.torque) > 0.5 * self._other_torque
+        repeats = is_led & (self._repeated == self._still) & does_not_follow
+        self._stale |= repeats
+        self._stop_where(
+            repeats,
+            lambda j: (
+                f"repeats the same answer for {self._still[j]} cycles while its command goes on: "
+                "its answers are stale"
+            ),
+        )
+        frozen = is_led & ~does_not_follow & (turned_by > _FROZEN_DOUBTS * self._doubt)
+        self.stuck |= frozen
+        self.to_switch_off |= frozen
+        self._stop_where(
+            frozen,
+            lambda j: (
+                f"reports one and the same position while its path goes on by {led_by[j]:.3f} rad "
+                f"and its motor pushes with {turned_by[j]:.1f} N m: its encoder is frozen, or it "
+                "is blocked"
+            ),
+        )
+
+    # --- what the arm needs -----------------------------------------------------------------------
+
+    def _check_effort(
+        self, replies: Replies, acted: MitCommand, commanded: Array, rising: bool
+    ) -> None:
+        """Notice a joint whose control suddenly has to add another torque than a moment ago."""
+        fed = acted.torque
+        self._moments = np.roll(self._moments, 1, axis=0)
+        self._moments[0] = acted.position, replies.feedback.position
+        added = commanded - fed
+        self._sudden_added = added
+        unusual = np.abs(added - self._added)
+        allowed = self._effort_limit + _MODEL_SHARE * np.abs(fed - self._needed)
+        # Without motion there is no friction that turns round.
+        stands = np.abs(acted.velocity) <= self._velocity_step
+        allowed = np.where(stands, np.minimum(allowed, self._still_limit), allowed)
+        is_sudden = unusual > allowed
+        self._sudden = np.where(is_sudden, self._sudden + 1, 0)
+        if not rising:
+            for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
+                self._raise_effort(j, f"suddenly needs {unusual[j]:.1f} N m beside what carried it")
+        for name, value, share in (
+            ("_added", added, self._forget),
+            ("_usual", added, self._forget_usual),
+            ("_needed", fed, self._forget),
+            ("fed", fed, self._forget_fed),
+        ):
+            setattr(self, name, _averaged(getattr(self, name), value, 1.0 if rising else share))
+
+    def has_left(self, q: Array, place: Array, fed: Array) -> Mask:
+        """Tell which joints (n,) have left a place where they are to stand still."""
+        limit = np.where(self.is_pushed(q, place, fed), _PUSHED, 1.0) * self._sag
+        return np.asarray(np.abs(q - place) > limit)
+
+    def is_pushed(self, q: Array, place: Array, fed: Array) -> Mask:
+        """Tell which joints (n,) are on the side of their place to which torque fed pushes them."""
+        return np.asarray(((q - place) * fed > 0.0) & (np.abs(fed) > self._doubt))
+
+    def _check_standing(self, replies: Replies, acted: MitCommand) -> None:
+        q = replies.feedback.position
+        qd = replies.feedback.velocity
+        fed = acted.torque
+        away = q - acted.position
+        left = self.has_left(q, acted.position, fed)
+        pushed = self.is_pushed(q, acted.position, fed)
+        self._stop_where(
+            replies.answered & (left | (np.abs(qd) > self._speed_limit)),
+            lambda j: (
+                f"is {away[j]:.3f} rad off, at {qd[j]:.2f} rad/s, while it should stand still: its "
+                f"feed-forward torque of {round(fed[j], 1) + 0.0:g} N m "
+                f"{_DRIVEN if pushed[j] else _SINKS}"
+            ),
+        )
+
+    def _check_limits(self, replies: Replies, acted: MitCommand, rising: bool) -> None:
+        feedback = replies.feedback
+        path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
+        torque_limit = np.inf * self._torque_limit if rising else self._torque_limit
+        off_path = np.where(replies.answered, np.abs(feedback.position - acted.position), 0.0)
+        self.worst_tracking = np.maximum(self.worst_tracking, off_path)
+        for words, value, wanted, limit in (
+            ("rad off its path", feedback.position, acted.position, path_limit),
+            ("rad/s off its speed", feedback.velocity, acted.velocity, self._speed_limit),
+            ("N m off its torque", feedback.torque, acted.torque, torque_limit),
+        ):
+            error = np.where(replies.answered, np.abs(value - wanted), 0.0)
+            for j in np.flatnonzero(error > limit)[:1].tolist():
+                self._raise_effort(j, f"is {error[j]:.3f} {words}, limit {limit[j]:g}")
+
+    def _raise_effort(self, joint: int, what: str) -> None:
+        led_by, came_by = np.abs(self._moments[0] - self._moments)[:, :, joint].T
+        if np.any((led_by > _LED_BY) & (came_by < _CAME_SHARE * led_by)):
+            self.stuck[joint] = True
+            self._raise(joint, f"stands still while its path goes on: it is blocked ({what})")
+        self._change = EffortChange(joint, self._usual.copy(), self._sudden_added)
+        self._raise(joint, what)
+
+    def explain(self, fault: Fault, q: Array, commanded: Array) -> HardwareAbort:
+        """Return a fault with its cause, from what holds the stopped arm.
+
+        Args:
+            q: (n,) where it stands [rad].
+            commanded: (n,) torque that holds it there, as commanded [N m].
+        """
+        if self._slip is not None and self._slip == (fault.joint, fault.what):
+            return fault
+        if self._slip is not None and self._slip[0] == fault.joint:
+            return HardwareAbort(f"{fault}: it {self._slip[1]}")
+        if self._change is None or not np.all(np.isfinite(q + commanded)):
+            return fault
+        cause = explain_change(self._change, self._holding, q, commanded, self.fed, self._joints)
+        return HardwareAbort(f"{fault}: {cause}" if cause else str(fault))
+
+    # ----------------------------------------------------------------------------------------------
+
+    def _stop_where(self, bad: Mask, what: Callable[[int], str]) -> None:
+        for j in np.flatnonzero(bad)[:1].tolist():
+            self._raise(j, what(j))
+
+    def _raise(self, joint: int, what: str) -> None:
+        raise Fault(joint, self._joints[joint].label, what)
+
+
+_TORQUE_SCALE = (
+    "reports {:.2f} times the torque that it was commanded to make: its TMAX register does not "
+    "describe its torques, or its torque ratio is another"
+)
+_VELOCITY_SCALE = (
+    "moves {:.3f} times as far as its velocity says, and sampling does not explain it: one of the "
+    "two has another scale; turn the joint by hand by a known angle and compare with 'motors "
+    "monitor', before anything is changed"
+)
+
+
+def _averaged(mean: Array, value: Array, share: float) -> Array:
+    """Return a running mean (n,) with a new value in it; what is not known changes nothing."""
+    begun = np.where(np.isnan(mean), value, mean)
+    return np.where(np.isnan(value), begun, begun + min(share, 1.0) * (value - begun))

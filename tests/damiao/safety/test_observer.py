@@ -1,0 +1,256 @@
+"""What stops a run: a sample out of order, signals that disagree, and which cause is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.damiao.protocol.codec import Feedback, MitCommand
+from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.references import HoldingCheck
+from robot_sysid.damiao.safety.observer import Observer
+from robot_sysid.damiao.safety.samples import NO_STATUS, Replies
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.errors import HardwareAbort
+
+JOINTS = damiao_joints(["DM4340"] * 2, 2)
+STEPS = np.full(2, 4e-4), np.array([0.1, 0.1]), np.full(2, 0.0137)
+PEAK = np.full(2, 27.0)
+LOAD = np.array([8.0, 3.0])
+
+
+def gravity(q):
+    """What holds two joints, each by itself."""
+    return LOAD * np.cos(q)
+
+
+HOLDING = HoldingCheck(JOINTS, gravity, 0.0, "the model needs", load=lambda q: np.array([2.0, 1.0]))
+
+
+def observer(**settings):
+    """An observer of two joints."""
+    settings = PlaySettings(**{"max_torque_error": (5.0, 7.0), **settings})
+    complete = settings.for_motors([j.spec for j in JOINTS], BusTiming())
+    return Observer(JOINTS, complete, STEPS, PEAK, HOLDING)
+
+
+def sample(time=0.0, q=0.0, qd=0.0, tau=0.0, status=1, mos=30, rotor=30, answered=True):
+    """What two joints answer: the first as it should, the second these values."""
+    two = [np.array([usual, odd]) for usual, odd in ((0, q), (0, qd), (0, tau))]
+    codes = [np.array([usual, odd]) for usual, odd in ((1, status), (30, mos), (30, rotor))]
+    if not answered:
+        for values in two:
+            values[1] = np.nan
+        codes[0][1] = NO_STATUS
+    stamps = np.where([True, answered], time, np.nan)
+    feedback = Feedback(np.array([1, 2]), codes[0], *two, *codes[1:])
+    return Replies(np.array([True, answered]), stamps, feedback, np.ones(2, bool))
+
+
+def stop_words(*samples, asked=(0.0, 0.0, 0.0), how=(), **settings):
+    """What an observer says to samples under one command of the second joint, or None."""
+    watched = observer(**settings)
+    p, v, t = (np.array([0.0, value]) for value in asked)
+    try:
+        for replies in samples:
+            watched.update(replies)
+            watched.check(replies, MitCommand(p, v, 0 * p, 0 * p, t), *how)
+    except HardwareAbort as stopped:
+        return str(stopped)
+    return None
+
+
+def test_while_gains_rise_a_new_load_is_judged_by_how_far_the_arm_sinks():
+    """It swings about where it will settle; a rated 9 N m sink it by 0.05 rad, two stop it."""
+    swings, sinks = sample(q=-0.09, tau=20.0), sample(q=-0.11, tau=5.0)
+    assert stop_words(swings, how=(True, True)) is None
+    assert "N m off its torque, limit 7" in stop_words(swings, how=(True,))
+    assert "-0.110 rad off" in stop_words(sinks, how=(True, True))
+
+
+WITHIN = 1.0 - 1e-6
+BEYOND = 1.0 + 1e-6
+# Commanded values at which nothing but what is tested can be out of order.
+LIMITS = (
+    (lambda x: ([sample(q=0.2 * x)], (0.0, 0.0, 0.0)), "motor 2 is 0.200 rad off its path"),
+    (lambda x: ([sample(q=-0.2 * x)], (0.0, 0.0, 0.0)), "motor 2 is 0.200 rad off its path"),
+    # One rad/s and two steps of the velocity channel.
+    (lambda x: ([sample(qd=2.0 + 1.2 * x)], (0.0, 2.0, 0.0)), "1.200 rad/s off its speed"),
+    (lambda x: ([sample(qd=2.0 - 1.2 * x)], (0.0, 2.0, 0.0)), "1.200 rad/s off its speed"),
+    (lambda x: ([sample(tau=3.0 + 7.0 * x)], (0.0, 0.0, 3.0)), "7.000 N m off its torque, limit 7"),
+    (lambda x: ([sample(mos=80 + (x > 1.0))], (0.0, 0.0, 0.0)), "is at 81 deg C, limit 80"),
+    (lambda x: ([sample(rotor=80 + (x > 1.0))], (0.0, 0.0, 0.0)), "is at 81 deg C, limit 80"),
+    (lambda x: ([sample(status=1 if x < 1.0 else 0)], (0.0, 0.0, 0.0)), "reports status 0"),
+)
+
+
+@pytest.mark.parametrize(("case", "words"), LIMITS)
+def test_each_limit_holds_to_a_millionth(case, words):
+    for share in (WITHIN, BEYOND):
+        samples, asked = case(share)
+        said = stop_words(*samples, asked=asked)
+        assert (said is None) == (share < 1.0), said
+    assert words in said
+    assert said.startswith("motor 2")
+
+
+@pytest.mark.parametrize(
+    ("asked", "cycles", "words"),
+    [(True, 3, "motor 2 did not answer in time for 3 cycles"), (False, 6, "in time for 6 cycles")],
+)
+def test_a_motor_may_be_silent_for_so_long_and_no_longer(asked, cycles, words):
+    """Three commands without an answer, or six cycles where it was not commanded."""
+    gap = sample(answered=False)
+    gap = Replies(gap.answered, gap.time, gap.feedback, np.array([True, asked]))
+    assert stop_words(*[gap] * (cycles - 1)) is None
+    assert stop_words(*[gap] * (cycles - 1), sample(), *[gap] * (cycles - 1)) is None
+    assert words in stop_words(*[gap] * cycles)
+
+
+def test_what_a_run_was_like_is_counted():
+    watched, still = observer(), MitCommand(*[np.zeros(2)] * 5)
+    for replies in (sample(q=0.1), sample(1, 0.095), sample(answered=False), sample(status=0xA)):
+        watched.update(replies)
+        if replies.feedback.status[1] != 0xA:
+            watched.check(replies, still)
+    np.testing.assert_allclose(watched.worst_tracking, [0.0, 0.1])
+    assert watched.total_missed.tolist() == [0, 1] and watched.failed.tolist() == [False, True]
+
+
+# --- signals that disagree -----------------------------------------------------------------------
+
+CYCLE = 0.004
+
+
+def motion(cycles, change=lambda k, signals: None):
+    """Yield replies and commands of two joints that swing slowly under kp 180 and gravity.
+
+    ``change`` may put other numbers into the signals of the second joint: q, qd, tau, and what is
+    commanded as p and t.
+    """
+    for k in range(cycles):
+        time = k * CYCLE
+        p = 0.3 * np.sin(2.0 * time)
+        v = 0.6 * np.cos(2.0 * time)
+        signals = {"q": p, "qd": v, "p": p, "t": 3.0 * np.cos(p), "tau": None, "extra": {}}
+        change(k, signals)
+        fed = np.array([8.0, signals["t"]])
+        command = MitCommand(
+            np.array([0.0, signals["p"]]),
+            np.array([0.0, v]),
+            np.full(2, 180.0),
+            np.full(2, 4.5),
+            fed,
+        )
+        made = command.motor_torque(np.array([0.0, signals["q"]]), np.array([0.0, signals["qd"]]))
+        tau = made[1] if signals["tau"] is None else signals["tau"](made[1])
+        replies = sample(time, signals["q"], signals["qd"], tau)
+        replies.feedback.torque[0] = 8.0
+        yield replace(replies, **signals["extra"]), command
+
+
+def stop_of(change, cycles=500):
+    """Return after how many cycles motion is stopped, by what, and the observer."""
+    watched = observer(max_torque_error=(25.0,))
+    for k, (replies, command) in enumerate(motion(cycles, change)):
+        watched.update(replies)
+        try:
+            watched.check(replies, command)
+        except HardwareAbort as stopped:
+            return k, stopped, watched
+    return None, None, watched
+
+
+BEGIN = 250
+
+
+def after(**changes):
+    """A change of signals from the moment ``BEGIN`` on; functions of the signals."""
+
+    def change(k, signals):
+        if k >= BEGIN:
+            signals.update({name: value(k, signals) for name, value in changes.items()})
+
+    return change
+
+
+def one(value):
+    return np.array([0, value])
+
+
+STILL = 0.3 * np.sin(2.0 * BEGIN * CYCLE)
+
+
+def slip(speed):
+    """The encoder runs away from the joint, and the motor follows it."""
+
+    def away(k, signals):
+        return signals["p"] + speed * CYCLE * (k - BEGIN)
+
+    return after(q=away, p=away)
+
+
+DISAGREE = (
+    (after(tau=lambda k, s: lambda made: -made), "its sign is reversed", 5),
+    (after(tau=lambda k, s: lambda made: 0.4 * made, t=lambda k, s: 9.0), "makes 0.40 times", 5),
+    (
+        after(tau=lambda k, s: lambda made: made + (-9.0) ** (k % 2)),
+        "does not do what it is commanded",
+        8,
+    ),
+    (after(qd=lambda k, s: -s["qd"]), "moves against the velocity that it reports", 60),
+    (slip(0.4), "rad/s beside the velocity", 80),
+    (
+        after(q=lambda k, s: STILL, qd=lambda k, s: 0.1, tau=lambda k, s: lambda made: 2.0),
+        "repeats the same answer",
+        15,
+    ),
+    (after(q=lambda k, s: STILL, qd=lambda k, s: 0.0), "its encoder is frozen", 25),
+    (after(extra=lambda k, s: {"surplus": one(1)}), "a second motor has its id", 3),
+    (after(extra=lambda k, s: {"foreign": one(1)}), "gets commands of another program", 3),
+    (after(extra=lambda k, s: {"jump": one(0.2)}), "jumped by 0.200 rad", 1),
+    (after(q=lambda k, s: s["p"] - 0.01 * (k - BEGIN)), "suddenly needs", 8),
+)
+
+
+@pytest.mark.parametrize(("change", "words", "cycles"), DISAGREE, ids=[w for _, w, _ in DISAGREE])
+def test_what_disagrees_stops_the_run_soon_and_names_the_joint(change, words, cycles):
+    k, stopped, _ = stop_of(change)
+    assert stopped is not None and words in str(stopped), stopped
+    assert str(stopped).startswith("motor 2 ")
+    assert BEGIN <= k <= BEGIN + cycles
+
+
+def test_an_arm_that_does_as_it_should_is_left_alone():
+    assert stop_of(lambda k, signals: None)[1] is None
+
+
+def test_a_model_that_is_a_third_off_is_no_fault():
+    """The joint's own control adds what is lacking, and more of it where gravity pulls more."""
+
+    def third_off(k, signals):
+        signals["q"] -= 0.5 * np.cos(signals["p"]) / 180.0
+
+    assert stop_of(third_off)[1] is None
+
+
+def test_a_frozen_encoders_motor_is_to_be_switched_off():
+    *_, watched = stop_of(after(q=lambda k, s: STILL, qd=lambda k, s: 0.0))
+    assert watched.to_switch_off.tolist() == [False, True]
+
+
+def test_answers_of_two_motors_are_no_fault_of_one():
+    """A second motor that is disabled answers "disabled" for the first."""
+
+    def doubled(k, signals):
+        if k >= BEGIN:
+            signals["extra"] = {"surplus": one(1)}
+
+    k, stopped, watched = stop_of(doubled)
+    assert "second motor" in str(stopped) and not watched.failed.any()
+    for _ in range(3):
+        watched.update(sample(status=0))
+    assert not watched.failed.any()
