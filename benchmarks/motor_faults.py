@@ -1,0 +1,283 @@
+"""How far a simulated arm leaves its path when a motor fails, and what the player says.
+
+Run from the checkout:
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.motor_faults faults
+    ... damage --runs 400 --seed 1
+    ... stop
+    ... clean
+    ... all --json motor_faults.json
+
+Arms of public models are played on simulated Damiao motors, in simulated time. ``damage`` spoils
+one feedback frame, as text on a serial line; ``faults`` lets something happen to a motor or to the
+arm while it plays; ``stop`` looks at what falls after the stop of an arm that is held still; and
+``clean`` plays undisturbed. A fault's run branches off the undisturbed one in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import re
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from tests.support.damaged_links import Damage
+from tests.support.fault_bench import ARMS, BenchRun, Case, SetUp, loaded_joint, outcomes_of
+from tests.support.motor_causes import DamagedFrame, LostMotor, WeakMotor, joint_of, named_causes
+
+DAMAGES = {
+    "position": (0.2, 0.78, 3.9),
+    "velocity": (5, 8, 11),
+    "torque": (5, 8, 11),
+    "status": (0x0, 0x9, 0xA, 0xD),
+    "id nibble": ("other", 0xF),
+    "arbitration id": ("other", 0x7A),
+    "text": ("any",),
+}
+"""Fields of a feedback frame, and what happens to them; see ``Damage``."""
+MOMENTS = {
+    "enabling": (0.0, 0.0, 0.05),
+    "raising": (0.0, 0.75, 0.15),
+    "moving": (0.0, 1.45, 0.2),
+    "playing": (0.0, 4.95, 0.4),
+    "coming": (0.0, 0.45, 0.1),
+    "lowering": (0.0, 2.0, 0.1),
+}
+"""Phases: the earliest and the latest onset after their beginning [s], and their share of runs."""
+DAMAGE_PATIENCE = 1.0
+FAULT_AFTER = 1.5
+HOLD_FAULT_AFTER = 1.0
+HOLD_STIFFNESS = (60.0, 180.0)
+RATES = (50.0, 100.0, 250.0, 500.0)
+
+
+def damage_cases(arm: str, runs: int, seed: int) -> list[Case]:
+    """Return cases of one damaged frame each, spread over fields, sizes, phases and joints."""
+    random = np.random.default_rng(seed)
+    kinds = [(name, size) for name, sizes in DAMAGES.items() for size in sizes]
+    shares = np.array([share for *_, share in MOMENTS.values()])
+    cases = []
+    for number in range(runs):
+        name, size = kinds[number % len(kinds)]
+        phase = str(random.choice(list(MOMENTS), p=shares / shares.sum()))
+        park = "rest" if phase == "lowering" or random.random() < 0.5 else None
+        setup = SetUp(arm, model_is_given=bool(random.random() < 0.5), park=park)
+        joint = int(random.integers(len(ARMS[arm].motor_types)))
+        damage = _damage(name, size, joint, len(ARMS[arm].motor_types), random)
+        begin, end, _ = MOMENTS[phase]
+        after = random.uniform(begin, end)
+        cause = DamagedFrame(damage)
+        label = f"{name}, {size}"
+        cases.append(Case(label, setup, cause, phase, after, DAMAGE_PATIENCE, joint))
+    return cases
+
+
+def _damage(name, size, joint: int, n: int, random: np.random.Generator) -> Damage:
+    other = 1 + (joint + int(random.integers(1, n))) % n
+    if name == "position":
+        return Damage(name, float(size * random.choice([-1.0, 1.0])), joint)
+    if name == "id nibble" and size == "other":
+        return Damage(name, other, joint)
+    if name == "arbitration id" and size == "other":
+        return Damage(name, other + 0x10, joint)
+    if name == "text":
+        return Damage(name, int(random.integers(21 * 8)), joint)
+    return Damage(name, size, joint)
+
+
+def fault_cases(arm: str, belief: str = "guess", after: float = FAULT_AFTER) -> list[Case]:
+    """Return a case for each named fault, with the model given and without."""
+    cases = []
+    for is_given in (True, False):
+        setup = SetUp(arm, belief, is_given)
+        light = len(ARMS[arm].motor_types) - 2
+        for name, (cause, phase) in named_causes(loaded_joint(setup), light).items():
+            delay = after if phase else 0.0
+            cases.append(Case(name, setup, cause, phase, delay, None, joint_of(cause)))
+    return cases
+
+
+def hold_cases(arm: str, belief: str = "truth") -> list[Case]:
+    """Return a case for each fault of a motor that holds the arm still, pose and stiffness."""
+    cases = []
+    for kp in HOLD_STIFFNESS:
+        for pose in range(5):
+            setup = SetUp(arm, belief, kp=kp, pose=pose, stands=True, duration=2.5)
+            joint = loaded_joint(setup)
+            for name, cause in (
+                ("weak motor, half", WeakMotor(joint, 0.5)),
+                ("weak motor, 0.6", WeakMotor(joint, 0.6)),
+                ("motor lost", LostMotor(joint)),
+            ):
+                cases.append(Case(name, setup, cause, "playing", HOLD_FAULT_AFTER, None, joint))
+    return cases
+
+
+def clean_setups(arms: Sequence[str]) -> list[SetUp]:
+    """Return what has to be played through undisturbed."""
+    return [
+        SetUp(arm, "guess", is_given, rate=rate)
+        for arm in arms
+        for rate in RATES
+        for is_given in (True, False)
+    ]
+
+
+def clean_result(setup: SetUp) -> dict:
+    """Play a set-up undisturbed and return what came of it."""
+    record, _ = BenchRun(setup).play()
+    is_complete = not record.error
+    return {
+        "setup": str(setup),
+        "completed": is_complete,
+        "words": record.error,
+        "seconds": record.seconds,
+    }
+
+
+def short_words(words: str, length: int = 78) -> str:
+    """Return an error's first words, with numbers of motors and values left out."""
+    first = re.sub(r"\(joint [^)]*\) ", "", words)
+    return re.sub(r"motor \d+", "motor", first)[:length]
+
+
+def _rough(words: str) -> str:
+    return re.sub(r"-?\d+(\.\d+)?", "#", short_words(words, 48)) or "-"
+
+
+def print_outcomes(cases: list[Case], jobs: int) -> list:
+    """Run cases, print a line for each, and return the outcomes."""
+    begun = time.monotonic()
+    outcomes = []
+    for outcome in outcomes_of(cases, jobs):
+        print(outcome.line(), flush=True)
+        outcomes.append(outcome)
+    seconds = (time.monotonic() - begun) / max(len(outcomes), 1)
+    print(f"{len(outcomes)} runs, {seconds:.1f} s per run\n", flush=True)
+    return outcomes
+
+
+def _by_name(outcomes: list) -> Iterator[tuple[str, list]]:
+    for name in dict.fromkeys(outcome.name for outcome in outcomes):
+        yield name, [outcome for outcome in outcomes if outcome.name == name]
+
+
+def print_damage_table(outcomes: list) -> None:
+    """Print, by field and size, the worst departure, how many runs were stopped, and the words."""
+    print("| field, size | runs | stopped | worst departure [rad] | in phase | top speed | words |")
+    print("|---|---|---|---|---|---|---|")
+    for name, group in _by_name(outcomes):
+        worst = max(group, key=lambda outcome: outcome.departure)
+        stopped = sum(outcome.ending in ("stopped", "refused") for outcome in group)
+        top_speed = max(outcome.top_speed for outcome in group)
+        endings = Counter(
+            _rough(outcome.words) for outcome in group if outcome.ending in ("stopped", "refused")
+        )
+        words = "; ".join(f"{count}x {text}" for text, count in endings.most_common(3))
+        print(
+            f"| {name} | {len(group)} | {stopped} | {worst.departure:.3f} | {worst.phase[:12]} "
+            f"| {top_speed:.2f} | {words} |"
+        )
+    worst = max(outcome.departure for outcome in outcomes)
+    beyond = sum(outcome.departure > 0.05 for outcome in outcomes)
+    print(f"\nworst departure {worst:.3f} rad; {beyond} of {len(outcomes)} beyond 0.05 rad\n")
+
+
+def print_fault_table(outcomes: list) -> None:
+    """Print, by fault, the departure and the words, with the model and without."""
+    print(
+        "| fault | model | departure [rad] | stopped after [s] | top speed | kinetic [J] | words |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for name, group in _by_name(outcomes):
+        for outcome in group:
+            model = outcome.setup.belief if outcome.setup.model_is_given else "none"
+            delay = "-" if outcome.stop_delay is None else f"{outcome.stop_delay:.3f}"
+            words = short_words(outcome.words) or outcome.ending
+            print(
+                f"| {name} | {model} | {outcome.departure:.3f} | {delay} "
+                f"| {outcome.top_speed:.2f} | {outcome.kinetic:.1f} | {words} |"
+            )
+    print()
+
+
+def print_hold_table(outcomes: list) -> None:
+    """Print, by fault, stiffness and pose, how far the joints fall after the stop begins."""
+    print(
+        "| fault | kp | pose | stop after [s] | off before and after [rad] | fall after the stop "
+        "| others' fall | others' speed | energy gained [J] | words |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    for name, group in _by_name(outcomes):
+        for outcome in group:
+            delay = "-" if outcome.stop_delay is None else f"{outcome.stop_delay:.3f}"
+            print(
+                f"| {name} | {outcome.setup.kp:g} | {outcome.setup.pose} | {delay} "
+                f"| {outcome.departure:.3f} | {outcome.fall:.3f} | {outcome.others_fall:.3f} "
+                f"| {outcome.others_speed:.2f} | {outcome.energy_gain:.2f} "
+                f"| {short_words(outcome.words, 50) or outcome.ending} |"
+            )
+    print()
+
+
+def print_clean_runs(arms: Sequence[str], jobs: int) -> list[dict]:
+    """Play undisturbed, print a line for each run, and return the results."""
+    results = []
+    with multiprocessing.get_context("fork").Pool(jobs) as pool:
+        for result in pool.imap(clean_result, clean_setups(arms)):
+            ending = "completed" if result["completed"] else f"STOPPED: {result['words']}"
+            print(f"{result['setup']:44s} {ending} [{result['seconds']:.1f} s]", flush=True)
+            results.append(result)
+    stopped = sum(not result["completed"] for result in results)
+    print(f"{stopped} of {len(results)} undisturbed runs were stopped\n", flush=True)
+    return results
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    options.add_argument("campaign", choices=("damage", "faults", "stop", "clean", "all"))
+    options.add_argument("--arm", choices=list(ARMS), default="kinova")
+    options.add_argument("--belief", choices=("guess", "truth"), default="guess")
+    options.add_argument("--runs", type=int, default=40, help="damaged frames; 400 for a deep run")
+    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--only", default="", help="faults whose name contains this")
+    options.add_argument("--jobs", type=int, default=2, help="processes at a time")
+    options.add_argument("--json", type=Path, help="write all outcomes to this file")
+    return options
+
+
+def main() -> None:
+    """Run the campaigns that were asked for."""
+    chosen = parser().parse_args()
+    is_all = chosen.campaign == "all"
+    results: dict[str, list] = {}
+    if is_all or chosen.campaign == "damage":
+        cases = damage_cases(chosen.arm, chosen.runs, chosen.seed)
+        outcomes = print_outcomes(cases, chosen.jobs)
+        print_damage_table(outcomes)
+        results["damage"] = [asdict(outcome) for outcome in outcomes]
+    if is_all or chosen.campaign == "faults":
+        cases = fault_cases(chosen.arm, chosen.belief)
+        cases = [case for case in cases if chosen.only in case.name]
+        outcomes = print_outcomes(cases, chosen.jobs)
+        print_fault_table(outcomes)
+        results["faults"] = [asdict(outcome) for outcome in outcomes]
+    if is_all or chosen.campaign == "stop":
+        outcomes = print_outcomes(hold_cases(chosen.arm), chosen.jobs)
+        print_hold_table(outcomes)
+        results["stop"] = [asdict(outcome) for outcome in outcomes]
+    if is_all or chosen.campaign == "clean":
+        results["clean"] = print_clean_runs(list(ARMS), chosen.jobs)
+    if chosen.json:
+        chosen.json.write_text(json.dumps(results, indent=1))
+
+
+if __name__ == "__main__":
+    main()

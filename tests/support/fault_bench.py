@@ -1,0 +1,614 @@
+"""Whole runs of real arms' models on simulated motors, in simulated time, with something going wrong.
+
+Each run is compared with an undisturbed one of the same set-up: ``departure`` says how far a joint
+got from the path that it would have taken.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao.execution import run as play_plan
+from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.model_check import gravity_check
+from robot_sysid.damiao.preflight import Plan
+from robot_sysid.damiao.protocol import frames
+from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.simulated import SimulatedLink
+from robot_sysid.damiao.supervision import StopRequest
+from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.dynamics.kinematics import analysis_copy
+from robot_sysid.errors import SysidError
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Motion
+from robot_sysid.simulation.forward_dynamics import ArmStepper
+from robot_sysid.simulator import ArmTorque
+from tests.support.clocks import ScriptedClock
+from tests.support.damaged_links import FaultyLink
+from tests.support.faulty_arm import FaultyArm, bench_motor
+from tests.support.places import GUESS, MODELS, TRUTH
+
+PHYSICS_STEP = 1e-3
+DURATION = 5.0
+FILE_RATE = 250.0
+OBSERVED = 1.0
+"""How long after a stop begins it is observed [s]; the motors may be disabled before."""
+WINDOW_BEFORE, WINDOW_AFTER = 0.1, 0.5
+"""Which part of the undisturbed path a joint may be on: around the stop [s]."""
+FASTEST_CLASSIC = 250.0
+"""Highest rate at which seven motors fit onto a classic CAN bus [Hz]."""
+CUT_BELIEF = 0.8
+"""Share of the true masses in a guessed model, where the arm comes with none."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A real arm: its model's file and terminal joint, its motors' types, and a guessed model.
+
+    ``shoulder_load`` are the least and the most gravity on its most loaded joint in the poses that
+    count as loaded [N m].
+    """
+
+    truth: Path
+    motor_types: tuple[str, ...]
+    shoulder_load: tuple[float, float]
+    joint: str | None = None
+    guess: Path | None = None
+
+
+STRONG_SHOULDER = ("DM8009", "DM10010L", "DM8009", "DM8009", "DM4340", "DM4340", "DM4340")
+ARMS = {
+    "kinova": Arm(TRUTH, STRONG_SHOULDER, (20.0, 33.0), guess=GUESS),
+    "openarm": Arm(
+        MODELS / "openarm_v2" / "openarm_bimanual.xml",
+        ("DM8009", "DM8009", "DM4340", "DM4340", "DM4310", "DM4310", "DM4310"),
+        (6.0, 10.0),
+        joint="openarm_left_joint7",
+    ),
+    "ur5e": Arm(
+        MODELS / "universal_robots_ur5e" / "ur5e.xml",
+        ("DM10010L", "DM10010L", "DM8009", "DM4340", "DM4340", "DM4340"),
+        (20.0, 35.0),
+    ),
+    "xarm7": Arm(MODELS / "ufactory_xarm7" / "xarm7.xml", STRONG_SHOULDER, (20.0, 33.0)),
+}
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """What is played, on which arm, and what the player knows about it.
+
+    Attributes:
+        belief: "truth" or "guess": the model whose torques are in the file.
+        model_is_given: whether the player has that model too.
+        park: where the arm is left; None where it ends.
+        kp: stiffness of all joints [N m/rad]; None: by motor type.
+        pose: number of the loaded pose around which it moves.
+        stands: whether the trajectory stands still in that pose.
+    """
+
+    arm: str = "kinova"
+    belief: str = "guess"
+    model_is_given: bool = True
+    park: str | None = None
+    rate: float = 250.0
+    kp: float | None = None
+    pose: int = 0
+    stands: bool = False
+    duration: float = DURATION
+
+    @property
+    def timing(self):
+        """Bit rates of the bus: CAN-FD where classic CAN would be full."""
+        return BusTiming(fd=self.rate > FASTEST_CLASSIC)
+
+    def __str__(self):
+        model = self.belief if self.model_is_given else f"none ({self.belief} fed)"
+        park = f", park {self.park}" if self.park else ""
+        stiffness = f", kp {self.kp:g}" if self.kp else ""
+        pose = f", pose {self.pose}" if self.pose else ""
+        return f"{self.arm}, model {model}, {self.rate:g} Hz{park}{stiffness}{pose}"
+
+
+@cache
+def true_robot(arm_name):
+    """Return the model of an arm as it really is."""
+    arm = ARMS[arm_name]
+    return load_robot_model(arm.truth, joint=arm.joint)
+
+
+@cache
+def believed_robot(arm_name, belief):
+    """Return the model of an arm that its user has."""
+    arm = ARMS[arm_name]
+    if belief == "truth":
+        return true_robot(arm_name)
+    if arm.guess is not None:
+        return load_robot_model(arm.guess, joint=arm.joint)
+    robot = true_robot(arm_name)
+    model = analysis_copy(robot.mj_model)
+    model.body_mass[:] *= CUT_BELIEF
+    model.body_inertia[:] *= CUT_BELIEF
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return replace(robot, mj_model=model)
+
+
+def gravity_torque(robot, q):
+    """Return the torques (N, n) that hold an arm still at positions (N, n) [N m]."""
+    still = np.zeros_like(q)
+    return np.asarray(ArmTorque(robot)(Motion(np.zeros(len(q)), q, still, still)))
+
+
+@cache
+def loaded_poses(arm_name, count=5):
+    """Return poses (count, n) in which gravity loads an arm's shoulder as its table says [rad]."""
+    robot = true_robot(arm_name)
+    least, most = ARMS[arm_name].shoulder_load
+    lower = np.maximum(robot.limits.lower, -1.8) + 0.6
+    upper = np.minimum(robot.limits.upper, 1.8) - 0.6
+    middle = 0.5 * (robot.limits.lower + robot.limits.upper)
+    is_narrow = lower >= upper
+    lower = np.where(is_narrow, middle, lower)
+    upper = np.where(is_narrow, middle, upper)
+    q = np.random.default_rng(7).uniform(lower, upper, (4000, robot.n_joints))
+    load = np.max(np.abs(gravity_torque(robot, q)), axis=1)
+    return q[(load > least) & (load < most)][:count]
+
+
+def loaded_joint(setup):
+    """Return the joint on which gravity pulls most in a set-up's pose."""
+    pose = loaded_poses(setup.arm)[setup.pose]
+    return int(np.argmax(np.abs(gravity_torque(true_robot(setup.arm), pose[None])[0])))
+
+
+def multi_sine(pose, seed, duration, rate=FILE_RATE):
+    """Return a smooth motion from rest to rest around a pose: time, q, qd, qdd."""
+    random = np.random.default_rng(seed)
+    t = np.arange(round(duration * rate) + 1)[:, None] / rate
+    fade, fade_rate, fade_acceleration = _fade(t, duration)
+    n = len(pose)
+    s = np.zeros((3, len(t), n))
+    for frequency in (0.25, 0.45):
+        omega = 2.0 * np.pi * frequency * random.uniform(0.9, 1.1, n)
+        phase = random.uniform(0.0, 2.0 * np.pi, n)
+        s[0] += np.sin(omega * t + phase)
+        s[1] += omega * np.cos(omega * t + phase)
+        s[2] -= omega**2 * np.sin(omega * t + phase)
+    q = fade * s[0]
+    qd = fade_rate * s[0] + fade * s[1]
+    qdd = fade_acceleration * s[0] + 2.0 * fade_rate * s[1] + fade * s[2]
+    amplitude = random.uniform(0.3, 0.6, n)
+    scale = np.minimum(amplitude / np.abs(q).max(axis=0), 1.0 / np.abs(qd).max(axis=0))
+    return t[:, 0], pose + scale * q, scale * qd, scale * qdd
+
+
+def _fade(t, duration, length=1.0):
+    """Return a quintic fade in and out (N, 1), its rate and its acceleration."""
+    left = np.minimum(t, duration - t) / length
+    sign = np.where(t < 0.5 * duration, 1.0, -1.0)
+    s = np.clip(left, 0.0, 1.0)
+    fade = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    rate = sign * 30.0 * s**2 * (1.0 - s) ** 2 / length
+    acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length**2
+    return fade, rate, acceleration
+
+
+@cache
+def exported_trajectory(setup):
+    """Return a set-up's trajectory as the player reads it from the exported file."""
+    pose = loaded_poses(setup.arm)[setup.pose]
+    time_, q, qd, qdd = multi_sine(pose, seed=3, duration=setup.duration)
+    if setup.stands:
+        q = np.tile(pose, (len(time_), 1))
+        qd = np.zeros_like(q)
+        qdd = np.zeros_like(q)
+    robot = believed_robot(setup.arm, setup.belief)
+    tau = np.asarray(ArmTorque(robot)(Motion(time_, q, qd, qdd)))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "damiao_trajectory.csv"
+        export_damiao_trajectory([(time_, q, qd, tau)], ARMS[setup.arm].motor_types, path)
+        return read_damiao_trajectory(path)
+
+
+@cache
+def plan_of(setup):
+    """Return the plan of a set-up, with the inertias of the model if there is one."""
+    trajectory = exported_trajectory(setup)
+    robot = believed_robot(setup.arm, setup.belief)
+    names = robot.joint_names
+    inertia = None
+    if setup.model_is_given:
+        joints = damiao_joints(ARMS[setup.arm].motor_types, robot.n_joints, names=names)
+        trajectory = replace(trajectory, joints=joints)
+        inertia = ArmStepper(robot, trajectory.q[0]).moved_inertia()
+    stiffness = {} if setup.kp is None else {"kp": (setup.kp,)}
+    settings = PlaySettings(rate=setup.rate, park=setup.park, **stiffness)
+    return Plan(trajectory, settings, setup.timing, inertia=inertia)
+
+
+@dataclass
+class RunRecord:
+    """What a run did from its onset on.
+
+    Times are in the run's clock [s]; ``stop_at`` and ``disabled_at`` are None where there was none.
+    ``energy`` has a row of time, kinetic and potential energy [s, J] for every 20th step.
+    """
+
+    onset: float
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    energy: np.ndarray
+    commands: list[np.ndarray]
+    phases: list[tuple[float, str]]
+    stop_at: float | None
+    disabled_at: float | None
+    error: str
+    was_ended: bool
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fault in a run.
+
+    Attributes:
+        cause: what lets it happen; is called with the run.
+        phase: the phase in which it does; "" at the very beginning.
+        after: when, after the phase has begun [s].
+        patience: how long after that a run that nothing stops is ended [s]; None plays on.
+        joint: the joint at fault, where it is one's.
+    """
+
+    name: str
+    setup: SetUp
+    cause: Callable[[BenchRun], None]
+    phase: str = "playing"
+    after: float = 1.5
+    patience: float | None = None
+    joint: int | None = None
+
+
+class BenchRun:
+    """One run of a set-up; causes reach motors, arm, link and clock through it.
+
+    Each case goes on in a process of its own from where its fault begins, so that what comes before
+    is computed once; the run itself stays undisturbed.
+    """
+
+    def __init__(self, setup, cases=(), folder=None, jobs=2):
+        self.setup = setup
+        self.plan = plan_of(setup)
+        self.clock = ScriptedClock()
+        joints = self.plan.trajectory.joints
+        self.motors = [bench_motor(joint) for joint in joints]
+        first = self.plan.trajectory.q[0]
+        toward_start = np.where(np.arange(len(first)) % 2, 0.1, -0.1)
+        start = first if setup.stands else first + toward_start
+        mechanism = ArmStepper(true_robot(setup.arm), start, PHYSICS_STEP)
+        self.arm = FaultyArm(mechanism, self.motors)
+        for motor in self.motors:
+            motor.registers[frames.CAN_BR] = 9.0 if setup.timing.fd else 4.0
+        wire = SimulatedLink(self.clock, self.arm, setup.timing, echo=True)
+        self.link = FaultyLink(wire, self.clock, joints)
+        self.stop = StopRequest()
+        self.phases = []
+        self.stop_at = None
+        self.was_ended = False
+        self._cases = dict(enumerate(cases))
+        self._folder = folder
+        self._jobs = jobs
+        self._children = set()
+        self._case_number = None
+        self._onset = 0.0
+        self._begun = time.monotonic()
+
+    def at(self, delay, action):
+        """Do something some time [s] from now."""
+        self.clock.at(self.clock.now() + delay, action)
+
+    def play(self):
+        """Play the plan; return the undisturbed record and those of the cases, by their number."""
+        self._branch_in("")
+        record = self._record(self._played())
+        if self._case_number is not None:
+            (self._folder / f"{self._case_number}.pickle").write_bytes(pickle.dumps(record))
+            os._exit(0)
+        while self._children:
+            self._wait_for_one()
+        return record, self._case_records()
+
+    def _case_records(self):
+        paths = {number: self._folder / f"{number}.pickle" for number in self._begun_cases}
+        return {number: pickle.loads(path.read_bytes()) for number, path in paths.items()}
+
+    @property
+    def _begun_cases(self):
+        paths = [] if self._folder is None else self._folder.glob("*.pickle")
+        return sorted(int(path.stem) for path in paths)
+
+    def _branch_in(self, phase):
+        """Let the cases of a phase that has just begun, or of the very beginning, branch off."""
+        for number, case in self._cases.items():
+            begins = phase.startswith(case.phase) if case.phase else not phase
+            if begins:
+                self.at(case.after, partial(self._branch, number, case))
+
+    def _branch(self, number, case):
+        """Go on undisturbed here, and with a case's fault in a new process."""
+        if self._case_number is not None:
+            return
+        while len(self._children) >= self._jobs:
+            self._wait_for_one()
+        sys.stdout.flush()
+        child = os.fork()
+        if child:
+            self._children.add(child)
+            return
+        self._case_number = number
+        self._onset = self.clock.now()
+        self._begun = time.monotonic()
+        case.cause(self)
+        if case.patience is not None:
+            self.at(case.patience, self._end)
+
+    def _wait_for_one(self):
+        child, _ = os.wait()
+        self._children.discard(child)
+
+    def _record(self, error):
+        self.arm.advance(self.clock.now() + 0.05)
+        times, q, qd = self.arm.truth.arrays()
+        since = np.searchsorted(times, self._onset - 0.01)
+        energy = self.arm.energies(q[since::20], qd[since::20])
+        return RunRecord(
+            self._onset,
+            times[since:],
+            q[since:],
+            qd[since:],
+            np.column_stack([times[since::20], *energy]),
+            self.link.command_path(len(self.motors)),
+            self.phases,
+            self.stop_at,
+            self.link.disabled_at,
+            error,
+            self.was_ended,
+            time.monotonic() - self._begun,
+        )
+
+    def _played(self):
+        guarded = GuardedLink(self.link, self.clock, self.setup.timing.fd)
+        holding = None
+        if self.setup.model_is_given:
+            robot = believed_robot(self.setup.arm, self.setup.belief)
+            holding = gravity_check(robot, self.plan.trajectory.joints)
+        told = self._note_phase, lambda moment: None
+        try:
+            inspection = inspect_bus(guarded)
+            play_plan(guarded, self.plan, inspection, self.stop, *told, holding)
+        except SysidError as error:
+            return str(error)
+        except Exception as error:
+            return f"DEFECT {type(error).__name__}: {error}"
+        return ""
+
+    def _note_phase(self, words):
+        now = self.clock.now()
+        self.phases.append((now, words))
+        if words.startswith("stopping") and self.stop_at is None and not self.was_ended:
+            self.stop_at = now
+            # Lowering an arm takes up to 20 s, of which nothing is measured.
+            self.clock.at(now + OBSERVED + 0.2, self._insist)
+        if self._case_number is None:
+            self._branch_in(words)
+
+    def _end(self):
+        if self.stop_at is None:
+            self.was_ended = True
+            self.stop("ended by the bench", insist=True)
+
+    def _insist(self):
+        self.stop("ended by the bench", insist=True)
+
+
+def outcomes_of(cases, jobs=2):
+    """Yield the outcomes of cases, set-up by set-up."""
+    setups = dict.fromkeys(case.setup for case in cases)
+    for setup in setups:
+        chosen = [case for case in cases if case.setup == setup]
+        with tempfile.TemporaryDirectory() as folder:
+            clean, records = BenchRun(setup, chosen, Path(folder), jobs).play()
+        for number, case in enumerate(chosen):
+            if number in records:
+                yield judged_outcome(case, records[number], clean)
+            else:
+                print(f"{case.name}: phase {case.phase!r} never began, or the run crashed")
+
+
+@cache
+def clean_record(setup):
+    """Return the record of a set-up's undisturbed run."""
+    return BenchRun(setup).play()[0]
+
+
+def _path_hull(clean, begin, end):
+    """Return the least and the greatest position (n,) of a clean run between two moments [s].
+
+    Both the true and the commanded positions count: a joint sags below its command.
+    """
+    inside = (clean.time >= begin) & (clean.time <= end)
+    q = clean.q[inside] if np.any(inside) else clean.q[-1:]
+    lower = q.min(axis=0)
+    upper = q.max(axis=0)
+    for joint_index, (times, positions) in enumerate(clean.commands):
+        commanded = positions[(times >= begin) & (times <= end)]
+        if len(commanded):
+            lower[joint_index] = min(lower[joint_index], commanded.min())
+            upper[joint_index] = max(upper[joint_index], commanded.max())
+    return lower, upper
+
+
+def _beyond(q, lower, upper):
+    """Return how far positions (..., n) are outside of an interval [rad]."""
+    return np.maximum(np.maximum(lower - q, q - upper), 0.0)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a fault.
+
+    Attributes:
+        departure: farthest that a joint was from the undisturbed run's path, from the onset until
+            a second after the stop began, while motors were enabled [rad].
+        departure_joint: which joint that was.
+        departure_after_stop: farthest after the stop began, from where the joint was then [rad].
+        fall: that of the joint at fault, if one is named; else of all; ``others_fall`` of the
+            other joints.
+        others_speed: greatest speed of the other joints after the stop began [rad/s].
+        top_speed: greatest speed of any joint after the stop began [rad/s].
+        kinetic: greatest kinetic energy after the onset [J]; ``clean_kinetic`` that of a clean run.
+        energy_gain: most that the mechanical energy rose after the stop began [J].
+        stop_delay: from the onset to the beginning of the stop [s]; None without a stop.
+        ending: "stopped", "completed", "refused" (before anything moved) or "ended" by the bench.
+    """
+
+    name: str
+    setup: SetUp
+    onset: float
+    phase: str
+    departure: float
+    departure_joint: int
+    departure_after_stop: float
+    fall: float
+    others_fall: float
+    others_speed: float
+    top_speed: float
+    kinetic: float
+    clean_kinetic: float
+    energy_gain: float
+    stop_delay: float | None
+    ending: str
+    words: str
+    seconds: float
+
+    def line(self):
+        """Return a line for people."""
+        delay = "   -  " if self.stop_delay is None else f"{self.stop_delay:6.3f}"
+        return (
+            f"{self.name:34.34s} {self.phase[:10]:10s} {self.departure:6.3f} rad (j"
+            f"{self.departure_joint}) {self.top_speed:5.2f} rad/s {self.kinetic:6.2f} J {delay} s "
+            f"{self.ending:9s} {self.words[:90]}  [{self.setup}; {self.seconds:.1f} s]"
+        )
+
+
+def _phase_at(record, moment):
+    names = [words for begin, words in record.phases if begin <= moment]
+    return names[-1] if names else "before"
+
+
+def _clean_time(record, clean, moment):
+    """Return the time of the clean run at the same place in the same phase [s].
+
+    A fault may make an earlier phase longer.
+    """
+    begun = [(begin, words) for begin, words in record.phases if begin <= moment]
+    phases = [(begin, words) for begin, words in begun if not words.startswith("stopping")]
+    if not phases:
+        return moment
+    begin, words = phases[-1]
+    name = words.split(" (")[0]
+    clean_begins = [start for start, text in clean.phases if text.startswith(name)]
+    return moment - begin + clean_begins[0] if clean_begins else moment
+
+
+def _departures(record, clean, onset, until):
+    """Return the departure (n,) of each joint between the onset and a moment [rad]."""
+    stop_at = np.inf if record.stop_at is None else record.stop_at
+    departure = np.zeros(record.q.shape[1])
+    step = 0.02
+    for begin in np.arange(onset, min(stop_at, until), step):
+        inside = (record.time >= begin) & (record.time < min(begin + step, stop_at, until))
+        if np.any(inside):
+            same = _clean_time(record, clean, begin)
+            hull = _path_hull(clean, same - WINDOW_BEFORE, same + step + WINDOW_BEFORE)
+            departure = np.maximum(departure, _beyond(record.q[inside], *hull).max(axis=0))
+    inside = (record.time >= stop_at) & (record.time <= until)
+    if np.any(inside):
+        same = _clean_time(record, clean, stop_at)
+        hull = _path_hull(clean, same - WINDOW_BEFORE, same + WINDOW_AFTER)
+        departure = np.maximum(departure, _beyond(record.q[inside], *hull).max(axis=0))
+    return departure
+
+
+def _ending(record):
+    if record.was_ended:
+        return "ended"
+    if record.stop_at is not None:
+        return "stopped"
+    return "refused" if record.error else "completed"
+
+
+def judged_outcome(case, record, clean):
+    """Return what came of a case, by its record and that of the undisturbed run."""
+    onset = record.onset
+    stop_at = record.stop_at
+    last = record.time[-1] if record.disabled_at is None else record.disabled_at
+    until = last if stop_at is None else min(last, stop_at + OBSERVED)
+    departure = _departures(record, clean, onset, until)
+    worst = int(np.argmax(departure))
+    way, speed, gain = _motion_after_stop(record, until)
+    is_other = np.arange(len(way)) != case.joint
+    return Outcome(
+        name=case.name,
+        setup=case.setup,
+        onset=onset,
+        phase=_phase_at(record, onset),
+        departure=float(departure[worst]),
+        departure_joint=worst,
+        departure_after_stop=float(way.max()),
+        fall=float(way.max() if case.joint is None else way[case.joint]),
+        others_fall=float(way[is_other].max()),
+        others_speed=float(speed[is_other].max()),
+        top_speed=float(speed.max()),
+        kinetic=_peak_kinetic(record, onset, until),
+        clean_kinetic=_peak_kinetic(clean, onset, clean.time[-1]),
+        energy_gain=gain,
+        stop_delay=None if stop_at is None else stop_at - onset,
+        ending=_ending(record),
+        words=record.error,
+        seconds=record.seconds,
+    )
+
+
+def _motion_after_stop(record, until):
+    """Return how far (n,) and how fast (n,) joints got after the stop, and the energy gained."""
+    n = record.q.shape[1]
+    stop_at = np.inf if record.stop_at is None else record.stop_at
+    inside = (record.time >= stop_at) & (record.time <= until)
+    if not np.any(inside):
+        return np.zeros(n), np.zeros(n), 0.0
+    q = record.q[inside]
+    way = np.abs(q - q[0]).max(axis=0)
+    speed = np.abs(record.qd[inside]).max(axis=0)
+    times, kinetic, potential = record.energy.T
+    total = (kinetic + potential)[(times >= stop_at - 0.02) & (times <= until)]
+    return way, speed, float(np.max(total) - total[0])
+
+
+def _peak_kinetic(record, onset, until):
+    times, kinetic, _ = record.energy.T
+    return float(kinetic[(times >= onset) & (times <= until)].max(initial=0.0))
