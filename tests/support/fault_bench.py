@@ -1,4 +1,4 @@
-"""Whole runs of real arms' models on simulated motors, in simulated time, with something going wrong.
+"""Whole runs of arms' models on simulated motors, in simulated time, with a fault in them.
 
 Each run is compared with an undisturbed one of the same set-up: ``departure`` says how far a joint
 got from the path that it would have taken.
@@ -520,19 +520,25 @@ def _phase_at(record, moment):
     return names[-1] if names else "before"
 
 
-def _clean_time(record, clean, moment):
-    """Return the time of the clean run at the same place in the same phase [s].
+def _clean_span(record, clean, begin, end):
+    """Return from when to when the clean run was where it would be between two moments [s].
 
-    A fault may make an earlier phase longer.
+    A fault may make earlier phases longer, so time counts from the beginning of a phase; where the
+    phase itself has another length, all of it counts.
     """
-    begun = [(begin, words) for begin, words in record.phases if begin <= moment]
-    phases = [(begin, words) for begin, words in begun if not words.startswith("stopping")]
+    begun = [(moment, words) for moment, words in record.phases if moment <= begin]
+    phases = [(moment, words) for moment, words in begun if not words.startswith("stopping")]
     if not phases:
-        return moment
-    begin, words = phases[-1]
+        return begin, end
+    phase_begin, words = phases[-1]
     name = words.split(" (")[0]
-    clean_begins = [start for start, text in clean.phases if text.startswith(name)]
-    return moment - begin + clean_begins[0] if clean_begins else moment
+    moments = [moment for moment, _ in clean.phases] + [clean.time[-1]]
+    for number, (moment, text) in enumerate(clean.phases):
+        if text == words:
+            return begin - phase_begin + moment, end - phase_begin + moment
+        if text.startswith(name):
+            return moment, moments[number + 1]
+    return begin, end
 
 
 def _departures(record, clean, onset, until):
@@ -543,13 +549,13 @@ def _departures(record, clean, onset, until):
     for begin in np.arange(onset, min(stop_at, until), step):
         inside = (record.time >= begin) & (record.time < min(begin + step, stop_at, until))
         if np.any(inside):
-            same = _clean_time(record, clean, begin)
-            hull = _path_hull(clean, same - WINDOW_BEFORE, same + step + WINDOW_BEFORE)
+            clean_begin, clean_end = _clean_span(record, clean, begin, begin + step)
+            hull = _path_hull(clean, clean_begin - WINDOW_BEFORE, clean_end + WINDOW_BEFORE)
             departure = np.maximum(departure, _beyond(record.q[inside], *hull).max(axis=0))
     inside = (record.time >= stop_at) & (record.time <= until)
     if np.any(inside):
-        same = _clean_time(record, clean, stop_at)
-        hull = _path_hull(clean, same - WINDOW_BEFORE, same + WINDOW_AFTER)
+        clean_begin, clean_end = _clean_span(record, clean, stop_at, stop_at)
+        hull = _path_hull(clean, clean_begin - WINDOW_BEFORE, clean_end + WINDOW_AFTER)
         departure = np.maximum(departure, _beyond(record.q[inside], *hull).max(axis=0))
     return departure
 

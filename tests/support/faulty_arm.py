@@ -1,4 +1,4 @@
-"""A simulated arm whose motors, encoders, supply and load may be at fault, and what it went through.
+"""A simulated arm whose motors, encoders, supply and load may be at fault, and its true motion.
 
 The motors' servo acts on what their encoders read, and the physics on the torque that they really
 deliver; in a sound arm both are the joint's own. Positive directions, zeros and torque ratios are
