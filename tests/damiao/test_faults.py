@@ -10,11 +10,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.motor_faults import damage_cases
-from robot_sysid.damiao.protocol.frames import DISABLED
+from robot_sysid.damiao.protocol.frames import DISABLED, Frame
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.simulated import simulated_motor
+from tests.support.damaged_links import Damage, frame_of_line, slcan_line
 from tests.support.fault_bench import BenchRun, Case, SetUp, loaded_joint, outcomes_of
+from tests.support.faulty_arm import bench_motor
 from tests.support.motor_causes import (
     FailedMotor,
     FrozenEncoder,
@@ -32,12 +37,10 @@ from tests.support.motor_causes import (
     joint_of,
 )
 
-pytestmark = pytest.mark.slow
-
 FAULT_BOUND = 0.15
 DAMAGE_BOUND = 0.05
 DAMAGED_FRAMES = 40
-SHOULDER = loaded_joint(SetUp())
+SHOULDER = 1
 WRIST = 5
 
 
@@ -107,16 +110,19 @@ def marked(line):
 @pytest.fixture(scope="module")
 def outcomes():
     """What came of all lines, by name: their runs branch off one undisturbed run."""
+    assert loaded_joint(SetUp()) == SHOULDER
     return {outcome.name: outcome for outcome in outcomes_of([line.case for line in LINES])}
 
 
-@pytest.mark.parametrize("line", map(marked, LINES))
+@pytest.mark.slow
+@pytest.mark.parametrize("line", [marked(line) for line in LINES])
 def test_a_fault_moves_no_joint_far_from_its_path(line, outcomes):
     outcome = outcomes[line.name]
     assert outcome.departure < line.bound, outcome.line()
     assert line.words in outcome.words, outcome.line()
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(reason="measured: see benchmarks/motor_faults.py", strict=False)
 def test_one_damaged_frame_moves_no_joint_far_from_its_path():
     cases = damage_cases("kinova", DAMAGED_FRAMES, seed=1)
@@ -124,3 +130,38 @@ def test_one_damaged_frame_moves_no_joint_far_from_its_path():
     assert len(damaged_runs) == len(cases)
     worst = max(damaged_runs, key=lambda outcome: outcome.departure)
     assert worst.departure < DAMAGE_BOUND, worst.line()
+
+
+# --- the bench itself ---------------------------------------------------------------------------
+
+
+def test_a_bench_motor_packs_its_state_as_the_codec_does():
+    random = np.random.default_rng(0)
+    motor = bench_motor(DamiaoJoint("DM4340", 5, 0x15))
+    plain = simulated_motor(motor.joint)
+    for _ in range(200):
+        for state, limit in zip(("position", "velocity", "torque"), motor.joint.spec.limits):
+            value = random.uniform(-1.1 * limit, 1.1 * limit)
+            setattr(motor, state, value)
+            setattr(plain, state, value)
+        assert motor._feedback() == plain._feedback()
+
+
+@pytest.mark.parametrize(
+    ("field_name", "size", "byte"),
+    [("status", 9, 0), ("id nibble", 3, 0), ("position", 0.2, 1), ("velocity", 11, 3)],
+)
+def test_a_damage_changes_the_field_it_is_about(field_name, size, byte):
+    frame = Frame(0x15, bytes([0x15, 0x80, 0, 0x7F, 0xF7, 0xFF, 30, 30]), 1.5)
+    line = slcan_line(frame)
+    assert frame_of_line(line, frame) == frame
+    damaged = frame_of_line(Damage(field_name, size, 0).apply(line, 12.5), frame)
+    changed = [index for index in range(8) if damaged.data[index] != frame.data[index]]
+    assert changed[0] == byte and damaged.time == frame.time
+
+
+def test_an_undisturbed_run_completes_and_departs_from_nothing():
+    setup = SetUp(duration=2.5)
+    case = Case("nothing", setup, lambda run: None, after=0.2, patience=None)
+    (outcome,) = outcomes_of([case])
+    assert outcome.ending == "completed" and outcome.departure == 0.0, outcome.line()

@@ -160,7 +160,7 @@ def loaded_poses(arm_name, count=5):
     least, most = ARMS[arm_name].shoulder_load
     lower = np.maximum(robot.limits.lower, -1.8) + 0.6
     upper = np.minimum(robot.limits.upper, 1.8) - 0.6
-    middle = 0.5 * (robot.limits.lower + robot.limits.upper)
+    middle = 0.5 * (np.clip(robot.limits.lower, -9.0, 9.0) + np.clip(robot.limits.upper, -9.0, 9.0))
     is_narrow = lower >= upper
     lower = np.where(is_narrow, middle, lower)
     upper = np.where(is_narrow, middle, upper)
