@@ -192,17 +192,18 @@ def print_damage_table(outcomes: list) -> None:
 def print_fault_table(outcomes: list) -> None:
     """Print, by fault, the departure and the words, with the model and without."""
     print(
-        "| fault | model | departure [rad] | stopped after [s] | top speed | kinetic [J] | words |"
+        "| fault | model | departure [rad] | others' departure [rad] | stop after [s] | top speed "
+        "[rad/s] | kinetic energy [J] | words |"
     )
-    print("|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|")
     for name, group in _by_name(outcomes):
         for outcome in group:
             model = outcome.setup.belief if outcome.setup.model_is_given else "none"
             delay = "-" if outcome.stop_delay is None else f"{outcome.stop_delay:.3f}"
             words = short_words(outcome.words) or outcome.ending
             print(
-                f"| {name} | {model} | {outcome.departure:.3f} | {delay} "
-                f"| {outcome.top_speed:.2f} | {outcome.kinetic:.1f} | {words} |"
+                f"| {name} | {model} | {outcome.departure:.3f} | {outcome.others_departure:.3f} "
+                f"| {delay} | {outcome.top_speed:.2f} | {outcome.kinetic:.1f} | {words} |"
             )
     print()
 

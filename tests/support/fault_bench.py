@@ -475,6 +475,8 @@ class Outcome:
         departure: farthest that a joint was from the undisturbed run's path, from the onset until
             a second after the stop began, while motors were enabled [rad].
         departure_joint: which joint that was.
+        others_departure: the same of the joints that are not at fault: where a motor has lost its
+            supply, no software keeps its own joint.
         departure_after_stop: farthest after the stop began, from where the joint was then [rad].
         fall: that of the joint at fault, if one is named; else of all; ``others_fall`` of the
             other joints.
@@ -492,6 +494,7 @@ class Outcome:
     phase: str
     departure: float
     departure_joint: int
+    others_departure: float
     departure_after_stop: float
     fall: float
     others_fall: float
@@ -585,6 +588,7 @@ def judged_outcome(case, record, clean):
         phase=_phase_at(record, onset),
         departure=float(departure[worst]),
         departure_joint=worst,
+        others_departure=float(departure[is_other].max()),
         departure_after_stop=float(way.max()),
         fall=float(way.max() if case.joint is None else way[case.joint]),
         others_fall=float(way[is_other].max()),
