@@ -119,12 +119,12 @@ def hold_cases(arm: str, belief: str = "truth") -> list[Case]:
     return cases
 
 
-def clean_setups(arms: Sequence[str]) -> list[SetUp]:
+def clean_setups(arms: Sequence[str], rates: Sequence[float] = RATES) -> list[SetUp]:
     """Return what has to be played through undisturbed."""
     return [
         SetUp(arm, "guess", is_given, rate=rate)
         for arm in arms
-        for rate in RATES
+        for rate in rates
         for is_given in (True, False)
     ]
 
@@ -227,11 +227,11 @@ def print_hold_table(outcomes: list) -> None:
     print()
 
 
-def print_clean_runs(arms: Sequence[str], jobs: int) -> list[dict]:
+def print_clean_runs(arms: Sequence[str], rates: Sequence[float], jobs: int) -> list[dict]:
     """Play undisturbed, print a line for each run, and return the results."""
     results = []
     with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        for result in pool.imap(clean_result, clean_setups(arms)):
+        for result in pool.imap(clean_result, clean_setups(arms, rates)):
             ending = "completed" if result["completed"] else f"STOPPED: {result['words']}"
             print(f"{result['setup']:44s} {ending} [{result['seconds']:.1f} s]", flush=True)
             results.append(result)
@@ -249,6 +249,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--runs", type=int, default=40, help="damaged frames; 400 for a deep run")
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--only", default="", help="faults whose name contains this")
+    options.add_argument("--rate", type=float, action="append", help="of clean runs [Hz]")
     options.add_argument("--jobs", type=int, default=2, help="processes at a time")
     options.add_argument("--json", type=Path, help="write all outcomes to this file")
     return options
@@ -275,7 +276,7 @@ def main() -> None:
         print_hold_table(outcomes)
         results["stop"] = [asdict(outcome) for outcome in outcomes]
     if is_all or chosen.campaign == "clean":
-        results["clean"] = print_clean_runs(list(ARMS), chosen.jobs)
+        results["clean"] = print_clean_runs(list(ARMS), chosen.rate or RATES, chosen.jobs)
     if chosen.json:
         chosen.json.write_text(json.dumps(results, indent=1))
 

@@ -116,6 +116,11 @@ class SetUp:
         """Bit rates of the bus: CAN-FD where classic CAN would be full."""
         return BusTiming(fd=self.rate > FASTEST_CLASSIC)
 
+    @property
+    def watchdog(self):
+        """What the motors' watchdogs are set to [s]: ten cycles at least."""
+        return max(0.1, 10.0 / self.rate)
+
     def __str__(self):
         model = self.belief if self.model_is_given else f"none ({self.belief} fed)"
         park = f", park {self.park}" if self.park else ""
@@ -295,7 +300,7 @@ class BenchRun:
         self.plan = plan_of(setup)
         self.clock = ScriptedClock()
         joints = self.plan.trajectory.joints
-        self.motors = [bench_motor(joint) for joint in joints]
+        self.motors = [bench_motor(joint, setup.watchdog) for joint in joints]
         first = self.plan.trajectory.q[0]
         toward_start = np.where(np.arange(len(first)) % 2, 0.1, -0.1)
         start = first if setup.stands else first + toward_start

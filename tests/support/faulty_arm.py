@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
+from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, SimulatedArm, simulated_motor
 from tests.support.damiao_rig import FaultyMotor
 
 JAM_DAMPING = 1e5
@@ -64,9 +64,9 @@ class BenchMotor(FaultyMotor):
         return word.to_bytes(6, "big") + heat
 
 
-def bench_motor(joint):
-    """Return a joint's motor in which nothing is wrong yet."""
-    return BenchMotor(**vars(simulated_motor(joint)))
+def bench_motor(joint, watchdog=DEFAULT_WATCHDOG):
+    """Return a joint's motor in which nothing is wrong yet, with a watchdog of a time [s]."""
+    return BenchMotor(**vars(simulated_motor(joint, watchdog)))
 
 
 @dataclass
