@@ -33,6 +33,8 @@ DEFAULT_WATCHDOG = 0.1
 """What docs/damiao.md asks for with ``--set-watchdog`` [s]."""
 _scaling = functools.cache(lambda limits: codec.Scaling([limits]))
 _NOTHING = (0.0,) * 5
+# Sums of steps are rounded by less than this [s].
+_SAME_TIME = 1e-9
 
 
 @dataclass
@@ -177,16 +179,17 @@ class SimulatedArm:
         self.time, self._was_enabled, self._changed = 0.0, False, True
 
     def advance(self, until: float) -> None:
-        """Let physics run up to ``until`` [s]."""
+        """Let physics run up to ``until`` [s]; the last step is as long as is left."""
         if not self._was_enabled:
             self.time = max(self.time, until)
-        while self.time + self.mechanism.timestep <= until:
-            self.time += self.mechanism.timestep
+        while until - self.time > _SAME_TIME:
+            duration = min(self.mechanism.timestep, until - self.time)
+            self.time += duration
             for motor in self.motors:
                 self._changed |= motor.tick(self.time)
             # The position half a step ahead stands for the whole step to second order.
-            ahead = self.mechanism.q + 0.5 * self.mechanism.timestep * self.mechanism.qd
-            self.mechanism.step(*self._law(ahead))
+            ahead = self.mechanism.q + 0.5 * duration * self.mechanism.qd
+            self.mechanism.step(*self._law(ahead), duration)
 
     def handle(self, frame: frames.Frame, time: float) -> list[frames.Frame]:
         """Let all motors take a frame at ``time`` [s]; return their answers."""

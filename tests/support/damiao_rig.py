@@ -42,8 +42,8 @@ class Pendulums:
         self.q = np.zeros(n_joints) if q is None else np.array(q, dtype=float)
         self.qd, self.jammed = np.zeros(n_joints), np.zeros(n_joints, bool)
 
-    def step(self, torque, damping):
-        h, damping = self.timestep, np.where(self.jammed, 1e6, damping)
+    def step(self, torque, damping, h):
+        damping = np.where(self.jammed, 1e6, damping)
         force = torque - GRAVITY * np.sin(self.q)
         self.qd = (self.qd + h * force / INERTIA) / (1.0 + h * damping / INERTIA)
         self.q = self.q + h * self.qd
