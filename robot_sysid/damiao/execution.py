@@ -15,6 +15,7 @@ import numpy as np
 from robot_sysid.damiao import bus, preflight
 from robot_sysid.damiao import inspection as asked
 from robot_sysid.damiao import trajectory as motion
+from robot_sysid.damiao.centring import Centring, SamplingRipple
 from robot_sysid.damiao.player import Player, PlayReport
 from robot_sysid.damiao.preflight import Check, Plan
 from robot_sysid.damiao.protocol.codec import Scaling
@@ -99,11 +100,14 @@ class MotorRun:
 
     def _planned(self, trajectory: DamiaoTrajectory) -> Plan:
         inertia = None
+        ripple = None
         model_range = None
         if self.robot is not None:
             from robot_sysid.simulation.forward_dynamics import ArmStepper
 
-            inertia = ArmStepper(self.robot, trajectory.q[0]).moved_inertia()
+            arm = ArmStepper(self.robot, trajectory.q[0])
+            inertia = arm.moved_inertia()
+            ripple = SamplingRipple(arm.mobility, self.robot.friction.viscous)
             model_range = self.robot.limits.lower, self.robot.limits.upper
         return Plan(
             trajectory,
@@ -114,6 +118,7 @@ class MotorRun:
             inertia,
             self._limits(),
             model_range,
+            ripple,
         )
 
     def _limits(self) -> LimitOptions:
@@ -381,5 +386,6 @@ def _recorder(
     # Frames alone are written as the run goes on too: kept until its end, they fill the memory.
     with contextlib.ExitStack() as stack:
         frames = stack.enter_context(bus.RawFrameLog(path, link))
-        how = names, aside, frames, plan.recording.overwrite or record is None
+        centring = Centring(plan.settings.period, plan.ripple)
+        how = names, aside, centring, frames, plan.recording.overwrite or record is None
         yield stack.enter_context(MeasurementRecorder(record or Path(os.devnull), head, *how))

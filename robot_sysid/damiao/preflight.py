@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao import trajectory as motion
+from robot_sysid.damiao.centring import SamplingRipple
 from robot_sysid.damiao.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Scaling
@@ -97,9 +98,10 @@ class Permissions(OptionRecord):
 class Plan:
     """What is to be played, and how; settings left open are chosen for these motors and this bus.
 
-    ``inertia`` is what each joint moves (n,), where a model is known [kg m^2]; ``limits`` hold for
-    the trajectory, the way to it and the way to where the arm is parked; ``model_range`` are the
-    least and greatest positions (n,) of the model's joints [rad].
+    Where a model is known, ``inertia`` is what each joint moves (n,) [kg m^2], ``model_range`` are
+    the least and greatest positions (n,) of its joints [rad], and ``ripple`` says how torque steps
+    show in what is sampled. ``limits`` hold for the trajectory, the way to it and the way to where
+    the arm is parked.
     """
 
     trajectory: motion.DamiaoTrajectory
@@ -110,6 +112,7 @@ class Plan:
     inertia: Array | None = None
     limits: LimitOptions = motion.NO_LIMITS
     model_range: tuple[Array, Array] | None = None
+    ripple: SamplingRipple | None = None
 
     def __post_init__(self) -> None:
         if len(self.trajectory.time) < 2:

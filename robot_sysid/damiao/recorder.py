@@ -23,13 +23,13 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao.bus import RawFrameLog
+from robot_sysid.damiao.centring import Centring
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.frames import text_of
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
 
 Action = Callable[[], object]
@@ -87,17 +87,8 @@ class Aside:
 
 
 _MEASURED = ("pos", "vel", "tau")
-_EXTRA = (
-    "time",
-    "cmd_pos",
-    "cmd_vel",
-    "cmd_tau",
-    "cmd_step",
-    "doubted",
-    "status",
-    "temp_mos",
-    "temp_rotor",
-)
+_COMMANDS = ("cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "cmd_mean")
+_EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
 
 
 @dataclass(frozen=True)
@@ -154,7 +145,7 @@ def head_lines(
         "kd=" + " ".join(f"{x:g}" for x in run.kd),
         "half_step=1: half a quantisation step added to measured position, velocity and torque, "
         "because motors drop the fraction",
-        "centred=1: jN_tau is the torque with half of jN_cmd_step added",
+        "centred=1: jN_tau is the measured torque plus jN_cmd_mean, the mean of held commands",
         "jN_cmd_step is the torque step that the command answered by this sample then made",
         "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
         "jN_doubted=1: an answer came that cannot be true; it is left out here",
@@ -166,7 +157,8 @@ class MeasurementRecorder:
 
     A context manager; the file's last line says how the run ended. Only opening raises: what goes
     wrong later is kept in ``failure``, and the arm is brought to rest first. ``aside`` does the
-    writing; the frames are written with every row, if given.
+    writing; the frames are written with every row, if given. ``centring`` makes mean torques of
+    those that were sampled.
     """
 
     def __init__(
@@ -175,10 +167,12 @@ class MeasurementRecorder:
         head: Sequence[str],
         labels: Sequence[str],
         aside: Aside,
+        centring: Centring,
         frames: RawFrameLog | None = None,
         overwrite: bool = False,
     ) -> None:
         self._aside, self._frames, self._n = aside, frames, len(labels)
+        self._centring = centring
         columns = ["time"]
         for words in (_MEASURED, _EXTRA):
             columns += [f"{label}_{word}" for label in labels for word in words]
@@ -219,32 +213,20 @@ class MeasurementRecorder:
             self._aside(lambda: log.write(frames))
 
     def _row(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> str:
-        measured, step = replies.feedback, torque_step(replies, acted)
+        measured = replies.feedback
+        step, centre = self._centring.torques(replies, acted)
         cells = [f"{time:.6f}"]
-        values = measured.position, measured.velocity, measured.torque + 0.5 * step
+        values = measured.position, measured.velocity, measured.torque + centre
         for joint in list(zip(*values))[: self._n]:
             cells += _numbers(joint)
-        columns = (replies.time - origin, acted.position, acted.velocity, acted.torque, step)
+        command = acted.position, acted.velocity, acted.torque, step, centre
+        columns = replies.time - origin, *command
         state = (measured.status, measured.temperature_mos, measured.temperature_rotor)
         for j, answered in enumerate(replies.answered[: self._n]):
             cells += _numbers([column[j] for column in columns])
             cells.append(str(int(replies.doubted[j])))
             cells += [str(code[j]) if answered else "" for code in state]
         return ",".join(cells) + "\n"
-
-
-def torque_step(replies: Replies, acted: MitCommand) -> Array:
-    """Return the torque step (n,) that the command just sent makes in each motor [N m].
-
-    A motor samples its torque at the very end of a command's time, when the joint has used up what
-    the command asked for; then the next command steps it up again. Over many cycles the samples are
-    therefore too low by half a step on average, by kp qd / (2 rate) for a steadily moving joint,
-    which passes for negative viscous friction. Adding half the step, which is known exactly because
-    position and velocity do not jump, gives the mean of the two sides.
-    """
-    command = replies.command or acted
-    q, qd = replies.feedback.position, replies.feedback.velocity
-    return command.motor_torque(q, qd) - acted.motor_torque(q, qd)
 
 
 def _numbers(values: Iterable[float]) -> list[str]:

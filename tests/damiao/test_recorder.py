@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.damiao.centring import Centring
 from robot_sysid.damiao.protocol.codec import (
     Feedback,
     MitCommand,
@@ -37,7 +38,8 @@ def recorder_for(path, types=("DM4340",), overwrite=False):
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
     head = head_lines(joints, registers, settings, "swing.csv")
     labels = [f"j{j}" for j in range(len(joints))]
-    return MeasurementRecorder(path, head, labels, Aside(threaded=False), None, overwrite)
+    how = Aside(threaded=False), Centring(settings.period), None, overwrite
+    return MeasurementRecorder(path, head, labels, *how)
 
 
 @st.composite

@@ -1,0 +1,118 @@
+"""From torques sampled at the end of each command to the mean torque of held commands.
+
+A motor samples its torque when the next command arrives, after the joint has used up what the last
+one asked for; then that command steps the torque up again. What acts on the arm at frequencies far
+below those of the commands differs from the samples in three ways:
+
+- Half a step is missing: kp qd / (2 rate) for a steadily moving joint, which passes for negative
+  viscous friction. It is known exactly, because position and velocity do not jump.
+- Where steps grow, both sides of one are on average above the commands' mean, by a twelfth of the
+  growth: an apparent armature of kp / (12 rate^2).
+- Between commands the torque falls by a step. The joints' velocities follow, by up to
+  step / (12 rate inertia) at the moment of sampling, and damping makes torque of it. That passes
+  for viscous friction of kd kp / (12 rate^2 inertia), and for armature in proportion. Where joints
+  are coupled and sampled one after the other, their positions follow each other's steps too.
+
+Commands tell the first two; the third takes the arm's inertia. Measured velocities would show it
+too, but a motor's filter delays them by an unknown time, which would pass for armature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from robot_sysid.damiao.protocol.codec import MitCommand
+from robot_sysid.damiao.session import Replies
+from robot_sysid.records import Array
+
+# Product of decay rate and period below which decay within a period is lost in rounding.
+_SLOWEST_DECAY = 1e-3
+
+
+class SamplingRipple:
+    """What steps of torque that recur add to the motion of an arm at the moments of sampling.
+
+    Args:
+        mobility: returns the inverse mass matrix (n, n) at positions (n,).
+        viscous: (n,) the joints' own viscous friction [N m s/rad].
+    """
+
+    def __init__(self, mobility: Callable[[Array], Array], viscous: Array) -> None:
+        self.n_joints, self._mobility, self._viscous = len(viscous), mobility, viscous
+
+    def motion(
+        self, q: Array, kd: Array, step: Array, time: Array, period: float
+    ) -> tuple[Array, Array]:
+        """Return the positions and velocities (n,) that are added [rad, rad/s].
+
+        At positions q (n,) and with damping kd (n,) each joint is sampled at its ``time`` (n,), and
+        has its torque step (n,) then, every period. Stiffness is too slow to matter in a period.
+        """
+        mobility = self._mobility(q)
+        if not (np.all(np.isfinite(mobility)) and np.linalg.eigvalsh(mobility)[0] > 0.0):
+            # The model states no inertia that could tell.
+            return np.zeros(self.n_joints), np.zeros(self.n_joints)
+
+        # With mobility = L L^T, velocities decay at the eigenvalues of L^T (kd + viscous) L.
+        lower = np.linalg.cholesky(mobility)
+        damping = lower.T @ ((kd + self._viscous)[:, None] * lower)
+        rates, vectors = np.linalg.eigh(damping)
+        modes = lower @ vectors
+        decay = np.maximum(rates * period, _SLOWEST_DECAY)
+
+        # The response (n, n, modes) of each mode to a sawtooth of height 1 with its mean at 0,
+        # at the share of a period that has passed when joint i is sampled since j was.
+        share = ((time[:, None] - time) / period % 1.0)[..., None]
+        fading = np.exp(-decay * share) / -np.expm1(-decay)
+        velocity = period / decay * (0.5 - share + 1.0 / decay - fading)
+        undamped_velocity = -0.5 * period * (share**2 - share + 1.0 / 6.0)
+        position = period / decay * (undamped_velocity - velocity)
+
+        height = modes * step[:, None]
+        added = [np.sum(modes * np.sum(x * height, axis=1), axis=1) for x in (position, velocity)]
+        return added[0], added[1]
+
+
+class Centring:
+    """Makes mean torques of the samples of a run, cycle by cycle.
+
+    Without a ``ripple``, where the arm's inertia is not known, the module's third part is left out.
+    """
+
+    def __init__(self, period: float, ripple: SamplingRipple | None = None) -> None:
+        self._period, self._ripple = period, ripple
+        self._last: Array | None = None
+
+    def torques(self, replies: Replies, acted: MitCommand) -> tuple[Array, Array]:
+        """Return a cycle's torque steps, and what to add to its sampled torques (n,) [N m]."""
+        step = torque_step(replies, acted)
+        state = np.array([replies.feedback.position, replies.time, step])
+        last = state if self._last is None else self._last
+        # A joint that did not answer is where it was, and steps as it did.
+        state = np.where(np.isfinite(state), state, last)
+        growth = np.nan_to_num(state[2] - last[2])
+        self._last = state
+        rippling = self._ripple_torque(state, acted)
+        return step, 0.5 * step - growth / 12.0 + rippling
+
+    def _ripple_torque(self, state: Array, acted: MitCommand) -> Array:
+        """Return what ripple takes from the samples (n,) at positions, times and steps (3, n)."""
+        torque = np.zeros(state.shape[1])
+        if self._ripple is None:
+            return torque
+        arm = slice(self._ripple.n_joints)
+        q, time, step = state[:, arm]
+        if np.all(np.isfinite(state[:, arm])):
+            kp, kd = acted.kp[arm], acted.kd[arm]
+            position, velocity = self._ripple.motion(q, kd, step, time, self._period)
+            torque[arm] = kp * position + kd * velocity
+        return torque
+
+
+def torque_step(replies: Replies, acted: MitCommand) -> Array:
+    """Return the torque step (n,) that the command just sent makes in each motor [N m]."""
+    command = replies.command or acted
+    q, qd = replies.feedback.position, replies.feedback.velocity
+    return command.motor_torque(q, qd) - acted.motor_torque(q, qd)
