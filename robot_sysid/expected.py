@@ -324,13 +324,16 @@ def _remedies(
     tell = partial(_told, problem, plan, rate)
     here, quick = tell(known), tell(known, faster=FASTER)
 
-    def remedy(words: str, covariance: Array, loaded: bool = asked == "payload") -> Remedy:
+    def remedy(
+        words: str, covariance: Array, *planned: str, loaded: bool = asked == "payload"
+    ) -> Remedy:
         scaled = loaded * _read_alike(problem, options) * theta[0]
         covariance = covariance if loaded else possible_covariance(theta, covariance)
         mass, centre = information.spread_of(theta, covariance)
-        return Remedy(words, float(np.hypot(mass, scaled)), centre)
+        return Remedy(words, float(np.hypot(mass, scaled)), centre, planned)
 
-    yield remedy(f"a motion {LONGER:g} times as long", told.covariance(LONGER * here))
+    longer = ("--duration", f"{LONGER * plan.duration:.3g}")
+    yield remedy(f"a motion {LONGER:g} times as long", told.covariance(LONGER * here), *longer)
     yield remedy(f"a motion {FASTER:g} times as fast, over the same time", told.covariance(quick))
     if asked == "payload":
         return
@@ -345,7 +348,7 @@ def _remedies(
     apart = known_of(problem, options, "payload")
     difference = information.criterion(problem, apart).covariance(tell(apart))
     bolted = "what is bolted to it as a payload by difference (plan --for payload)"
-    yield remedy(bolted, difference, loaded=True)
+    yield remedy(bolted, difference, "--for", "payload", loaded=True)
 
 
 def _best_first(

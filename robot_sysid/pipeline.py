@@ -5,7 +5,8 @@ What only some runs do is imported where it is done: the self-test starts in hal
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,13 +24,14 @@ from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.outcome import Analysis, Outcome
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import MotionPlan, RobotModel
-from robot_sysid.records.atomic_files import DAMIAO_NAME, WholeFiles, whole_files
+from robot_sysid.records.atomic_files import DAMIAO_NAME, MODEL_NAMES, WholeFiles, whole_files
 from robot_sysid.records.options import per_joint
+from robot_sysid.records.plan_settings import WEIGHT, command_after_weighing
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.torque_scale import write_torque_scale
 from robot_sysid.results.console import block_lines, clamping_lines, folder_text, more_lines
 from robot_sysid.results.model import CHECKPOINTS
-from robot_sysid.results.verdict import plan_verdict, verdict_lines
+from robot_sysid.results.verdict import plan_verdict, shortfalls_of_plan, verdict_lines
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from robot_sysid.config import MotorOptions
     from robot_sysid.damiao.trajectory import DamiaoExportReport, MotionChunk
     from robot_sysid.motion.options import LimitOptions
+    from robot_sysid.motion.prediction import Prediction
 
 # Speed at which dry friction has turned round by three quarters [rad/s]. Wider is gentler, but an
 # arm that sticks longer at its reversals tells less: three times this costs a millimetre more.
@@ -82,6 +85,7 @@ def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tupl
         how = config.trajectory.sample_rate, config.estimation, config.poses.asked
         told = partial(known_of, options=how[1], asked=how[2]), partial(outlook, how=how)
     request = MotionRequest(*options, arm.noise_torque, played, config.poses, *told)
+    request = replace(request, link_uncertainty=config.estimation.link_uncertainty)
     return make_plan(request, robot, seed, progress), seed
 
 
@@ -166,7 +170,8 @@ def save_plan(
 
 
 def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
-    lines, failure = [*promise(config, robot, checked)], checked.failure
+    prediction = predict(config, checked)
+    lines, failure = [*promise(config, checked, prediction)], checked.failure
     motor_file = None if failure else motor_writer(config, robot, checked.plan)
     with whole_files() as files:
         paths = () if failure else save_plan(files, config, robot, checked.plan)
@@ -176,27 +181,66 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
                 lines += clamping_lines(motor_file(file), robot.joint_names)
     failure = failure and f"{failure}; nothing was written"
     arm, limits = config.words
-    verdict = plan_verdict(arm, paths, failure, config.poses.purpose, limits)
+    purpose = config.poses.purpose, limits, *_shortfalls(config, checked, prediction)
+    verdict = plan_verdict(arm, paths, failure, *purpose)
     return Outcome(tuple(lines), verdict, failure, paths, checked=checked)
 
 
-def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
+def _shortfalls(
+    config: SysidConfig, checked: CheckedPlan, prediction: Prediction | None
+) -> tuple[list[str], str]:
+    """Return what keeps a motion from its purpose, and the command that plans another one."""
+    from robot_sysid.motion.prediction import contact_before
+
+    if checked.problem is None or checked.failure:
+        return [], ""
+    touched = contact_before(checked.problem, checked.plan)
+    is_asked = prediction is not None and config.poses.purpose != WEIGHT
+    share = prediction.mass_share if prediction is not None and is_asked else None
+    body_name = "" if prediction is None else prediction.of
+    known = shortfalls_of_plan(body_name, share, None)
+    shortfalls = shortfalls_of_plan(body_name, share, touched)
+    options = prediction.remedy_options() if prediction is not None and known else ()
+    if not options or config.plan_file is None:
+        return shortfalls, ""
+    arm, limits = config.words
+    # The settings of a motion from a file ask for that motion again.
+    settings = ["--config", str(config.plan_file.with_suffix(".toml"))]
+    words = settings if config.trajectory.file is None else [*arm, *limits]
+    folder = str(config.output.output_dir / "again")
+    return shortfalls, shlex.join(["robot-sysid", "plan", *words, *options, "--output-dir", folder])
+
+
+def predict(config: SysidConfig, checked: CheckedPlan) -> Prediction | None:
+    """Return what an identification will state of a motion; None of sweeps and resting poses."""
+    from robot_sysid.expected import expect
+
+    if config.poses.sets_its_time:
+        return None
+    assert checked.problem is not None
+    how = config.trajectory.sample_rate, config.estimation, config.poses.asked
+    return expect(checked.problem, checked.plan, *how)
+
+
+def promise(
+    config: SysidConfig, checked: CheckedPlan, prediction: Prediction | None
+) -> Iterator[str]:
     """Yield what a motion promises, and what it does beside its limits."""
-    from robot_sysid.expected import expect, friction_lines
+    from robot_sysid.expected import friction_lines
     from robot_sysid.motion.prediction import kept_lines, motion_lines, plan_lines
     from robot_sysid.motion.static import pose_lines, sweep_lines
 
     assert checked.problem is not None and checked.check is not None
     made = checked.problem, checked.plan, checked.check
-    how = config.trajectory.sample_rate, config.estimation
-    if config.poses.sets_its_time:
-        yield from kept_lines(*made)
-        yield from (pose_lines if config.poses.static else sweep_lines)(*made[:2])
-        if not config.poses.static:
-            yield from friction_lines(*made[:2], *how)
-        yield from motion_lines(*made)
-    else:
-        yield from plan_lines(*made, expect(*made[:2], *how, config.poses.asked))
+    if prediction is not None:
+        yield from plan_lines(*made, prediction)
+        return
+    yield from kept_lines(*made)
+    yield from (pose_lines if config.poses.static else sweep_lines)(*made[:2])
+    if not config.poses.static:
+        how = config.trajectory.sample_rate, config.estimation
+        yield from friction_lines(*made[:2], *how)
+    yield from motion_lines(*made)
 
 
 def _of_itself(
@@ -248,8 +292,17 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
         *more_lines(result, config.output.links),
         *clamping_lines(saved.damiao, robot.joint_names),
     )
-    verdict, hashed = verdict_lines(result, saved.failure), saved.result_hash
+    verdict = verdict_lines(result, saved.failure, _plan_with_what_was_found(config, saved.files))
+    hashed = saved.result_hash
     return Outcome(lines, verdict, saved.failure, saved.files, result, found.traces, hashed)
+
+
+def _plan_with_what_was_found(config: Config, files: Sequence[Path]) -> str:
+    """Return the command that plans with the written model after a weighing motion, else ""."""
+    models = [path for path in files if path.name in MODEL_NAMES.values()]
+    if not models or not isinstance(config, SysidConfig) or not config.log.measurements:
+        return ""
+    return command_after_weighing(config.output.output_dir, config.model.path, models[0])
 
 
 def motor_writer(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:

@@ -31,7 +31,7 @@ from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.outcome import Analysis
-from robot_sysid.pipeline import analysed, designed, load, promise
+from robot_sysid.pipeline import analysed, designed, load, predict, promise
 from robot_sysid.records import Measurement, RobotModel, Traces
 from robot_sysid.records.options import record_from
 from robot_sysid.records.progress import Progress
@@ -192,7 +192,7 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     with _quietly() as notes:
         robot = load(config, notes)
         made, _ = designed(config, robot, notes)
-        lines = tuple(map(python_words, promise(config, robot, made)))
+        lines = tuple(map(python_words, promise(config, made, predict(config, made))))
     return PlanResult(config, robot, made, lines, tuple(notes.notes))
 
 

@@ -14,6 +14,7 @@ from robot_sysid.commands import PROGRAM as PROGRAM
 from robot_sysid.commands.console import Console, ConsoleOptions
 from robot_sysid.commands.streams import print_line
 from robot_sysid.errors import EXIT_CODES, InputError
+from robot_sysid.records.plan_settings import read_toml
 
 PYTHON_ONLY = ("plan_only",)
 """Keys of options that only Python programs have."""
@@ -91,7 +92,7 @@ class Parser(argparse.ArgumentParser):
     def _words_in(self, path: Path) -> Iterator[str]:
         """Yield what would be typed for the options in a file."""
         known = {action.dest: action for action in self._actions if action.dest not in _TYPED_ONLY}
-        content = _content(path)
+        content = read_toml(path)
         for key in content:
             if key not in known:
                 raise InputError(f"{path}: {self.prog} has no option {key}; leave it out")
@@ -146,19 +147,6 @@ class Parser(argparse.ArgumentParser):
         group.add_argument("-h", "--help", action="help", help="print the main options")
         group.add_argument("--help-all", action="help", help="print all options")
         return self
-
-
-def _content(path: Path) -> Mapping[str, Any]:
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
-    try:
-        return dict(tomllib.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from None
-    except ValueError as error:
-        raise InputError(f"{path} is no TOML file: {error}") from None
 
 
 def _flagged(action: argparse.Action, value: Any) -> Iterator[str]:

@@ -16,6 +16,7 @@ from robot_sysid.records.options import (
     option,
     processors,
 )
+from robot_sysid.records.plan_settings import WEIGHT
 
 if TYPE_CHECKING:
     from robot_sysid.motion.trajectories import FourierBasis
@@ -229,9 +230,10 @@ class PoseOptions(OptionRecord):
     purpose: str = option(
         "link",
         "what the motion is to identify: the terminal link, a payload by difference, friction "
-        "alone (each joint slowly back and forth at constant speeds), or all links and rotors",
+        "alone (each joint slowly back and forth at constant speeds), all links and rotors, or the "
+        "weight of an arm whose model may be far off: slowly, with half of the torque",
         flag="--for",
-        choices=("link", "payload", "friction", "arm"),
+        choices=("link", "payload", "friction", "arm", WEIGHT),
     )
     static: bool = option(
         False,

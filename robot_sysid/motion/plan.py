@@ -15,6 +15,7 @@ from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import PerJoint, given_options
+from robot_sysid.records.plan_settings import WEIGHT
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.sampling import TrajectoryOptions, require_countable
 from robot_sysid.simulator import ArmTorque
@@ -39,6 +40,7 @@ class MotionRequest:
         poses: whether it rests in poses, and in which.
         known: what an estimate knows of an arm beforehand; None for all but the terminal link.
         outlook: says before a search, from a motion, what no motion tells; "" for nothing.
+        link_uncertainty: how far the links may be off [%]; torque is reserved for that.
     """
 
     trajectory: TrajectoryOptions
@@ -50,6 +52,7 @@ class MotionRequest:
     poses: PoseOptions = PoseOptions()
     known: Callable[[ExcitationProblem], Known] | None = None
     outlook: Callable[[ExcitationProblem, MotionPlan], str] | None = None
+    link_uncertainty: float = 0.0
 
     @property
     def is_checked(self) -> bool:
@@ -202,12 +205,15 @@ def _designed(
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     """Return the arm with all limits; of a new motion, its band limits the accelerations too."""
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
-    from robot_sysid.motion.static import startable
+    from robot_sysid.motion.static import gentle_problem, startable
 
     is_new, basis = request.trajectory.file is None, request.excitation.basis
     band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
     noise = request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
-    problem = build_problem(robot, request.limits, request.torques, noise, band)
+    uncertainty = request.link_uncertainty
+    problem = build_problem(robot, request.limits, request.torques, noise, band, uncertainty)
+    if request.poses.purpose == WEIGHT:
+        problem = gentle_problem(problem)
     return startable(problem) if is_new else problem
 
 

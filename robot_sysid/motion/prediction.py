@@ -10,7 +10,14 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.motion.information import spread_of
 from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION, LimitCheck
-from robot_sysid.motion.problem import ASKED, ASSUMED, LIMIT_NAMES, MODEL, ExcitationProblem
+from robot_sysid.motion.problem import (
+    ASKED,
+    ASSUMED,
+    LIMIT_NAMES,
+    MODEL,
+    RESERVE_WORDS,
+    ExcitationProblem,
+)
 from robot_sysid.motion.solids import swept_space
 from robot_sysid.motion.static import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
@@ -34,11 +41,15 @@ WEIGHED = 1.0
 
 @dataclass(frozen=True)
 class Remedy:
-    """What would change the errors: in words, with those of mass [kg] and centre of mass [m]."""
+    """What would change the errors: in words, with those of mass [kg] and centre of mass [m].
+
+    The options, if any, plan a motion that does.
+    """
 
     words: str
     mass: float
     centre: float
+    options: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,6 +93,16 @@ class Prediction:
         """Predicted standard deviation as share of each parameter's size (10,)."""
         return self.deviation / self.size
 
+    @property
+    def mass_share(self) -> float:
+        """Predicted standard deviation of the mass as share of the mass; infinite if not seen."""
+        return self.spread(self.covariance)[0] / float(self.size[0])
+
+    def remedy_options(self) -> tuple[str, ...]:
+        """Return the options of the motion that would know the mass best; none without one."""
+        planned = [remedy for remedy in self.remedies if remedy.options]
+        return min(planned, key=lambda remedy: remedy.mass).options if planned else ()
+
     def budget(self) -> Iterator[tuple[str, float, float]]:
         """Yield (cause, its part of the error of the mass [kg], of the centre of mass [m])."""
         found = [(cause, *self.spread(part)) for cause, part in self.causes.items()]
@@ -123,6 +144,8 @@ def kept_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) 
             near = f"{near}, between {nearest.label}"
         yield f"Keeps all limits for {plan.duration:.1f} s; {near}"
     yield from (f"NOT KEPT: {excess}" for excess in check.excesses)
+    if any(excess.limit.endswith(RESERVE_WORDS) for excess in check.excesses):
+        yield "The reserve is for links known to --link-uncertainty; better known ones need less"
 
 
 def _promise_lines(prediction: Prediction) -> Iterator[str]:
@@ -276,24 +299,40 @@ def _at_least(distance: float, resolution: float = DISTANCE_RESOLUTION) -> str:
 
 
 def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
-    """Say what load the torque limits leave room for."""
+    """Say what load the torque limits leave room for, and what errors of the links."""
     if not np.any(np.isfinite(problem.limits.torque)):
         return
-    left, joint = problem.load_left(spread_motion(plan, _MOST_POSTURES))
+    motion = spread_motion(plan, _MOST_POSTURES)
+    if problem.has_torque_reserve:
+        reserves = np.max(problem.torque_reserve(motion), axis=0)
+        pairs = zip(problem.joint_names, reserves)
+        listed = ", ".join(f"{name} {reserve:.2g}" for name, reserve in pairs if reserve > 0.0)
+        yield f"Torque reserve for errors of the links (--link-uncertainty), up to: {listed}"
+    left, joint = problem.load_left(motion)
     name, kept = problem.joint_names[joint], problem.reserve
     reserved = f" (--payload-reserve {kept:g} kept)" if kept > 0.0 else ""
     room = np.floor(100.0 * left) / 100.0
     yield f"Torque left: a load of {room:.2f} kg at the tool's tip, then {name} is full{reserved}"
 
 
+def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:
+    """Say between what a clearance is not kept on the straight way from the model's pose at rest to
+    the start of a motion; None where it is free, or the motion starts there.
+    """
+    start = plan.evaluate(np.zeros(1)).q[0]
+    if np.allclose(start, problem.robot.reference, atol=_SAME_POSE):
+        return None
+    return contact_on_the_way(problem, start)
+
+
 def _start_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
     """Say where the motion starts, and what is known of the way there."""
-    start, home = plan.evaluate(np.zeros(1)).q[0], problem.robot.reference
+    start = plan.evaluate(np.zeros(1)).q[0]
     pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
-    if np.allclose(start, home, atol=_SAME_POSE):
+    if np.allclose(start, problem.robot.reference, atol=_SAME_POSE):
         yield Detail(f"Start: the model's pose at rest, {pose}")
     else:
-        touched = contact_on_the_way(problem, start)
+        touched = contact_before(problem, plan)
         way = "free" if touched is None else f"NOT free, by the clearance of {touched}"
         yield f"Start: {pose}"
         yield f"  the straight way in joint space there from the model's pose at rest is {way}"

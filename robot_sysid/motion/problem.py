@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import N_INERTIAL, other_links
 from robot_sysid.dynamics.kinematics import subtree
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.newton_euler import LinkDynamics, in_parts
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.nuisances import link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.options import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
@@ -31,6 +32,10 @@ ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""
+RESERVED_DEVIATIONS = 2.0
+"""Standard deviations of a joint's torque, as the links' errors make it, that a motion leaves."""
+RESERVE_WORDS = ", with the reserve for errors of the links"
+"""What the name of a torque limit ends with that a reserve is kept of."""
 _LEVEL = 0.9
 """Cosine of the slope up to which a plane that is asked for says where the ground is."""
 MODEL, ASKED, ASSUMED, NONE = "the model", "the options", "an assumption", "nothing"
@@ -132,6 +137,8 @@ class ExcitationProblem:
         tool: the outermost points of the terminal link and all it carries.
         arm_torque: joint torques (N, n) along a motion, friction included, without any load.
         reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
+        link_errors: (10 L, k) factor of the prior covariance of all links' parameters; k is 0 where
+            the links are taken as they are.
         rows: chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of their noise [N m].
         origins: per family in ``LIMIT_NAMES`` where the limit of each joint (n,) comes from.
@@ -147,6 +154,7 @@ class ExcitationProblem:
     tool: Tool
     arm_torque: TorqueFunction
     reserve: float
+    link_errors: Array
     obstacles: Clearance
     rows: tuple[int, ...]
     sigma: Array
@@ -167,13 +175,34 @@ class ExcitationProblem:
     def torque(self, motion: Motion) -> Array:
         """Return the torques (N, n) that have to be kept within limits [N m].
 
-        Each is the larger one of without and with the load that is reserved.
+        Each is the larger one of without and with the load that is reserved, and farther from zero
+        by the reserve for the links' errors.
         """
         torque = self.arm_torque(motion)
-        if self.reserve == 0.0:
-            return torque
-        loaded = torque + self.reserve * self.torque_per_kilogram(motion)
-        return np.where(np.abs(loaded) > np.abs(torque), loaded, torque)
+        if self.reserve > 0.0:
+            loaded = torque + self.reserve * self.torque_per_kilogram(motion)
+            torque = np.where(np.abs(loaded) > np.abs(torque), loaded, torque)
+        return torque + np.copysign(self.torque_reserve(motion), torque)
+
+    @property
+    def has_torque_reserve(self) -> bool:
+        """Whether torque is left for the links' errors: something limits it, and they have some."""
+        return bool(self.link_errors.size) and bool(np.any(np.isfinite(self.limits.torque)))
+
+    def torque_reserve(self, motion: Motion) -> Array:
+        """Return the torques (N, n) that are left for what the links may be off [N m]: two standard
+        deviations of each torque; zero at joints without a torque limit.
+        """
+        if not self.has_torque_reserve:
+            return np.zeros_like(motion.q)
+        deviations = []
+        rates = motion.q, motion.qd, motion.qdd
+        # The regressor and its product with the errors are held at a time.
+        for part in in_parts(2 * self.n_joints * len(self.link_errors), *rates):
+            regressor = self.dynamics.motion(*part).columns(self.links)
+            deviations.append(np.linalg.norm(regressor @ self.link_errors, axis=2))
+        limited = np.isfinite(self.limits.torque)
+        return RESERVED_DEVIATIONS * limited * np.concatenate(deviations)
 
     def torque_per_kilogram(self, motion: Motion) -> Array:
         """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg]."""
@@ -187,7 +216,7 @@ class ExcitationProblem:
         Infinite where no torque is limited, negative where the arm alone is beyond a limit.
         """
         torque, more = self.arm_torque(motion), self.torque_per_kilogram(motion)
-        limit = self.limits.torque
+        limit = self.limits.torque - self.torque_reserve(motion)
         room = np.where(more >= 0.0, limit - torque, limit + torque)
         room = np.where(np.abs(torque) > limit, limit - np.abs(torque), room)
         share = np.abs(more) > 1e-12  # More than rounding leaves of a load that a joint carries.
@@ -203,8 +232,11 @@ class ExcitationProblem:
     @property
     def signal_names(self) -> tuple[str, ...]:
         """What the columns of ``signals`` are limited by, in words."""
-        joints = (f"{kind} limit of joint {j}" for kind in LIMIT_NAMES for j in self.joint_names)
-        return (*joints, "speed limit of the tool")
+        names = [f"{kind} limit of joint {j}" for kind in LIMIT_NAMES for j in self.joint_names]
+        if self.has_torque_reserve:
+            torques = [f"{name}{RESERVE_WORDS}" for name in names[-self.n_joints :]]
+            names = [*names[: -self.n_joints], *torques]
+        return (*names, "speed limit of the tool")
 
     def signals(self, motion: Motion, torque: bool = False, tool: bool = False) -> Array:
         """Return what has limits (N, 4 n + 1): for each joint, and for the tool.
@@ -235,6 +267,7 @@ def build_problem(
     torques: str = "chain",
     noise_torque: PerJoint = DEFAULT_NOISE_TORQUE,
     top_frequency_hz: float | None = TOP_FREQUENCY_HZ,
+    link_uncertainty: float = 0.0,
 ) -> ExcitationProblem:
     """Collect what a search or a limit check needs to know about an arm.
 
@@ -245,6 +278,7 @@ def build_problem(
         top_frequency_hz: where no acceleration limit is given, the one that full speed at this
             frequency needs [Hz], or at that of the usual band where this is higher: a motion with
             faster harmonics shall not shake the arm harder. None leaves accelerations free.
+        link_uncertainty: how far the links may be off [%]; torque is reserved for that.
 
     Raises:
         InputError: the arm breaks a limit already at rest; says which.
@@ -268,6 +302,7 @@ def build_problem(
         tool=Tool(*outermost_points(robot)),
         arm_torque=ArmTorque(robot),
         reserve=limits.payload_reserve,
+        link_errors=_link_errors(robot, links, link_uncertainty),
         obstacles=obstacles,
         rows=rows,
         sigma=per_joint(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
@@ -275,6 +310,16 @@ def build_problem(
         notes=notes + more,
         has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
     )
+
+
+def _link_errors(robot: RobotModel, links: Sequence[int], uncertainty: float) -> Array:
+    """Return the factor (10 L, k) of the covariance of links' parameters known to a share [%]."""
+    if uncertainty == 0.0:
+        return np.zeros((10 * len(links), 0))
+    thetas = [robot.links[link].theta for link in links]
+    ends = [*(link.translation for link in robot.links[1:]), np.zeros(3)]
+    lengths = [float(np.linalg.norm(ends[link])) for link in links]
+    return link_factor(thetas, 0.01 * uncertainty, lengths)
 
 
 def _position_limits(robot: RobotModel) -> tuple[Array, Array]:

@@ -28,7 +28,7 @@ from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.options import PoseOptions
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import LineTrajectory, straight_way
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 STARTS, PARENTS, SPREADS = 1000, 50, (0.1, 0.05, 0.02, 0.01, 0.005)
@@ -47,6 +47,8 @@ APPROACH = 0.05
 """From how far a pose is approached [rad or m]."""
 GENTLE = 0.6
 """Speed that no joint exceeds between poses, however fast it could be [rad/s or m/s]."""
+UNSURE_SHARE = 0.5
+"""Share of the torque limits that weighing uses: the arm may need twice what its model says."""
 SHORTEST_MOVE, RESERVE = 0.6, 1.05
 """Shortest way between two points [s], and how much longer than needed each takes."""
 CANDIDATES, PLACES_ON_A_WAY = 3000, 24
@@ -90,10 +92,16 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     else:
         is_held = still[worst] < 1.0
         what = "moving off against gravity and dry friction" if is_held else "holding still"
+        unit = "N" if problem.robot.is_slide[worst] else "N·m"
+        reserved = ""
+        if problem.has_torque_reserve:
+            pose = Motion(np.zeros(1), problem.rest[None], *np.zeros((2, 1, problem.n_joints)))
+            reserve = problem.torque_reserve(pose)[0, worst]
+            reserved = f" ({reserve:.2g} of it for errors of the links, --link-uncertainty)"
         reason = (
-            f"{what} takes {(share if is_held else still)[worst] * allowed:.3g} "
-            f"{'N' if problem.robot.is_slide[worst] else 'N·m'} at joint {joint}, more than "
-            f"{100.0 * TORQUE_MARGIN:.0f} % of its torque limit of {allowed / TORQUE_MARGIN:g}"
+            f"{what} takes {(share if is_held else still)[worst] * allowed:.3g} {unit}{reserved} "
+            f"at joint {joint}, more than {100.0 * TORQUE_MARGIN:.0f} % of its "
+            f"torque limit of {allowed / TORQUE_MARGIN:g}"
         )
         remedy = f"raise the torque limit of {joint} in the model if the joint can carry it"
     # One that is held and touches nothing, if possible with a free way there.
@@ -108,6 +116,19 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
         )
     note = f"{reason}; the motion starts and ends at another pose"
     return replace(problem, rest=start, notes=(*problem.notes, note))
+
+
+def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
+    """Return the problem with half of the torque limits and speeds of at most 0.6 rad/s or m/s.
+
+    Accelerations are smaller by the same factor as speeds: a motion of this band needs no more.
+    """
+    limits = problem.limits
+    velocity = np.minimum(limits.velocity, GENTLE)
+    acceleration = limits.acceleration * velocity / limits.velocity
+    torque = UNSURE_SHARE * limits.torque
+    slow = replace(limits, velocity=velocity, acceleration=acceleration, torque=torque)
+    return replace(problem, limits=slow)
 
 
 def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:

@@ -82,9 +82,9 @@ def two_lines(use: str, then: str) -> tuple[str, ...]:
     return use, f"Next: {then}"
 
 
-def verdict_lines(result: Result, failure: str | None = None) -> tuple[str, ...]:
+def verdict_lines(result: Result, failure: str | None = None, then: str = "") -> tuple[str, ...]:
     """Return one or two lines: whether to use a result, or why not (a failure, of a result that may
-    be used for itself), and what to do next.
+    be used for itself), and what to do next, unless ``then`` says it.
     """
     failure = refusal(result) or failure
     if failure is not None:
@@ -98,7 +98,7 @@ def verdict_lines(result: Result, failure: str | None = None) -> tuple[str, ...]
         return two_lines(
             passed, f"{_command(result, 'robot-sysid plan {model}')} (a motion to record)"
         )
-    return two_lines(f"{use}: {'; '.join(_gains(result))}", _next(result))
+    return two_lines(f"{use}: {'; '.join(_gains(result))}", then or _next(result))
 
 
 def plan_verdict(
@@ -107,10 +107,18 @@ def plan_verdict(
     failure: str | None,
     purpose: str = "link",
     limits: Sequence[str] = (),
+    shortfalls: Sequence[str] = (),
+    remedy: str = "",
 ) -> tuple[str, ...]:
     """Return whether to play a motion planned for a purpose (``--for``), and what to do next.
 
-    Words of the command line say which ``arm`` it is, and which ``limits`` motors are to keep.
+    Args:
+        arm: words of the command line that say which one it is.
+        files: what was written.
+        failure: why the motion must not be run, or None.
+        limits: words of the command line that motors are to keep.
+        shortfalls: what keeps the motion from its purpose, though it keeps all limits.
+        remedy: the command that plans a motion for the purpose; "" where none is known.
     """
     if failure is not None:
         return (f"Not usable: {failure}",)
@@ -119,7 +127,31 @@ def plan_verdict(
         if path.name == DAMIAO_NAME:
             words = (str(path), "--channel", "CHANNEL", "--model", *arm, *limits)
             then = f"robot-sysid motors check {shlex.join(words)}"
+    if shortfalls:
+        return two_lines(f"Not ready: {'; '.join(shortfalls)}", remedy or then)
     return two_lines("Usable: play it on the arm, slowly at first, and record it", then)
+
+
+def shortfalls_of_plan(body_name: str, mass_share: float | None, touched: str | None) -> list[str]:
+    """Return what keeps a motion from its purpose: a mass that stays unknown, a blocked way.
+
+    Args:
+        body_name: the body whose mass is asked for.
+        mass_share: error that the mass will have, as share of it; None where it is not asked for.
+        touched: what the way to the start comes too near to, or None.
+    """
+    shortfalls = []
+    # A mass that no motion of these torques shows is another matter, which the plan's lines say.
+    if mass_share is not None and UNKNOWN < mass_share < np.inf:
+        shortfalls.append(
+            f"after this motion the mass of {body_name} is known to {percent(mass_share)} only"
+        )
+    if touched is not None:
+        shortfalls.append(
+            "the straight way from the model's pose at rest to the start of this motion is not "
+            f"free, by the clearance of {touched}; bring the arm to the start another way first"
+        )
+    return shortfalls
 
 
 def refusal(result: Result) -> str | None:

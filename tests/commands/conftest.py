@@ -18,11 +18,12 @@ from tests.support.links import RememberingLink
 def unpredicted(monkeypatch):
     """Plans say what they do beside their limits, not what an estimate will know: that is slow."""
 
-    def promise(config, robot, checked):
+    def promise(config, checked, prediction):
         made = checked.problem, checked.plan, checked.check
         return (*kept_lines(*made), *motion_lines(*made))
 
     monkeypatch.setattr(pipeline, "promise", promise)
+    monkeypatch.setattr(pipeline, "predict", lambda *_: None)
 
 
 class SimulatedBus:

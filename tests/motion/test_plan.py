@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import save_trajectory
 from robot_sysid.records.progress import Progress
@@ -59,6 +60,37 @@ def test_what_is_played_kept_or_bound_by_a_limit_is_checked():
     assert found.check.holds and found.failure is None
     free = planned(arms.THREE)
     assert (free.check, free.problem, free.failure) == (None, None, None)
+
+
+@pytest.mark.parametrize("kind", ["sines", "optimal"])
+@pytest.mark.parametrize("purpose", ["link", "weight"])
+@pytest.mark.parametrize("load", [0.0, 0.5])
+def test_a_planned_motion_leaves_torque_for_what_its_links_may_be_off(kind, purpose, load):
+    """Two standard deviations of what errors of the links make, drawn: 2000 arms know them to 2 %.
+
+    Weighing uses half of the limits, and goes slowly.
+    """
+    limit, arm = 7.0, robot(arms.THREE)
+    request = requested(
+        {"plan_only": True}, {"max_torque": limit, "payload_reserve": load}, options(kind=kind)
+    )
+    request = replace(request, poses=PoseOptions(purpose=purpose), link_uncertainty=10.0)
+    made = make_plan(request, arm, 1, Listener())
+    assert made.check.holds
+    some = made.problem
+    motion = made.plan.evaluate(np.linspace(0.0, made.plan.duration, 300))
+    links = some.dynamics.motion(motion.q, motion.qd, motion.qdd)
+    rng = np.random.default_rng(0)
+    torques = []
+    for errors in rng.normal(size=(2000, some.link_errors.shape[1])) @ some.link_errors.T:
+        thetas = np.zeros((some.n_joints, 10))
+        thetas[list(some.links)] = errors.reshape(-1, 10)
+        torques.append(links.torque(thetas))
+    loaded = some.arm_torque(motion) + load * some.torque_per_kilogram(motion)
+    needed = np.maximum(np.abs(some.arm_torque(motion)), np.abs(loaded))
+    share = 0.5 if purpose == "weight" else 1.0
+    assert np.all(needed + 2.0 * np.std(torques, axis=0) <= 0.96 * share * limit)
+    assert np.max(np.abs(motion.qd)) <= (0.6 if purpose == "weight" else 2.0)
 
 
 BOX = (-0.17, 0.17, -0.17, 0.17, 1.0, 2.0)

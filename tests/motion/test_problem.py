@@ -201,3 +201,35 @@ def test_parts_stay_above_what_carries_the_arm_unless_it_hangs(model, limits, lo
     found = _above_base(some, LimitOptions(**limits), some.reference)
     assert [each.offset for each in found] == ([] if lowest is None else [pytest.approx(lowest)])
     assert all(len(each.bodies) == some.n_joints for each in found)
+
+
+def torque_variance(some, motion):
+    """Variance (N, n) of torques that the links' errors make, from each error's own torque."""
+    links = some.dynamics.motion(motion.q, motion.qd, motion.qdd)
+    variance = np.zeros_like(motion.q)
+    for error in some.link_errors.T:
+        thetas = np.zeros((some.n_joints, 10))
+        thetas[list(some.links)] = error.reshape(-1, 10)
+        variance += links.torque(thetas) ** 2
+    return variance
+
+
+@given(SEEDS, st.floats(1.0, 20.0))
+def test_two_deviations_of_the_links_errors_are_left_where_torque_is_limited(seed, uncertainty):
+    arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
+    arm.limits.torque[1] = np.inf
+    some = build_problem(arm, LimitOptions(), link_uncertainty=uncertainty)
+    q, qd, qdd = np.random.default_rng(seed).normal(size=(3, 5, 3))
+    motion = Motion(np.arange(5.0), q, qd, qdd)
+    reserve = 2.0 * np.sqrt(torque_variance(some, motion)) * [1.0, 0.0, 1.0]
+    assert np.allclose(some.torque_reserve(motion), reserve)
+    assert np.allclose(np.abs(some.torque(motion)), np.abs(some.arm_torque(motion)) + reserve)
+
+
+def test_links_that_are_known_and_torques_without_limits_need_no_reserve():
+    motion = Motion(np.zeros(1), *np.zeros((3, 1, 3)))
+    known = build_problem(replace(robot_of(arms.THREE), limits=limits(torque=9.0)), LimitOptions())
+    free = build_problem(robot_of(arms.THREE), LimitOptions(), link_uncertainty=5.0)
+    for some in (known, free):
+        assert not some.has_torque_reserve
+        assert np.all(some.torque_reserve(motion) == 0.0)

@@ -22,6 +22,7 @@ from robot_sysid.results.verdict import (
     WORSE,
     limitations,
     plan_verdict,
+    shortfalls_of_plan,
     verdict_lines,
 )
 from tests.support import results as made
@@ -108,6 +109,33 @@ def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
     check = plan_verdict(["m.xml", "--joint", "j"], [Path(DAMIAO_NAME)], None, "link", keep)[1]
     words = f"{DAMIAO_NAME} --channel CHANNEL --model m.xml --joint j --keep-out 0 0 1 0"
     assert check == f"Next: robot-sysid motors check {words}"
+
+
+@pytest.mark.parametrize(
+    ("share", "touched", "words"),
+    [
+        (0.6, None, ["the mass of link6 is known to 60 % only"]),
+        (0.6, "link0 and link5", ["60 % only", "not free, by the clearance of link0 and link5"]),
+        (0.1, "link0 and link5", ["bring the arm to the start another way first"]),
+        (0.4, None, []),
+        (np.inf, None, []),
+        (None, None, []),
+    ],
+)
+def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, touched, words):
+    shortfalls = shortfalls_of_plan("link6", share, touched)
+    assert len(shortfalls) == len(words)
+    assert all(word in sentence for word, sentence in zip(words, shortfalls))
+    remedy = "robot-sysid plan --config a/trajectory.toml --duration 60 --output-dir a/again"
+    use, then = plan_verdict(["m.xml"], (), None, "link", (), shortfalls, remedy if words else "")
+    assert use.startswith("Not ready: ") is bool(words)
+    assert use.startswith("Usable: play it") is not bool(words)
+    assert (then == f"Next: {remedy}") is bool(words)
+
+
+def test_what_comes_next_may_be_given():
+    then = "robot-sysid plan updated_model.xml --config trajectory.toml --for link"
+    assert verdict_lines(made.whole(), None, then)[1] == f"Next: {then}"
 
 
 def test_what_contradicts_the_model_is_no_detail():

@@ -296,13 +296,16 @@ def _add_torque(
     if len(active) == 0:
         return
     at = [part[active] for part in motion]
-    # The friction torque jumps where a joint reverses; a step across the jump would be noise.
-    for which, joint in np.ndindex(3, problem.n_joints):
-        step = np.where(at[which][:, joint] < 0.0, -_TORQUE_STEP, _TORQUE_STEP)
-        moved = [part.copy() for part in at]
-        moved[which][:, joint] += step
-        change = (problem.torque_at(*moved) - torque[active]) / step[:, None]
-        totals[which][active, joint] += np.sum(change * adjoint[active], axis=1)
+    count, n = len(active), problem.n_joints
+    for which, part in enumerate(at):
+        # The friction torque jumps where a joint reverses; a step across the jump would be noise.
+        step = np.where(part < 0.0, -_TORQUE_STEP, _TORQUE_STEP).T
+        # All joints' steps at a time: (joint that is moved, sample, joint).
+        moved = [np.repeat(signal[None], n, axis=0) for signal in at]
+        moved[which][range(n), :, range(n)] += step
+        stepped = problem.torque_at(*(signal.reshape(-1, n) for signal in moved))
+        change = (stepped.reshape(n, count, n) - torque[active]) / step[:, :, None]
+        totals[which][active] += np.sum(change * adjoint[active], axis=2).T
 
 
 def penalised(design: Design, candidate: Candidate, x: Array) -> tuple[float, Array, Array]:
