@@ -9,21 +9,29 @@ that with what the motors can do.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check, Plan
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import ORDERS, STRAIGHT, HoldingCheck, passed, torque_doubt
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
+from robot_sysid.errors import InputError
+from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.limit_check import BetweenArms, first_contact
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records.options import record_from
+from robot_sysid.records.plan_settings import WEIGHT, settings_of
 from robot_sysid.simulation.forward_dynamics import ArmStepper
 from robot_sysid.simulation.playback import interpolated
 from robot_sysid.simulator import ArmTorque
@@ -95,6 +103,10 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     """
     played, speed, pose = plan.trajectory, plan.settings.speed, plan.pose
     remedy, excesses = "export a smaller trajectory for this arm", []
+    words = _plan_words(played, contacts.arms[0], for_model=True)
+    if words:
+        words += ["--output-dir", str(played.path.parent / "smaller")]
+        remedy = f"{remedy}: {shlex.join(words)}"
     if not np.any(np.ptp(played.q, axis=0)):
         remedy = "bring the arm elsewhere by hand"
     for robot, problem, own in zip(contacts.arms, contacts.problems, contacts.own):
@@ -171,7 +183,7 @@ def torque_checks(
     """Yield whether the file's torque is what its motion needs, and what the motors can do."""
     time, q, qd, fed = trajectory.time, trajectory.q, trajectory.qd, trajectory.tau
     arm, s, joints = ArmTorque(robot), settings.speed, trajectory.joints
-    qdd = np.gradient(qd, time, axis=0)
+    qdd = _accelerations(trajectory)
     needed, slower = arm(Motion(time, q, qd, qdd)), arm(Motion(time, q, s * qd, s * s * qdd))
     doubt = torque_doubt(joints) + robot.friction.coulomb
     off, due, sent = (np.sqrt(np.mean(x * x, axis=0)) for x in (fed - needed, needed, fed))
@@ -179,24 +191,112 @@ def torque_checks(
     strongest = np.array([j.spec.peak_torque * j.torque_ratio for j in joints])
     for j in np.flatnonzero(most > strongest).tolist():
         said = f"the motion needs {most[j]:.1f} N m and its motor makes {strongest[j]:g} at most"
-        yield Check(STOP, f"{joints[j].label}: {said}; {CANNOT_FOLLOW}, play a smaller motion")
-    for j in np.flatnonzero((off > doubt) & (off > _OTHER_TORQUE * due)).tolist():
+        remedy = f"{CANNOT_FOLLOW}, {_weighing_remedy(trajectory, robot)}"
+        yield Check(STOP, f"{joints[j].label}: {said}; {remedy}")
+    another = _is_another_torque(trajectory, robot)
+    is_as_planned = bool(np.any(another)) and _is_as_planned(trajectory)
+    for j in np.flatnonzero(another).tolist():
         against = float(fed[:, j] @ needed[:, j]) < 0.0
         why = "has the other sign" if against else "is another joint's or another arm's"
-        yield Check(
-            STOP,
+        said = (
             f"{joints[j].label}: the torque that the file feeds forward "
             f"{'is missing' if sent[j] < doubt[j] else why}: it is off by {off[j]:.1f} N m where "
-            f"{robot.path.name} needs {due[j]:.1f} (rms), and {CANNOT_FOLLOW}; export the file "
-            "again for this arm",
+            f"{robot.path.name} needs {due[j]:.1f} (rms)"
         )
+        if is_as_planned and _is_weighing(trajectory):
+            yield Check(NOTE, f"{said}; the file is as its model has it, and weighs this arm")
+            continue
+        remedy = (_weighing_remedy if is_as_planned else _export_remedy)(trajectory, robot)
+        yield Check(STOP, f"{said}, and {CANNOT_FOLLOW}; {remedy}")
     for j in np.flatnonzero(lacking > np.array(settings.max_torque_error)).tolist():
         yield Check(
             STOP,
             f"{joints[j].label}: the motion needs {lacking[j]:.1f} N m more or less than the file "
-            f"feeds forward, limit {settings.max_torque_error[j]:g}; {CANNOT_FOLLOW}, export the "
-            "file again for this arm",
+            f"feeds forward, limit {settings.max_torque_error[j]:g}; {CANNOT_FOLLOW}, "
+            f"{_weighing_remedy(trajectory, robot)}",
         )
+
+
+def _is_another_torque(trajectory: DamiaoTrajectory, robot: RobotModel) -> NDArray[np.bool_]:
+    """Tell of which joints (n,) a file's torque is not that of its motion, by a model."""
+    motion = Motion(trajectory.time, trajectory.q, trajectory.qd, _accelerations(trajectory))
+    needed = ArmTorque(robot)(motion)
+    doubt = torque_doubt(trajectory.joints) + robot.friction.coulomb
+    off = np.sqrt(np.mean((trajectory.tau - needed) ** 2, axis=0))
+    due = np.sqrt(np.mean(needed**2, axis=0))
+    return np.asarray((off > doubt) & (off > _OTHER_TORQUE * due))
+
+
+def _accelerations(trajectory: DamiaoTrajectory) -> Array:
+    return np.asarray(np.gradient(trajectory.qd, trajectory.time, axis=0))
+
+
+def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
+    """Tell whether a motion was planned to weigh an arm that its model may not know."""
+    settings = settings_of(trajectory.path.parent)
+    return settings is not None and settings[1].get("for_") == WEIGHT
+
+
+def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
+    """Tell whether a file's torque is that of its motion by the model that it was planned with."""
+    settings = None if trajectory.both else settings_of(trajectory.path.parent)
+    if settings is None:
+        return False
+    model = record_from(ModelOptions, settings[1])
+    free = float("inf")
+    try:
+        path = Path(settings[1]["path"])
+        robot = load_robot_model(path, model.mesh_dir, model.joint, free, model.keyframe)
+    except (InputError, KeyError):
+        # What is not there any more speaks for no file.
+        return False
+    fits = robot.n_joints == trajectory.n_joints
+    return fits and not np.any(_is_another_torque(trajectory, robot))
+
+
+def _export_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
+    """Return what to do about a file that is another arm's, as a command where there is one arm."""
+    words = _plan_words(trajectory, robot, for_model=True)
+    if not words:
+        return "export the file again for this arm"
+    words += ["--output-dir", str(trajectory.path.parent / "exported")]
+    return f"export the file again for this arm: {shlex.join(words)}"
+
+
+def _weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
+    """Return what to do about an arm that needs more than its motors make, as a command."""
+    words = _plan_words(trajectory, robot)
+    if not words:
+        return "plan a smaller motion for that arm with robot-sysid plan --for weight"
+    folder = trajectory.path.parent
+    if _is_weighing(trajectory):
+        # Weighing uses half of the limits: half of what this motion took.
+        peaks = np.abs(trajectory.tau).max(axis=0)
+        words += ["--max-torque", ",".join(f"{peak:.3g}" for peak in peaks)]
+    words += ["--for", WEIGHT, "--output-dir", str(folder / "weighing")]
+    return f"weigh the arm with a smaller motion first: {shlex.join(words)}"
+
+
+def _plan_words(
+    trajectory: DamiaoTrajectory, robot: RobotModel, for_model: bool = False
+) -> list[str]:
+    """Return the command that plans another motion for the motors of a file; none of two arms.
+
+    Where the settings that the motion was planned with stand beside it, they are asked for again,
+    with the model that was planned with, or ``for_model`` with the one that is checked.
+    """
+    if trajectory.both:
+        return []
+    settings = settings_of(trajectory.path.parent)
+    program = ["robot-sysid", "plan"]
+    model = [str(robot.path)]
+    if settings is not None and "trajectory" not in settings[1]:
+        return [*program, *(model if for_model else []), "--config", str(settings[0])]
+    motors = ["--joint", robot.terminal_joint, "--export-damiao"]
+    for joint in trajectory.joints:
+        ids = ("--can-id", str(joint.can_id), "--master-id", str(joint.master_id))
+        motors += ["--motor-type", joint.motor_type, *ids]
+    return [*program, *model, *motors]
 
 
 # For slopes of the end's place [rad].

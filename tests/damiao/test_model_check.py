@@ -61,7 +61,8 @@ def checked(played, speed, robot, park=None, limits=NO_LIMITS):
 def exceeded(checks):
     """(joint, limit) of each stop; one ok and nothing else where there is none."""
     checks = list(checks)
-    stops = [check.text for check in checks if check.severity == STOP]
+    # Behind the semicolon stands a command.
+    stops = [check.text.partition(";")[0] for check in checks if check.severity == STOP]
     if not stops:
         assert [check.severity for check in checks] == [OK]
     found = [(j, w) for t in stops for j in JOINTS for w in WHAT if j in t and f"{w} " in t]
@@ -122,9 +123,9 @@ def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
     robot = replace(arm, limits=JointLimits(-narrow, narrow, free, free))
     (check,) = checked(written(folder, (time, -q, -qd, tau)), 0.5, robot)
     assert check.severity == STOP
-    assert check.text == (
+    assert check.text.startswith(
         "joint joint0: position -0.98 rad is beyond the model's limit -0.3, at 1.00 s; export a "
-        "smaller trajectory for this arm"
+        "smaller trajectory for this arm: robot-sysid plan inline.xml --joint joint2 "
     )
 
 
@@ -256,3 +257,57 @@ def test_an_arm_goes_joint_by_joint_where_the_straight_way_touches(post, order):
     assert (found, bool(touching)) == ("" if order is None else ORDERS[order], order != 0)
     (said,) = [*way_check("on the way", found, touching)] or [None]
     assert (said and said.severity) == {0: None, None: STOP}.get(order, NOTE)
+
+
+# --- a planned motion that an arm with another load is to play ----------------------------------
+
+
+def settings_file(folder, model, **values):
+    """Write what a plan leaves beside its motion."""
+    lines = [f'{key} = "{value}"' for key, value in {"path": model, **values}.items()]
+    (folder / "trajectory.toml").write_text("\n".join(lines))
+
+
+def heavy_motion(arm):
+    """A swing with its torque, of which motors of the type make a tenth."""
+    time, q, qd, tau = with_its_torque(arm, 0)
+    return time, q, 40.0 * qd, tau
+
+
+def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(arm, tmp_path):
+    first = refused(tmp_path, arm, heavy_motion(arm))[0]
+    command = first.partition("with a smaller motion first: ")[2]
+    assert command.startswith("robot-sysid plan inline.xml --joint joint2 --export-damiao ")
+    assert command.count("--motor-type DM4340") == 3
+    assert command.endswith(f"--for weight --output-dir {tmp_path / 'weighing'}")
+    settings_file(tmp_path, "guess.xml")
+    first = refused(tmp_path, arm, heavy_motion(arm))[0]
+    words = f"--config {tmp_path / 'trajectory.toml'} --for weight --output-dir"
+    assert first.endswith(f" first: robot-sysid plan {words} {tmp_path / 'weighing'}")
+    settings_file(tmp_path, "guess.xml", for_="weight")
+    assert " --max-torque " in refused(tmp_path, arm, heavy_motion(arm))[0]
+
+
+LIGHT, HEAVY = arms.THREE, arms.THREE.replace('mass=".8"', 'mass="8"')
+
+
+@pytest.mark.parametrize(
+    ("purpose", "factor", "severity", "words"),
+    [
+        ("link", 1.0, STOP, "weigh the arm with a smaller motion first: robot-sysid plan "),
+        ("weight", 1.0, NOTE, "the file is as its model has it, and weighs this arm"),
+        ("weight", -1.0, STOP, "export the file again for this arm: robot-sysid plan "),
+    ],
+)
+def test_a_load_that_the_plan_did_not_know_is_told_from_a_wrong_file(
+    tmp_path, purpose, factor, severity, words
+):
+    """A mirrored torque is refused whatever the motion is for."""
+    model = tmp_path / "light.xml"
+    model.write_text(LIGHT)
+    settings_file(tmp_path, model, for_=purpose)
+    light, heavy = (arms.robot_of(xml, max_velocity=np.inf) for xml in (LIGHT, HEAVY))
+    played = trajectory_file(tmp_path, with_its_torque(light, 0, factor))
+    settings = PlaySettings().for_motors([j.spec for j in played.joints], BusTiming())
+    checks = [c for c in torque_checks(played, settings, heavy) if "feeds forward " in c.text]
+    assert checks[0].severity == severity and words in checks[0].text

@@ -30,6 +30,7 @@ from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records.options import OptionRecord, command_words, option, options_of, record_from
+from robot_sysid.records.plan_settings import settings_of
 
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
@@ -314,11 +315,11 @@ def _play_on(
         # That it has to end is no fault of holding, if all else went well.
         if not holds or str(error) != stop.reason:
             raise
-    _conclude(asked, plan, holds)
+    _conclude(asked, plan, holds, real)
     return 0
 
 
-def _conclude(asked: Asked, plan: preflight.Plan, held: bool) -> None:
+def _conclude(asked: Asked, plan: preflight.Plan, held: bool, real: bool) -> None:
     """Say what came of a run, and what to do with it."""
     record = plan.recording.record
     done = f"{'held' if held else 'played'}, and all motors are disabled"
@@ -330,9 +331,24 @@ def _conclude(asked: Asked, plan: preflight.Plan, held: bool) -> None:
         again = asked.command("play", "speed", record="measured.csv")
         asked.conclude(done, again, " (a recording at full speed, to identify from)")
     else:
-        model, arm = str(asked.values.get("model") or "MODEL"), asked.values
-        identify = [PROGRAM, "identify", model, str(record), *command_words(arm, ModelOptions)]
-        asked.conclude(done, identify)
+        asked.conclude(done, _identify_words(asked, plan, record, real))
+
+
+def _identify_words(asked: Asked, plan: preflight.Plan, record: Path, real: bool) -> list[str]:
+    """Return the command that identifies the arm from a recording of a plan.
+
+    Results go to the folder of the planned motion. The model of a simulated arm stands for the real
+    arm, which nobody knows: what is identified then is the model that the motion was planned with.
+    """
+    arm = asked.values
+    model = arm.get("model") or "MODEL"
+    settings = None if plan.trajectory.both else settings_of(plan.trajectory.path.parent)
+    folder = () if settings is None else ("--output-dir", str(settings[0].parent))
+    if settings is not None and not real:
+        arm = settings[1]
+        model = arm.get("path", model)
+    words = command_words(arm, ModelOptions)
+    return [PROGRAM, "identify", str(model), str(record), *words, *folder]
 
 
 def _simulated_end(asked: Asked) -> bus.Link:
