@@ -194,21 +194,24 @@ def _shortfalls(
 
     if checked.problem is None or checked.failure:
         return [], ""
-    touched = contact_before(checked.problem, checked.plan)
-    is_asked = prediction is not None and config.poses.purpose != WEIGHT
-    share = prediction.mass_share if prediction is not None and is_asked else None
+    share = None
+    if prediction is not None and config.poses.purpose != WEIGHT:
+        share = prediction.mass_share
     body_name = "" if prediction is None else prediction.of
-    known = shortfalls_of_plan(body_name, share, None)
-    shortfalls = shortfalls_of_plan(body_name, share, touched)
-    options = prediction.remedy_options() if prediction is not None and known else ()
+    contact = contact_before(checked.problem, checked.plan)
+    shortfalls = shortfalls_of_plan(body_name, share, contact)
+    # Another motion tells more of a mass; it does not clear the way.
+    is_mass_unknown = bool(shortfalls_of_plan(body_name, share, None))
+    options = prediction.remedy_options() if prediction is not None and is_mass_unknown else ()
     if not options or config.plan_file is None:
         return shortfalls, ""
     arm, limits = config.words
     # The settings of a motion from a file ask for that motion again.
     settings = ["--config", str(config.plan_file.with_suffix(".toml"))]
-    words = settings if config.trajectory.file is None else [*arm, *limits]
+    source = settings if config.trajectory.file is None else [*arm, *limits]
     folder = str(config.output.output_dir / "again")
-    return shortfalls, shlex.join(["robot-sysid", "plan", *words, *options, "--output-dir", folder])
+    command = ["robot-sysid", "plan", *source, *options, "--output-dir", folder]
+    return shortfalls, shlex.join(command)
 
 
 def predict(config: SysidConfig, checked: CheckedPlan) -> Prediction | None:
@@ -292,12 +295,12 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
         *more_lines(result, config.output.links),
         *clamping_lines(saved.damiao, robot.joint_names),
     )
-    verdict = verdict_lines(result, saved.failure, _plan_with_what_was_found(config, saved.files))
+    verdict = verdict_lines(result, saved.failure, _next_plan_command(config, saved.files))
     hashed = saved.result_hash
     return Outcome(lines, verdict, saved.failure, saved.files, result, found.traces, hashed)
 
 
-def _plan_with_what_was_found(config: Config, files: Sequence[Path]) -> str:
+def _next_plan_command(config: Config, files: Sequence[Path]) -> str:
     """Return the command that plans with the written model after a weighing motion, else ""."""
     models = [path for path in files if path.name in MODEL_NAMES.values()]
     if not models or not isinstance(config, SysidConfig) or not config.log.measurements:

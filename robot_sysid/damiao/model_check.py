@@ -103,10 +103,10 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     """
     played, speed, pose = plan.trajectory, plan.settings.speed, plan.pose
     remedy, excesses = "export a smaller trajectory for this arm", []
-    words = _plan_words(played, contacts.arms[0], for_model=True)
-    if words:
-        words += ["--output-dir", str(played.path.parent / "smaller")]
-        remedy = f"{remedy}: {shlex.join(words)}"
+    command = _plan_command(played, contacts.arms[0], for_model=True)
+    if command:
+        command += ["--output-dir", str(played.path.parent / "smaller")]
+        remedy = f"{remedy}: {shlex.join(command)}"
     if not np.any(np.ptp(played.q, axis=0)):
         remedy = "bring the arm elsewhere by hand"
     for robot, problem, own in zip(contacts.arms, contacts.problems, contacts.own):
@@ -193,21 +193,21 @@ def torque_checks(
         said = f"the motion needs {most[j]:.1f} N m and its motor makes {strongest[j]:g} at most"
         remedy = f"{CANNOT_FOLLOW}, {_weighing_remedy(trajectory, robot)}"
         yield Check(STOP, f"{joints[j].label}: {said}; {remedy}")
-    another = _is_another_torque(trajectory, robot)
-    is_as_planned = bool(np.any(another)) and _is_as_planned(trajectory)
-    for j in np.flatnonzero(another).tolist():
+    is_foreign = _is_foreign_torque(trajectory, robot)
+    is_as_planned = bool(np.any(is_foreign)) and _is_as_planned(trajectory)
+    for j in np.flatnonzero(is_foreign).tolist():
         against = float(fed[:, j] @ needed[:, j]) < 0.0
         why = "has the other sign" if against else "is another joint's or another arm's"
-        said = (
+        finding = (
             f"{joints[j].label}: the torque that the file feeds forward "
             f"{'is missing' if sent[j] < doubt[j] else why}: it is off by {off[j]:.1f} N m where "
             f"{robot.path.name} needs {due[j]:.1f} (rms)"
         )
         if is_as_planned and _is_weighing(trajectory):
-            yield Check(NOTE, f"{said}; the file is as its model has it, and weighs this arm")
+            yield Check(NOTE, f"{finding}; the file is as its model has it, and weighs this arm")
             continue
         remedy = (_weighing_remedy if is_as_planned else _export_remedy)(trajectory, robot)
-        yield Check(STOP, f"{said}, and {CANNOT_FOLLOW}; {remedy}")
+        yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
     for j in np.flatnonzero(lacking > np.array(settings.max_torque_error)).tolist():
         yield Check(
             STOP,
@@ -217,7 +217,7 @@ def torque_checks(
         )
 
 
-def _is_another_torque(trajectory: DamiaoTrajectory, robot: RobotModel) -> NDArray[np.bool_]:
+def _is_foreign_torque(trajectory: DamiaoTrajectory, robot: RobotModel) -> NDArray[np.bool_]:
     """Tell of which joints (n,) a file's torque is not that of its motion, by a model."""
     motion = Motion(trajectory.time, trajectory.q, trajectory.qd, _accelerations(trajectory))
     needed = ArmTorque(robot)(motion)
@@ -251,33 +251,33 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
         # What is not there any more speaks for no file.
         return False
     fits = robot.n_joints == trajectory.n_joints
-    return fits and not np.any(_is_another_torque(trajectory, robot))
+    return fits and not np.any(_is_foreign_torque(trajectory, robot))
 
 
 def _export_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
     """Return what to do about a file that is another arm's, as a command where there is one arm."""
-    words = _plan_words(trajectory, robot, for_model=True)
-    if not words:
+    command = _plan_command(trajectory, robot, for_model=True)
+    if not command:
         return "export the file again for this arm"
-    words += ["--output-dir", str(trajectory.path.parent / "exported")]
-    return f"export the file again for this arm: {shlex.join(words)}"
+    command += ["--output-dir", str(trajectory.path.parent / "exported")]
+    return f"export the file again for this arm: {shlex.join(command)}"
 
 
 def _weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
     """Return what to do about an arm that needs more than its motors make, as a command."""
-    words = _plan_words(trajectory, robot)
-    if not words:
+    command = _plan_command(trajectory, robot)
+    if not command:
         return "plan a smaller motion for that arm with robot-sysid plan --for weight"
     folder = trajectory.path.parent
     if _is_weighing(trajectory):
         # Weighing uses half of the limits: half of what this motion took.
         peaks = np.abs(trajectory.tau).max(axis=0)
-        words += ["--max-torque", ",".join(f"{peak:.3g}" for peak in peaks)]
-    words += ["--for", WEIGHT, "--output-dir", str(folder / "weighing")]
-    return f"weigh the arm with a smaller motion first: {shlex.join(words)}"
+        command += ["--max-torque", ",".join(f"{peak:.3g}" for peak in peaks)]
+    command += ["--for", WEIGHT, "--output-dir", str(folder / "weighing")]
+    return f"weigh the arm with a smaller motion first: {shlex.join(command)}"
 
 
-def _plan_words(
+def _plan_command(
     trajectory: DamiaoTrajectory, robot: RobotModel, for_model: bool = False
 ) -> list[str]:
     """Return the command that plans another motion for the motors of a file; none of two arms.

@@ -132,13 +132,13 @@ def plan_verdict(
     return two_lines("Usable: play it on the arm, slowly at first, and record it", then)
 
 
-def shortfalls_of_plan(body_name: str, mass_share: float | None, touched: str | None) -> list[str]:
+def shortfalls_of_plan(body_name: str, mass_share: float | None, contact: str | None) -> list[str]:
     """Return what keeps a motion from its purpose: a mass that stays unknown, a blocked way.
 
     Args:
         body_name: the body whose mass is asked for.
         mass_share: error that the mass will have, as share of it; None where it is not asked for.
-        touched: what the way to the start comes too near to, or None.
+        contact: what the way to the start comes too near to, or None.
     """
     shortfalls = []
     # A mass that no motion of these torques shows is another matter, which the plan's lines say.
@@ -146,10 +146,10 @@ def shortfalls_of_plan(body_name: str, mass_share: float | None, touched: str | 
         shortfalls.append(
             f"after this motion the mass of {body_name} is known to {percent(mass_share)} only"
         )
-    if touched is not None:
+    if contact is not None:
         shortfalls.append(
             "the straight way from the model's pose at rest to the start of this motion is not "
-            f"free, by the clearance of {touched}; bring the arm to the start another way first"
+            f"free, by the clearance of {contact}; bring the arm to the start another way first"
         )
     return shortfalls
 

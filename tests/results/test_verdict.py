@@ -112,7 +112,7 @@ def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
 
 
 @pytest.mark.parametrize(
-    ("share", "touched", "words"),
+    ("share", "contact", "phrases"),
     [
         (0.6, None, ["the mass of link6 is known to 60 % only"]),
         (0.6, "link0 and link5", ["60 % only", "not free, by the clearance of link0 and link5"]),
@@ -122,15 +122,15 @@ def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
         (None, None, []),
     ],
 )
-def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, touched, words):
-    shortfalls = shortfalls_of_plan("link6", share, touched)
-    assert len(shortfalls) == len(words)
-    assert all(word in sentence for word, sentence in zip(words, shortfalls))
+def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, contact, phrases):
+    shortfalls = shortfalls_of_plan("link6", share, contact)
+    assert len(shortfalls) == len(phrases)
+    assert all(phrase in sentence for phrase, sentence in zip(phrases, shortfalls))
     remedy = "robot-sysid plan --config a/trajectory.toml --duration 60 --output-dir a/again"
-    use, then = plan_verdict(["m.xml"], (), None, "link", (), shortfalls, remedy if words else "")
-    assert use.startswith("Not ready: ") is bool(words)
-    assert use.startswith("Usable: play it") is not bool(words)
-    assert (then == f"Next: {remedy}") is bool(words)
+    use, then = plan_verdict(["m.xml"], (), None, "link", (), shortfalls, remedy if phrases else "")
+    assert use.startswith("Not ready: ") is bool(phrases)
+    assert use.startswith("Usable: play it") is not bool(phrases)
+    assert (then == f"Next: {remedy}") is bool(phrases)
 
 
 def test_what_comes_next_may_be_given():

@@ -331,10 +331,10 @@ def _conclude(asked: Asked, plan: preflight.Plan, held: bool, real: bool) -> Non
         again = asked.command("play", "speed", record="measured.csv")
         asked.conclude(done, again, " (a recording at full speed, to identify from)")
     else:
-        asked.conclude(done, _identify_words(asked, plan, record, real))
+        asked.conclude(done, _identify_command(asked, plan, record, real))
 
 
-def _identify_words(asked: Asked, plan: preflight.Plan, record: Path, real: bool) -> list[str]:
+def _identify_command(asked: Asked, plan: preflight.Plan, record: Path, real: bool) -> list[str]:
     """Return the command that identifies the arm from a recording of a plan.
 
     Results go to the folder of the planned motion. The model of a simulated arm stands for the real
@@ -347,8 +347,8 @@ def _identify_words(asked: Asked, plan: preflight.Plan, record: Path, real: bool
     if settings is not None and not real:
         arm = settings[1]
         model = arm.get("path", model)
-    words = command_words(arm, ModelOptions)
-    return [PROGRAM, "identify", str(model), str(record), *words, *folder]
+    arm_options = command_words(arm, ModelOptions)
+    return [PROGRAM, "identify", str(model), str(record), *arm_options, *folder]
 
 
 def _simulated_end(asked: Asked) -> bus.Link:
