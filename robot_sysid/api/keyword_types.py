@@ -143,7 +143,7 @@ class PlanKeywords(
     IdentifyFromKeywords, _PlanPayloadIdentify, _PlanIdentify, _PlanPlayPayloadIdentify,
     _InformationPlan, _HoldPlanPayloadIdentify, _PlanPayload, total=False
 ):  # fmt: skip
-    for_: Literal["link", "payload", "friction", "arm"]
+    for_: Literal["link", "payload", "friction", "arm", "weight"]
 
 
 class PlayKeywords(HoldKeywords, _PlanPlayPayloadIdentify, total=False):
