@@ -151,8 +151,9 @@ class BusAddress(OptionRecord):
 # A name before the place: not the "=" that ends an address such as spy://COM3?file=log.
 _NAMED = re.compile(r"(?:([\w.-]+)=)?(.*)")
 SERIAL_ADAPTER = "damiao"
-# Two and a half cycles at 250 Hz: later is no use [s].
-_SEND_TIMEOUT = 0.01
+# More than a busy computer keeps a program waiting (a cycle may be 20 ms late), and less than
+# motors on another bus can wait for their next command: watchdogs take 0.1 s or more [s].
+_SEND_TIMEOUT = 0.05
 # A queue that is full for longer than this is not going to empty within a control cycle.
 _FULL_PATIENCE, _FULL_PAUSE = 1.5e-3, 2e-4
 _FULL = (

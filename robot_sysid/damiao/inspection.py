@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao.bus import GuardedLink, LinkError
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_feedback
 from robot_sysid.errors import HardwareAbort
@@ -81,7 +81,7 @@ class RegisterClient:
         self._link.drain()
         start = self._clock.now()
         for motor, _ in motors:
-            self._link.send(frames.refresh_frame(motor))
+            self._send(frames.refresh_frame(motor))
         missing = {(motor.bus, reply_id) for motor, reply_id in motors}
         while missing and (frame := self._link.receive(start + _LONGEST_CYCLE)) is not None:
             if not frame.echo and not frame.error:
@@ -105,13 +105,20 @@ class RegisterClient:
     def _frames_after(self, request: frames.Frame) -> Iterator[frames.Frame]:
         """Send a request and yield what motors say until the timeout."""
         self._link.drain()
-        self._link.send(request)
+        self._send(request)
         until = self._clock.now() + self._timeout
         while (frame := self._link.receive(until)) is not None:
             self.error_frames += frame.error
             sound = not frame.error and not frame.echo and len(frame.data) == 8
             if sound and frame.bus == request.bus:
                 yield frame
+
+    def _send(self, request: frames.Frame) -> None:
+        """Send a request, again where a busy computer or adapter did not take it in time."""
+        for _ in range(_TRIES - 1):
+            with contextlib.suppress(LinkError):
+                return self._link.send(request)
+        self._link.send(request)
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import (
@@ -47,6 +48,27 @@ def test_a_motor_that_is_not_there_does_not_answer():
     assert bench.client.read(Address(0, 9), frames.PMAX) is None
     with pytest.raises(HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"):
         bench.client.write(Address(0, 9), frames.TIMEOUT, 1.0)
+
+
+@pytest.mark.parametrize(("failures", "is_told"), [(2, True), (3, False)])
+def test_a_request_that_is_not_taken_in_time_is_sent_again(failures, is_told):
+    """A busy computer may be a moment late, and nothing moves meanwhile."""
+    bench = Bench()
+    send = bench.bus.send
+    raised = []
+
+    def busy(frame):
+        if len(raised) < failures:
+            raised.append(frame)
+            raise LinkError("the CAN bus does not take frames: write timeout")
+        send(frame)
+
+    bench.bus.send = busy
+    if is_told:
+        assert bench.client.read(Address(0, 1), frames.PMAX).value == 12.5
+    else:
+        with pytest.raises(LinkError):
+            bench.client.read(Address(0, 1), frames.PMAX)
 
 
 def test_feedback_is_not_taken_for_a_register_reply():

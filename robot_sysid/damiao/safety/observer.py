@@ -383,7 +383,8 @@ class Observer:
         self._sudden = np.where(is_sudden, self._sudden + 1, 0)
         if not rising:
             for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
-                self._raise_effort(j, f"suddenly needs {unusual[j]:.1f} N m beside what carried it")
+                what = f"suddenly needs {unusual[j]:.1f} N m beside what carried it"
+                self._raise_effort(j, what)
         for name, value, share in (
             ("_added", added, self._forget),
             ("_usual", added, self._forget_usual),
@@ -433,12 +434,19 @@ class Observer:
                 self._raise_effort(j, f"is {error[j]:.3f} {words}, limit {limit[j]:g}")
 
     def _raise_effort(self, joint: int, what: str) -> None:
-        led_by, came_by = np.abs(self._moments[0] - self._moments)[:, :, joint].T
-        if np.any((led_by > _LED_BY) & (came_by < _CAME_SHARE * led_by)):
-            self.stuck[joint] = True
-            self._raise(joint, f"stands still while its path goes on: it is blocked ({what})")
+        blocked = self._blocked_joint()
+        if blocked is not None:
+            self.stuck[blocked] = True
+            self._raise(blocked, f"stands still while its path goes on: it is blocked ({what})")
         self._change = EffortChange(joint, self._usual.copy(), self._sudden_added)
         self._raise(joint, what)
+
+    def _blocked_joint(self) -> int | None:
+        """Return the joint that came least of the way that it was led lately, if that is little."""
+        led_by, came_by = np.abs(self._moments[0] - self._moments).transpose(1, 0, 2)
+        share = np.where(led_by > _LED_BY, came_by / np.maximum(led_by, _LED_BY), np.inf)
+        joint = int(np.argmin(np.min(share, axis=0)))
+        return joint if np.min(share[:, joint]) < _CAME_SHARE else None
 
     def explain(self, fault: Fault, q: Array, commanded: Array) -> HardwareAbort:
         """Return a fault with its cause, from what holds the stopped arm.
