@@ -16,8 +16,8 @@ from robot_sysid.damiao.execution import MotorRun, lasting
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import Plan, require_no_stop
+from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
-from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records.atomic_files import DAMIAO_NAME, temporary_folder

@@ -24,10 +24,10 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, 
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
 from robot_sysid.damiao.references import STRAIGHT, FileHolding, HoldingCheck, alongside, sampled
+from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings, SecondArm
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
-from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, words_of
 from robot_sysid.model.options import ModelOptions
@@ -226,7 +226,7 @@ class MotorRun:
             return None
         from robot_sysid.damiao.model_check import gravity_check
 
-        return gravity_check(self.robot, plan.trajectory.joints)
+        return gravity_check(self.robot, plan.trajectory.joints, not self._two)
 
     @cached_property
     def robot(self) -> Any:
@@ -340,6 +340,8 @@ def run(
     finally:
         console.finish()
     _require_told(console, written)
+    if finding := carried.review(report.track):
+        raise SysidError(f"the trajectory was played and all motors are disabled, but {finding}")
     return replace(report, missed=report.missed[:n], worst_tracking=report.worst_tracking[:n])
 
 

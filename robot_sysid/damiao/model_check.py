@@ -12,6 +12,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check, Plan
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import ORDERS, STRAIGHT, HoldingCheck, passed, torque_doubt
+from robot_sysid.damiao.safety.zeros import describe_moved_zero
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
@@ -303,8 +305,10 @@ def _plan_command(
 _STEP = 1e-4
 
 
-def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> HoldingCheck:
-    """Return what compares holding torques with the model's gravity."""
+def gravity_check(
+    robot: RobotModel, joints: tuple[DamiaoJoint, ...], is_chain: bool = True
+) -> HoldingCheck:
+    """Return what compares holding torques, and of a serial chain whole runs, with a model."""
     arm = ArmTorque(robot)
 
     def holding(q: Array) -> Array:
@@ -325,4 +329,5 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
         return -slopes @ gravity
 
     needs = f"the model {robot.path.name} needs"
-    return HoldingCheck(joints, holding, robot.friction.coulomb, needs, load)
+    review = partial(describe_moved_zero, robot, joints) if is_chain else None
+    return HoldingCheck(joints, holding, robot.friction.coulomb, needs, load, review)

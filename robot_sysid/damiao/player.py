@@ -22,12 +22,12 @@ from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import HoldingCheck, Reference, ReferenceFunction, hold
 from robot_sysid.damiao.safety.observer import Fault, Observer
 from robot_sysid.damiao.safety.samples import Replies
+from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.errors import HardwareAbort, words_of
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Measurement
 
 
 class CycleTimer:
@@ -82,6 +82,8 @@ _REPLY_SHARE, _LEAST_REPLY_SHARE = 0.9, 0.3
 # the arm is averaged.
 _PROGRESS_INTERVAL = 0.1
 _STILL_SAMPLES = 100
+# How often a run is looked at as a whole [s].
+_TRACK_INTERVAL = 0.03
 # A busy thread gives way after this long [s]; Python's own default is more than a control cycle.
 _SWITCH_INTERVAL = 2e-4
 # Nothing heard for longer than this while braking: the watchdogs (0.1 s, and half as much again)
@@ -95,7 +97,8 @@ _LONGEST_CARRIED = 2.0
 class PlayReport:
     """How a run went: cycles while playing, and those skipped because the computer was late.
 
-    Lateness is in [s]; commands that were missed and the tracking error [rad] are (n,).
+    Lateness is in [s]; commands that were missed and the tracking error [rad] are (n,). ``track``
+    is where the joints were, how fast, and with which torque they were commanded, now and then.
     """
 
     cycles: int
@@ -104,6 +107,7 @@ class PlayReport:
     lateness_p99: float
     missed: Array
     worst_tracking: Array
+    track: Measurement | None = None
 
 
 class Player:
@@ -159,6 +163,7 @@ class Player:
         self._played = 0
         self._shown_at = -np.inf
         self._still: list[Array] = []
+        self._track: list[tuple[float, Array]] = []
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
         """Enable the motors, play ``trajectory`` and come to rest; disabling is the session's job.
@@ -178,7 +183,15 @@ class Player:
                 raise HardwareAbort(f"{type(error).__name__}: {words_of(error)}") from error
         timer = self._timer
         counts = self._played, timer.skipped, timer.lateness(50.0), timer.lateness(99.0)
-        return PlayReport(*counts, self._observer.total_missed, self._observer.worst_tracking)
+        watched = self._observer.total_missed, self._observer.worst_tracking
+        return PlayReport(*counts, *watched, self._measurement())
+
+    def _measurement(self) -> Measurement | None:
+        if not self._track:
+            return None
+        signals = np.array([signal for _, signal in self._track])
+        time = np.array([time for time, _ in self._track])
+        return Measurement(time, signals[:, 0], signals[:, 1], signals[:, 2])
 
     def _explain(self, fault: Fault) -> HardwareAbort:
         """Return a fault with its cause, by what has held the arm since it was stopped."""
@@ -317,6 +330,9 @@ class Player:
 
     def _keep(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
         self._played += 1
+        if not self._track or time - self._track[-1][0] >= _TRACK_INTERVAL:
+            q, qd = self._session.believed
+            self._track.append((time, np.stack([q, qd, acted.motor_torque(q, qd)])))
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
             self._recorder.end_cycle()

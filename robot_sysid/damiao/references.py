@@ -15,7 +15,7 @@ import numpy as np
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Measurement
 
 
 class Reference(NamedTuple):
@@ -200,6 +200,7 @@ class HoldingCheck:
         source: who says what should, in words.
         load: from a pose to the torque that a kilogram at the arm's end takes there (n,) [N m];
             None without a model.
+        review: from a whole run to what is wrong with the arm, in words; "" where nothing is.
 
     Attributes:
         n_joints: joints that are judged; motors beside the arm come behind them.
@@ -214,11 +215,13 @@ class HoldingCheck:
         doubt: Array | float,
         source: str,
         load: Callable[[Array], Array] | None = None,
+        review: Callable[[Measurement], str] | None = None,
     ) -> None:
         self._due = torque
         self._joints = joints
         self._source = source
         self._load = load
+        self._review = review
         self.n_joints = len(joints)
         self.doubt = doubt + torque_doubt(joints)
         self.is_model = load is not None
@@ -227,6 +230,10 @@ class HoldingCheck:
         """Return the unverified joints whose load at q (n,) shows no direction."""
         bare = np.abs(self._due(q)) <= _LOADED * self.doubt
         return [j for j, is_bare in zip(self._joints, bare) if is_bare and not j.verified]
+
+    def review(self, track: Measurement | None) -> str:
+        """Return what is wrong with the arm, as a whole run says; "" where nothing is known."""
+        return self._review(track) if self._review is not None and track is not None else ""
 
     def load(self, q: Array) -> Array:
         """Return the torque (n,) that a kilogram at the arm's end takes at q [N m]."""

@@ -14,6 +14,7 @@ from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.references import STRAIGHT
+from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import (
     DEFAULT_WATCHDOG,
@@ -22,7 +23,6 @@ from robot_sysid.damiao.simulated import (
     SimulatedMotor,
     simulated_motor,
 )
-from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.clocks import ScriptedClock
 from tests.support.links import RememberingLink, SlowAdapter

@@ -27,9 +27,9 @@ from robot_sysid.damiao.preflight import Plan
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import SimulatedLink
-from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from robot_sysid.dynamics.kinematics import analysis_copy
 from robot_sysid.errors import SysidError

@@ -21,10 +21,10 @@ from robot_sysid.damiao.execution import lasting
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.serial_adapter import slcan_terminal
 from robot_sysid.damiao.settings import PlaySettings, SecondArm
 from robot_sysid.damiao.simulated import serve
-from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model.options import ModelOptions

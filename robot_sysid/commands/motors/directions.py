@@ -21,7 +21,7 @@ from robot_sysid.damiao.preflight import Plan, require_no_stop
 from robot_sysid.damiao.protocol.joints import BY_MOTION, DamiaoJoint, write_joint_map
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.references import WAY_RATE, way_rows
-from robot_sysid.damiao.stop_request import StopRequest
+from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option

@@ -1,0 +1,142 @@
+"""Whether a joint's zero has moved since its map was made: what the torques of a motion say.
+
+A joint that stands elsewhere than it says loads itself and the joints beyond it in another way than
+the model expects. Links that weigh something else do that too, so both compete: the measured
+torques tau are
+
+    tau = model(q, qd, qdd) + Y dtheta + d(model)/dq_j shift_j + friction + noise,
+
+with a prior for what the model's links, its friction and an unknown load at its end may be off. A
+moved zero is named where it raises the log marginal likelihood by a margin, and more than that of
+any other joint. (Rasmussen and Williams, Gaussian Processes, 2006, equation 2.30.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.references import torque_doubt
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.estimation.algebra.nuisances import link_factor
+from robot_sysid.records import Array, Measurement, RobotModel
+
+# Samples that are averaged: so far apart that their errors are not alike [s].
+_WINDOW = 0.2
+_LEAST_WINDOWS = 15
+# Judgements, standard deviations: links of a guessed model [share], an unknown load at the end [kg]
+# and how far from there its mass is [m], a zero that moved [rad].
+_LINKS = 0.3
+_LOAD, _LEVER = 3.0, 0.2
+_SHIFT = 0.3
+_DIFFERENCE = 0.01
+# In nats: how much better than no moved zero, and than that of any other joint.
+_MARGIN = 15.0
+_APART = 5.0
+# A smaller shift is within what people measure with a ruler [rad].
+_LEAST_SHIFT = 0.08
+
+
+def describe_moved_zero(
+    robot: RobotModel, joints: Sequence[DamiaoJoint], samples: Measurement
+) -> str:
+    """Return a sentence about the joint whose zero has moved; "" where none has surely.
+
+    Args:
+        robot: the arm's model.
+        joints: its motors, base to terminal.
+        samples: motion and torque (N, n) of a whole run.
+    """
+    averaged = _average(samples)
+    if averaged is None:
+        return ""
+    q, qd, qdd, tau = averaged
+    dynamics = LinkDynamics(robot)
+    friction = robot.friction.torque(qd) + robot.armature * qdd
+    needed = dynamics.motion(q, qd, qdd).torque(robot.thetas) + friction
+    doubt = torque_doubt(joints) + robot.friction.coulomb
+    residual = ((tau - needed) / doubt).ravel()
+    errors = np.column_stack(
+        [_link_errors(robot, dynamics, q, qd, qdd), _friction_errors(qd, doubt)]
+    )
+    weights = np.tile(1.0 / doubt, len(q))
+    errors = errors * weights[:, None]
+    shapes = [_slope(robot, dynamics, q, qd, qdd, j) * weights for j in range(robot.n_joints)]
+    covariance = errors @ errors.T + 0.25 * np.eye(len(residual))
+    without = _log_likelihood(residual, covariance)
+    gains = [
+        _log_likelihood(residual, covariance + _SHIFT**2 * np.outer(shape, shape)) - without
+        for shape in shapes
+    ]
+    joint = int(np.argmax(gains))
+    others = np.delete(gains, joint)
+    precise = np.linalg.solve(covariance, np.column_stack([residual, shapes[joint]]))
+    information = float(shapes[joint] @ precise[:, 1]) + 1.0 / _SHIFT**2
+    shift = float(shapes[joint] @ precise[:, 0]) / information
+    error = information**-0.5
+    is_sure = gains[joint] > _MARGIN and gains[joint] > np.max(others, initial=0.0) + _APART
+    if not is_sure or abs(shift) < _LEAST_SHIFT + 2.0 * error:
+        return ""
+    return (
+        f"the zero of {joints[joint].label} has moved by {shift:.2f} ± {error:.2f} rad since its "
+        "map was made, as the torques of this motion say; look at its mounting and make the map "
+        "again: see 'motors map'"
+    )
+
+
+def _average(samples: Measurement) -> tuple[Array, ...] | None:
+    """Return q, qd, qdd and tau (K, n) averaged over windows, None where they are too few."""
+    assert samples.qd is not None
+    number = ((samples.time - samples.time[0]) / _WINDOW).astype(int)
+    count = np.bincount(number)
+    full = count >= 0.5 * np.median(count)
+    if np.count_nonzero(full) < _LEAST_WINDOWS:
+        return None
+    qdd = np.gradient(samples.qd, samples.time, axis=0)
+    means = []
+    for signal in (samples.q, samples.qd, qdd, samples.tau):
+        sums = [np.bincount(number, column) for column in signal.T]
+        means.append((np.array(sums) / np.maximum(count, 1)).T[full])
+    return tuple(means)
+
+
+def _link_errors(
+    robot: RobotModel, dynamics: LinkDynamics, q: Array, qd: Array, qdd: Array
+) -> Array:
+    """Return torques (K n, m) that one standard deviation of each link error makes."""
+    links = list(range(robot.n_joints))
+    columns = dynamics.motion(q, qd, qdd).columns(links)
+    ends = [*(link.translation for link in robot.links[1:]), np.zeros(3)]
+    lengths = [float(np.linalg.norm(end)) for end in ends]
+    thetas = [link.theta for link in robot.links]
+    factor = link_factor(thetas, _LINKS, lengths)
+    load = np.zeros((len(factor), 4))
+    load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])
+    return (columns @ np.column_stack([factor, load])).reshape(q.size, -1)
+
+
+def _friction_errors(qd: Array, doubt: Array) -> Array:
+    """Return torques (K n, 2 n) that one standard deviation of each joint's friction makes."""
+    units = np.eye(qd.shape[1])
+    dry = np.tanh(qd / 0.02) * doubt
+    viscous = qd * doubt
+    parts = [signal[:, :, None] * units for signal in (dry, viscous)]
+    return np.concatenate(parts, axis=2).reshape(qd.size, -1)
+
+
+def _slope(
+    robot: RobotModel, dynamics: LinkDynamics, q: Array, qd: Array, qdd: Array, joint: int
+) -> Array:
+    """Return how torques (K n,) change with one joint's position [N m/rad]."""
+    step = _DIFFERENCE * np.eye(q.shape[1])[joint]
+    ahead = dynamics.motion(q + step, qd, qdd).torque(robot.thetas)
+    behind = dynamics.motion(q - step, qd, qdd).torque(robot.thetas)
+    return ((ahead - behind) / (2.0 * _DIFFERENCE)).ravel()
+
+
+def _log_likelihood(residual: Array, covariance: Array) -> float:
+    factor = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(factor, residual)
+    return float(-0.5 * white @ white - np.sum(np.log(np.diag(factor))))
