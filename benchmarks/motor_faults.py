@@ -6,6 +6,7 @@ Run from the checkout:
     ... stop
     ... clean
     ... all --json motor_faults.json
+    ... page          # the table of docs/damiao.md
 
 Arms of public models are played on simulated Damiao motors, in simulated time. ``damage`` spoils
 one feedback frame, as text on a serial line; ``faults`` lets something happen to a motor or to the
@@ -29,7 +30,9 @@ import numpy as np
 
 from tests.support.damaged_links import Damage
 from tests.support.fault_bench import ARMS, BenchRun, Case, SetUp, loaded_joint, outcomes_of
+from tests.support.fault_lines import LINES
 from tests.support.motor_causes import DamagedFrame, LostMotor, WeakMotor, joint_of, named_causes
+from tests.support.places import ROOT
 
 DAMAGES = {
     "position": (0.2, 0.78, 3.9),
@@ -51,6 +54,10 @@ MOMENTS = {
 }
 """Phases: the earliest and the latest onset after their beginning [s], and their share of runs."""
 DAMAGE_PATIENCE = 1.0
+PAGE = ROOT / "docs" / "damiao.md"
+PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
+PAGE_END = "<!-- end of faults -->"
+PAGE_HEAD = "| Fault | Departure [rad] | What is said |\n| --- | --- | --- |"
 FAULT_AFTER = 1.5
 HOLD_FAULT_AFTER = 1.0
 HOLD_STIFFNESS = (60.0, 180.0)
@@ -240,10 +247,27 @@ def print_clean_runs(arms: Sequence[str], rates: Sequence[float], jobs: int) -> 
     return results
 
 
+def write_page(jobs: int) -> None:
+    """Write the table of faults into docs/damiao.md."""
+    outcomes = {outcome.name: outcome for outcome in outcomes_of([i.case for i in LINES], jobs)}
+    rows = [PAGE_HEAD]
+    for line in LINES:
+        outcome = outcomes[line.name]
+        words = re.sub(r" \(joint [^)]*\)", "", outcome.words).partition("; no confirmation")[0]
+        mark = "*" if line.quantity != "departure" else ""
+        measured = f"{getattr(outcome, line.quantity):.2f}{mark}"
+        rows.append(f"| {line.name} | {measured} | {words or 'nothing: it plays to the end'} |")
+    page = PAGE.read_text(encoding="utf-8")
+    before, _, later = page.partition(PAGE_BEGIN)
+    after = later.partition(PAGE_END)[2]
+    table = "\n".join(rows)
+    PAGE.write_text(f"{before}{PAGE_BEGIN}\n{table}\n{PAGE_END}{after}", encoding="utf-8")
+
+
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    options.add_argument("campaign", choices=("damage", "faults", "stop", "clean", "all"))
+    options.add_argument("campaign", choices=("damage", "faults", "stop", "clean", "page", "all"))
     options.add_argument("--arm", choices=list(ARMS), default="kinova")
     options.add_argument("--belief", choices=("guess", "truth"), default="guess")
     options.add_argument("--runs", type=int, default=40, help="damaged frames; 400 for a deep run")
@@ -258,6 +282,9 @@ def parser() -> argparse.ArgumentParser:
 def main() -> None:
     """Run the campaigns that were asked for."""
     chosen = parser().parse_args()
+    if chosen.campaign == "page":
+        write_page(chosen.jobs)
+        return
     is_all = chosen.campaign == "all"
     results: dict[str, list] = {}
     if is_all or chosen.campaign == "damage":

@@ -255,7 +255,9 @@ class Player:
         if not self._holding.is_model:
             self._session.open_range()
         speed = self._settings.approach_speed
-        lowering = paths.Lowering(begin, speed, self._session.peak_torque)
+        room = self._session.room
+        ends = room.lower, room.upper
+        lowering = paths.Lowering(begin, speed, self._session.peak_torque, *ends)
         self._follower = lowering
         return lowering
 

@@ -151,14 +151,21 @@ class Lowering:
     """A reference that gives way to the torque its joints carry.
 
     What is fed forward fades within a second, so that the position control carries the load and
-    the measured torque tells it. Each reference position then moves against that torque, no faster
-    than ``speed`` [rad/s], until the arm lies or hangs. ``torque`` (n,), as measured last [N m], is
-    to be set in every cycle; NaN where it is unknown.
+    the commanded torque tells it. Each reference position then moves against that torque, no faster
+    than ``speed`` [rad/s], until the arm lies or hangs, or a joint is at the end of its range,
+    ``lower`` to ``upper`` (n,) [rad]. ``torque`` (n,), as commanded last [N m], is to be set in
+    every cycle; NaN where it is unknown.
     """
 
-    def __init__(self, begin: Reference, speed: float, peak: Array) -> None:
-        self._position, self._fed = begin.position.copy(), begin.torque
-        self._speed, self._full_load = speed, _FULL_LOAD * peak
+    def __init__(
+        self, begin: Reference, speed: float, peak: Array, lower: Array, upper: Array
+    ) -> None:
+        self._position = begin.position.copy()
+        self._fed = begin.torque
+        self._speed = speed
+        self._full_load = _FULL_LOAD * peak
+        self._lower = lower
+        self._upper = upper
         self.torque: Array = np.full(len(peak), np.nan)
         self._time = self._moved_at = 0.0
 
@@ -167,7 +174,10 @@ class Lowering:
         share = np.clip(np.nan_to_num(self.torque) / self._full_load, -1.0, 1.0)
         faded = max(1.0 - time / _FADE, 0.0)
         velocity = np.zeros_like(share) if faded > 0.0 else -self._speed * share
-        self._position = self._position + velocity * (time - self._time)
+        wanted = self._position + velocity * (time - self._time)
+        inside = np.clip(wanted, self._lower, self._upper)
+        velocity = np.where(inside == wanted, velocity, 0.0)
+        self._position = inside
         self._time = time
         if faded > 0.0 or np.max(np.abs(velocity)) > _STILL_SPEED:
             self._moved_at = time

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.references import ORDERS, Reference, approach, sampled
+from robot_sysid.damiao.references import ORDERS, Lowering, Reference, approach, sampled
 from tests.support.damiao_rig import swing, trajectory_file
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
@@ -50,3 +50,16 @@ def test_an_approach_goes_from_rest_to_rest_within_its_speed(start, data, speed,
     np.testing.assert_allclose((ahead - q[:-1]) / 1e-6, qd[:-1], atol=1e-3 * speed + 1e-6)
     extra = (tau - np.sin(q) - 2.0) / (-np.sin(target) - 2.0)
     assert np.all(np.diff(extra, axis=0) >= -1e-9)
+
+
+def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
+    """A torque that never goes away, as of a joint that lies on its stop, does not lead it on."""
+    begin = Reference(np.array([0.4, 0.0]), np.zeros(2), np.array([3.0, 0.0]))
+    lowering = Lowering(begin, 0.2, np.full(2, 27.0), np.full(2, -0.1), np.full(2, 1.0))
+    lowering.torque = np.array([9.0, 0.0])
+    moments = np.arange(0.0, 8.0, 0.004)
+    references = [lowering(moment) for moment in moments]
+    positions = np.array([reference.position for reference in references])
+    assert np.all(positions >= -0.1) and positions[-1, 0] == -0.1
+    assert np.max(np.abs(np.diff(positions, axis=0))) <= 0.2 * 0.004 + 1e-12
+    assert lowering.done and references[-1].velocity[0] == 0.0

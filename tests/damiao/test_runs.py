@@ -488,7 +488,7 @@ TABLE = (
         *("AB AB AB", "motor 1 reports status A"),
     ),
     Line("watchdog set for the run", fault("silent", 1), "1D 0D 0D", "motor 2. Cut", KEPT),
-    Line("blocked joint", fault("jammed", 0), BRAKES, "off its speed, limit 1.0"),
+    Line("blocked joint", fault("jammed", 0), "01 00 00", "one and the same position"),
     Line("weak motor", fault("peak_torque", 1, 0.05), SLOWLY, "motor 2 makes 0.01 times its"),
     Line("jammed for good", fault("jammed", 0), "01 00 00", "one and the same position", PATH),
     Line("torque turned", fault("torque_factor", 1, -1), BRAKES, "its sign is reversed", USUAL),

@@ -68,6 +68,9 @@ _EFFORT_WAY = 0.05
 _MOMENT = 0.25
 # A change that took some time to be noticed is compared with what was usual over this time [s].
 _LONG = 1.5
+# In units of the torque that says nothing: a joint for which more than this is fed forward, and
+# that carries the arm the other way, with more than that, is not the joint it is taken for.
+_LOADED_DOUBTS, _OPPOSITE_DOUBTS = 2.0, 0.5
 # A model may be off by this share of what the needed torque changes in that time.
 _MODEL_SHARE = 0.5
 # Over how long the torque that is fed forward is averaged [s].
@@ -162,6 +165,7 @@ class Observer:
         self._moments = np.full((_MOMENTS, 2, n_joints), np.nan)
         self._sudden_added = np.full(n_joints, np.nan)
         self._still, self._repeated = np.zeros((2, n_joints), int)
+        self._was_beyond: dict[str, Mask] = {}
         self._change: EffortChange | None = None
 
     def update(self, replies: Replies) -> None:
@@ -385,6 +389,17 @@ class Observer:
             for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
                 what = f"suddenly needs {unusual[j]:.1f} N m beside what carried it"
                 self._raise_effort(j, what)
+        carried = self._needed + self._added
+        is_judged = np.abs(self._needed) > _LOADED_DOUBTS * self._doubt
+        is_opposite = np.sign(self._needed) * carried < -_OPPOSITE_DOUBTS * self._doubt
+        self._stop_where(
+            is_judged & is_opposite & (not rising),
+            lambda j: (
+                f"carries the arm with {carried[j]:.1f} N m where {self._needed[j]:.1f} are fed "
+                "forward: it is not where it says (its gear slips, its zero has moved), or it is "
+                "another joint (cables of two arms exchanged, ids swapped, mirrored)"
+            ),
+        )
         for name, value, share in (
             ("_added", added, self._forget),
             ("_usual", added, self._forget_usual),
@@ -409,8 +424,11 @@ class Observer:
         away = q - acted.position
         left = self.has_left(q, acted.position, fed)
         pushed = self.is_pushed(q, acted.position, fed)
+        is_fast = np.abs(qd) > self._speed_limit
+        was_fast = self._was_beyond.get("standing", np.zeros_like(is_fast))
+        self._was_beyond["standing"] = is_fast
         self._stop_where(
-            replies.answered & (left | (np.abs(qd) > self._speed_limit)),
+            replies.answered & (left | is_fast & was_fast),
             lambda j: (
                 f"is {away[j]:.3f} rad off, at {qd[j]:.2f} rad/s, while it should stand still: its "
                 f"feed-forward torque of {round(fed[j], 1) + 0.0:g} N m "
@@ -430,7 +448,12 @@ class Observer:
             ("N m off its torque", feedback.torque, acted.torque, torque_limit),
         ):
             error = np.where(replies.answered, np.abs(value - wanted), 0.0)
-            for j in np.flatnonzero(error > limit)[:1].tolist():
+            is_beyond = error > limit
+            # One velocity or torque that is a little too large may be a damaged frame.
+            was_beyond = self._was_beyond.get(words, np.zeros_like(is_beyond))
+            self._was_beyond[words] = is_beyond
+            counts = is_beyond if limit is path_limit else is_beyond & was_beyond
+            for j in np.flatnonzero(counts)[:1].tolist():
                 self._raise_effort(j, f"is {error[j]:.3f} {words}, limit {limit[j]:g}")
 
     def _raise_effort(self, joint: int, what: str) -> None:
@@ -455,11 +478,11 @@ class Observer:
             q: (n,) where it stands [rad].
             commanded: (n,) torque that holds it there, as commanded [N m].
         """
-        if self._slip is not None and self._slip == (fault.joint, fault.what):
+        if self._change is None:
             return fault
         if self._slip is not None and self._slip[0] == fault.joint:
             return HardwareAbort(f"{fault}: it {self._slip[1]}")
-        if self._change is None or not np.all(np.isfinite(q + commanded)):
+        if not np.all(np.isfinite(q + commanded)):
             return fault
         cause = explain_change(self._change, self._holding, q, commanded, self.fed, self._joints)
         return HardwareAbort(f"{fault}: {cause}" if cause else str(fault))

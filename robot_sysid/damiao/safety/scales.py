@@ -18,6 +18,8 @@ _SLOPE_TOLERANCE = 0.03
 # Within one window: how far a joint may come beside its velocity, plus a share of that way [rad].
 _LEAST_SLIP = 0.02
 _SLIP_SHARE = 0.05
+# Where a mean speed may be so much more than the last one of a cycle, slip cannot be told.
+_COARSE = 1.3
 
 
 class VelocityScalingCheck:
@@ -91,6 +93,7 @@ class VelocityScalingCheck:
         # Where a joint slows down within a cycle, its mean speed is known less well.
         doubt = _SLIP_SHARE + 0.5 * (self._explained - 1.0)
         allowed = _LEAST_SLIP + doubt * self._way + 2.0 * self._rounding
+        allowed = np.where(self._explained > _COARSE, np.inf, allowed)
         j = int(np.argmax(np.abs(beside) - allowed))
         is_slipping = abs(beside[j]) > allowed[j]
         return (j, float(beside[j] / _WINDOW)) if is_slipping else None

@@ -80,9 +80,9 @@ def describe_moved_zero(
     if not is_sure or abs(shift) < _LEAST_SHIFT + 2.0 * error:
         return ""
     return (
-        f"the zero of {joints[joint].label} has moved by {shift:.2f} ± {error:.2f} rad since its "
-        "map was made, as the torques of this motion say; look at its mounting and make the map "
-        "again: see 'motors map'"
+        f"the zero of {joints[joint].label} has moved by {abs(shift):.2f} ± {error:.2f} rad since "
+        "its map was made, as the torques of this motion say; look at its mounting and make the "
+        "map again: see 'motors map'"
     )
 
 

@@ -67,7 +67,7 @@ def test_while_gains_rise_a_new_load_is_judged_by_how_far_the_arm_sinks():
     """It swings about where it will settle; a rated 9 N m sink it by 0.05 rad, two stop it."""
     swings, sinks = sample(q=-0.09, tau=20.0), sample(q=-0.11, tau=5.0)
     assert stop_words(swings, how=(True, True)) is None
-    assert "N m off its torque, limit 7" in stop_words(swings, how=(True,))
+    assert "N m off its torque, limit 7" in stop_words(swings, swings, how=(True,))
     assert "-0.110 rad off" in stop_words(sinks, how=(True, True))
 
 
@@ -91,7 +91,8 @@ LIMITS = (
 def test_each_limit_holds_to_a_millionth(case, words):
     for share in (WITHIN, BEYOND):
         samples, asked = case(share)
-        said = stop_words(*samples, asked=asked)
+        # Speeds and torques count when two samples in a row agree.
+        said = stop_words(*samples, *samples, asked=asked)
         assert (said is None) == (share < 1.0), said
     assert words in said
     assert said.startswith("motor 2")
@@ -235,6 +236,18 @@ def test_a_model_that_is_a_third_off_is_no_fault():
         signals["q"] -= 0.5 * np.cos(signals["p"]) / 180.0
 
     assert stop_of(third_off)[1] is None
+
+
+def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
+    """So it is where the cables of two arms were exchanged in a symmetric pose."""
+
+    def other_arm(k, signals):
+        load = 18.0 * np.sin(signals["p"])
+        signals["t"] = load
+        signals["q"] += 2.0 * load / 180.0
+
+    k, stopped, _ = stop_of(other_arm)
+    assert "cables of two arms exchanged" in str(stopped) and str(stopped).startswith("motor 2")
 
 
 def test_a_frozen_encoders_motor_is_to_be_switched_off():
