@@ -318,7 +318,7 @@ def run(
     motors = [inspection.motors[joint.address] for joint in joints]
     scaling = Scaling(motor.limits for motor in motors)
     places = np.array([motor.position for motor in motors[n:]])
-    session = MotorSession(link, joints, scaling, plan.room(places))
+    session = MotorSession(link, joints, scaling, plan.command_range(places))
     settings = _with_held(plan, held)
     park = settings.park if pose is None else np.concatenate([pose, places])
     console, written = Aside(link.clock.live), Aside(link.clock.live)

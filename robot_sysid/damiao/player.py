@@ -255,8 +255,8 @@ class Player:
         if not self._holding.is_model:
             self._session.open_range()
         speed = self._settings.approach_speed
-        room = self._session.room
-        ends = room.lower, room.upper
+        command_range = self._session.command_range
+        ends = command_range.lower, command_range.upper
         lowering = paths.Lowering(begin, speed, self._session.peak_torque, *ends)
         self._follower = lowering
         return lowering
@@ -395,7 +395,7 @@ class Player:
             self._kp,
             self._kd,
             observer.stuck,
-            self._session.room,
+            self._session.command_range,
         )
         self._follower = CarriedStop(
             start, settings.deceleration, settings.period, settings.rest_time

@@ -22,7 +22,7 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_probl
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.references import FileHolding, HoldingCheck, torque_doubt, way_rows
-from robot_sysid.damiao.safety.bounds import Room
+from robot_sysid.damiao.safety.bounds import CommandRange
 from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, InputError
@@ -143,7 +143,7 @@ class Plan:
             raise InputError(f"{where} has to hold {n} positions in one line, separated by commas")
         return pose
 
-    def room(self, held: Array) -> Room:
+    def command_range(self, held: Array) -> CommandRange:
         """Return where and how fast commands may go, held motors at ``held`` (m,) behind [rad].
 
         Positions are within the model's range, or else within that of the trajectory.
@@ -157,7 +157,7 @@ class Plan:
         fastest = np.maximum(np.abs(slope).max(axis=0), np.abs(played.qd).max(axis=0))
         speed = np.maximum(self.settings.speed * fastest, self.settings.approach_speed)
         still = np.full_like(held, self.settings.approach_speed)
-        return Room(
+        return CommandRange(
             np.append(lower, held), np.append(upper, held), _SPEED_ROOM * np.append(speed, still)
         )
 

@@ -12,7 +12,7 @@ from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.protocol import codec, frames
 from robot_sysid.damiao.protocol.frames import ENABLED, Address, Frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
-from robot_sysid.damiao.safety.bounds import CommandBounds, Room
+from robot_sysid.damiao.safety.bounds import CommandBounds, CommandRange
 from robot_sysid.damiao.safety.samples import NO_STATUS, Mask, Replies, SampleFilter
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -79,7 +79,7 @@ class MotorSession:
     the fraction. Every command passes ``CommandBounds``, and every answer ``SampleFilter``.
 
     Args:
-        room: where commands may go; by default as far and as fast as frames can say.
+        command_range: where commands may go; by default as far and as fast as frames can say.
 
     Attributes:
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
@@ -93,7 +93,7 @@ class MotorSession:
         link: GuardedLink,
         joints: Sequence[DamiaoJoint],
         scaling: codec.Scaling,
-        room: Room | None = None,
+        command_range: CommandRange | None = None,
     ) -> None:
         self._link = link
         self.clock = link.clock
@@ -109,7 +109,7 @@ class MotorSession:
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
         self._command: codec.MitCommand | None = None
-        self._bounds = CommandBounds(room or self._scale(), self.peak_torque, *self.steps)
+        self._bounds = CommandBounds(command_range or self._scale(), self.peak_torque, *self.steps)
         self._sent_position = np.full(self.n_joints, np.nan)
         self._sent_at = np.full(self.n_joints, -np.inf)
         self._sent_data: dict[int, bytes] = {}
@@ -120,11 +120,11 @@ class MotorSession:
         self._by_reply = {(joint.bus, joint.master_id): j for j, joint in enumerate(joints)}
         self._by_command = {joint.address: j for j, joint in enumerate(joints)}
 
-    def _scale(self) -> Room:
+    def _scale(self) -> CommandRange:
         """Return how far and how fast frames can tell the joints to go."""
         limit = self.scaling.limits.T
         ends = [self.space.joint_position(sign * limit[0]) for sign in (-1.0, 1.0)]
-        return Room(np.minimum(*ends), np.maximum(*ends), limit[1])
+        return CommandRange(np.minimum(*ends), np.maximum(*ends), limit[1])
 
     @property
     def believed(self) -> tuple[Array, Array]:
@@ -132,9 +132,9 @@ class MotorSession:
         return self._filter.q, self._filter.qd
 
     @property
-    def room(self) -> Room:
+    def command_range(self) -> CommandRange:
         """How far and how fast commands may go."""
-        return self._bounds.room
+        return self._bounds.command_range
 
     @property
     def sent_position(self) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.motor_faults import damage_cases, hold_cases
 from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.simulated import simulated_motor
@@ -18,9 +17,6 @@ from tests.support.fault_lines import LINES, SHOULDER
 from tests.support.faulty_arm import bench_motor
 from tests.support.motor_causes import joint_of
 from tests.support.places import ROOT
-
-DAMAGE_BOUND = 0.05
-DAMAGED_FRAMES = 40
 
 
 @pytest.fixture(scope="module")
@@ -39,29 +35,6 @@ def test_a_fault_moves_no_joint_far_from_its_path(line, outcomes):
     joint = joint_of(line.cause)
     if line.words and joint is not None:
         assert f"motor {joint + 1} " in outcome.words, outcome.line()
-
-
-@pytest.mark.slow
-def test_one_damaged_frame_moves_no_joint_far_from_its_path():
-    cases = damage_cases("kinova", DAMAGED_FRAMES, seed=1)
-    damaged_runs = list(outcomes_of(cases))
-    assert len(damaged_runs) == len(cases)
-    worst = max(damaged_runs, key=lambda outcome: outcome.departure)
-    assert worst.departure < DAMAGE_BOUND, worst.line()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kp", [60.0, 180.0])
-def test_a_weak_motors_joint_is_carried_and_no_energy_goes_into_the_arm(kp):
-    """A stop that moved the reference to the joint let it fall by 0.8 rad at kp 60."""
-    cases = [case for case in hold_cases("kinova") if case.setup.kp == kp]
-    weak = [case for case in cases if "weak" in case.name and case.setup.pose in (0, 2)]
-    falls = list(outcomes_of(weak))
-    assert len(falls) == 4
-    for outcome in falls:
-        assert outcome.fall < (0.2 if kp < 100.0 else 0.1), outcome.line()
-        assert outcome.energy_gain < 0.05, outcome.line()
-        assert outcome.others_speed < 0.35, outcome.line()
 
 
 @pytest.mark.slow

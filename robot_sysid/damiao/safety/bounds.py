@@ -14,7 +14,7 @@ _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
-class Room:
+class CommandRange:
     """Where commands of n joints may go, each (n,).
 
     Attributes:
@@ -32,14 +32,14 @@ class CommandBounds:
     """What commands of n joints stay within, each (n,).
 
     Attributes:
-        room: how far and how fast positions may go.
+        command_range: how far and how fast positions may go.
         torque: what kp times error and feed-forward may add up to [N m].
         position_step: one quantisation step of a commanded position [rad].
         velocity_step: one quantisation step of a commanded velocity [rad/s].
         torque_step: one quantisation step of a commanded torque [N m].
     """
 
-    room: Room
+    command_range: CommandRange
     torque: Array
     position_step: Array
     velocity_step: Array
@@ -47,16 +47,17 @@ class CommandBounds:
 
     def including(self, q: Array) -> CommandBounds:
         """Return bounds whose range also holds the positions q (n,): where an arm stands."""
-        room = self.room
-        wider = Room(np.fmin(room.lower, q), np.fmax(room.upper, q), room.speed)
-        return replace(self, room=wider)
+        current = self.command_range
+        lower = np.fmin(current.lower, q)
+        upper = np.fmax(current.upper, q)
+        return replace(self, command_range=CommandRange(lower, upper, current.speed))
 
     def _reach(self, last: Array, elapsed: Array) -> tuple[Array, Array]:
         """Return the least and the greatest position (n,) that may be commanded now [rad]."""
-        room = self.room
-        reach = room.speed * elapsed
-        last = np.clip(last, room.lower, room.upper)
-        return np.maximum(room.lower, last - reach), np.minimum(room.upper, last + reach)
+        current = self.command_range
+        reach = current.speed * elapsed
+        last = np.clip(last, current.lower, current.upper)
+        return np.maximum(current.lower, last - reach), np.minimum(current.upper, last + reach)
 
     def excess(
         self, command: MitCommand, last: Array, elapsed: Array, q: Array
@@ -79,18 +80,18 @@ class CommandBounds:
                 f"would be sent to {command.position[j]:.3f} rad; from the last command it may go "
                 f"from {lowest[j]:.3f} to {highest[j]:.3f}"
             )
-        too_fast = ~(np.abs(command.velocity) <= self.room.speed + self.velocity_step)
+        too_fast = ~(np.abs(command.velocity) <= self.command_range.speed + self.velocity_step)
         for j in np.flatnonzero(too_fast).tolist():
-            limit = self.room.speed[j]
+            limit = self.command_range.speed[j]
             return j, f"would be told {command.velocity[j]:.2f} rad/s, limit {limit:.2f}"
         # Where a joint has never been heard, nothing is known of its error.
         error = np.nan_to_num(command.position - q)
-        asked = np.abs(command.kp * error + command.torque)
-        room = self.torque + self.torque_step + command.kp * self.position_step
-        for j in np.flatnonzero(~(asked <= room * (1.0 + _ROUNDING))).tolist():
+        requested = np.abs(command.kp * error + command.torque)
+        available = self.torque + self.torque_step + command.kp * self.position_step
+        for j in np.flatnonzero(~(requested <= available * (1.0 + _ROUNDING))).tolist():
             return j, (
-                f"would be asked for {asked[j]:.1f} N m and makes {self.torque[j]:.1f} at most: "
-                "the arm needs more than this motor has, or something holds it back"
+                f"would be asked for {requested[j]:.1f} N m and makes {self.torque[j]:.1f} at "
+                "most: the arm needs more than this motor has, or something holds it back"
             )
         return None
 
@@ -99,7 +100,8 @@ class CommandBounds:
         lowest, highest = self._reach(last, elapsed)
         position = np.where(np.isfinite(command.position), command.position, last)
         position = np.clip(position, lowest, highest)
-        velocity = np.clip(np.nan_to_num(command.velocity), -self.room.speed, self.room.speed)
+        top_speed = self.command_range.speed
+        velocity = np.clip(np.nan_to_num(command.velocity), -top_speed, top_speed)
         error = np.nan_to_num(position - q)
         stiffness = np.minimum(command.kp, self.torque / np.maximum(np.abs(error), 1e-9))
         pull = stiffness * error

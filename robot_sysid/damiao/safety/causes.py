@@ -21,7 +21,8 @@ _BETTER = 0.5
 _ALONE = 0.3
 # Judgements: less is no load [kg], and less or more no moved zero [rad].
 _LEAST_LOAD = 0.1
-_LEAST_SHIFT, _MOST_SHIFT = 0.02, 1.0
+_LEAST_SHIFT = 0.02
+_MOST_SHIFT = 1.0
 _DIFFERENCE = 0.02
 
 
@@ -31,19 +32,19 @@ class EffortChange:
 
     Attributes:
         joint: which one.
-        before: what the joints' control added before.
+        baseline: what the joints' control added before.
         at_once: what it added when that was noticed.
     """
 
     joint: int
-    before: Array
+    baseline: Array
     at_once: Array
 
 
 class _Cause(NamedTuple):
     """What may have happened, in words, and the shape of the torques that it makes (n,)."""
 
-    words: str
+    text: str
     shape: Array
 
 
@@ -70,27 +71,27 @@ def explain_change(
     """
     n_joints = holding.n_joints
     needed = (holding.torque(q) if holding.is_model else fed)[:n_joints]
-    residual = (commanded - change.before)[:n_joints] - needed
+    residual = (commanded - change.baseline)[:n_joints] - needed
     weighted = residual / holding.doubt
     if np.max(np.abs(weighted)) < _NO_CHANGE:
-        return _passing(change, needed, holding, joints)
-    weak = [_unexplained(cause, weighted, holding) for cause in _weak(residual, needed, joints)]
-    others = [
-        _unexplained(cause, weighted, holding) for cause in _changed(holding, q, residual, joints)
-    ]
+        return _explain_passing_change(change, needed, holding, joints)
+    weak_motors = _weak_motor_causes(residual, needed, joints)
+    weak = [_unexplained_squares(cause, weighted, holding) for cause in weak_motors]
+    changes = _load_and_zero_causes(holding, q, residual, joints)
+    others = [_unexplained_squares(cause, weighted, holding) for cause in changes]
     best_weak = min(weak, default=(np.inf, ""))
     best_other = min(others, default=(np.inf, ""))
-    left, words = best_other if best_other[0] < _BETTER * best_weak[0] else best_weak
-    if left > (1.0 - _EXPLAINED) * float(weighted @ weighted):
+    unexplained, text = best_other if best_other[0] < _BETTER * best_weak[0] else best_weak
+    if unexplained > (1.0 - _EXPLAINED) * float(weighted @ weighted):
         return "something pushes it or holds it back, or it carries more than before"
-    return words
+    return text
 
 
-def _passing(
+def _explain_passing_change(
     change: EffortChange, needed: Array, holding: HoldingCheck, joints: Sequence[DamiaoJoint]
 ) -> str:
     """Return what explains a change of which nothing is left now that the arm stands."""
-    sudden = (change.at_once - change.before)[: holding.n_joints]
+    sudden = (change.at_once - change.baseline)[: holding.n_joints]
     weighted = np.abs(sudden / holding.doubt)
     is_alone = change.joint == int(np.argmax(weighted)) and (
         np.sort(weighted)[-2:].min() < _ALONE * weighted[change.joint]
@@ -100,43 +101,47 @@ def _passing(
     return "something pushed it for a moment"
 
 
-def _unexplained(cause: _Cause, weighted: Array, holding: HoldingCheck) -> tuple[float, str]:
-    """Return the sum of squares that a cause leaves of weighted torques (n,), and its words."""
+def _unexplained_squares(
+    cause: _Cause, weighted: Array, holding: HoldingCheck
+) -> tuple[float, str]:
+    """Return the sum of squares that a cause leaves of weighted torques (n,), and its text."""
     shape = cause.shape / holding.doubt
     explained = float(weighted @ shape) ** 2 / max(float(shape @ shape), 1e-12)
-    return float(weighted @ weighted) - explained, cause.words
+    return float(weighted @ weighted) - explained, cause.text
 
 
-def _weak(residual: Array, needed: Array, joints: Sequence[DamiaoJoint]) -> Iterator[_Cause]:
+def _weak_motor_causes(
+    residual: Array, needed: Array, joints: Sequence[DamiaoJoint]
+) -> Iterator[_Cause]:
     """Yield each joint whose motor may make only a share of its torque."""
     commanded = needed + residual
     for j, shape in enumerate(np.eye(len(residual))):
         share = needed[j] / commanded[j] if commanded[j] else 1.0
         if 0.0 < share < 1.0:
-            said = f"{joints[j].label} makes {share:.2f} times the torque that it is commanded"
-            yield _Cause(f"{said}: its motor is weak", shape)
+            statement = f"{joints[j].label} makes {share:.2f} times the torque that it is commanded"
+            yield _Cause(f"{statement}: its motor is weak", shape)
 
 
-def _changed(
+def _load_and_zero_causes(
     holding: HoldingCheck, q: Array, residual: Array, joints: Sequence[DamiaoJoint]
 ) -> Iterator[_Cause]:
     """Yield a new load and each joint whose zero may have moved, where a model knows them."""
     if not holding.is_model:
         return
     load = holding.load(q)
-    mass = _fitted(load, residual, holding.doubt)
+    mass = _fit_coefficient(load, residual, holding.doubt)
     if mass > _LEAST_LOAD:
         yield _Cause(f"the arm carries about {mass:.1f} kg more at its end than before", load)
     for j, unit in enumerate(np.eye(len(q))[: len(residual)]):
         step = _DIFFERENCE * unit
         slope = (holding.torque(q + step) - holding.torque(q - step)) / (2.0 * _DIFFERENCE)
-        shift = _fitted(slope[: len(residual)], residual, holding.doubt)
+        shift = _fit_coefficient(slope[: len(residual)], residual, holding.doubt)
         if _LEAST_SHIFT < abs(shift) < _MOST_SHIFT:
             moved = f"the zero of {joints[j].label} has moved by {abs(shift):.2f} rad"
             yield _Cause(f"{moved}: its gear or its encoder slips", slope[: len(residual)])
 
 
-def _fitted(shape: Array, residual: Array, doubt: Array) -> float:
+def _fit_coefficient(shape: Array, residual: Array, doubt: Array) -> float:
     """Return how much of a shape (n,) explains torques (n,) best, each weighted by its doubt."""
     weighted = shape / doubt
     return float(weighted @ (residual / doubt)) / max(float(weighted @ weighted), 1e-12)

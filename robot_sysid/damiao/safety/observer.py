@@ -40,7 +40,8 @@ _SILENT_CYCLES = 2
 # How far a joint that is to stand still may sag, by what its rated torque does to its stiffness: an
 # arm half a radian from the first point, or with a new load, takes up half of that. Half as far the
 # way that its feed-forward torque pushes: no load makes it go there.
-_SAG, _PUSHED = 2.0, 0.5
+_SAG = 2.0
+_PUSHED = 0.5
 _DRIVEN = (
     "drives it off; a motor turns the other way than its joint, two ids are swapped, or the file "
     "is for another pose or arm: see 'motors map'"
@@ -52,7 +53,8 @@ _SINKS = (
 # How often scales are judged [cycles].
 _SCALING_CYCLES = 50
 # Of the last so many cycles, so many have to disagree: one is a damaged frame.
-_RECENT, _ENOUGH = 5, 3
+_RECENT = 5
+_ENOUGH = 3
 # Answers beyond those asked for, and commands of others, in a row of cycles. A wrong one alone is a
 # damaged frame.
 _MEMORY = 0.9
@@ -62,7 +64,8 @@ _FEW = 2.5
 _OTHER_TORQUE = 0.15
 # No two types' scales are so far apart.
 _NO_SCALE = 0.4
-_LEAST_EFFORT, _MOST_EFFORT = 0.1, 0.25
+_LEAST_EFFORT = 0.1
+_MOST_EFFORT = 0.25
 _STILL_EFFORT = 0.03
 _EFFORT_WAY = 0.05
 _MOMENT = 0.25
@@ -70,7 +73,8 @@ _MOMENT = 0.25
 _LONG = 1.5
 # In units of the torque that says nothing: a joint for which more than this is fed forward, and
 # that carries the arm the other way, with more than that, is not the joint it is taken for.
-_LOADED_DOUBTS, _OPPOSITE_DOUBTS = 2.0, 0.5
+_LOADED_DOUBTS = 2.0
+_OPPOSITE_DOUBTS = 0.5
 # A model may be off by this share of what the needed torque changes in that time.
 _MODEL_SHARE = 0.5
 # Over how long the torque that is fed forward is averaged [s].
@@ -89,10 +93,10 @@ _CAME_SHARE = 0.3
 class Fault(HardwareAbort):
     """Something about one joint is out of order; ``joint`` is its number, ``what`` says what."""
 
-    def __init__(self, joint: int, label: str, what: str) -> None:
-        super().__init__(f"{label} {what}")
+    def __init__(self, joint: int, label: str, description: str) -> None:
+        super().__init__(f"{label} {description}")
         self.joint = joint
-        self.what = what
+        self.description = description
 
 
 class Observer:
@@ -145,14 +149,18 @@ class Observer:
         self._forget_usual = settings.period / _LONG
         self._forget_fed = settings.period / _FED_TIME
         self._cycles = 0
-        self.missed, self.silent, self.total_missed, self._damaged = np.zeros((4, n_joints), int)
+        self.missed = np.zeros(n_joints, int)
+        self.silent = np.zeros(n_joints, int)
+        self.total_missed = np.zeros(n_joints, int)
+        self._damaged = np.zeros(n_joints, int)
         self.worst_tracking = np.zeros(n_joints)
         self.failed: Mask = np.zeros(n_joints, dtype=bool)
         self._stale: Mask = np.zeros(n_joints, dtype=bool)
         self.to_switch_off: Mask = np.zeros(n_joints, dtype=bool)
         self.stuck: Mask = np.zeros(n_joints, dtype=bool)
         self.fed = np.full(n_joints, np.nan)
-        self._surplus, self._foreign = np.zeros((2, n_joints))
+        self._surplus = np.zeros(n_joints)
+        self._foreign = np.zeros(n_joints)
         self._added = np.full(n_joints, np.nan)
         self._usual = np.full(n_joints, np.nan)
         self._needed = np.full(n_joints, np.nan)
@@ -279,15 +287,15 @@ class Observer:
         self._stop_where(often, lambda j: self._words_for_torque(j, differs))
 
     def _words_for_torque(self, joint: int, differs: Mask) -> str:
-        was_right = bool(self._has_agreed[joint])
-        asked, reported = self._pairs[:, :, joint][:, differs[:, joint]]
-        shares = reported / np.where(np.abs(asked) > 1e-9, asked, 1e-9)
+        agreed_before = bool(self._has_agreed[joint])
+        commanded_torque, reported = self._pairs[:, :, joint][:, differs[:, joint]]
+        shares = reported / np.where(np.abs(commanded_torque) > 1e-9, commanded_torque, 1e-9)
         share = float(np.median(shares))
         is_steady = bool(np.all(np.abs(shares - share) < 0.2 * max(abs(share), 0.5)))
         weak = np.count_nonzero(differs, axis=0) >= _ENOUGH - 1
         if is_steady and abs(share + 1.0) < 0.2:
             return "reports -1 times the torque that it was commanded to make: its sign is reversed"
-        if is_steady and (0.0 <= share < 1.0 and was_right or abs(share) < _NO_SCALE):
+        if is_steady and (0.0 <= share < 1.0 and agreed_before or abs(share) < _NO_SCALE):
             labels = [self._joints[j].label for j in np.flatnonzero(weak).tolist()]
             if len(labels) > 1:
                 return (
@@ -295,12 +303,13 @@ class Observer:
                     f"({', '.join(labels)}): the supply sags"
                 )
             return f"makes {share:.2f} times its commanded torque: it is weak, or its supply sags"
-        if is_steady and not was_right:
+        if is_steady and not agreed_before:
             return _TORQUE_SCALE.format(share)
         if self._still[joint] >= _STILL_CYCLES:
             return "reports one and the same position while its torque changes: it is frozen"
+        torques = f"{reported[0]:.1f} for {commanded_torque[0]:.1f} N m"
         return (
-            f"does not do what it is commanded ({reported[0]:.1f} for {asked[0]:.1f} N m): another "
+            f"does not do what it is commanded ({torques}): another "
             "program commands it, or its position or velocity is another than it reports"
         )
 
@@ -379,16 +388,16 @@ class Observer:
         added = commanded - fed
         self._sudden_added = added
         unusual = np.abs(added - self._added)
-        allowed = self._effort_limit + _MODEL_SHARE * np.abs(fed - self._needed)
+        effort_limit = self._effort_limit + _MODEL_SHARE * np.abs(fed - self._needed)
         # Without motion there is no friction that turns round.
         stands = np.abs(acted.velocity) <= self._velocity_step
-        allowed = np.where(stands, np.minimum(allowed, self._still_limit), allowed)
-        is_sudden = unusual > allowed
+        effort_limit = np.where(stands, np.minimum(effort_limit, self._still_limit), effort_limit)
+        is_sudden = unusual > effort_limit
         self._sudden = np.where(is_sudden, self._sudden + 1, 0)
         if not rising:
             for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
-                what = f"suddenly needs {unusual[j]:.1f} N m beside what carried it"
-                self._raise_effort(j, what)
+                description = f"suddenly needs {unusual[j]:.1f} N m beside what carried it"
+                self._raise_effort(j, description)
         carried = self._needed + self._added
         is_judged = np.abs(self._needed) > _LOADED_DOUBTS * self._doubt
         is_opposite = np.sign(self._needed) * carried < -_OPPOSITE_DOUBTS * self._doubt
@@ -406,16 +415,18 @@ class Observer:
             ("_needed", fed, self._forget),
             ("fed", fed, self._forget_fed),
         ):
-            setattr(self, name, _averaged(getattr(self, name), value, 1.0 if rising else share))
+            setattr(
+                self, name, _update_average(getattr(self, name), value, 1.0 if rising else share)
+            )
 
-    def has_left(self, q: Array, place: Array, fed: Array) -> Mask:
+    def has_left(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Tell which joints (n,) have left a place where they are to stand still."""
-        limit = np.where(self.is_pushed(q, place, fed), _PUSHED, 1.0) * self._sag
-        return np.asarray(np.abs(q - place) > limit)
+        limit = np.where(self.is_pushed(q, reference_q, fed), _PUSHED, 1.0) * self._sag
+        return np.asarray(np.abs(q - reference_q) > limit)
 
-    def is_pushed(self, q: Array, place: Array, fed: Array) -> Mask:
+    def is_pushed(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Tell which joints (n,) are on the side of their place to which torque fed pushes them."""
-        return np.asarray(((q - place) * fed > 0.0) & (np.abs(fed) > self._doubt))
+        return np.asarray(((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt))
 
     def _check_standing(self, replies: Replies, acted: MitCommand) -> None:
         q = replies.feedback.position
@@ -442,27 +453,29 @@ class Observer:
         torque_limit = np.inf * self._torque_limit if rising else self._torque_limit
         off_path = np.where(replies.answered, np.abs(feedback.position - acted.position), 0.0)
         self.worst_tracking = np.maximum(self.worst_tracking, off_path)
-        for words, value, wanted, limit in (
+        for quantity, value, target, limit in (
             ("rad off its path", feedback.position, acted.position, path_limit),
             ("rad/s off its speed", feedback.velocity, acted.velocity, self._speed_limit),
             ("N m off its torque", feedback.torque, acted.torque, torque_limit),
         ):
-            error = np.where(replies.answered, np.abs(value - wanted), 0.0)
+            error = np.where(replies.answered, np.abs(value - target), 0.0)
             is_beyond = error > limit
             # One velocity or torque that is a little too large may be a damaged frame.
-            was_beyond = self._was_beyond.get(words, np.zeros_like(is_beyond))
-            self._was_beyond[words] = is_beyond
+            was_beyond = self._was_beyond.get(quantity, np.zeros_like(is_beyond))
+            self._was_beyond[quantity] = is_beyond
             counts = is_beyond if limit is path_limit else is_beyond & was_beyond
             for j in np.flatnonzero(counts)[:1].tolist():
-                self._raise_effort(j, f"is {error[j]:.3f} {words}, limit {limit[j]:g}")
+                self._raise_effort(j, f"is {error[j]:.3f} {quantity}, limit {limit[j]:g}")
 
-    def _raise_effort(self, joint: int, what: str) -> None:
+    def _raise_effort(self, joint: int, description: str) -> None:
         blocked = self._blocked_joint()
         if blocked is not None:
             self.stuck[blocked] = True
-            self._raise(blocked, f"stands still while its path goes on: it is blocked ({what})")
+            self._raise(
+                blocked, f"stands still while its path goes on: it is blocked ({description})"
+            )
         self._change = EffortChange(joint, self._usual.copy(), self._sudden_added)
-        self._raise(joint, what)
+        self._raise(joint, description)
 
     def _blocked_joint(self) -> int | None:
         """Return the joint that came least of the way that it was led lately, if that is little."""
@@ -489,12 +502,12 @@ class Observer:
 
     # ----------------------------------------------------------------------------------------------
 
-    def _stop_where(self, bad: Mask, what: Callable[[int], str]) -> None:
-        for j in np.flatnonzero(bad)[:1].tolist():
-            self._raise(j, what(j))
+    def _stop_where(self, mask: Mask, describe: Callable[[int], str]) -> None:
+        for j in np.flatnonzero(mask)[:1].tolist():
+            self._raise(j, describe(j))
 
-    def _raise(self, joint: int, what: str) -> None:
-        raise Fault(joint, self._joints[joint].label, what)
+    def _raise(self, joint: int, description: str) -> None:
+        raise Fault(joint, self._joints[joint].label, description)
 
 
 _TORQUE_SCALE = (
@@ -508,7 +521,7 @@ _VELOCITY_SCALE = (
 )
 
 
-def _averaged(mean: Array, value: Array, share: float) -> Array:
+def _update_average(mean: Array, value: Array, share: float) -> Array:
     """Return a running mean (n,) with a new value in it; what is not known changes nothing."""
     begun = np.where(np.isnan(mean), value, mean)
     return np.where(np.isnan(value), begun, begun + min(share, 1.0) * (value - begun))

@@ -66,9 +66,9 @@ class Replies:
 
     def __post_init__(self) -> None:
         n_joints = len(self.answered)
-        for name, kind in (("doubted", bool), ("jump", float), ("surplus", int), ("foreign", int)):
+        for name, dtype in (("doubted", bool), ("jump", float), ("surplus", int), ("foreign", int)):
             if len(getattr(self, name)) != n_joints:
-                object.__setattr__(self, name, np.zeros(n_joints, dtype=kind))
+                object.__setattr__(self, name, np.zeros(n_joints, dtype=dtype))
 
 
 @dataclass(frozen=True)
@@ -82,11 +82,11 @@ class _Samples:
     enabled: Mask
     heat: Array
 
-    def where(self, chosen: Mask, other: _Samples) -> _Samples:
-        """Return these samples for the joints ``chosen`` (n,), and others for the rest."""
+    def where(self, selected: Mask, other: _Samples) -> _Samples:
+        """Return these samples for the joints ``selected`` (n,), and others for the rest."""
         names = vars(self)
         pairs = {name: (getattr(self, name), getattr(other, name)) for name in names}
-        return _Samples(**{name: np.where(chosen, *pair) for name, pair in pairs.items()})
+        return _Samples(**{name: np.where(selected, *pair) for name, pair in pairs.items()})
 
 
 class _Change(NamedTuple):
@@ -129,8 +129,8 @@ class SampleFilter:
 
     def start(self, time: float, q: Array) -> None:
         """Begin with an arm that stands at q (n,) [rad]."""
-        still = np.zeros_like(q)
-        self._last = replace(self._last, time=still + time, q=q.copy(), qd=still)
+        zero_speed = np.zeros_like(q)
+        self._last = replace(self._last, time=zero_speed + time, q=q.copy(), qd=zero_speed)
 
     def believe(self, replies: Replies, acted: codec.MitCommand | None) -> Replies:
         """Return replies without the answers that are not believed.
@@ -157,27 +157,29 @@ class SampleFilter:
         self._is_suspected = np.where(came, ~believed, self._is_suspected)
         self._suspect = now.where(came, self._suspect)
         self._last = now.where(believed, self._last)
-        return _without(replies, came & ~believed, np.nan_to_num(jump))
+        return _hide_doubted(replies, came & ~believed, np.nan_to_num(jump))
 
-    def _compare(self, before: _Samples, now: _Samples) -> _Change:
-        """Return what is not plausible about samples after those before.
+    def _compare(self, previous: _Samples, now: _Samples) -> _Change:
+        """Return what is not plausible about samples after those previous.
 
         What is not known of the sample before is not compared.
         """
-        passed = np.maximum(np.nan_to_num(now.time - before.time), 0.0)
-        way = 0.5 * (now.qd + before.qd) * passed
-        distance = np.abs(now.q - before.q - way)
+        passed = np.maximum(np.nan_to_num(now.time - previous.time), 0.0)
+        expected_change = 0.5 * (now.qd + previous.qd) * passed
+        distance = np.abs(now.q - previous.q - expected_change)
         accelerated = _TOP_ACCELERATION * passed
-        allowed = _LEAST_JUMP + _SPEED_DOUBT * np.abs(way) + 0.5 * accelerated * passed
-        jumps = distance > allowed
-        change = np.abs(now.qd - before.qd)
+        tolerance = (
+            _LEAST_JUMP + _SPEED_DOUBT * np.abs(expected_change) + 0.5 * accelerated * passed
+        )
+        jumps = distance > tolerance
+        change = np.abs(now.qd - previous.qd)
         throws = change > _LEAST_SPEED_CHANGE + 4.0 * self._velocity_step + accelerated
-        bends = np.abs(now.torque_error - before.torque_error) > _TORQUE_DOUBT * self._peak
-        heats = np.abs(now.heat - before.heat) > _HEAT_CHANGE
+        bends = np.abs(now.torque_error - previous.torque_error) > _TORQUE_DOUBT * self._peak
+        heats = np.abs(now.heat - previous.heat) > _HEAT_CHANGE
         return _Change(jumps, bends, ~(jumps | throws | bends | heats))
 
 
-def _without(replies: Replies, doubted: Mask, jump: Array) -> Replies:
+def _hide_doubted(replies: Replies, doubted: Mask, jump: Array) -> Replies:
     feedback = replies.feedback
     hidden = replace(
         feedback,

@@ -87,16 +87,16 @@ class VelocityScalingCheck:
     def slip(self) -> tuple[int, float] | None:
         """Return (joint, speed [rad/s]) of a joint whose position left its velocity, or None."""
         fastest = self.integral * self._explained
-        least = np.minimum(self.integral, fastest)
-        most = np.maximum(self.integral, fastest)
-        beside = self.change - np.clip(self.change, least, most)
+        lower = np.minimum(self.integral, fastest)
+        upper = np.maximum(self.integral, fastest)
+        mismatch = self.change - np.clip(self.change, lower, upper)
         # Where a joint slows down within a cycle, its mean speed is known less well.
         doubt = _SLIP_SHARE + 0.5 * (self._explained - 1.0)
-        allowed = _LEAST_SLIP + doubt * self._way + 2.0 * self._rounding
-        allowed = np.where(self._explained > _COARSE, np.inf, allowed)
-        j = int(np.argmax(np.abs(beside) - allowed))
-        is_slipping = abs(beside[j]) > allowed[j]
-        return (j, float(beside[j] / _WINDOW)) if is_slipping else None
+        tolerance = _LEAST_SLIP + doubt * self._way + 2.0 * self._rounding
+        tolerance = np.where(self._explained > _COARSE, np.inf, tolerance)
+        j = int(np.argmax(np.abs(mismatch) - tolerance))
+        is_slipping = abs(mismatch[j]) > tolerance[j]
+        return (j, float(mismatch[j] / _WINDOW)) if is_slipping else None
 
     def worst(self) -> tuple[int, float] | None:
         """Return (joint, slope) of a joint whose slope is surely off, or None.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.damiao.references import Reference
-from robot_sysid.damiao.safety.bounds import Room
+from robot_sysid.damiao.safety.bounds import CommandRange
 from robot_sysid.damiao.safety.samples import Mask
 from robot_sysid.records import Array
 
@@ -27,7 +27,8 @@ _DAMPING_SHARE = 0.5
 _MOST_STIFFENING = 4.0
 # It pulls harder on a joint that leaves than on one that comes back: so it takes energy away. Full
 # difference at about this speed [rad/s].
-_STEADY, _LEAVING = 0.6, 0.4
+_STEADY = 0.6
+_LEAVING = 0.4
 _SPEED_SCALE = 0.3
 # The feed-forward torque changes over to what carries the arm at rest in this time at least [s].
 _BLEND_TIME = 0.1
@@ -45,7 +46,7 @@ class StopStart:
         fed: torque that carries the arm at rest, by its model or as fed forward before [N m].
         kp, kd: stiffness and damping of the motors [N m/rad, N m s/rad].
         stuck: joints that stand still against their motor: nothing more is pushed there.
-        room: how far commands may go.
+        command_range: how far commands may go.
     """
 
     reference: Reference
@@ -55,7 +56,7 @@ class StopStart:
     kp: Array
     kd: Array
     stuck: Mask
-    room: Room
+    command_range: CommandRange
 
 
 class CarriedStop:
@@ -81,8 +82,8 @@ class CarriedStop:
         self._rest_time = rest_time
         self._moved_at = 0.0
         led = start.reference.velocity
-        own = np.where(np.isfinite(start.qd), start.qd, led)
-        self._velocity = np.clip(own, np.minimum(led, 0.0), np.maximum(led, 0.0))
+        speed = np.where(np.isfinite(start.qd), start.qd, led)
+        self._velocity = np.clip(speed, np.minimum(led, 0.0), np.maximum(led, 0.0))
         self.duration = float(np.max(np.abs(self._velocity), initial=0.0)) / deceleration
         self._offset = np.nan_to_num(start.reference.position - start.q)
         stable = _DAMPING_SHARE * start.kd / (_DELAY_CYCLES * period)
@@ -98,7 +99,7 @@ class CarriedStop:
         braked = min(max(time, 0.0), self.duration)
         left = 1.0 - braked / self.duration if self.duration > 0.0 else 0.0
         position = start.reference.position + self._velocity * braked * (1.0 + left) / 2.0
-        position = np.clip(position, start.room.lower, start.room.upper)
+        position = np.clip(position, start.command_range.lower, start.command_range.upper)
         goal = position - self._offset
         displaced = self._displacement(goal)
         self._relieve(time, np.nan_to_num(goal - self.q))
@@ -106,10 +107,10 @@ class CarriedStop:
         fed = start.reference.torque + share * (start.fed - start.reference.torque)
         leaving = -np.sign(displaced) * np.nan_to_num(self.qd)
         lift = self._stiffening * displaced * (_STEADY + _LEAVING * np.tanh(leaving / _SPEED_SCALE))
-        given_back = self._relief * start.kp * self._offset
+        relief_torque = self._relief * start.kp * self._offset
         if braked < self.duration or np.any(np.abs(np.nan_to_num(self.qd)) > _REST_SPEED):
             self._moved_at = time
-        self.last = Reference(position, self._velocity * left, fed + lift - given_back)
+        self.last = Reference(position, self._velocity * left, fed + lift - relief_torque)
         return self.last
 
     def _displacement(self, goal: Array) -> Array:

@@ -29,7 +29,8 @@ _LEAST_WINDOWS = 15
 # Judgements, standard deviations: links of a guessed model [share], an unknown load at the end [kg]
 # and how far from there its mass is [m], a zero that moved [rad].
 _LINKS = 0.3
-_LOAD, _LEVER = 3.0, 0.2
+_LOAD = 3.0
+_LEVER = 0.2
 _SHIFT = 0.3
 _DIFFERENCE = 0.01
 # In nats: how much better than no moved zero, and than that of any other joint.
@@ -122,8 +123,8 @@ def _friction_errors(qd: Array, doubt: Array) -> Array:
     units = np.eye(qd.shape[1])
     dry = np.tanh(qd / 0.02) * doubt
     viscous = qd * doubt
-    parts = [signal[:, :, None] * units for signal in (dry, viscous)]
-    return np.concatenate(parts, axis=2).reshape(qd.size, -1)
+    columns = [signal[:, :, None] * units for signal in (dry, viscous)]
+    return np.concatenate(columns, axis=2).reshape(qd.size, -1)
 
 
 def _slope(

@@ -12,7 +12,7 @@ from robot_sysid.damiao.protocol import codec
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
 from robot_sysid.damiao.protocol.frames import REGISTER_ID, Frame, is_special
 from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.safety.bounds import CommandBounds, Room
+from robot_sysid.damiao.safety.bounds import CommandBounds, CommandRange
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import SysidError
 from tests.support.clocks import ScriptedClock
@@ -74,7 +74,9 @@ REQUESTS = st.lists(
 def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
     clock = ScriptedClock()
     link = AbsurdLink(clock, list(answers))
-    session = MotorSession(GuardedLink(link, clock), JOINTS, SCALING, Room(LOWER, UPPER, SPEED))
+    session = MotorSession(
+        GuardedLink(link, clock), JOINTS, SCALING, CommandRange(LOWER, UPPER, SPEED)
+    )
     start = session.enable()
     last = start.copy()
     sent_at = np.full(2, clock.now())
@@ -103,14 +105,15 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
             assert abs(p - last[j]) <= reach + 2.0 * position_step[j]
             assert abs(v) <= SPEED[j] + 2.0 * velocity_step[j]
             asked_torque = abs(kp * (p - believed[j]) + t)
-            room = JOINTS[j].spec.peak_torque + 2.0 * torque_step[j] + kp * position_step[j]
-            assert asked_torque <= room + 0.13 * abs(p - believed[j])
+            available = JOINTS[j].spec.peak_torque + 2.0 * torque_step[j]
+            available += (kp + 0.13) * position_step[j] + 0.13 * abs(p - believed[j])
+            assert asked_torque <= available
             last[j] = p
             sent_at[j] = moment
 
 
 BOUNDS = CommandBounds(
-    Room(LOWER, UPPER, SPEED), np.array([27.0, 7.0]), *(np.full(2, 1e-4) for _ in range(3))
+    CommandRange(LOWER, UPPER, SPEED), np.array([27.0, 7.0]), *(np.full(2, 1e-4) for _ in range(3))
 )
 
 
@@ -147,5 +150,5 @@ def test_what_is_within_the_bounds_is_left_as_it_is():
 
 def test_where_an_arm_stands_is_within_its_range():
     wider = BOUNDS.including(np.array([-0.6, np.nan]))
-    np.testing.assert_array_equal(wider.room.lower, [-0.6, -1.0])
-    np.testing.assert_array_equal(wider.room.upper, UPPER)
+    np.testing.assert_array_equal(wider.command_range.lower, [-0.6, -1.0])
+    np.testing.assert_array_equal(wider.command_range.upper, UPPER)

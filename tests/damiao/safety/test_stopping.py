@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.references import Reference
-from robot_sysid.damiao.safety.bounds import Room
+from robot_sysid.damiao.safety.bounds import CommandRange
 from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
 
-FAR = Room(np.full(2, -9.0), np.full(2, 9.0), np.full(2, 9.0))
+FAR = CommandRange(np.full(2, -9.0), np.full(2, 9.0), np.full(2, 9.0))
 KP, KD, PERIOD = 180.0, 4.5, 0.004
 
 
-def stop(position, velocity, torque, q, qd, fed=None, stuck=(False, False), room=FAR):
+def stop(position, velocity, torque, q, qd, fed=None, stuck=(False, False), command_range=FAR):
     """A stop of two joints."""
     reference = Reference(*(np.array(x, dtype=float) for x in (position, velocity, torque)))
     start = StopStart(
@@ -26,7 +26,7 @@ def stop(position, velocity, torque, q, qd, fed=None, stuck=(False, False), room
         np.full(2, KP),
         np.full(2, KD),
         np.array(stuck),
-        room,
+        command_range,
     )
     return CarriedStop(start, 10.0, PERIOD, 0.3)
 
@@ -58,8 +58,8 @@ def test_a_joint_that_was_slower_brakes_from_its_own_speed():
 
 
 def test_it_stays_within_the_range():
-    path = stop((0.9, 0.0), (2.0, 0.0), (0.0, 0.0), (0.9, 0.0), (2.0, 0.0), room=Room(
-        np.full(2, -1.0), np.full(2, 1.0), np.full(2, 9.0)))  # fmt: skip
+    near = CommandRange(np.full(2, -1.0), np.full(2, 1.0), np.full(2, 9.0))
+    path = stop((0.9, 0.0), (2.0, 0.0), (0.0, 0.0), (0.9, 0.0), (2.0, 0.0), command_range=near)
     assert path(path.duration).position[0] == 1.0
 
 
