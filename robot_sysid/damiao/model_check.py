@@ -193,7 +193,7 @@ def torque_checks(
     strongest = np.array([j.spec.peak_torque * j.torque_ratio for j in joints])
     for j in np.flatnonzero(most > strongest).tolist():
         said = f"the motion needs {most[j]:.1f} N m and its motor makes {strongest[j]:g} at most"
-        remedy = f"{CANNOT_FOLLOW}, {_weighing_remedy(trajectory, robot)}"
+        remedy = f"{CANNOT_FOLLOW}, {weighing_remedy(trajectory, robot)}"
         yield Check(STOP, f"{joints[j].label}: {said}; {remedy}")
     is_foreign = _is_foreign_torque(trajectory, robot)
     is_as_planned = bool(np.any(is_foreign)) and _is_as_planned(trajectory)
@@ -208,14 +208,14 @@ def torque_checks(
         if is_as_planned and _is_weighing(trajectory):
             yield Check(NOTE, f"{finding}; the file is as its model has it, and weighs this arm")
             continue
-        remedy = (_weighing_remedy if is_as_planned else _export_remedy)(trajectory, robot)
+        remedy = (weighing_remedy if is_as_planned else _export_remedy)(trajectory, robot)
         yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
     for j in np.flatnonzero(lacking > np.array(settings.max_torque_error)).tolist():
         yield Check(
             STOP,
             f"{joints[j].label}: the motion needs {lacking[j]:.1f} N m more or less than the file "
             f"feeds forward, limit {settings.max_torque_error[j]:g}; {CANNOT_FOLLOW}, "
-            f"{_weighing_remedy(trajectory, robot)}",
+            f"{weighing_remedy(trajectory, robot)}",
         )
 
 
@@ -265,7 +265,7 @@ def _export_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
     return f"export the file again for this arm: {shlex.join(command)}"
 
 
-def _weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
+def weighing_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
     """Return what to do about an arm that needs more than its motors make, as a command."""
     command = _plan_command(trajectory, robot)
     if not command:

@@ -9,6 +9,8 @@ import numpy as np
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.records import Array
 
+NEEDS_MORE = "the arm needs more than this motor has"
+"""What a message says where an arm asks too much of a motor."""
 # Relative; what rounding to frames and back leaves of a command that is at its bound.
 _ROUNDING = 1e-6
 
@@ -91,7 +93,7 @@ class CommandBounds:
         for j in np.flatnonzero(~(requested <= available * (1.0 + _ROUNDING))).tolist():
             return j, (
                 f"would be asked for {requested[j]:.1f} N m and makes {self.torque[j]:.1f} at "
-                "most: the arm needs more than this motor has, or something holds it back"
+                f"most: {NEEDS_MORE}, or something holds it back"
             )
         return None
 

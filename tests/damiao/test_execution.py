@@ -1,0 +1,34 @@
+"""A whole run as it was asked for."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from robot_sysid.damiao import execution
+from robot_sysid.damiao.safety.bounds import NEEDS_MORE
+from robot_sysid.damiao.safety.stop_request import StopRequest
+from robot_sysid.errors import HardwareAbort
+from tests.support.arms import THREE
+from tests.support.damiao_rig import swing, trajectory_file
+
+
+@pytest.mark.parametrize(("cause", "has_remedy"), [(NEEDS_MORE, True), ("status A", False)])
+def test_an_arm_that_needs_more_than_its_motors_is_to_be_weighed(
+    tmp_path, monkeypatch, heard, arm_file, cause, has_remedy
+):
+    def stopped(*arguments):
+        raise HardwareAbort(f"motor 1 stops: {cause}")
+
+    monkeypatch.setattr(execution, "run", stopped)
+    trajectory = trajectory_file(tmp_path, swing(3, duration=1.0))
+    values = {"trajectory": trajectory.path, "model": arm_file(THREE)}
+    motors = execution.MotorRun(values, lambda text, last: None)
+    monkeypatch.setattr(motors, "orders", lambda plan, here: ())
+    plan = motors.plan()
+    inspection = SimpleNamespace(motors={})
+    with pytest.raises(HardwareAbort, match="motor 1 stops") as error:
+        motors.play(None, plan, inspection, StopRequest(), print, print)
+    assert ("robot-sysid plan" in str(error.value)) == has_remedy
+    assert ("--for weight" in str(error.value)) == has_remedy
