@@ -22,7 +22,14 @@ from robot_sysid.damiao.protocol.codec import (
     encode_feedback,
     encode_mit,
 )
-from robot_sysid.damiao.protocol.frames import DISABLE, ENABLE, REGISTER_ID, Frame, is_special
+from robot_sysid.damiao.protocol.frames import (
+    DISABLE,
+    ENABLE,
+    REFRESH,
+    REGISTER_ID,
+    Frame,
+    is_special,
+)
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.serial_adapter import PacketReader
 from robot_sysid.damiao.session import MotorSession
@@ -104,8 +111,16 @@ class TalkativeBus:
         pass
 
 
+AT_REST = bytes([0x80, 0x00, 0x80, 0x08, 0x00, 30, 30])
+
+
 def _answer(frame: Frame, said: bytes) -> Frame:
     """Return what a motor would answer, its figures being those of other bytes."""
+    if frame.id == REGISTER_ID and frame.data[2] == REFRESH:
+        # Where an arm stands is believed when two answers agree.
+        return Frame(frame.data[0] + 16, bytes([frame.data[0] & 0xF]) + AT_REST, bus=frame.bus)
+    if frame.data[7:] == bytes([ENABLE]):
+        return Frame(frame.id + 16, bytes([0x10 | frame.id & 0xF]) + AT_REST, bus=frame.bus)
     if frame.id == REGISTER_ID:
         motor = frame.data[0]
         return Frame(motor + 16, frame.data[:4] + said[4:], bus=frame.bus)

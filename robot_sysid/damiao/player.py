@@ -386,7 +386,9 @@ class Player:
         left = observer.has_left(*place) if self._standing else away
         wrong = left & observer.is_pushed(*place)
         model = self._holding.torque(np.where(np.isfinite(q), q, reference.position))
-        fed = np.where(wrong, 0.0, model if self._holding.is_model else observer.fed)
+        # While gains rise, what was fed forward is not yet what carries the arm.
+        lately = np.where(np.isnan(observer.fed) | self._rising, reference.torque, observer.fed)
+        fed = np.where(wrong, 0.0, model if self._holding.is_model else lately)
         start = StopStart(
             Reference(self._session.sent_position, reference.velocity, reference.torque),
             q,

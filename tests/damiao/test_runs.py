@@ -611,3 +611,24 @@ def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, 
         run.during("playing", 0.1, slow).run()
     assert len(answered) > 100
     assert [got for got, _ in answered] == [told for _, told in answered]
+
+
+@pytest.mark.parametrize("after", [0.005, 0.02, 0.05])
+def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(rig, after, monkeypatch):
+    """What has been fed forward by then is only a part of what carries it."""
+    monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
+    motion = changed(raised)
+    run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, rest_time=0.3, **USUAL)
+    farthest = []
+    step = run.arm.mechanism.step
+
+    def watched(*arguments):
+        step(*arguments)
+        driven = [motor.status == ENABLED for motor in run.motors]
+        if all(driven):
+            farthest.append(np.max(np.abs(run.arm.mechanism.q - 0.8)))
+
+    run.arm.mechanism.step = watched
+    run.during("raising", after, lambda r: r.stop("stopped by SIGTERM")).run(settle=0.0)
+    assert str(run.error) == "stopped by SIGTERM"
+    assert max(farthest) < 0.03
