@@ -32,6 +32,8 @@ _LINKS = 0.3
 _LOAD = 3.0
 _LEVER = 0.2
 _SHIFT = 0.3
+# Of the torque that says nothing: what is left of averages over a window; the likeliest is taken.
+_NOISES = (0.05, 0.15, 0.5)
 _DIFFERENCE = 0.01
 # In nats: how much better than no moved zero, and than that of any other joint.
 _MARGIN = 15.0
@@ -65,14 +67,17 @@ def describe_moved_zero(
     weights = np.tile(1.0 / doubt, len(q))
     errors = errors * weights[:, None]
     shapes = [_slope(robot, dynamics, q, qd, qdd, j) * weights for j in range(robot.n_joints)]
-    covariance = errors @ errors.T + 0.25 * np.eye(len(residual))
-    without = _log_likelihood(residual, covariance)
-    gains = [
-        _log_likelihood(residual, covariance + _SHIFT**2 * np.outer(shape, shape)) - without
-        for shape in shapes
-    ]
+    spread = errors @ errors.T
+    without = max(_log_likelihood(residual, spread, noise) for noise in _NOISES)
+    gains = []
+    for shape in shapes:
+        moved = spread + _SHIFT**2 * np.outer(shape, shape)
+        gains.append(max(_log_likelihood(residual, moved, noise) for noise in _NOISES) - without)
     joint = int(np.argmax(gains))
     others = np.delete(gains, joint)
+    moved = spread + _SHIFT**2 * np.outer(shapes[joint], shapes[joint])
+    noise = max(_NOISES, key=lambda noise: _log_likelihood(residual, moved, noise))
+    covariance = spread + noise**2 * np.eye(len(residual))
     precise = np.linalg.solve(covariance, np.column_stack([residual, shapes[joint]]))
     information = float(shapes[joint] @ precise[:, 1]) + 1.0 / _SHIFT**2
     shift = float(shapes[joint] @ precise[:, 0]) / information
@@ -81,7 +86,7 @@ def describe_moved_zero(
     if not is_sure or abs(shift) < _LEAST_SHIFT + 2.0 * error:
         return ""
     return (
-        f"the zero of {joints[joint].label} has moved by {abs(shift):.2f} ± {error:.2f} rad since "
+        f"the zero of {joints[joint].label} has moved by about {abs(shift):.1f} rad since "
         "its map was made, as the torques of this motion say; look at its mounting and make the "
         "map again: see 'motors map'"
     )
@@ -137,7 +142,8 @@ def _slope(
     return ((ahead - behind) / (2.0 * _DIFFERENCE)).ravel()
 
 
-def _log_likelihood(residual: Array, covariance: Array) -> float:
-    factor = np.linalg.cholesky(covariance)
+def _log_likelihood(residual: Array, spread: Array, noise: float) -> float:
+    """Return log N(residual; 0, spread + noise^2 I) but for a constant."""
+    factor = np.linalg.cholesky(spread + noise**2 * np.eye(len(residual)))
     white = np.linalg.solve(factor, residual)
     return float(-0.5 * white @ white - np.sum(np.log(np.diag(factor))))
