@@ -91,7 +91,7 @@ _CAME_SHARE = 0.3
 
 
 class Fault(HardwareAbort):
-    """Something about one joint is out of order; ``joint`` is its number, ``what`` says what."""
+    """Something about one joint is out of order; ``joint`` is its number."""
 
     def __init__(self, joint: int, label: str, description: str) -> None:
         super().__init__(f"{label} {description}")
