@@ -28,6 +28,8 @@ _ENABLE_TRIES = 3
 _SAME_PLACE = 0.02
 # However long nothing was sent, a command goes no farther than in this time [s].
 _LONGEST_PAUSE = 0.2
+# How late a cycle may be, see ``PlaySettings.max_lateness`` [s].
+_MOST_CREDIT = 0.02
 
 
 PAUSE = 4
@@ -112,6 +114,7 @@ class MotorSession:
         self._bounds = CommandBounds(command_range or self._scale(), self.peak_torque, *self.steps)
         self._sent_position = np.full(self.n_joints, np.nan)
         self._sent_at = np.full(self.n_joints, -np.inf)
+        self._credit = np.zeros(self.n_joints)
         self._sent_data: dict[int, bytes] = {}
         self._filter = SampleFilter(self.peak_torque, velocity_step)
         self._outstanding = Outstanding(self.n_joints)
@@ -241,6 +244,9 @@ class MotorSession:
         acted = self._command
         old = acted or new
         self._command = codec.MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
+        used = np.abs(new.position - self._sent_position) / self._bounds.command_range.speed
+        unused = np.clip(self._time_to_move(now) - np.nan_to_num(used), 0.0, _MOST_CREDIT)
+        self._credit = np.where(told, unused, self._credit)
         self._sent_position = np.where(told, new.position, self._sent_position)
         self._sent_at = np.where(told, now, self._sent_at)
         for j in np.flatnonzero(told).tolist():
@@ -249,11 +255,18 @@ class MotorSession:
             self._link.send(Frame(can_id, self._sent_data[j], bus=bus))
         return self._collect(told, until, self._command, acted, believe=True)
 
+    def _time_to_move(self, now: float) -> Array:
+        """Return for how long each joint's command (n,) may have moved on since its last one [s].
+
+        A cycle that began late is followed by one that begins sooner after it than their references
+        are apart; what the late one did not use counts for that, up to how late a cycle may be.
+        """
+        return np.minimum(now - self._sent_at, _LONGEST_PAUSE) + self._credit
+
     def _bounded(self, command: codec.MitCommand, now: float, braking: bool) -> codec.MitCommand:
         """Return a command within the bounds, or raise HardwareAbort unless ``braking``."""
         last = np.where(np.isnan(self._sent_position), command.position, self._sent_position)
-        elapsed = np.minimum(now - self._sent_at, _LONGEST_PAUSE)
-        where = last, elapsed, self._filter.q
+        where = last, self._time_to_move(now), self._filter.q
         if braking:
             return self._bounds.confine(command, *where)
         for j, words in filter(None, [self._bounds.excess(command, *where)]):

@@ -252,3 +252,16 @@ def test_one_lost_answer_costs_the_pause_and_no_more():
     assert books.may_be_told(ONE)[0]
     assert [bool(books.may_be_told(ONE)[0]) for _ in range(PAUSE + 1)] == [False] * PAUSE + [True]
     assert books.heard(0)
+
+
+def test_a_late_cycle_and_a_timely_one_after_it_are_within_the_bounds():
+    """Their commands are farther apart than the times at which they were sent."""
+    bench = Bench()
+    with bench.session as session:
+        session.enable()
+        speed = 10.0
+        begin = bench.clock.now()
+        for k, late in enumerate((0.0, 0.0, 0.008, 0.0, 0.005, 0.001)):
+            bench.clock.sleep_until(begin + 0.01 * k + late)
+            q = 0.9 * speed * 0.01 * k
+            session.exchange(bench.command(q, kp=0.0), bench.clock.now() + 1e-3)
