@@ -82,8 +82,10 @@ _REPLY_SHARE, _LEAST_REPLY_SHARE = 0.9, 0.3
 # the arm is averaged.
 _PROGRESS_INTERVAL = 0.1
 _STILL_SAMPLES = 100
-# How often a run is looked at as a whole [s].
+# How often a run is sampled to be looked at as a whole [s], and how many samples are kept at most:
+# its first minute. An arm may be held for days.
 _TRACK_INTERVAL = 0.03
+_MOST_TRACKED = 2000
 # A busy thread gives way after this long [s]; Python's own default is more than a control cycle.
 _SWITCH_INTERVAL = 2e-4
 # Nothing heard for longer than this while braking: the watchdogs (0.1 s, and half as much again)
@@ -98,7 +100,8 @@ class PlayReport:
     """How a run went: cycles while playing, and those skipped because the computer was late.
 
     Lateness is in [s]; commands that were missed and the tracking error [rad] are (n,). ``track``
-    is where the joints were, how fast, and with which torque they were commanded, now and then.
+    is where the joints were, how fast, and with which torque they were commanded, now and then
+    within the first minute.
     """
 
     cycles: int
@@ -332,7 +335,8 @@ class Player:
 
     def _keep(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
         self._played += 1
-        if not self._track or time - self._track[-1][0] >= _TRACK_INTERVAL:
+        is_due = not self._track or time - self._track[-1][0] >= _TRACK_INTERVAL
+        if is_due and len(self._track) < _MOST_TRACKED:
             q, qd = self._session.believed
             self._track.append((time, np.stack([q, qd, acted.motor_torque(q, qd)])))
         if self._recorder:

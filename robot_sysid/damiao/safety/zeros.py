@@ -26,6 +26,7 @@ from robot_sysid.records import Array, Measurement, RobotModel
 # Samples that are averaged: so far apart that their errors are not alike [s].
 _WINDOW = 0.2
 _LEAST_WINDOWS = 15
+_MOST_WINDOWS = 80
 # Judgements, standard deviations: links of a guessed model [share], an unknown load at the end [kg]
 # and how far from there its mass is [m], a zero that moved [rad].
 _LINKS = 0.3
@@ -52,37 +53,34 @@ def describe_moved_zero(
         joints: its motors, base to terminal.
         samples: motion and torque (N, n) of a whole run.
     """
-    averaged = _average(samples)
-    if averaged is None:
+    motion = _average_over_windows(samples)
+    if motion is None:
         return ""
-    q, qd, qdd, tau = averaged
     dynamics = LinkDynamics(robot)
+    q, qd, qdd, tau = motion
+    doubt = torque_doubt(joints) + robot.friction.coulomb
+    weights = np.tile(1.0 / doubt, len(q))
     friction = robot.friction.torque(qd) + robot.armature * qdd
     needed = dynamics.motion(q, qd, qdd).torque(robot.thetas) + friction
-    doubt = torque_doubt(joints) + robot.friction.coulomb
-    residual = ((tau - needed) / doubt).ravel()
-    errors = np.column_stack(
-        [_link_errors(robot, dynamics, q, qd, qdd), _friction_errors(qd, doubt)]
-    )
-    weights = np.tile(1.0 / doubt, len(q))
-    errors = errors * weights[:, None]
-    shapes = [_slope(robot, dynamics, q, qd, qdd, j) * weights for j in range(robot.n_joints)]
+    residual = (tau - needed).ravel() * weights
+    links = _link_errors(robot, dynamics, q, qd, qdd)
+    errors = np.column_stack([links, _friction_errors(qd, doubt)]) * weights[:, None]
     spread = errors @ errors.T
-    without = max(_log_likelihood(residual, spread, noise) for noise in _NOISES)
-    gains = []
-    for shape in shapes:
-        moved = spread + _SHIFT**2 * np.outer(shape, shape)
-        gains.append(max(_log_likelihood(residual, moved, noise) for noise in _NOISES) - without)
-    joint = int(np.argmax(gains))
-    others = np.delete(gains, joint)
-    moved = spread + _SHIFT**2 * np.outer(shapes[joint], shapes[joint])
-    noise = max(_NOISES, key=lambda noise: _log_likelihood(residual, moved, noise))
-    covariance = spread + noise**2 * np.eye(len(residual))
-    precise = np.linalg.solve(covariance, np.column_stack([residual, shapes[joint]]))
-    information = float(shapes[joint] @ precise[:, 1]) + 1.0 / _SHIFT**2
-    shift = float(shapes[joint] @ precise[:, 0]) / information
-    error = information**-0.5
-    is_sure = gains[joint] > _MARGIN and gains[joint] > np.max(others, initial=0.0) + _APART
+    slopes = [_slope(robot, dynamics, q, qd, qdd, j) * weights for j in range(robot.n_joints)]
+
+    without_shift, _ = _likeliest_noise(residual, spread)
+    likelihoods = []
+    noises = []
+    for slope in slopes:
+        likelihood, noise = _likeliest_noise(residual, spread + _SHIFT**2 * np.outer(slope, slope))
+        likelihoods.append(likelihood)
+        noises.append(noise)
+    joint = int(np.argmax(likelihoods))
+    others = np.delete(likelihoods, joint)
+    is_sure = likelihoods[joint] > without_shift + _MARGIN
+    is_sure &= likelihoods[joint] > np.max(others, initial=without_shift) + _APART
+    covariance = spread + noises[joint] ** 2 * np.eye(len(residual))
+    shift, error = _posterior_shift(residual, covariance, slopes[joint])
     if not is_sure or abs(shift) < _LEAST_SHIFT + 2.0 * error:
         return ""
     return (
@@ -92,14 +90,25 @@ def describe_moved_zero(
     )
 
 
-def _average(samples: Measurement) -> tuple[Array, ...] | None:
-    """Return q, qd, qdd and tau (K, n) averaged over windows, None where they are too few."""
+def _posterior_shift(residual: Array, covariance: Array, slope: Array) -> tuple[float, float]:
+    """Return the posterior mean and standard deviation of a zero's shift [rad]."""
+    weighted_slope = np.linalg.solve(covariance, slope)
+    information = float(slope @ weighted_slope) + 1.0 / _SHIFT**2
+    return float(residual @ weighted_slope) / information, information**-0.5
+
+
+def _average_over_windows(samples: Measurement) -> tuple[Array, ...] | None:
+    """Return q, qd, qdd and tau (K, n) averaged over windows, None where they are too few.
+
+    Of a long run as many windows are taken as a covariance of all their torques has room for.
+    """
     assert samples.qd is not None
     number = ((samples.time - samples.time[0]) / _WINDOW).astype(int)
     count = np.bincount(number)
-    full = count >= 0.5 * np.median(count)
-    if np.count_nonzero(full) < _LEAST_WINDOWS:
+    full = np.flatnonzero(count >= 0.5 * np.median(count))
+    if len(full) < _LEAST_WINDOWS:
         return None
+    full = full[:: 1 + (len(full) - 1) // _MOST_WINDOWS]
     qdd = np.gradient(samples.qd, samples.time, axis=0)
     means = []
     for signal in (samples.q, samples.qd, qdd, samples.tau):
@@ -140,6 +149,11 @@ def _slope(
     ahead = dynamics.motion(q + step, qd, qdd).torque(robot.thetas)
     behind = dynamics.motion(q - step, qd, qdd).torque(robot.thetas)
     return ((ahead - behind) / (2.0 * _DIFFERENCE)).ravel()
+
+
+def _likeliest_noise(residual: Array, spread: Array) -> tuple[float, float]:
+    """Return the largest log likelihood over the noises, and the noise that has it."""
+    return max((_log_likelihood(residual, spread, noise), noise) for noise in _NOISES)
 
 
 def _log_likelihood(residual: Array, spread: Array, noise: float) -> float:

@@ -62,3 +62,12 @@ def test_links_and_loads_that_are_off_are_no_moved_zero(arm, seed, load):
 def test_a_short_run_says_nothing(arm):
     shift = (0.0, 0.5, 0.0)
     assert describe_moved_zero(arm, JOINTS, played(arm, 0, shift=shift, seconds=2.0)) == ""
+
+
+def test_a_long_run_takes_no_more_memory_than_a_short_one(arm, monkeypatch):
+    sizes = []
+    factor = np.linalg.cholesky
+    monkeypatch.setattr(np.linalg, "cholesky", lambda x: sizes.append(len(x)) or factor(x))
+    run = played(arm, 0, 0.15, shift=(0.0, 0.3, 0.0), seconds=600.0)
+    assert "the zero of motor 2" in describe_moved_zero(arm, JOINTS, run)
+    assert max(sizes) <= 80 * 3
