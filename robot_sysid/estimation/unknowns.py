@@ -17,7 +17,12 @@ from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.friction import Coupling, FrictionModel, speed_name
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, link_aspects, link_factor
+from robot_sysid.estimation.algebra.nuisances import (
+    NuisanceGroup,
+    link_aspects,
+    link_factor,
+    link_lengths,
+)
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.records import DELAY_NAME, Array
@@ -361,8 +366,7 @@ def _link_group(columns: Columns, question: Question, choice: Choice) -> Nuisanc
     share = PER_CENT * question.options.link_uncertainty
     names = [robot.links[link].body_name for link in links]
     usual = [sought[name][1] for name in names]
-    ends = [link.translation for link in robot.links[1:]]
-    lengths = [float(np.linalg.norm(ends[link])) for link in links]
+    lengths = link_lengths(robot, links)
     factor = np.zeros((10 * len(links), 10 * len(links)))
     believed = [usual[k] is robot.links[link].theta for k, link in enumerate(links)]
     kinds = [(np.flatnonzero(believed), share * choice.prior_scale)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from robot_sysid.dynamics.equations import N_INERTIAL, other_links
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.dynamics.newton_euler import LinkDynamics, in_parts
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.nuisances import link_factor
+from robot_sysid.estimation.algebra.nuisances import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.options import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
@@ -137,8 +137,8 @@ class ExcitationProblem:
         tool: the outermost points of the terminal link and all it carries.
         arm_torque: joint torques (N, n) along a motion, friction included, without any load.
         reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
-        link_errors: (10 L, k) factor of the prior covariance of all links' parameters; k is 0 where
-            the links are taken as they are.
+        link_errors: (10 L, 10 L) factor of the prior covariance of all links' parameters; zero
+            where the links are taken as they are.
         rows: chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of their noise [N m].
         origins: per family in ``LIMIT_NAMES`` where the limit of each joint (n,) comes from.
@@ -187,7 +187,7 @@ class ExcitationProblem:
     @property
     def has_torque_reserve(self) -> bool:
         """Whether torque is left for the links' errors: something limits it, and they have some."""
-        return bool(self.link_errors.size) and bool(np.any(np.isfinite(self.limits.torque)))
+        return bool(np.any(self.link_errors)) and bool(np.any(np.isfinite(self.limits.torque)))
 
     def torque_reserve(self, motion: Motion) -> Array:
         """Return the torques (N, n) that are left for what the links may be off [N m]: two standard
@@ -302,7 +302,7 @@ def build_problem(
         tool=Tool(*outermost_points(robot)),
         arm_torque=ArmTorque(robot),
         reserve=limits.payload_reserve,
-        link_errors=_link_errors(robot, links, link_uncertainty),
+        link_errors=model_link_factor(robot, links, 0.01 * link_uncertainty),
         obstacles=obstacles,
         rows=rows,
         sigma=per_joint(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
@@ -310,16 +310,6 @@ def build_problem(
         notes=notes + more,
         has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
     )
-
-
-def _link_errors(robot: RobotModel, links: Sequence[int], uncertainty: float) -> Array:
-    """Return the factor (10 L, k) of the covariance of links' parameters known to a share [%]."""
-    if uncertainty == 0.0:
-        return np.zeros((10 * len(links), 0))
-    thetas = [robot.links[link].theta for link in links]
-    ends = [*(link.translation for link in robot.links[1:]), np.zeros(3)]
-    lengths = [float(np.linalg.norm(ends[link])) for link in links]
-    return link_factor(thetas, 0.01 * uncertainty, lengths)
 
 
 def _position_limits(robot: RobotModel) -> tuple[Array, Array]:

@@ -19,8 +19,9 @@ import numpy as np
 
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import torque_doubt
+from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.algebra.nuisances import link_factor
+from robot_sysid.estimation.algebra.nuisances import model_link_factor
 from robot_sysid.records import Array, Measurement, RobotModel
 
 # Samples that are averaged: so far apart that their errors are not alike [s].
@@ -121,12 +122,9 @@ def _link_errors(
     robot: RobotModel, dynamics: LinkDynamics, q: Array, qd: Array, qdd: Array
 ) -> Array:
     """Return torques (K n, m) that one standard deviation of each link error makes."""
-    links = list(range(robot.n_joints))
+    links = [*other_links(robot), robot.n_joints - 1]
     columns = dynamics.motion(q, qd, qdd).columns(links)
-    ends = [*(link.translation for link in robot.links[1:]), np.zeros(3)]
-    lengths = [float(np.linalg.norm(end)) for end in ends]
-    thetas = [link.theta for link in robot.links]
-    factor = link_factor(thetas, _LINKS, lengths)
+    factor = model_link_factor(robot, links, _LINKS)
     load = np.zeros((len(factor), 4))
     load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])
     return (columns @ np.column_stack([factor, load])).reshape(q.size, -1)

@@ -21,7 +21,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import normal_matrix
 from robot_sysid.estimation.algebra.least_squares import decomposed, descended
-from robot_sysid.records import Array, PriorConflict, SquareRootInformation
+from robot_sysid.records import Array, PriorConflict, RobotModel, SquareRootInformation
 
 ROD = float(np.sqrt(3.0))
 """Length of a uniform rod over the root mean square distance of its mass from its end."""
@@ -109,6 +109,18 @@ def link_factor(thetas: Sequence[Array], share: float, lengths: Sequence[float])
             the uniform rod whose mass is as far from its end, where that is more.
     """
     return share * _whole_factor(tuple(map(tuple, thetas)), tuple(lengths))
+
+
+def link_lengths(robot: RobotModel, links: Sequence[int]) -> list[float]:
+    """Return how far it is from each link's joint to the next one [m]; 0 for the last link."""
+    ends = [*(link.translation for link in robot.links[1:]), np.zeros(3)]
+    return [float(np.linalg.norm(ends[link])) for link in links]
+
+
+def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> Array:
+    """Return ``link_factor`` (10 L, 10 L) of a model's links, each known to a share."""
+    thetas = [robot.links[link].theta for link in links]
+    return link_factor(thetas, share, link_lengths(robot, links))
 
 
 @lru_cache(maxsize=8)

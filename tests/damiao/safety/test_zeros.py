@@ -71,3 +71,9 @@ def test_a_long_run_takes_no_more_memory_than_a_short_one(arm, monkeypatch):
     run = played(arm, 0, 0.15, shift=(0.0, 0.3, 0.0), seconds=600.0)
     assert "the zero of motor 2" in describe_moved_zero(arm, JOINTS, run)
     assert max(sizes) <= 80 * 3
+
+
+def test_a_link_without_mass_has_no_errors_to_compete(arm):
+    light = replace(arm.links[0], theta=0.0 * arm.links[0].theta)
+    robot = replace(arm, links=(light, *arm.links[1:]))
+    assert describe_moved_zero(robot, JOINTS, played(robot, 0, 0.15)) == ""
