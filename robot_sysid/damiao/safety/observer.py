@@ -27,7 +27,7 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.causes import EffortChange, explain_change
 from robot_sysid.damiao.safety.samples import NO_STATUS, Mask, Replies
-from robot_sysid.damiao.safety.scales import TorqueScalingCheck, VelocityScalingCheck
+from robot_sysid.damiao.safety.scales import Slip, TorqueScalingCheck, VelocityScalingCheck
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -96,7 +96,6 @@ class Fault(HardwareAbort):
     def __init__(self, joint: int, label: str, description: str) -> None:
         super().__init__(f"{label} {description}")
         self.joint = joint
-        self.description = description
 
 
 class Observer:
@@ -114,7 +113,6 @@ class Observer:
         failed: (n,) joints whose motor does not drive any more.
         stuck: (n,) joints that stand still against their motor.
         to_switch_off: (n,) joints whose motor only does harm as long as it drives.
-        fed: (n,) feed-forward torque lately [N m].
     """
 
     def __init__(
@@ -145,9 +143,10 @@ class Observer:
         fades = settings.period * kp / np.array(settings.kd)
         self._velocity_check = VelocityScalingCheck(self._velocity_step, fades)
         self._torque_check = TorqueScalingCheck(torque_step, peak_torque)
-        self._forget = settings.period / _MOMENT
-        self._forget_usual = settings.period / _LONG
-        self._forget_fed = settings.period / _FED_TIME
+        self._added = _RunningMean(n_joints, settings.period / _MOMENT)
+        self._usual_added = _RunningMean(n_joints, settings.period / _LONG)
+        self._needed = _RunningMean(n_joints, settings.period / _MOMENT)
+        self._fed = _RunningMean(n_joints, settings.period / _FED_TIME)
         self._cycles = 0
         self.missed = np.zeros(n_joints, int)
         self.silent = np.zeros(n_joints, int)
@@ -158,20 +157,16 @@ class Observer:
         self._stale: Mask = np.zeros(n_joints, dtype=bool)
         self.to_switch_off: Mask = np.zeros(n_joints, dtype=bool)
         self.stuck: Mask = np.zeros(n_joints, dtype=bool)
-        self.fed = np.full(n_joints, np.nan)
         self._surplus = np.zeros(n_joints)
         self._foreign = np.zeros(n_joints)
-        self._added = np.full(n_joints, np.nan)
-        self._usual = np.full(n_joints, np.nan)
-        self._needed = np.full(n_joints, np.nan)
         self._sudden = np.zeros(n_joints, int)
         self._has_agreed: Mask = np.zeros(n_joints, dtype=bool)
         self._pairs = np.full((2, _RECENT, n_joints), np.nan)
         self._last = np.full((3, n_joints), np.nan)
         self._still_since = np.full((2, n_joints), np.nan)
-        self._slip: tuple[int, str] | None = None
+        self._slip: Slip | None = None
         self._moments = np.full((_MOMENTS, 2, n_joints), np.nan)
-        self._sudden_added = np.full(n_joints, np.nan)
+        self._added_now = np.full(n_joints, np.nan)
         self._still, self._repeated = np.zeros((2, n_joints), int)
         self._was_beyond: dict[str, Mask] = {}
         self._change: EffortChange | None = None
@@ -191,10 +186,8 @@ class Observer:
         is_double = is_faulty & (self._surplus > 1.0)
         self._surplus = np.where(is_double, np.inf, self._surplus)
         self.failed |= is_faulty & ~is_double
-        self._velocity_check.add(replies.time, feedback.position, feedback.velocity)
-        slip = self._velocity_check.slip()
-        if slip is not None:
-            self._slip = slip[0], self._words_for_slip(*slip)
+        slip = self._velocity_check.add(replies.time, feedback.position, feedback.velocity)
+        self._slip = slip or self._slip
 
     def check(
         self, replies: Replies, acted: MitCommand, standing: bool = False, rising: bool = False
@@ -217,13 +210,27 @@ class Observer:
         if standing:
             self._check_standing(replies, acted)
         self._check_scales()
-        self._check_effort(replies, acted, commanded, rising)
+        self._moments = np.roll(self._moments, 1, axis=0)
+        self._moments[0] = acted.position, q
+        self._added_now = commanded - acted.torque
+        if not rising:
+            self._check_sudden_effort(acted)
+            self._check_opposite_load()
+        self._added.add(self._added_now, restart=rising)
+        self._usual_added.add(self._added_now, restart=rising)
+        self._needed.add(acted.torque, restart=rising)
+        self._fed.add(acted.torque, restart=rising)
         self._check_limits(replies, acted, rising)
 
     @property
     def trusted(self) -> Mask:
         """Joints (n,) that are heard, and whose position may be used to control them."""
         return ~self._stale & (self.silent < self._settings.max_missed)
+
+    @property
+    def fed(self) -> Array:
+        """Feed-forward torque lately (n,), NaN where there was none yet [N m]."""
+        return self._fed.value
 
     # --- the bus ----------------------------------------------------------------------------------
 
@@ -315,7 +322,7 @@ class Observer:
 
     def _check_scales(self) -> None:
         if self._slip is not None:
-            self._raise(*self._slip)
+            self._raise(self._slip.joint, _words_for_slip(self._slip))
         self._cycles += 1
         if self._cycles % _SCALING_CYCLES:
             return
@@ -325,16 +332,6 @@ class Observer:
         worst_velocity = self._velocity_check.worst()
         if worst_velocity is not None:
             self._raise(worst_velocity[0], _VELOCITY_SCALE.format(worst_velocity[1]))
-
-    def _words_for_slip(self, joint: int, speed: float) -> str:
-        integral = self._velocity_check.integral[joint]
-        change = self._velocity_check.change[joint]
-        if abs(integral + change) < 0.3 * abs(change):
-            return "moves against the velocity that it reports: the sign of one is reversed"
-        return (
-            f"moves {abs(speed):.2f} rad/s beside the velocity that it reports: its gear or its "
-            "encoder slips"
-        )
 
     def _check_frozen(self, replies: Replies, acted: MitCommand, commanded: Array) -> None:
         """Notice joints whose answers, or whose positions, do not change while they are led on.
@@ -378,46 +375,32 @@ class Observer:
 
     # --- what the arm needs -----------------------------------------------------------------------
 
-    def _check_effort(
-        self, replies: Replies, acted: MitCommand, commanded: Array, rising: bool
-    ) -> None:
+    def _check_sudden_effort(self, acted: MitCommand) -> None:
         """Notice a joint whose control suddenly has to add another torque than a moment ago."""
-        fed = acted.torque
-        self._moments = np.roll(self._moments, 1, axis=0)
-        self._moments[0] = acted.position, replies.feedback.position
-        added = commanded - fed
-        self._sudden_added = added
-        unusual = np.abs(added - self._added)
-        effort_limit = self._effort_limit + _MODEL_SHARE * np.abs(fed - self._needed)
+        unusual = np.abs(self._added_now - self._added.value)
+        model_doubt = _MODEL_SHARE * np.abs(acted.torque - self._needed.value)
+        effort_limit = self._effort_limit + model_doubt
         # Without motion there is no friction that turns round.
         stands = np.abs(acted.velocity) <= self._velocity_step
         effort_limit = np.where(stands, np.minimum(effort_limit, self._still_limit), effort_limit)
-        is_sudden = unusual > effort_limit
-        self._sudden = np.where(is_sudden, self._sudden + 1, 0)
-        if not rising:
-            for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
-                description = f"suddenly needs {unusual[j]:.1f} N m beside what carried it"
-                self._raise_effort(j, description)
-        carried = self._needed + self._added
-        is_judged = np.abs(self._needed) > _LOADED_DOUBTS * self._doubt
-        is_opposite = np.sign(self._needed) * carried < -_OPPOSITE_DOUBTS * self._doubt
+        self._sudden = np.where(unusual > effort_limit, self._sudden + 1, 0)
+        for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
+            self._raise_effort(j, f"suddenly needs {unusual[j]:.1f} N m beside what carried it")
+
+    def _check_opposite_load(self) -> None:
+        """Notice a joint that is loaded the other way than the torque says that carries it."""
+        needed = self._needed.value
+        carried = needed + self._added.value
+        is_judged = np.abs(needed) > _LOADED_DOUBTS * self._doubt
+        is_opposite = np.sign(needed) * carried < -_OPPOSITE_DOUBTS * self._doubt
         self._stop_where(
-            is_judged & is_opposite & (not rising),
+            is_judged & is_opposite,
             lambda j: (
-                f"carries the arm with {carried[j]:.1f} N m where {self._needed[j]:.1f} are fed "
+                f"carries the arm with {carried[j]:.1f} N m where {needed[j]:.1f} are fed "
                 "forward: it is not where it says (its gear slips, its zero has moved), or it is "
                 "another joint (cables of two arms exchanged, ids swapped, mirrored)"
             ),
         )
-        for name, value, share in (
-            ("_added", added, self._forget),
-            ("_usual", added, self._forget_usual),
-            ("_needed", fed, self._forget),
-            ("fed", fed, self._forget_fed),
-        ):
-            setattr(
-                self, name, _update_average(getattr(self, name), value, 1.0 if rising else share)
-            )
 
     def has_left(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Tell which joints (n,) have left a place where they are to stand still."""
@@ -474,7 +457,7 @@ class Observer:
             self._raise(
                 blocked, f"stands still while its path goes on: it is blocked ({description})"
             )
-        self._change = EffortChange(joint, self._usual.copy(), self._sudden_added)
+        self._change = EffortChange(joint, self._usual_added.value, self._added_now)
         self._raise(joint, description)
 
     def _blocked_joint(self) -> int | None:
@@ -493,8 +476,8 @@ class Observer:
         """
         if self._change is None:
             return fault
-        if self._slip is not None and self._slip[0] == fault.joint:
-            return HardwareAbort(f"{fault}: it {self._slip[1]}")
+        if self._slip is not None and self._slip.joint == fault.joint:
+            return HardwareAbort(f"{fault}: it {_words_for_slip(self._slip)}")
         if not np.all(np.isfinite(q + commanded)):
             return fault
         cause = explain_change(self._change, self._holding, q, commanded, self.fed, self._joints)
@@ -521,7 +504,27 @@ _VELOCITY_SCALE = (
 )
 
 
-def _update_average(mean: Array, value: Array, share: float) -> Array:
-    """Return a running mean (n,) with a new value in it; what is not known changes nothing."""
-    begun = np.where(np.isnan(mean), value, mean)
-    return np.where(np.isnan(value), begun, begun + min(share, 1.0) * (value - begun))
+def _words_for_slip(slip: Slip) -> str:
+    if abs(slip.integral + slip.change) < 0.3 * abs(slip.change):
+        return "moves against the velocity that it reports: the sign of one is reversed"
+    return (
+        f"moves {abs(slip.speed):.2f} rad/s beside the velocity that it reports: its gear or its "
+        "encoder slips"
+    )
+
+
+class _RunningMean:
+    """A mean (n,) of values, of which later ones count for more; NaN before the first.
+
+    ``share`` is how much of the mean each value becomes; 1 or more keeps the last value.
+    """
+
+    def __init__(self, n_joints: int, share: float) -> None:
+        self.value: Array = np.full(n_joints, np.nan)
+        self._share = min(share, 1.0)
+
+    def add(self, value: Array, restart: bool) -> None:
+        """Take in a value (n,), or begin again with it; NaN changes nothing."""
+        share = 1.0 if restart else self._share
+        mean = np.where(np.isnan(self.value), value, self.value)
+        self.value = np.where(np.isnan(value), mean, mean + share * (value - mean))

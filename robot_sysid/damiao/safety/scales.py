@@ -6,6 +6,8 @@ factor and nothing else seems odd.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from robot_sysid.records import Array
@@ -22,6 +24,23 @@ _SLIP_SHARE = 0.05
 _COARSE = 1.3
 
 
+@dataclass(frozen=True)
+class Slip:
+    """A joint that came another way than its velocity says, within one window.
+
+    Attributes:
+        joint: which one.
+        integral: what its velocities added up to [rad].
+        change: how far it came [rad].
+        speed: how fast it left its velocity [rad/s].
+    """
+
+    joint: int
+    integral: float
+    change: float
+    speed: float
+
+
 class VelocityScalingCheck:
     """Tells whether the velocity channel integrates to the position channel.
 
@@ -33,10 +52,6 @@ class VelocityScalingCheck:
     slowed down. Without any it is v = v_des + k (p_des - p), k = kp / kd, so that in steady motion
     the mean over a cycle T is (exp(kT) - 1) / (kT) times the last velocity; with inertia it is
     between 1 and this. ``fades`` (n,) is kT.
-
-    Attributes:
-        integral, change: what velocities added up to and how far the joint came, (n,), in the last
-            full window of each joint [rad].
     """
 
     def __init__(self, velocity_step: Array, fades: Array) -> None:
@@ -48,21 +63,21 @@ class VelocityScalingCheck:
         self._begin_q = np.zeros(n_joints)
         self._sum = np.zeros(n_joints)
         self._path = np.zeros(n_joints)
-        self._way = np.zeros(n_joints)
         # Per joint: count and sums of x, y, xx, xy, yy.
         self._sums = np.zeros((6, n_joints))
-        self.integral: Array = np.zeros(n_joints)
-        self.change: Array = np.zeros(n_joints)
 
-    def add(self, time: Array, q: Array, qd: Array) -> None:
-        """Add one sample (n,) per joint [s, rad, rad/s]; NaN where a joint did not answer."""
+    def add(self, time: Array, q: Array, qd: Array) -> Slip | None:
+        """Add one sample (n,) per joint [s, rad, rad/s]; NaN where a joint did not answer.
+
+        Returns a joint that slipped in a window which this sample completes.
+        """
         fresh = np.isfinite(time) & np.isfinite(q)
         if self._last is None:
             if np.all(fresh):
                 self._last = time, q, qd
                 self._begin_time = time
                 self._begin_q = q
-            return
+            return None
         last_time, last_q, last_qd = self._last
         step = np.where(fresh, 0.5 * (qd + last_qd) * (time - last_time), 0.0)
         self._sum += step
@@ -72,31 +87,31 @@ class VelocityScalingCheck:
         self._last = time, q, np.where(fresh, qd, last_qd)
         full = fresh & (time - self._begin_time >= _WINDOW)
         if not np.any(full):
-            return
+            return None
         x = np.where(full, self._sum, 0.0)
         y = np.where(full, q - self._begin_q, 0.0)
-        self.integral = x
-        self._way = np.where(full, self._path, 0.0)
-        self.change = y
+        slip = self._slip(x, y, np.where(full, self._path, 0.0))
         self._sums += np.stack([full.astype(float), x, y, x * x, x * y, y * y])
         self._sum = np.where(full, 0.0, self._sum)
         self._path = np.where(full, 0.0, self._path)
         self._begin_time = np.where(full, time, self._begin_time)
         self._begin_q = np.where(full, q, self._begin_q)
+        return slip
 
-    def slip(self) -> tuple[int, float] | None:
-        """Return (joint, speed [rad/s]) of a joint whose position left its velocity, or None."""
-        fastest = self.integral * self._explained
-        lower = np.minimum(self.integral, fastest)
-        upper = np.maximum(self.integral, fastest)
-        mismatch = self.change - np.clip(self.change, lower, upper)
+    def _slip(self, integral: Array, change: Array, path: Array) -> Slip | None:
+        """Return the joint that slipped, of integrals, changes and lengths of paths (n,) [rad]."""
+        fastest = integral * self._explained
+        lower = np.minimum(integral, fastest)
+        upper = np.maximum(integral, fastest)
+        mismatch = change - np.clip(change, lower, upper)
         # Where a joint slows down within a cycle, its mean speed is known less well.
         doubt = _SLIP_SHARE + 0.5 * (self._explained - 1.0)
-        tolerance = _LEAST_SLIP + doubt * self._way + 2.0 * self._rounding
+        tolerance = _LEAST_SLIP + doubt * path + 2.0 * self._rounding
         tolerance = np.where(self._explained > _COARSE, np.inf, tolerance)
         j = int(np.argmax(np.abs(mismatch) - tolerance))
-        is_slipping = abs(mismatch[j]) > tolerance[j]
-        return (j, float(mismatch[j] / _WINDOW)) if is_slipping else None
+        if abs(mismatch[j]) <= tolerance[j]:
+            return None
+        return Slip(j, float(integral[j]), float(change[j]), float(mismatch[j] / _WINDOW))
 
     def worst(self) -> tuple[int, float] | None:
         """Return (joint, slope) of a joint whose slope is surely off, or None.
@@ -117,7 +132,7 @@ class VelocityScalingCheck:
         doubt = error + self._rounding / np.where(moved, spread, 1.0)
         unexplained = slope / np.clip(slope, 1.0, self._explained)
         worst = _farthest_from_one(unexplained, np.where(moved, doubt, np.inf), _SLOPE_TOLERANCE)
-        return worst and (worst[0], float(slope[worst[0]]))
+        return None if worst is None else (worst[0], float(slope[worst[0]]))
 
 
 def _farthest_from_one(ratio: Array, doubt: Array, tolerance: float) -> tuple[int, float] | None:
@@ -162,17 +177,14 @@ class TorqueScalingCheck:
         y = np.where(usable, measured, 0.0)
         self._sums += np.stack([usable.astype(float), x * x, x * y])
 
-    def ratios(self) -> tuple[Array, Array]:
-        """Return each joint's ratio (n,), and its doubt (n,): infinite where too little was seen.
+    def worst(self) -> tuple[int, float] | None:
+        """Return (joint, ratio) of a joint that surely reports another torque, or None.
 
-        The doubt is what rounding makes of the size of the torques seen so far.
+        The doubt of a ratio is what rounding makes of the size of the torques seen so far.
         """
         count, xx, xy = self._sums
         size = np.sqrt(xx / np.maximum(count, 1.0))
         enough = (count >= _ENOUGH_SAMPLES) & (size > 2.0 * self._doubt)
         ratio = np.where(enough, xy / np.where(enough, xx, 1.0), 1.0)
-        return ratio, np.where(enough, self._doubt / np.maximum(size, 1e-9), np.inf)
-
-    def worst(self) -> tuple[int, float] | None:
-        """Return (joint, ratio) of a joint that surely reports another torque, or None."""
-        return _farthest_from_one(*self.ratios(), _RATIO_TOLERANCE)
+        doubt = np.where(enough, self._doubt / np.maximum(size, 1e-9), np.inf)
+        return _farthest_from_one(ratio, doubt, _RATIO_TOLERANCE)
