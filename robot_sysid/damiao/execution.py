@@ -24,7 +24,7 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, 
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
 from robot_sysid.damiao.references import STRAIGHT, FileHolding, HoldingCheck, alongside, sampled
-from robot_sysid.damiao.safety.bounds import NEEDS_MORE
+from robot_sysid.damiao.safety.bounds import Overload
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings, SecondArm
@@ -216,8 +216,8 @@ class MotorRun:
             by_model = self.holding(plan), self.orders(plan, plan.places(inspection))
             try:
                 return run(link, plan, inspection, stop, on_phase, on_progress, *by_model)
-            except HardwareAbort as error:
-                if NEEDS_MORE not in str(error) or self.robot is None:
+            except Overload as error:
+                if self.robot is None:
                     raise
                 from robot_sysid.damiao.model_check import weighing_remedy
 

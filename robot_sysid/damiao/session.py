@@ -81,7 +81,7 @@ class MotorSession:
     the fraction. Every command passes ``CommandBounds``, and every answer ``SampleFilter``.
 
     Args:
-        command_range: where commands may go; by default as far and as fast as frames can say.
+        command_range: where commands may go, as far and as fast as frames can say it.
 
     Attributes:
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
@@ -102,6 +102,7 @@ class MotorSession:
         self.joints = tuple(joints)
         self.scaling = scaling
         self.n_joints = len(joints)
+        self._labels = [joint.label for joint in joints]
         self.space = JointSpace.of(joints)
         position_step, velocity_step, torque_step = scaling.steps
         self.steps = position_step, velocity_step, torque_step * self.space.ratio
@@ -111,7 +112,10 @@ class MotorSession:
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
         self._command: codec.MitCommand | None = None
-        self._bounds = CommandBounds(command_range or self._scale(), self.peak_torque, *self.steps)
+        scale = self._scale()
+        # In a stop a command that fits into no frame would not be sent at all.
+        sendable = scale if command_range is None else command_range.within(scale)
+        self._bounds = CommandBounds(sendable, self.peak_torque, *self.steps)
         self._sent_position = np.full(self.n_joints, np.nan)
         self._sent_at = np.full(self.n_joints, -np.inf)
         self._credit = np.zeros(self.n_joints)
@@ -222,7 +226,7 @@ class MotorSession:
 
         The reply to a command is the state before that command acted. While ``braking``, joints are
         commanded also where answers are missing, see ``Outstanding``, and what is asked too much is
-        confined to the bounds. Else a command beyond them raises HardwareAbort, and InputError one
+        confined to the bounds. Else a command beyond them raises BeyondBounds, and InputError one
         that does not fit into its frame, both before anything is sent. LinkError from the bus.
         """
         self.last_replies = None
@@ -236,7 +240,7 @@ class MotorSession:
             if (sender := self._sender(frame)) is not None:
                 self._outstanding.heard(sender)
         now = self.clock.now()
-        command = self._bounded(command, now, braking)
+        command = self._bound(command, now, braking)
         packed = codec.encode_mit(self.space.command_to_motors(command), self.scaling)
         told = wanted if braking else self._outstanding.may_be_told(wanted)
         # As the motors read it; one that is told nothing stays under its old command.
@@ -263,14 +267,13 @@ class MotorSession:
         """
         return np.minimum(now - self._sent_at, _LONGEST_PAUSE) + self._credit
 
-    def _bounded(self, command: codec.MitCommand, now: float, braking: bool) -> codec.MitCommand:
-        """Return a command within the bounds, or raise HardwareAbort unless ``braking``."""
+    def _bound(self, command: codec.MitCommand, now: float, braking: bool) -> codec.MitCommand:
+        """Return a command within the bounds, or raise BeyondBounds unless ``braking``."""
         last = np.where(np.isnan(self._sent_position), command.position, self._sent_position)
-        where = last, self._time_to_move(now), self._filter.q
+        elapsed = self._time_to_move(now)
         if braking:
-            return self._bounds.confine(command, *where)
-        for j, words in filter(None, [self._bounds.excess(command, *where)]):
-            raise HardwareAbort(f"{self.joints[j].label} {words}")
+            return self._bounds.confine(command, last, elapsed, self._filter.q)
+        self._bounds.require(self._labels, command, last, elapsed, self._filter.q)
         return command
 
     def switch_off(self, joints: Mask) -> None:

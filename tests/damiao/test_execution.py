@@ -7,19 +7,19 @@ from types import SimpleNamespace
 import pytest
 
 from robot_sysid.damiao import execution
-from robot_sysid.damiao.safety.bounds import NEEDS_MORE
+from robot_sysid.damiao.safety.bounds import BeyondBounds, Overload
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.errors import HardwareAbort
 from tests.support.arms import THREE
 from tests.support.damiao_rig import swing, trajectory_file
 
 
-@pytest.mark.parametrize(("cause", "has_remedy"), [(NEEDS_MORE, True), ("status A", False)])
+@pytest.mark.parametrize(("error_type", "has_remedy"), [(Overload, True), (BeyondBounds, False)])
 def test_an_arm_that_needs_more_than_its_motors_is_to_be_weighed(
-    tmp_path, monkeypatch, heard, arm_file, cause, has_remedy
+    tmp_path, monkeypatch, heard, arm_file, error_type, has_remedy
 ):
     def stopped(*arguments):
-        raise HardwareAbort(f"motor 1 stops: {cause}")
+        raise error_type("motor 1 stops")
 
     monkeypatch.setattr(execution, "run", stopped)
     trajectory = trajectory_file(tmp_path, swing(3, duration=1.0))

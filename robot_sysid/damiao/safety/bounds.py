@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robot_sysid.damiao.protocol.codec import MitCommand
+from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
-NEEDS_MORE = "the arm needs more than this motor has"
-"""What a message says where an arm asks too much of a motor."""
 # Relative; what rounding to frames and back leaves of a command that is at its bound.
 _ROUNDING = 1e-6
+
+
+class BeyondBounds(HardwareAbort):
+    """A command that asks too much of a joint was not sent."""
+
+
+class Overload(BeyondBounds):
+    """It asks for more torque than the joint's motor makes."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +35,12 @@ class CommandRange:
     lower: Array
     upper: Array
     speed: Array
+
+    def within(self, other: CommandRange) -> CommandRange:
+        """Return the part of this range that is also in another one."""
+        lower = np.maximum(self.lower, other.lower)
+        upper = np.minimum(self.upper, other.upper)
+        return CommandRange(lower, upper, np.minimum(self.speed, other.speed))
 
 
 @dataclass(frozen=True)
@@ -61,16 +75,20 @@ class CommandBounds:
         last = np.clip(last, current.lower, current.upper)
         return np.maximum(current.lower, last - reach), np.minimum(current.upper, last + reach)
 
-    def excess(
-        self, command: MitCommand, last: Array, elapsed: Array, q: Array
-    ) -> tuple[int, str] | None:
-        """Return which joint a command asks too much of, and what in words; None if it does not.
+    def require(
+        self, labels: Sequence[str], command: MitCommand, last: Array, elapsed: Array, q: Array
+    ) -> None:
+        """Raise BeyondBounds for the first joint that a command asks too much of.
 
         Args:
+            labels: names of the n joints, for messages.
             command: what is to be sent.
             last: (n,) positions commanded last [rad].
             elapsed: (n,) time since then [s].
             q: (n,) where the joints are believed to be [rad].
+
+        Raises:
+            Overload: it asks for more torque than the motor makes.
         """
         lowest, highest = self._reach(last, elapsed)
         slack = self.position_step + _ROUNDING
@@ -78,27 +96,28 @@ class CommandBounds:
         beyond = np.maximum(below, command.position - highest - slack)
         # Written so that a NaN counts as too much.
         for j in np.flatnonzero(~(beyond <= 0.0)).tolist():
-            return j, (
-                f"would be sent to {command.position[j]:.3f} rad; from the last command it may go "
-                f"from {lowest[j]:.3f} to {highest[j]:.3f}"
+            raise BeyondBounds(
+                f"{labels[j]} would be sent to {command.position[j]:.3f} rad; from the last "
+                f"command it may go from {lowest[j]:.3f} to {highest[j]:.3f}"
             )
         too_fast = ~(np.abs(command.velocity) <= self.command_range.speed + self.velocity_step)
         for j in np.flatnonzero(too_fast).tolist():
             limit = self.command_range.speed[j]
-            return j, f"would be told {command.velocity[j]:.2f} rad/s, limit {limit:.2f}"
+            told = f"would be told {command.velocity[j]:.2f} rad/s, limit {limit:.2f}"
+            raise BeyondBounds(f"{labels[j]} {told}")
         # Where a joint has never been heard, nothing is known of its error.
         error = np.nan_to_num(command.position - q)
         requested = np.abs(command.kp * error + command.torque)
         available = self.torque + self.torque_step + command.kp * self.position_step
         for j in np.flatnonzero(~(requested <= available * (1.0 + _ROUNDING))).tolist():
-            return j, (
-                f"would be asked for {requested[j]:.1f} N m and makes {self.torque[j]:.1f} at "
-                f"most: {NEEDS_MORE}, or something holds it back"
+            raise Overload(
+                f"{labels[j]} would be asked for {requested[j]:.1f} N m and makes "
+                f"{self.torque[j]:.1f} at most: the arm needs more than this motor has, or "
+                "something holds it back"
             )
-        return None
 
     def confine(self, command: MitCommand, last: Array, elapsed: Array, q: Array) -> MitCommand:
-        """Return the nearest command within the bounds; for the arguments see ``excess``."""
+        """Return the nearest command within the bounds; for the arguments see ``require``."""
         lowest, highest = self._reach(last, elapsed)
         position = np.where(np.isfinite(command.position), command.position, last)
         position = np.clip(position, lowest, highest)

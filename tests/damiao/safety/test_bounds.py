@@ -12,7 +12,7 @@ from robot_sysid.damiao.protocol import codec
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
 from robot_sysid.damiao.protocol.frames import REGISTER_ID, Frame, is_special
 from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.safety.bounds import CommandBounds, CommandRange
+from robot_sysid.damiao.safety.bounds import BeyondBounds, CommandBounds, CommandRange, Overload
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import SysidError
 from tests.support.clocks import ScriptedClock
@@ -121,6 +121,11 @@ BOUNDS = CommandBounds(
 )
 
 
+LABELS = "first", "second"
+# Where both joints were sent last, how long ago, and where they are.
+STANDING = np.zeros(2), np.full(2, 0.01), np.zeros(2)
+
+
 def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
     """A command to both joints, out of bounds for the second one at most."""
     fields = (np.array([0.0, value]) for value in (position, velocity, kp, 1.0, torque))
@@ -128,28 +133,42 @@ def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
 
 
 @pytest.mark.parametrize(
-    ("asked", "words"),
+    ("asked", "error_type", "words"),
     [
-        (command(position=0.03), "would be sent to 0.030 rad"),
-        (command(position=float("nan")), "would be sent to nan"),
-        (command(velocity=2.1), "would be told 2.10 rad/s, limit 2.00"),
-        (command(torque=7.2), "would be asked for 7.2 N m and makes 7.0 at most"),
-        (command(position=0.01, torque=6.5), "would be asked for 7.5 N m"),
+        (command(position=0.03), BeyondBounds, "would be sent to 0.030 rad"),
+        (command(position=float("nan")), BeyondBounds, "would be sent to nan"),
+        (command(velocity=2.1), BeyondBounds, "would be told 2.10 rad/s, limit 2.00"),
+        (command(torque=7.2), Overload, "would be asked for 7.2 N m and makes 7.0 at most"),
+        (command(position=0.01, torque=6.5), Overload, "would be asked for 7.5 N m"),
     ],
 )
-def test_what_is_asked_too_much_is_named(asked, words):
-    where = np.zeros(2), np.full(2, 0.01), np.zeros(2)
-    joint, said = BOUNDS.excess(asked, *where)
-    assert joint == 1 and words in said
-    confined = BOUNDS.confine(asked, *where)
-    assert BOUNDS.excess(confined, *where) is None
+def test_what_is_asked_too_much_is_named(asked, error_type, words):
+    with pytest.raises(BeyondBounds, match=f"^second {words}") as error:
+        BOUNDS.require(LABELS, asked, *STANDING)
+    assert error.type is error_type
+    BOUNDS.require(LABELS, BOUNDS.confine(asked, *STANDING), *STANDING)
 
 
 def test_what_is_within_the_bounds_is_left_as_it_is():
-    where = np.zeros(2), np.full(2, 0.01), np.zeros(2)
     asked = command(position=0.019, velocity=1.9, torque=5.0)
-    assert BOUNDS.excess(asked, *where) is None
-    np.testing.assert_allclose(BOUNDS.confine(asked, *where), asked, atol=1e-12)
+    BOUNDS.require(LABELS, asked, *STANDING)
+    np.testing.assert_allclose(BOUNDS.confine(asked, *STANDING), asked, atol=1e-12)
+
+
+def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
+    """In a stop a command beyond the frames' scale would be an error, and nothing be sent."""
+    clock = ScriptedClock()
+    link = AbsurdLink(clock, [])
+    wide = CommandRange(np.full(2, -99.0), np.full(2, 99.0), np.full(2, 5e3))
+    session = MotorSession(GuardedLink(link, clock), JOINTS, SCALING, wide)
+    session.enable()
+    n_sent = len(link.sent)
+    clock.sleep_until(clock.now() + 0.1)
+    far = MitCommand(np.full(2, 90.0), np.full(2, 90.0), np.zeros(2), np.ones(2), np.zeros(2))
+    session.exchange(far, clock.now() + 0.004, braking=True)
+    assert len(link.sent) == n_sent + 2
+    np.testing.assert_array_equal(session.command_range.upper, SCALING.limits[:, 0])
+    np.testing.assert_array_equal(session.command_range.speed, SCALING.limits[:, 1])
 
 
 def test_where_an_arm_stands_is_within_its_range():
