@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -103,24 +103,23 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
 
     Models are loaded without a speed limit, so that only their own hold.
     """
-    played, speed, pose = plan.trajectory, plan.settings.speed, plan.pose
-    remedy, excesses = "export a smaller trajectory for this arm", []
-    command = _plan_command(played, contacts.arms[0], for_model=True)
-    if command:
-        command += ["--output-dir", str(played.path.parent / "smaller")]
-        remedy = f"{remedy}: {shlex.join(command)}"
-    if not np.any(np.ptp(played.q, axis=0)):
-        remedy = "bring the arm elsewhere by hand"
+    played = plan.trajectory
+    speed = plan.settings.speed
+    excesses: list[str] = []
     for robot, problem, own in zip(contacts.arms, contacts.problems, contacts.own):
         part = {name: getattr(played, name)[:, own] for name in ("q", "qd", "tau")}
         motion = SampledTrajectory(replace(played, joints=played.joints[own], **part), speed)
-        excesses += [f"{each}; {remedy}" for each in _joint_excesses(robot, motion)]
+        excesses += _joint_excesses(robot, motion)
         if (touched := first_contact(problem, motion)) is not None:
-            said = f"the model's {touched.label} touch at {touched.time:.2f} s"
-            excesses.append(f"{said}; {remedy}")
-        if pose is not None:
-            excesses += _beyond(robot, pose[own])
-    whole, between = SampledTrajectory(played, speed), contacts.between
+            excesses.append(f"the model's {touched.label} touch at {touched.time:.2f} s")
+    if excesses:
+        remedy = _smaller_motion_remedy(played, contacts.arms[0])
+        excesses = [f"{excess}; {remedy}" for excess in excesses]
+    if plan.pose is not None:
+        for robot, own in zip(contacts.arms, contacts.own):
+            excesses += _beyond(robot, plan.pose[own])
+    whole = SampledTrajectory(played, speed)
+    between = contacts.between
     if between is not None and (at := between.touch_at(whole)) is not None:
         excesses.append(f"the arms touch while both move, at {at:.2f} s; play one after the other")
     yield from (Check(STOP, excess) for excess in excesses)
@@ -128,6 +127,18 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
         apart = ", and the arms apart" if len(contacts.arms) > 1 else ""
         name = contacts.arms[0].path.name
         yield Check(OK, f"the trajectory stays within the limits of {name}{apart}")
+
+
+def _smaller_motion_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
+    """Return what to do about a motion that is too large for an arm, as a command if it can be."""
+    if not np.any(np.ptp(trajectory.q, axis=0)):
+        return "bring the arm elsewhere by hand"
+    remedy = "export a smaller trajectory for this arm"
+    command = _plan_command(trajectory, robot, for_model=True)
+    if not command:
+        return remedy
+    command += ["--output-dir", str(trajectory.path.parent / "smaller")]
+    return f"{remedy}: {shlex.join(command)}"
 
 
 def way_check(words: str, order: str, touching: str) -> Iterator[Check]:
@@ -183,33 +194,18 @@ def torque_checks(
     trajectory: DamiaoTrajectory, settings: PlaySettings, robot: RobotModel
 ) -> Iterator[Check]:
     """Yield whether the file's torque is what its motion needs, and what the motors can do."""
-    time, q, qd, fed = trajectory.time, trajectory.q, trajectory.qd, trajectory.tau
-    arm, s, joints = ArmTorque(robot), settings.speed, trajectory.joints
-    qdd = _accelerations(trajectory)
-    needed, slower = arm(Motion(time, q, qd, qdd)), arm(Motion(time, q, s * qd, s * s * qdd))
-    doubt = torque_doubt(joints) + robot.friction.coulomb
-    off, due, sent = (np.sqrt(np.mean(x * x, axis=0)) for x in (fed - needed, needed, fed))
-    lacking, most = np.abs(slower - fed).max(axis=0), np.abs(slower).max(axis=0)
+    played = SampledTrajectory(trajectory, settings.speed)
+    qdd = settings.speed**2 * _accelerations(trajectory)
+    needed = ArmTorque(robot)(Motion(played.time, played.q, played.qd, qdd))
+    most = np.abs(needed).max(axis=0)
+    joints = trajectory.joints
     strongest = np.array([j.spec.peak_torque * j.torque_ratio for j in joints])
     for j in np.flatnonzero(most > strongest).tolist():
         said = f"the motion needs {most[j]:.1f} N m and its motor makes {strongest[j]:g} at most"
         remedy = f"{CANNOT_FOLLOW}, {weighing_remedy(trajectory, robot)}"
         yield Check(STOP, f"{joints[j].label}: {said}; {remedy}")
-    is_foreign = _is_foreign_torque(trajectory, robot)
-    is_as_planned = bool(np.any(is_foreign)) and _is_as_planned(trajectory)
-    for j in np.flatnonzero(is_foreign).tolist():
-        against = float(fed[:, j] @ needed[:, j]) < 0.0
-        why = "has the other sign" if against else "is another joint's or another arm's"
-        finding = (
-            f"{joints[j].label}: the torque that the file feeds forward "
-            f"{'is missing' if sent[j] < doubt[j] else why}: it is off by {off[j]:.1f} N m where "
-            f"{robot.path.name} needs {due[j]:.1f} (rms)"
-        )
-        if is_as_planned and _is_weighing(trajectory):
-            yield Check(NOTE, f"{finding}; the file is as its model has it, and weighs this arm")
-            continue
-        remedy = (weighing_remedy if is_as_planned else _export_remedy)(trajectory, robot)
-        yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
+    yield from _foreign_torque_checks(trajectory, robot)
+    lacking = np.abs(needed - trajectory.tau).max(axis=0)
     for j in np.flatnonzero(lacking > np.array(settings.max_torque_error)).tolist():
         yield Check(
             STOP,
@@ -219,14 +215,57 @@ def torque_checks(
         )
 
 
-def _is_foreign_torque(trajectory: DamiaoTrajectory, robot: RobotModel) -> NDArray[np.bool_]:
-    """Tell of which joints (n,) a file's torque is not that of its motion, by a model."""
-    motion = Motion(trajectory.time, trajectory.q, trajectory.qd, _accelerations(trajectory))
-    needed = ArmTorque(robot)(motion)
-    doubt = torque_doubt(trajectory.joints) + robot.friction.coulomb
-    off = np.sqrt(np.mean((trajectory.tau - needed) ** 2, axis=0))
-    due = np.sqrt(np.mean(needed**2, axis=0))
-    return np.asarray((off > doubt) & (off > _OTHER_TORQUE * due))
+def _foreign_torque_checks(trajectory: DamiaoTrajectory, robot: RobotModel) -> Iterator[Check]:
+    """Yield of which joints a file's torque is not that of its motion, by a model."""
+    fed = _FedTorque.of(trajectory, robot)
+    is_as_planned = bool(np.any(fed.is_foreign)) and _is_as_planned(trajectory)
+    for j in np.flatnonzero(fed.is_foreign).tolist():
+        why = "has the other sign" if fed.is_against[j] else "is another joint's or another arm's"
+        finding = (
+            f"{trajectory.joints[j].label}: the torque that the file feeds forward "
+            f"{'is missing' if fed.is_missing[j] else why}: it is off by {fed.error[j]:.1f} N m "
+            f"where {robot.path.name} needs {fed.needed[j]:.1f} (rms)"
+        )
+        if is_as_planned and _is_weighing(trajectory):
+            yield Check(NOTE, f"{finding}; the file is as its model has it, and weighs this arm")
+            continue
+        remedy = (weighing_remedy if is_as_planned else _export_remedy)(trajectory, robot)
+        yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
+
+
+@dataclass(frozen=True)
+class _FedTorque:
+    """How the torque that a file feeds forward agrees with what its motion needs, by a model.
+
+    Attributes:
+        needed: rms (n,) of what the motion needs [N m].
+        error: rms (n,) of how far the file's torque is from that [N m].
+        is_missing: joints (n,) for which the file has next to none.
+        is_against: joints (n,) for which it has the other sign.
+        is_foreign: joints (n,) for which it is not that of the motion.
+    """
+
+    needed: Array
+    error: Array
+    is_missing: NDArray[np.bool_]
+    is_against: NDArray[np.bool_]
+    is_foreign: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, trajectory: DamiaoTrajectory, robot: RobotModel) -> _FedTorque:
+        """Compare the torque of a file with a model's, both at the file's own speed."""
+        motion = Motion(trajectory.time, trajectory.q, trajectory.qd, _accelerations(trajectory))
+        needed = ArmTorque(robot)(motion)
+        doubt = torque_doubt(trajectory.joints) + robot.friction.coulomb
+        needed_rms = np.sqrt(np.mean(needed**2, axis=0))
+        error = np.sqrt(np.mean((trajectory.tau - needed) ** 2, axis=0))
+        return cls(
+            needed_rms,
+            error,
+            np.sqrt(np.mean(trajectory.tau**2, axis=0)) < doubt,
+            np.sum(trajectory.tau * needed, axis=0) < 0.0,
+            (error > doubt) & (error > _OTHER_TORQUE * needed_rms),
+        )
 
 
 def _accelerations(trajectory: DamiaoTrajectory) -> Array:
@@ -253,7 +292,7 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
         # What is not there any more speaks for no file.
         return False
     fits = robot.n_joints == trajectory.n_joints
-    return fits and not np.any(_is_foreign_torque(trajectory, robot))
+    return fits and not np.any(_FedTorque.of(trajectory, robot).is_foreign)
 
 
 def _export_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:

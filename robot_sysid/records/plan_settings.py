@@ -32,9 +32,15 @@ def read_toml(path: Path) -> Mapping[str, Any]:
 
 
 def settings_of(folder: Path) -> tuple[Path, Mapping[str, Any]] | None:
-    """Return the settings file of the plan in a folder and what it asks for; None without one."""
+    """Return the settings file of the plan in a folder and what it asks for; None without one.
+
+    A next step is made of it, which nobody misses where the file cannot be read.
+    """
     path = folder / SETTINGS_NAME
-    return (path, read_toml(path)) if path.is_file() else None
+    try:
+        return (path, read_toml(path)) if path.is_file() else None
+    except InputError:
+        return None
 
 
 def command_after_weighing(folder: Path, model: Path, written: Path) -> str:

@@ -35,4 +35,6 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
         read_toml(path)
     path.write_text("path = ")
     with pytest.raises(InputError, match="is no TOML file"):
-        settings_of(tmp_path)
+        read_toml(path)
+    # A next step is made of it after a run, whose own words are to be read.
+    assert settings_of(tmp_path) is None
