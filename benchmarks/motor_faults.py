@@ -12,6 +12,9 @@ Arms of public models are played on simulated Damiao motors, in simulated time. 
 one feedback frame, as text on a serial line; ``faults`` lets something happen to a motor or to the
 arm while it plays; ``stop`` looks at what falls after the stop of an arm that is held still; and
 ``clean`` plays undisturbed. A fault's run branches off the undisturbed one in a process of its own.
+
+The exit code is 1 where a damaged frame moved a joint farther than it may, or an undisturbed run
+was stopped.
 """
 
 from __future__ import annotations
@@ -54,6 +57,8 @@ MOMENTS = {
 }
 """Phases: the earliest and the latest onset after their beginning [s], and their share of runs."""
 DAMAGE_PATIENCE = 1.0
+DAMAGE_BOUND = 0.05
+"""How far a joint may get after a damaged frame [rad]."""
 PAGE = ROOT / "docs" / "damiao.md"
 PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
 PAGE_END = "<!-- end of faults -->"
@@ -181,56 +186,53 @@ def print_damage_table(outcomes: list) -> None:
     print("|---|---|---|---|---|---|---|")
     for name, group in _by_name(outcomes):
         worst = max(group, key=lambda outcome: outcome.departure)
-        stopped = sum(outcome.ending in ("stopped", "refused") for outcome in group)
+        stopped = [outcome for outcome in group if outcome.ending in ("stopped", "refused")]
         top_speed = max(outcome.top_speed for outcome in group)
-        endings = Counter(
-            _rough(outcome.words) for outcome in group if outcome.ending in ("stopped", "refused")
-        )
+        endings = Counter(_rough(outcome.words) for outcome in stopped)
         words = "; ".join(f"{count}x {text}" for text, count in endings.most_common(3))
         print(
-            f"| {name} | {len(group)} | {stopped} | {worst.departure:.3f} | {worst.phase[:12]} "
-            f"| {top_speed:.2f} | {words} |"
+            f"| {name} | {len(group)} | {len(stopped)} | {worst.departure:.3f} "
+            f"| {worst.phase[:12]} | {top_speed:.2f} | {words} |"
         )
     worst = max(outcome.departure for outcome in outcomes)
-    beyond = sum(outcome.departure > 0.05 for outcome in outcomes)
-    print(f"\nworst departure {worst:.3f} rad; {beyond} of {len(outcomes)} beyond 0.05 rad\n")
+    beyond = sum(outcome.departure > DAMAGE_BOUND for outcome in outcomes)
+    print(f"\nworst departure {worst:.3f} rad; {beyond} of {len(outcomes)} beyond {DAMAGE_BOUND}\n")
 
 
-def print_fault_table(outcomes: list) -> None:
-    """Print, by fault, the departure and the words, with the model and without."""
-    print(
-        "| fault | model | departure [rad] | others' departure [rad] | stop after [s] | top speed "
-        "[rad/s] | kinetic energy [J] | words |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
-    for name, group in _by_name(outcomes):
+_DELAY = ("stop after [s]", lambda o: "-" if o.stop_delay is None else f"{o.stop_delay:.3f}")
+_WORDS = ("words", lambda o: short_words(o.words) or o.ending)
+FAULT_COLUMNS = (
+    ("fault", lambda o: o.name),
+    ("model", lambda o: o.setup.belief if o.setup.model_is_given else "none"),
+    ("departure [rad]", lambda o: f"{o.departure:.3f}"),
+    ("others' departure [rad]", lambda o: f"{o.others_departure:.3f}"),
+    _DELAY,
+    ("top speed [rad/s]", lambda o: f"{o.top_speed:.2f}"),
+    ("kinetic energy [J]", lambda o: f"{o.kinetic:.1f}"),
+    _WORDS,
+)
+HOLD_COLUMNS = (
+    ("fault", lambda o: o.name),
+    ("kp", lambda o: f"{o.setup.kp:g}"),
+    ("pose", lambda o: str(o.setup.pose)),
+    _DELAY,
+    ("off before and after [rad]", lambda o: f"{o.departure:.3f}"),
+    ("fall after the stop [rad]", lambda o: f"{o.fall:.3f}"),
+    ("others' fall [rad]", lambda o: f"{o.others_fall:.3f}"),
+    ("others' speed [rad/s]", lambda o: f"{o.others_speed:.2f}"),
+    ("energy gained [J]", lambda o: f"{o.energy_gain:.2f}"),
+    _WORDS,
+)
+"""Columns of the tables of outcomes: their titles, and what they show of an outcome."""
+
+
+def print_table(outcomes: list, columns: Sequence[tuple]) -> None:
+    """Print a line per outcome, those of one fault together."""
+    print(f"| {' | '.join(title for title, _ in columns)} |")
+    print(f"|{'---|' * len(columns)}")
+    for _, group in _by_name(outcomes):
         for outcome in group:
-            model = outcome.setup.belief if outcome.setup.model_is_given else "none"
-            delay = "-" if outcome.stop_delay is None else f"{outcome.stop_delay:.3f}"
-            words = short_words(outcome.words) or outcome.ending
-            print(
-                f"| {name} | {model} | {outcome.departure:.3f} | {outcome.others_departure:.3f} "
-                f"| {delay} | {outcome.top_speed:.2f} | {outcome.kinetic:.1f} | {words} |"
-            )
-    print()
-
-
-def print_hold_table(outcomes: list) -> None:
-    """Print, by fault, stiffness and pose, how far the joints fall after the stop begins."""
-    print(
-        "| fault | kp | pose | stop after [s] | off before and after [rad] | fall after the stop "
-        "| others' fall | others' speed | energy gained [J] | words |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|")
-    for name, group in _by_name(outcomes):
-        for outcome in group:
-            delay = "-" if outcome.stop_delay is None else f"{outcome.stop_delay:.3f}"
-            print(
-                f"| {name} | {outcome.setup.kp:g} | {outcome.setup.pose} | {delay} "
-                f"| {outcome.departure:.3f} | {outcome.fall:.3f} | {outcome.others_fall:.3f} "
-                f"| {outcome.others_speed:.2f} | {outcome.energy_gain:.2f} "
-                f"| {short_words(outcome.words, 50) or outcome.ending} |"
-            )
+            print(f"| {' | '.join(text(outcome) for _, text in columns)} |")
     print()
 
 
@@ -279,34 +281,38 @@ def parser() -> argparse.ArgumentParser:
     return options
 
 
-def main() -> None:
-    """Run the campaigns that were asked for."""
+def main() -> int:
+    """Run the campaigns that were asked for; return the exit code."""
     chosen = parser().parse_args()
     if chosen.campaign == "page":
         write_page(chosen.jobs)
-        return
+        return 0
     is_all = chosen.campaign == "all"
+    has_failed = False
     results: dict[str, list] = {}
     if is_all or chosen.campaign == "damage":
         cases = damage_cases(chosen.arm, chosen.runs, chosen.seed)
         outcomes = print_outcomes(cases, chosen.jobs)
         print_damage_table(outcomes)
+        has_failed |= any(outcome.departure > DAMAGE_BOUND for outcome in outcomes)
         results["damage"] = [asdict(outcome) for outcome in outcomes]
     if is_all or chosen.campaign == "faults":
         cases = fault_cases(chosen.arm, chosen.belief)
         cases = [case for case in cases if chosen.only in case.name]
         outcomes = print_outcomes(cases, chosen.jobs)
-        print_fault_table(outcomes)
+        print_table(outcomes, FAULT_COLUMNS)
         results["faults"] = [asdict(outcome) for outcome in outcomes]
     if is_all or chosen.campaign == "stop":
         outcomes = print_outcomes(hold_cases(chosen.arm), chosen.jobs)
-        print_hold_table(outcomes)
+        print_table(outcomes, HOLD_COLUMNS)
         results["stop"] = [asdict(outcome) for outcome in outcomes]
     if is_all or chosen.campaign == "clean":
         results["clean"] = print_clean_runs(list(ARMS), chosen.rate or RATES, chosen.jobs)
+        has_failed |= not all(result["completed"] for result in results["clean"])
     if chosen.json:
         chosen.json.write_text(json.dumps(results, indent=1))
+    return int(has_failed)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

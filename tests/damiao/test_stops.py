@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.motor_faults import damage_cases, hold_cases
+from benchmarks.motor_faults import DAMAGE_BOUND, damage_cases, hold_cases
 from tests.support.fault_bench import outcomes_of
 
-DAMAGE_BOUND = 0.05
 DAMAGED_FRAMES = 40
 
 
