@@ -7,6 +7,7 @@ import errno
 import re
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -160,9 +161,13 @@ _FULL = (
     "the CAN bus takes no more frames because nobody acknowledges them: check the motors' power, "
     "the wiring and the termination (60 ohm between the two wires)"
 )
+# Serial lines have no check sum. A line that was damaged on its way is a lost frame; so many of
+# them within that time [s] are a bad cable.
+_MOST_GARBLED = 3
+_GARBLED_TIME = 1.0
 _GARBLED = (
-    "the adapter sent a line that is no CAN frame; check its cable and that nothing else reads "
-    "from its port"
+    f"the adapter sent {_MOST_GARBLED} lines within a second that are no CAN frames; check its "
+    "cable and that nothing else reads from its port"
 )
 # Older than any frame that waited for us: stamped by another clock [s].
 _PLAUSIBLE_AGE = 1.0
@@ -253,6 +258,7 @@ class BusLink:
     ) -> None:
         self._can = import_can()
         self._buses, self._clock, self._watch = buses, clock, watch or DriverWatch()
+        self._garbled_at: deque[float] = deque(maxlen=_MOST_GARBLED)
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise LinkError."""
@@ -290,13 +296,20 @@ class BusLink:
                 with self._watch.during():
                     message = bus.recv(max(until - self._clock.now(), 0.0))
             except (ValueError, IndexError) as error:
-                raise LinkError(f"{_GARBLED} ({words_of(error)})") from error
+                self._note_garbled(error)
+                message = None
             except (Exception, SystemExit) as error:
                 raise LinkError(f"the CAN bus cannot be read: {_said_by(error)}") from error
             if message is None and self._clock.now() >= until:
                 return None
             if message is not None and not message.is_extended_id:
                 return message
+
+    def _note_garbled(self, error: Exception) -> None:
+        now = self._clock.now()
+        self._garbled_at.append(now)
+        if len(self._garbled_at) == _MOST_GARBLED and now - self._garbled_at[0] < _GARBLED_TIME:
+            raise LinkError(f"{_GARBLED} ({words_of(error)})") from error
 
     def close(self) -> None:
         """Release the adapters; one that has been unplugged is gone anyway.

@@ -145,6 +145,25 @@ def test_whatever_a_driver_raises_is_our_error(clock, kind):
         each.close()
 
 
+def test_a_garbled_line_is_a_lost_frame_and_several_within_a_second_are_an_error(clock):
+    class Garbled(ArmBus):
+        def recv(self, timeout):
+            message = super().recv(timeout)
+            if message is not None and message.arbitration_id == 99:
+                raise ValueError("invalid literal")
+            return message
+
+    bus = Garbled(clock)
+    link = BusLink([bus], clock)
+    for _ in range(5):
+        bus.waiting = [bus.message(99), bus.message(99), bus.message(3)]
+        assert link.receive(clock.now() + 0.1).id == 3
+        assert link.receive(clock.now() + 1.0) is None
+    bus.waiting = [bus.message(99)] * 3
+    with pytest.raises(LinkError, match="3 lines within a second.*invalid literal"):
+        link.receive(clock.now() + 0.1)
+
+
 def test_a_driver_that_does_not_return_is_told_and_a_busy_one_is_not(monkeypatch):
     monkeypatch.setattr("robot_sysid.damiao.bus._LOOK", 1e-3)
     told, ended = [], threading.Event()

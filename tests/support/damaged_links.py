@@ -6,11 +6,11 @@ digits, the number of bytes in one, the bytes in two each. No check sum protects
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.protocol import frames
 
 _SPANS = {
@@ -153,9 +153,11 @@ class FaultyLink:
                 if not self._foreign_is_seen:
                     continue
                 return frame._replace(echo=False)
-            if self._is_to_be_damaged(frame):
+            if not self._is_to_be_damaged(frame):
+                return frame
+            # As ``BusLink`` does, pass over a line that is no frame.
+            with contextlib.suppress(ValueError):
                 return self._damaged(frame)
-            return frame
 
     def _is_to_be_damaged(self, frame):
         if self._damage is None or frame.echo or frame.error or len(frame.data) != 8:
@@ -171,11 +173,7 @@ class FaultyLink:
         self._damage = None
         self.damaged_at = self._clock.now()
         limit = self._joints[damage.joint].spec.limits[0]
-        line = damage.apply(slcan_line(frame), limit)
-        try:
-            return frame_of_line(line, frame)
-        except ValueError:
-            raise LinkError("the adapter sent a line that is no CAN frame") from None
+        return frame_of_line(damage.apply(slcan_line(frame), limit), frame)
 
     def command_path(self, n_joints):
         """Return the times (N,) of a joint's commands and their positions (N,), for each joint."""
