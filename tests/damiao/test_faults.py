@@ -11,6 +11,7 @@ import pytest
 from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.simulated import simulated_motor
+from tests.support.arm_pair import play_openarms
 from tests.support.damaged_links import Damage, frame_of_line, slcan_line
 from tests.support.fault_bench import Case, SetUp, loaded_joint, outcomes_of
 from tests.support.fault_lines import LINES, SHOULDER
@@ -46,6 +47,19 @@ def test_the_page_says_how_far_joints_get_and_what_is_said(outcomes):
         measured = getattr(outcomes[line.name], line.quantity)
         assert len(stated) == 1 and abs(stated[0] - measured) < 0.03, line.name
         assert line.words.replace(" (joint joint1)", "") in rows[0], rows[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("are_exchanged", [False, True])
+def test_exchanged_cables_of_two_arms_are_named_soon_after_they_leave_a_symmetric_pose(
+    tmp_path, are_exchanged
+):
+    record = play_openarms(tmp_path, are_exchanged)
+    times = {phase.split(" (")[0]: begin for begin, phase in record.phases}
+    assert ("cables of two arms exchanged" in record.words) == are_exchanged
+    assert bool(record.words) == are_exchanged
+    if are_exchanged:
+        assert times["stopping"] - times["playing"] < 1.5
 
 
 # --- the bench itself ---------------------------------------------------------------------------
