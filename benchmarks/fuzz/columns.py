@@ -9,7 +9,7 @@ from random import Random
 
 from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged, damaged_json, damaged_table, odd
-from robot_sysid.damiao.protocol.joints import damiao_joints, mapped, read_joint_map
+from robot_sysid.damiao.protocol.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.logs.formats.table import LogTable, pieces_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import open_log
@@ -69,7 +69,7 @@ def use(case: Case, folder: Path) -> None:
             joint_factors(path, log_files.JOINTS[:1], table)
     elif name == "map.csv":
         joints = damiao_joints(["DM4340"] * 3, 3)
-        mapped(joints, read_joint_map(path), ("can0", "can1"), log_files.JOINTS)
+        map_joints(joints, read_joint_map(path), ("can0", "can1"), log_files.JOINTS)
     else:
         titles = ("", "<script>", *_log().titles[2:]) if len(case[name]) % 50 == 0 else None
         table = dataclasses.replace(_log(), titles=titles) if titles else _log()

@@ -13,17 +13,28 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao import bus, preflight
-from robot_sysid.damiao import inspection as asked
 from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.centring import Centring, SamplingRipple
+from robot_sysid.damiao.inspection import (
+    InspectedMotor,
+    Inspection,
+    RegisterClient,
+    watchdogs_set_to,
+)
 from robot_sysid.damiao.player import Player, PlayReport
 from robot_sysid.damiao.preflight import Check, Plan
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, mapped, read_joint_map
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, map_joints, read_joint_map
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
-from robot_sysid.damiao.references import STRAIGHT, FileHolding, HoldingCheck, alongside, sampled
+from robot_sysid.damiao.references import (
+    STRAIGHT,
+    FileHolding,
+    HoldingCheck,
+    alongside,
+    reference_along,
+)
 from robot_sysid.damiao.safety.bounds import Overload
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.session import MotorSession
@@ -44,10 +55,12 @@ class MotorRun:
     """
 
     def __init__(self, values: Mapping[str, Any], tell: bus.Told) -> None:
-        self.values, self._tell, self.clock = values, tell, bus.SystemClock()
+        self.values = values
+        self.clock = bus.SystemClock()
+        self._tell = tell
         self.address = record_from(bus.BusAddress, values)
         self.timing = record_from(BusTiming, values)
-        self._known: dict[tuple[bytes, bytes], tuple[str, str]] = {}
+        self._order_between: dict[tuple[bytes, bytes], tuple[str, str]] = {}
 
     def plan(self) -> Plan:
         """Return the trajectory and how to play it."""
@@ -59,21 +72,23 @@ class MotorRun:
                     f"{file.path} has {file.n_joints} joints but the chain of {robot.path} has "
                     f"{robot.n_joints}: {', '.join(robot.joint_names)}"
                 )
-        trajectory = motion.together(*files) if self._two else files[0]
-        return self._planned(replace(trajectory, joints=self._mounted(trajectory.joints)))
+        trajectory = motion.together(*files) if self._has_two_arms else files[0]
+        mounted = replace(trajectory, joints=self._with_joint_map(trajectory.joints))
+        return self._plan_of(mounted)
 
     @cached_property
-    def _two(self) -> bool:
+    def _has_two_arms(self) -> bool:
         """Whether both arms of the model are meant."""
-        second, values = record_from(SecondArm, self.values), self.values
+        values = self.values
+        second = record_from(SecondArm, values)
         if second.also is None and second.also_joint and values.get("trajectory") is not None:
             raise InputError("--also-joint is about a second arm; add --also")
-        named = second.also_joint and values.get("model") and values.get("joint")
-        if (second.also or second.also_joint) and not named:
+        is_named = second.also_joint and values.get("model") and values.get("joint")
+        if (second.also or second.also_joint) and not is_named:
             raise InputError("two arms need --model, --joint and --also-joint: which they are")
         return second.also_joint is not None
 
-    def hold_plan(self, inspection: asked.Inspection) -> Plan:
+    def hold_plan(self, inspection: Inspection) -> Plan:
         """Return how the arm is held for a second where it stands, by torques of its model.
 
         The motors' types are those that their registers agree with. HardwareAbort where a motor
@@ -81,25 +96,35 @@ class MotorRun:
         """
         from robot_sysid.damiao.model_check import gravity_check
 
-        joints, places = [], []
+        joints = []
+        motor_positions = []
         plain = [DamiaoJoint("", k, 0) for k in range(1, self.robot.n_joints + 1)]
-        for joint in self._mounted(plain):
+        for joint in self._with_joint_map(plain):
             motor = inspection.motors.get(joint.address)
             types = matching_types(motor.limits) if motor else ()
             if motor is None or not types or motor.feedback is None:
-                lacks = "does not tell its state" if types else "is of no known type"
-                said = lacks if motor else "does not answer"
-                raise HardwareAbort(f"{joint.label} {said}; see robot-sysid motors check")
+                reason = "does not tell its state" if types else "is of no known type"
+                if motor is None:
+                    reason = "does not answer"
+                raise HardwareAbort(f"{joint.label} {reason}; see robot-sysid motors check")
             master = joint.master_id or motor.master_id
             joints.append(replace(joint, motor_type=types[0], master_id=master))
-            places.append(motor.position)
-        q = JointSpace.of(joints).joint_position(np.array(places))
-        still, torque = np.zeros((2, len(q))), gravity_check(self.robot, tuple(joints)).torque(q)
-        rows = np.arange(2), np.array([0.0, 1.0]), still + q, still, still + torque
-        still_there = DamiaoTrajectory(Path("holding"), tuple(joints), *rows, both=self._two)
-        return self._planned(still_there)
+            motor_positions.append(motor.position)
+        q = JointSpace.of(joints).joint_position(np.array(motor_positions))
+        torque = gravity_check(self.robot, tuple(joints)).torque(q)
+        at_rest = DamiaoTrajectory(
+            Path("holding"),
+            tuple(joints),
+            line=np.arange(2),
+            time=np.array([0.0, 1.0]),
+            q=np.tile(q, (2, 1)),
+            qd=np.zeros((2, len(q))),
+            tau=np.tile(torque, (2, 1)),
+            both=self._has_two_arms,
+        )
+        return self._plan_of(at_rest)
 
-    def _planned(self, trajectory: DamiaoTrajectory) -> Plan:
+    def _plan_of(self, trajectory: DamiaoTrajectory) -> Plan:
         inertia = None
         ripple = None
         model_range = None
@@ -124,17 +149,17 @@ class MotorRun:
 
     def _limits(self) -> LimitOptions:
         """Return what holds for all that moves; InputError where only a model could tell."""
-        asked = {key: self.values[key] for key in motion.LIMITS if key in self.values}
+        limits = {key: self.values[key] for key in motion.LIMITS if key in self.values}
         for key in motion.MODEL_LIMITS if self.robot is None else ():
-            if key in asked:
+            if key in limits:
                 raise InputError(f"--{key.replace('_', '-')} is about a model; add --model")
         free = {"max_velocity": motion.NO_LIMITS.max_velocity, "clearance": 0.0, "below_base": True}
-        return record_from(LimitOptions, {**free, **asked})
+        return record_from(LimitOptions, {**free, **limits})
 
-    def _mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
+    def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         names = self.robot.joint_names if self.robot else ()
         if self.rows:
-            return mapped(joints, self.rows, self.channels, names)
+            return map_joints(joints, self.rows, self.channels, names)
         if not names:
             return tuple(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
@@ -154,31 +179,31 @@ class MotorRun:
 
     def checks(self, plan: Plan) -> list[Check]:
         """Return the checks that need no bus, those of a model of the arm included."""
-        own = [*preflight.plan_checks(plan), *preflight.limit_checks(plan)]
+        checks = [*preflight.plan_checks(plan), *preflight.limit_checks(plan)]
         if self.robot is None:
-            for given in given_options(record_from(ModelOptions, self.values)):
-                raise InputError(f"{given.flag} is about a model; add --model")
-            return own
+            for model_option in given_options(record_from(ModelOptions, self.values)):
+                raise InputError(f"{model_option.flag} is about a model; add --model")
+            return checks
         from robot_sysid.damiao.model_check import model_checks, torque_checks, way_check
 
-        fits = [*model_checks(plan, self._contacts)]
+        checks += model_checks(plan, self._contacts)
         if plan.pose is not None:
-            *_, (words, begin, end) = plan.ways(plan.trajectory.q[0])
-            fits += way_check(words, *self._order(begin, end))
-        return [*own, *fits, *torque_checks(plan.trajectory, plan.settings, self.robot)]
+            *_, (name, begin, end) = plan.ways(plan.trajectory.q[0])
+            checks += way_check(name, *self._order(begin, end))
+        return [*checks, *torque_checks(plan.trajectory, plan.settings, self.robot)]
 
-    def orders(self, plan: Plan, here: Array) -> tuple[str, ...]:
-        """Return in which order joints go on each way of an arm at ``here`` (n,) [rad]."""
-        return tuple(self._order(begin, end)[0] for _, begin, end in plan.ways(here))
+    def orders(self, plan: Plan, q: Array) -> tuple[str, ...]:
+        """Return in which order joints go on each way of an arm that is at q (n,) [rad]."""
+        return tuple(self._order(begin, end)[0] for _, begin, end in plan.ways(q))
 
     def _order(self, begin: Array, end: Array) -> tuple[str, str]:
         """Return ``Contacts.order``, which is asked for by the checks and by the run."""
         if self.robot is None:
             return STRAIGHT, ""
         key = begin.tobytes(), end.tobytes()
-        if key not in self._known:
-            self._known[key] = self._contacts.order(begin, end)
-        return self._known[key]
+        if key not in self._order_between:
+            self._order_between[key] = self._contacts.order(begin, end)
+        return self._order_between[key]
 
     @cached_property
     def _contacts(self) -> Any:
@@ -187,35 +212,37 @@ class MotorRun:
 
         return Contacts(self.robots, self._limits())
 
-    def met_checks(
-        self, plan: Plan, inspection: asked.Inspection, real: bool = True
-    ) -> list[Check]:
+    def met_checks(self, plan: Plan, inspection: Inspection, real: bool = True) -> list[Check]:
         """Return what motors that were met say, and whether ``real`` ones turn as they should."""
-        checks, here = preflight.bus_checks(plan, inspection), plan.places(inspection)
-        if np.all(np.isfinite(here)):
-            checks += preflight.limit_checks(plan, here, self.orders(plan, here))
-            for words, begin, end in plan.ways(here) if self.robot is not None else ():
+        checks = preflight.bus_checks(plan, inspection)
+        q = plan.joint_positions(inspection)
+        if np.all(np.isfinite(q)):
+            checks += preflight.limit_checks(plan, q, self.orders(plan, q))
+            for name, begin, end in plan.ways(q) if self.robot is not None else ():
                 from robot_sysid.damiao.model_check import way_check
 
                 # The way to a pose begins where the trajectory ends, and was checked without a bus.
-                if begin is here or end is here:
-                    checks += way_check(words, *self._order(begin, end))
-        return [*checks, *(preflight.direction_checks(plan, self.holding(plan)) if real else ())]
+                if begin is q or end is q:
+                    checks += way_check(name, *self._order(begin, end))
+        if real:
+            checks += preflight.direction_checks(plan, self.holding(plan))
+        return checks
 
     def play(
         self,
         link: bus.GuardedLink,
         plan: Plan,
-        inspection: asked.Inspection,
+        inspection: Inspection,
         stop: StopRequest,
         on_phase: Callable[[str], None],
         on_progress: Callable[[float], None],
     ) -> PlayReport:
         """Play a plan, as the model says; signals ask for a stop. For the arguments see ``run``."""
         with stop.on_signals():
-            by_model = self.holding(plan), self.orders(plan, plan.places(inspection))
+            holding = self.holding(plan)
+            orders = self.orders(plan, plan.joint_positions(inspection))
             try:
-                return run(link, plan, inspection, stop, on_phase, on_progress, *by_model)
+                return run(link, plan, inspection, stop, on_phase, on_progress, holding, orders)
             except Overload as error:
                 if self.robot is None:
                     raise
@@ -235,12 +262,12 @@ class MotorRun:
             return None
         from robot_sysid.damiao.model_check import gravity_check
 
-        return gravity_check(self.robot, plan.trajectory.joints, not self._two)
+        return gravity_check(self.robot, plan.trajectory.joints, not self._has_two_arms)
 
     @cached_property
     def robot(self) -> Any:
         """The arm of the model file, or both as one; None without a model."""
-        if not self._two:
+        if not self._has_two_arms:
             return self.robots[0] if self.robots else None
         from robot_sysid.motion.limit_check import as_one
 
@@ -253,11 +280,16 @@ class MotorRun:
             return ()
         from robot_sysid.parser import load_robot_model
 
-        chosen, other = record_from(ModelOptions, self.values), self.values.get("also_joint")
-        terminals = (chosen.joint, other) if self._two else (chosen.joint,)
-        rest = float("inf"), chosen.keyframe
-        load = partial(load_robot_model, self.values["model"], chosen.mesh_dir)
-        arms = tuple(load(joint, *rest) for joint in terminals)
+        model = record_from(ModelOptions, self.values)
+        terminals = [model.joint]
+        if self._has_two_arms:
+            terminals.append(self.values.get("also_joint"))
+        path = self.values["model"]
+        no_limit = float("inf")
+        arms = tuple(
+            load_robot_model(path, model.mesh_dir, joint, no_limit, model.keyframe)
+            for joint in terminals
+        )
         names = [name for arm in arms for name in arm.joint_names]
         for name in (name for name in names if names.count(name) > 1):
             raise InputError(f"--joint and --also-joint are of one arm: both move {name}")
@@ -269,11 +301,11 @@ class MotorRun:
             raise InputError("a simulated arm needs a model; add --model")
         from robot_sysid.simulation.forward_dynamics import ArmStepper
 
-        motors = [simulated_motor(each, watchdog) for each in plan.trajectory.joints]
+        motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
         return SimulatedArm(ArmStepper(self.robot, plan.trajectory.q[0], *timestep), motors)
 
     @contextlib.contextmanager
-    def simulated(self, arm: SimulatedArm) -> Iterator[bus.GuardedLink]:
+    def simulated_bus(self, arm: SimulatedArm) -> Iterator[bus.GuardedLink]:
         """Open a bus with a simulated arm on it, in simulated time."""
         clock = bus.SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
@@ -303,7 +335,7 @@ def lasting(plan: Plan, seconds: float) -> Plan:
 def run(
     link: bus.GuardedLink,
     plan: Plan,
-    inspection: asked.Inspection,
+    inspection: Inspection,
     stop: StopRequest,
     on_phase: Callable[[str], None],
     on_progress: Callable[[float], None],
@@ -322,39 +354,48 @@ def run(
     """
     checks = [*preflight.plan_checks(plan), *preflight.bus_checks(plan, inspection)]
     preflight.require_no_stop(checks, "not played")
-    held, n, pose = _held(plan, inspection), plan.trajectory.n_joints, plan.pose
-    joints = (*plan.trajectory.joints, *held)
+    n = plan.trajectory.n_joints
+    held_joints = _held_joints(plan, inspection)
+    joints = (*plan.trajectory.joints, *held_joints)
     motors = [inspection.motors[joint.address] for joint in joints]
     scaling = Scaling(motor.limits for motor in motors)
-    places = np.array([motor.position for motor in motors[n:]])
-    session = MotorSession(link, joints, scaling, plan.command_range(places))
-    settings = _with_held(plan, held)
-    park = settings.park if pose is None else np.concatenate([pose, places])
-    console, written = Aside(link.clock.live), Aside(link.clock.live)
-    told = (
-        lambda text: console(partial(on_phase, text)),
-        lambda time: console.if_idle(partial(on_progress, time)),
-    )
+    held_positions = np.array([motor.position for motor in motors[n:]])
+    session = MotorSession(link, joints, scaling, plan.command_range(held_positions))
+    settings = _settings_with(plan, held_joints)
+    park = settings.park if plan.pose is None else np.concatenate([plan.pose, held_positions])
+    console = Aside(link.clock.live)
+    writer = Aside(link.clock.live)
     try:
         with contextlib.ExitStack() as stack:
-            recorder = stack.enter_context(_recorder(link, plan, motors, written))
-            if plan.allowed.watchdog is not None:
-                client, seconds = asked.RegisterClient(link), plan.allowed.watchdog
-                stack.enter_context(asked.watchdogs_set_to(client, motors, seconds, session.is_off))
+            recorder = stack.enter_context(_recorder(link, plan, motors, writer))
+            watchdog = plan.allowed.watchdog
+            if watchdog is not None:
+                client = RegisterClient(link)
+                stack.enter_context(watchdogs_set_to(client, motors, watchdog, session.is_off))
             stack.enter_context(session)
-            carried = holding or FileHolding(plan.trajectory)
-            player = Player(session, settings, stop, recorder, *told, park, carried, orders)
-            own = sampled(plan.trajectory, settings.speed)
-            report = player.play(alongside(own, places), plan.duration)
+            holding = holding or FileHolding(plan.trajectory)
+            player = Player(
+                session,
+                settings,
+                stop,
+                recorder,
+                lambda text: console(partial(on_phase, text)),
+                lambda time: console.if_idle(partial(on_progress, time)),
+                park,
+                holding,
+                orders,
+            )
+            reference = reference_along(plan.trajectory, settings.speed)
+            report = player.play(alongside(reference, held_positions), plan.duration)
     finally:
         console.finish()
-    _require_told(console, written)
-    if finding := carried.review(report.track):
+    _require_complete(console, writer)
+    if finding := holding.review(report.track):
         raise SysidError(f"the trajectory was played and all motors are disabled, but {finding}")
     return replace(report, missed=report.missed[:n], worst_tracking=report.worst_tracking[:n])
 
 
-def _held(plan: Plan, inspection: asked.Inspection) -> tuple[DamiaoJoint, ...]:
+def _held_joints(plan: Plan, inspection: Inspection) -> tuple[DamiaoJoint, ...]:
     """Return the motors outside the trajectory that are to be held, as joints of known types."""
     if plan.settings.others != "hold":
         return ()
@@ -365,29 +406,36 @@ def _held(plan: Plan, inspection: asked.Inspection) -> tuple[DamiaoJoint, ...]:
     )
 
 
-def _with_held(plan: Plan, held: Sequence[DamiaoJoint]) -> PlaySettings:
-    """Return settings with gains for the held motors behind those of the trajectory's joints."""
-    own = plan.settings
-    usual = PlaySettings(rate=own.rate).for_motors([j.spec for j in held], plan.timing)
-    each = ("kp", "kd", "max_torque_error")
-    return replace(own, **{name: getattr(own, name) + getattr(usual, name) for name in each})
+def _settings_with(plan: Plan, held_joints: Sequence[DamiaoJoint]) -> PlaySettings:
+    """Return settings with gains for held motors behind those of the trajectory's joints."""
+    settings = plan.settings
+    specs = [joint.spec for joint in held_joints]
+    held = PlaySettings(rate=settings.rate).for_motors(specs, plan.timing)
+    return replace(
+        settings,
+        kp=settings.kp + held.kp,
+        kd=settings.kd + held.kd,
+        max_torque_error=settings.max_torque_error + held.max_torque_error,
+    )
 
 
-def _require_told(console: Aside, written: Aside) -> None:
-    """Raise SysidError where something went wrong beside a run that went well."""
-    for what, aside in (("the recording is not complete", written), ("cannot print", console)):
+def _require_complete(console: Aside, writer: Aside) -> None:
+    """Raise SysidError where a run went well, and recording or telling about it did not."""
+    for aside, problem in ((writer, "the recording is not complete"), (console, "cannot print")):
         if aside.failure is not None:
             raise SysidError(
                 "the trajectory was played and all motors are disabled, but "
-                f"{what}: {words_of(aside.failure)}"
+                f"{problem}: {words_of(aside.failure)}"
             )
 
 
 @contextlib.contextmanager
 def _recorder(
-    link: bus.GuardedLink, plan: Plan, motors: Sequence[asked.InspectedMotor], aside: Aside
+    link: bus.GuardedLink, plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
-    path, record, played = plan.recording.frames, plan.recording.record, plan.trajectory
+    path = plan.recording.frames
+    record = plan.recording.record
+    played = plan.trajectory
     if path is None:
         yield None
         return
@@ -398,5 +446,8 @@ def _recorder(
     with contextlib.ExitStack() as stack:
         frames = stack.enter_context(bus.RawFrameLog(path, link))
         centring = Centring(plan.settings.period, plan.ripple)
-        how = names, aside, centring, frames, plan.recording.overwrite or record is None
-        yield stack.enter_context(MeasurementRecorder(record or Path(os.devnull), head, *how))
+        may_replace = plan.recording.overwrite or record is None
+        file = record or Path(os.devnull)
+        yield stack.enter_context(
+            MeasurementRecorder(file, head, names, aside, centring, frames, may_replace)
+        )

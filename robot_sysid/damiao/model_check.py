@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check, Plan
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
-from robot_sysid.damiao.references import ORDERS, STRAIGHT, HoldingCheck, passed, torque_doubt
+from robot_sysid.damiao.references import (
+    ORDERS,
+    STRAIGHT,
+    HoldingCheck,
+    poses_between,
+    torque_doubt,
+)
 from robot_sysid.damiao.safety.zeros import describe_moved_zero
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
@@ -48,10 +54,13 @@ class SampledTrajectory:
     """A motor trajectory as a motion plan, at a share of its speed, with the slope between rows."""
 
     def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
-        self.q, self.tau, self.qd = trajectory.q, trajectory.tau, speed * trajectory.qd
         self.time = (trajectory.time - trajectory.time[0]) / speed
+        self.q = trajectory.q
+        self.qd = speed * trajectory.qd
+        self.tau = trajectory.tau
         self.slope = np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
-        self.duration, self.n_joints = float(self.time[-1]), trajectory.n_joints
+        self.duration = float(self.time[-1])
+        self.n_joints = trajectory.n_joints
 
     def evaluate(self, time: Array) -> Motion:
         """Return the motion at times (N,) [s]; the acceleration is left at zero."""
@@ -65,10 +74,11 @@ class Contacts:
     """Where the arms of a model touch themselves, each other, what is around them, or planes."""
 
     def __init__(self, arms: Sequence[RobotModel], limits: LimitOptions = NO_LIMITS) -> None:
-        self.arms, self.between = arms, BetweenArms(*arms) if len(arms) > 1 else None
+        self.arms = arms
+        self.between = BetweenArms(*arms) if len(arms) > 1 else None
         self.problems = [build_problem(robot, limits) for robot in arms]
         ends = np.cumsum([0, *(robot.n_joints for robot in arms)]).tolist()
-        self.own = [slice(*each) for each in zip(ends, ends[1:])]
+        self.joints_of_arms = [slice(begin, end) for begin, end in zip(ends, ends[1:])]
         """Which of all joints are those of each arm."""
 
     def order(self, begin: Array, end: Array) -> tuple[str, str]:
@@ -76,20 +86,23 @@ class Contacts:
 
         "" where in none; and what touches on the straight way, "" where nothing does.
         """
-        found = [self._on_the_way(passed(begin, end, STRAIGHT))]
-        if found[0] and np.max(np.abs(end - begin)) > _THERE:
-            found += (self._on_the_way(passed(begin, end, order)) for order in ORDERS[1:])
-            return next((o for o, touching in zip(ORDERS, found) if not touching), ""), found[0]
-        return STRAIGHT, ""
+        touching = self._contact_between(poses_between(begin, end, STRAIGHT))
+        if not touching or np.max(np.abs(end - begin)) <= _THERE:
+            return STRAIGHT, ""
+        for order in ORDERS[1:]:
+            if not self._contact_between(poses_between(begin, end, order)):
+                return order, touching
+        return "", touching
 
-    def _on_the_way(self, poses: Sequence[Array]) -> str:
+    def _contact_between(self, poses: Sequence[Array]) -> str:
+        """Return what touches on straight lines between poses (n,), "" where nothing does."""
         for begin, end in zip(poses, poses[1:]):
-            for problem, own in zip(self.problems, self.own):
-                touched = first_contact(problem, straight_way(begin[own], end[own]))
-                if touched is not None:
-                    return touched.label
-            way = straight_way(begin, end)
-            if self.between is not None and self.between.touch_at(way) is not None:
+            for problem, joints in zip(self.problems, self.joints_of_arms):
+                contact = first_contact(problem, straight_way(begin[joints], end[joints]))
+                if contact is not None:
+                    return contact.label
+            line = straight_way(begin, end)
+            if self.between is not None and self.between.touch_at(line) is not None:
                 return "arms"
         return ""
 
@@ -106,27 +119,29 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     played = plan.trajectory
     speed = plan.settings.speed
     excesses: list[str] = []
-    for robot, problem, own in zip(contacts.arms, contacts.problems, contacts.own):
-        part = {name: getattr(played, name)[:, own] for name in ("q", "qd", "tau")}
-        motion = SampledTrajectory(replace(played, joints=played.joints[own], **part), speed)
+    for robot, problem, joints in zip(contacts.arms, contacts.problems, contacts.joints_of_arms):
+        columns = {name: getattr(played, name)[:, joints] for name in ("q", "qd", "tau")}
+        of_arm = replace(played, joints=played.joints[joints], **columns)
+        motion = SampledTrajectory(of_arm, speed)
         excesses += _joint_excesses(robot, motion)
-        if (touched := first_contact(problem, motion)) is not None:
-            excesses.append(f"the model's {touched.label} touch at {touched.time:.2f} s")
+        if (contact := first_contact(problem, motion)) is not None:
+            excesses.append(f"the model's {contact.label} touch at {contact.time:.2f} s")
     if excesses:
         remedy = _smaller_motion_remedy(played, contacts.arms[0])
         excesses = [f"{excess}; {remedy}" for excess in excesses]
     if plan.pose is not None:
-        for robot, own in zip(contacts.arms, contacts.own):
-            excesses += _beyond(robot, plan.pose[own])
-    whole = SampledTrajectory(played, speed)
+        for robot, joints in zip(contacts.arms, contacts.joints_of_arms):
+            excesses += _pose_excesses(robot, plan.pose[joints])
+    both_arms = SampledTrajectory(played, speed)
     between = contacts.between
-    if between is not None and (at := between.touch_at(whole)) is not None:
+    if between is not None and (at := between.touch_at(both_arms)) is not None:
         excesses.append(f"the arms touch while both move, at {at:.2f} s; play one after the other")
     yield from (Check(STOP, excess) for excess in excesses)
     if not excesses:
-        apart = ", and the arms apart" if len(contacts.arms) > 1 else ""
         name = contacts.arms[0].path.name
-        yield Check(OK, f"the trajectory stays within the limits of {name}{apart}")
+        if len(contacts.arms) > 1:
+            name += ", and the arms apart"
+        yield Check(OK, f"the trajectory stays within the limits of {name}")
 
 
 def _smaller_motion_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> str:
@@ -141,17 +156,25 @@ def _smaller_motion_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> s
     return f"{remedy}: {shlex.join(command)}"
 
 
-def way_check(words: str, order: str, touching: str) -> Iterator[Check]:
-    """Yield where arms touch something on a straight way, and how they go instead, if they can."""
+def way_check(name: str, order: str, touching: str) -> Iterator[Check]:
+    """Yield where arms touch something on a straight way, and how they go instead, if they can.
+
+    Args:
+        name: of the way, see ``Plan.ways``.
+        order: in which of ``ORDERS`` it is free; "" where in none.
+        touching: what touches on the straight way; "" where nothing does.
+    """
     if not touching:
         return
-    said = f"{words} the model's {touching} touch if it goes straight"
-    remedy = "choose another --park" if "parked" in words else "bring the arm nearer by hand"
-    stop = f"{said}, and joint by joint something touches too; {remedy}"
-    yield Check(NOTE, f"{said}: it goes {order}") if order else Check(STOP, stop)
+    finding = f"{name} the model's {touching} touch if it goes straight"
+    if order:
+        yield Check(NOTE, f"{finding}: it goes {order}")
+        return
+    remedy = "choose another --park" if "parked" in name else "bring the arm nearer by hand"
+    yield Check(STOP, f"{finding}, and joint by joint something touches too; {remedy}")
 
 
-def _beyond(robot: RobotModel, pose: Array) -> Iterator[str]:
+def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
     limits = zip(robot.joint_names, pose, robot.limits.lower, robot.limits.upper)
     for j, (name, q, lower, upper) in enumerate(limits):
         if not lower - _ROUNDING <= q <= upper + _ROUNDING:
@@ -162,27 +185,30 @@ def _beyond(robot: RobotModel, pose: Array) -> Iterator[str]:
 
 
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
-    own, shown = robot.limits, np.zeros_like(motion.qd)
     # Up to the next row, if the positions show more than the velocities say.
-    shown[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
-    for what, sign, values, limits in (
-        ("position", 1.0, motion.q, own.upper),
-        ("position", -1.0, motion.q, own.lower),
-        ("velocity", 1.0, np.maximum(np.abs(motion.qd), shown), own.velocity),
-        ("torque", 1.0, np.abs(motion.tau), own.torque),
+    slope = np.zeros_like(motion.qd)
+    slope[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
+    limits = robot.limits
+    for quantity, sign, values, bounds in (
+        ("position", 1.0, motion.q, limits.upper),
+        ("position", -1.0, motion.q, limits.lower),
+        ("velocity", 1.0, np.maximum(np.abs(motion.qd), slope), limits.velocity),
+        ("torque", 1.0, np.abs(motion.tau), limits.torque),
     ):
         for j, row in enumerate(np.argmax(sign * values, axis=0)):
-            value, limit = values[row, j], limits[j]
-            if sign * value > sign * limit + _ROUNDING * max(abs(limit), 1.0):
+            value = values[row, j]
+            bound = bounds[j]
+            if sign * value > sign * bound + _ROUNDING * max(abs(bound), 1.0):
                 yield (
-                    f"joint {robot.joint_names[j]}: {what} {value:.4g} {_unit(what, robot, j)} is "
-                    f"beyond the model's limit {limit:g}, at {motion.time[row]:.2f} s"
+                    f"joint {robot.joint_names[j]}: {quantity} {value:.4g} "
+                    f"{_unit(quantity, robot, j)} is beyond the model's limit {bound:g}, at "
+                    f"{motion.time[row]:.2f} s"
                 )
 
 
-def _unit(what: str, robot: RobotModel, joint: int) -> str:
+def _unit(quantity: str, robot: RobotModel, joint: int) -> str:
     length, force = ("m", "N") if robot.is_slide[joint] else ("rad", "N m")
-    return {"position": length, "velocity": f"{length}/s", "torque": force}[what]
+    return {"position": length, "velocity": f"{length}/s", "torque": force}[quantity]
 
 
 # How far feed-forward torque is off, of what its motion needs (rms): 1 where there is none, 2 with
@@ -197,13 +223,15 @@ def torque_checks(
     played = SampledTrajectory(trajectory, settings.speed)
     qdd = settings.speed**2 * _accelerations(trajectory)
     needed = ArmTorque(robot)(Motion(played.time, played.q, played.qd, qdd))
-    most = np.abs(needed).max(axis=0)
+    peak = np.abs(needed).max(axis=0)
     joints = trajectory.joints
     strongest = np.array([j.spec.peak_torque * j.torque_ratio for j in joints])
-    for j in np.flatnonzero(most > strongest).tolist():
-        said = f"the motion needs {most[j]:.1f} N m and its motor makes {strongest[j]:g} at most"
-        remedy = f"{CANNOT_FOLLOW}, {weighing_remedy(trajectory, robot)}"
-        yield Check(STOP, f"{joints[j].label}: {said}; {remedy}")
+    for j in np.flatnonzero(peak > strongest).tolist():
+        yield Check(
+            STOP,
+            f"{joints[j].label}: the motion needs {peak[j]:.1f} N m and its motor makes "
+            f"{strongest[j]:g} at most; {CANNOT_FOLLOW}, {weighing_remedy(trajectory, robot)}",
+        )
     yield from _foreign_torque_checks(trajectory, robot)
     lacking = np.abs(needed - trajectory.tau).max(axis=0)
     for j in np.flatnonzero(lacking > np.array(settings.max_torque_error)).tolist():
@@ -351,8 +379,8 @@ def gravity_check(
     arm = ArmTorque(robot)
 
     def holding(q: Array) -> Array:
-        still = np.zeros((1, len(q)))
-        return np.asarray(arm(Motion(np.zeros(1), q[None], still, still))[0])
+        zero = np.zeros((1, len(q)))
+        return np.asarray(arm(Motion(np.zeros(1), q[None], zero, zero))[0])
 
     stepper = ArmStepper(robot)
     gravity = np.array(robot.mj_model.opt.gravity)

@@ -30,14 +30,18 @@ from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
 
-OK, NOTE, STOP = "ok", "note", "stop"
+OK = "ok"
+NOTE = "note"
+STOP = "stop"
 # A quarter of the speed at which an arm goes to its first point [rad/s].
 _REST_SPEED = 0.05
 # A motor whose answer is missing gets no command for some cycles; twice that, and both ends.
 _LEAST_WATCHDOG_CYCLES = 2 + 2 * PAUSE
 # Judgements [s]: half a second lets an arm that nobody commands fall or run a quarter of its
 # range; nobody waits five for a stop; and no run needs a watchdog above one.
-_LONG_WATCHDOG, _NO_WATCHDOG, _LONGEST_SET_WATCHDOG = 0.5, 5.0, 1.0
+_LONG_WATCHDOG = 0.5
+_NO_WATCHDOG = 5.0
+_LONGEST_SET_WATCHDOG = 1.0
 # Share of a control cycle within which all answers have to be there: the player waits that long.
 _ANSWER_SHARE = 0.9
 # Speed that one step of torque may give a joint within a cycle [rad/s]: a judgement, a third of
@@ -57,7 +61,8 @@ class Check:
     text: str
 
 
-_note, _stop = partial(Check, NOTE), partial(Check, STOP)
+_note = partial(Check, NOTE)
+_stop = partial(Check, STOP)
 
 
 def _first(*table: tuple[str, object, str]) -> Check:
@@ -129,18 +134,19 @@ class Plan:
     @property
     def pose(self) -> Array | None:
         """Positions (n,) in which to leave the arm [rad]; None where --park names no file."""
-        where, n = self.settings.park, self.trajectory.n_joints
-        if where in (None, "rest", "start"):
+        park = self.settings.park
+        n = self.trajectory.n_joints
+        if park in (None, "rest", "start"):
             return None
         try:
-            cells = Path(str(where)).read_text(encoding="utf-8-sig").split(",")
+            cells = Path(str(park)).read_text(encoding="utf-8-sig").split(",")
             pose = np.array([float(cell) for cell in cells])
         except (OSError, ValueError) as error:
             raise InputError(
-                f"--park takes rest, start or a file with a line of {n} positions; {where}: {error}"
+                f"--park takes rest, start or a file with a line of {n} positions; {park}: {error}"
             ) from None
         if pose.shape != (n,) or not np.all(np.isfinite(pose)):
-            raise InputError(f"{where} has to hold {n} positions in one line, separated by commas")
+            raise InputError(f"{park} has to hold {n} positions in one line, separated by commas")
         return pose
 
     def command_range(self, held: Array) -> CommandRange:
@@ -156,47 +162,51 @@ class Plan:
         slope = np.diff(played.q, axis=0) / np.diff(played.time)[:, None]
         fastest = np.maximum(np.abs(slope).max(axis=0), np.abs(played.qd).max(axis=0))
         speed = np.maximum(self.settings.speed * fastest, self.settings.approach_speed)
-        still = np.full_like(held, self.settings.approach_speed)
+        held_speed = np.full_like(held, self.settings.approach_speed)
         return CommandRange(
-            np.append(lower, held), np.append(upper, held), _SPEED_ROOM * np.append(speed, still)
+            np.append(lower, held),
+            np.append(upper, held),
+            _SPEED_ROOM * np.append(speed, held_speed),
         )
 
-    def ways(self, here: Array) -> Iterator[tuple[str, Array, Array]]:
-        """Yield from where to where (n,) an arm at ``here`` goes to begin and to park [rad]."""
-        rest = here if self.settings.park == "start" else self.pose
-        yield "on the way to the first point", here, self.trajectory.q[0]
-        if rest is not None:
-            yield "on the way to where it is parked", self.trajectory.q[-1], rest
+    def ways(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
+        """Yield name, begin and end (n,) of the ways of an arm at q (n,) to begin and to park."""
+        parked = q if self.settings.park == "start" else self.pose
+        yield "on the way to the first point", q, self.trajectory.q[0]
+        if parked is not None:
+            yield "on the way to where it is parked", self.trajectory.q[-1], parked
 
-    def places(self, inspection: Inspection) -> Array:
+    def joint_positions(self, inspection: Inspection) -> Array:
         """Return where the joints stand (n,) [rad]; NaN where a motor does not tell."""
-        joints, motors = self.trajectory.joints, inspection.motors
-        told = [motors[j.address].position if j.address in motors else np.nan for j in joints]
-        return JointSpace.of(joints).joint_position(np.array(told))
+        joints = self.trajectory.joints
+        motors = inspection.motors
+        positions = [motors[j.address].position if j.address in motors else np.nan for j in joints]
+        return JointSpace.of(joints).joint_position(np.array(positions))
 
     def others(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
         """Return the motors that answer but drive no joint of the trajectory."""
-        known = {joint.address for joint in self.trajectory.joints}
-        return tuple(m for address, m in sorted(inspection.motors.items()) if address not in known)
+        addresses = {joint.address for joint in self.trajectory.joints}
+        motors = sorted(inspection.motors.items())
+        return tuple(motor for address, motor in motors if address not in addresses)
 
 
-def limit_checks(plan: Plan, here: Array | None = None, orders: Sequence[str] = ()) -> list[Check]:
-    """Return where the trajectory, or else the ways from ``here`` (n,), break limits asked for.
+def limit_checks(plan: Plan, q: Array | None = None, orders: Sequence[str] = ()) -> list[Check]:
+    """Return where the trajectory, or else the ways from q (n,) [rad], break the user's limits.
 
     ``orders`` are those of the joints on each way.
     """
-    played, settings = plan.trajectory, plan.settings
-    if here is None:
+    played = plan.trajectory
+    settings = plan.settings
+    if q is None:
         return list(map(_stop, motion.limit_excesses(played, settings.speed, plan.limits)))
     pace = settings.approach_speed, settings.approach_time
-    slow = f"; move it nearer by hand, or lower --approach-speed {settings.approach_speed:g}"
-    return [
-        _stop(f"{words}, {excess}{slow}")
-        for (words, begin, end), order in zip(plan.ways(here), orders)
-        for excess in motion.limit_excesses(
-            way_rows(played, begin, end, pace, order), 1.0, plan.limits
-        )
-    ]
+    remedy = f"move it nearer by hand, or lower --approach-speed {settings.approach_speed:g}"
+    checks = []
+    for (name, begin, end), order in zip(plan.ways(q), orders):
+        rows = way_rows(played, begin, end, pace, order)
+        for excess in motion.limit_excesses(rows, 1.0, plan.limits):
+            checks.append(_stop(f"{name}, {excess}; {remedy}"))
+    return checks
 
 
 def stops(checks: Sequence[Check]) -> list[str]:
@@ -204,10 +214,10 @@ def stops(checks: Sequence[Check]) -> list[str]:
     return [check.text for check in checks if check.severity == STOP]
 
 
-def require_no_stop(checks: Sequence[Check], words: str) -> None:
-    """Raise HardwareAbort with the first check that forbids to play, after some words."""
+def require_no_stop(checks: Sequence[Check], consequence: str) -> None:
+    """Raise HardwareAbort with a consequence and the first check that forbids to play."""
     for text in stops(checks):
-        raise HardwareAbort(f"{words}: {text}")
+        raise HardwareAbort(f"{consequence}: {text}")
 
 
 def plan_checks(plan: Plan) -> list[Check]:
@@ -237,32 +247,37 @@ def _motion(plan: Plan) -> Iterator[Check]:
     moving = f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest"
     at_rest = f"starts and ends at rest, {plan.duration:.1f} s"
     yield _first((STOP, worst > _REST_SPEED, moving), (OK, True, at_rest))
-    if (found := motion.velocity_mismatch(played.time, played.q, played.qd)) is None:
+    mismatch = motion.velocity_mismatch(played.time, played.q, played.qd)
+    if mismatch is None:
         yield Check(OK, "velocities and positions agree")
-    else:
-        label, line = played.joints[found.joint].label, played.line[found.row]
-        yield _stop(
-            f"line {line}: velocity {found.stated:.4g} rad/s of {label}, but the positions "
-            f"change by {found.shown:.4g} rad/s; export the file again, with at least four decimals"
-        )
+        return
+    label = played.joints[mismatch.joint].label
+    yield _stop(
+        f"line {played.line[mismatch.row]}: velocity {mismatch.stated:.4g} rad/s of {label}, but "
+        f"the positions change by {mismatch.shown:.4g} rad/s; export the file again, with at "
+        "least four decimals"
+    )
 
 
 def _motors(plan: Plan) -> Iterator[Check]:
     """Yield what is beyond motors' ratings, and which joints a step of torque throws about."""
-    played, joints, settings = plan.trajectory, plan.trajectory.joints, plan.settings
+    played = plan.trajectory
+    joints = played.joints
+    settings = plan.settings
     steps = Scaling(joint.spec.limits for joint in joints).steps[2]
-    moves = [np.inf] * len(joints) if plan.inertia is None else plan.inertia
+    inertias = [np.inf] * len(joints) if plan.inertia is None else plan.inertia
     yield from map(_stop, motion.rotor_problems(played, settings.speed, torque_doubt(joints)))
-    fastest, strongest = (np.abs(each).max(axis=0) for each in (played.qd, played.tau))
-    for j, (joint, step, moved) in enumerate(zip(joints, steps, moves)):
+    fastest = np.abs(played.qd).max(axis=0)
+    strongest = np.abs(played.tau).max(axis=0)
+    for j, (joint, step, inertia) in enumerate(zip(joints, steps, inertias)):
         torque = strongest[j] / joint.torque_ratio
         for text in motion.rating_warnings(joint, fastest[j] * settings.speed, torque):
             yield Check(STOP if motion.CANNOT_FOLLOW in text else NOTE, text)
         if joint.spec.note:
             yield _note(f"{joint.label}, {joint.motor_type}: {joint.spec.note}")
-        if step * settings.period / moved > _SHAKEN:
+        if step * settings.period / inertia > _SHAKEN:
             yield _note(
-                f"{joint.label} moves only {moved:.2g} kg m^2 in the model, and a step of a "
+                f"{joint.label} moves only {inertia:.2g} kg m^2 in the model, and a step of a "
                 f"{joint.motor_type}'s torque is {step:.2g} N m: it will shake; give the model the "
                 "rotor's inertia (armature), or the joint a smaller motor"
             )
@@ -271,34 +286,44 @@ def _motors(plan: Plan) -> Iterator[Check]:
 def _load(
     addresses: Iterable[frames.Address], settings: PlaySettings, timing: frames.BusTiming
 ) -> Check:
-    buses, limit = [bus for bus, _ in addresses], frames.PLANNING_LIMIT
+    buses = [bus for bus, _ in addresses]
+    limit = frames.PLANNING_LIMIT
     n_motors = max(buses.count(bus) for bus in buses)
     load = frames.bus_load(n_motors, 1.0 / settings.period, timing)
-    kind = "CAN-FD" if timing.fd else "classic CAN"
-    text = f"{n_motors} motors at {settings.rate:g} Hz load {kind} to {100 * load:.0f} %"
-    handy = frames.suggested_rate(n_motors, timing)
-    full = f"{text}, limit {100 * limit:.0f} %; use --rate {handy:g}"
+    bus_type = "CAN-FD" if timing.fd else "classic CAN"
+    text = f"{n_motors} motors at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %"
+    suggested_rate = frames.suggested_rate(n_motors, timing)
+    full = f"{text}, limit {100 * limit:.0f} %; use --rate {suggested_rate:g}"
     return _first((OK, load <= limit, text), (STOP, True, full))
 
 
 def _within_limits(
     plan: Plan, limits: Sequence[tuple[float, float, float]], whose: str
 ) -> Sequence[Check]:
-    played, speed, remedy = plan.trajectory, plan.settings.speed, "export a smaller trajectory"
-    space, places = JointSpace.of(played.joints), played.q
+    played = plan.trajectory
+    speed = plan.settings.speed
+    remedy = "export a smaller trajectory"
+    positions = played.q
     # Where it is parked counts as well.
     if plan.pose is not None:
-        places, remedy = np.vstack([places, plan.pose]), f"{remedy}, or choose another --park"
-    step = np.diff(played.q, axis=0) / np.diff(played.time)[:, None]
-    asked = (*space.to_motors(places, speed * played.qd, played.tau), speed * step)
-    words = ("position", "velocity", "torque", "position step"), ("rad", "rad/s", "N m", "rad/s")
-    beyond = [
-        _stop(f"{joint.label}: {what} {peak:.4g} {unit} is beyond {whose} limit {top:g}; {remedy}")
-        for j, (joint, limit) in enumerate(zip(played.joints, limits))
-        for (what, unit, values), top in zip(zip(*words, asked), (*limit, limit[1]))
-        if (peak := np.abs(values[:, j]).max()) > top * (1.0 + _FLOAT32_SLACK)
-    ]
-    return beyond or [Check(OK, f"the trajectory stays within {whose} limits")]
+        positions = np.vstack([positions, plan.pose])
+        remedy = f"{remedy}, or choose another --park"
+    slope = np.diff(played.q, axis=0) / np.diff(played.time)[:, None]
+    p, v, t = JointSpace.of(played.joints).to_motors(positions, speed * played.qd, played.tau)
+    position_limit, velocity_limit, torque_limit = zip(*limits)
+    checks = []
+    for quantity, unit, values, tops in (
+        ("position", "rad", p, position_limit),
+        ("velocity", "rad/s", v, velocity_limit),
+        ("torque", "N m", t, torque_limit),
+        ("position step", "rad/s", speed * slope, velocity_limit),
+    ):
+        peaks = np.abs(values).max(axis=0)
+        for joint, peak, top in zip(played.joints, peaks, tops):
+            if peak > top * (1.0 + _FLOAT32_SLACK):
+                finding = f"{quantity} {peak:.4g} {unit} is beyond {whose} limit {top:g}"
+                checks.append(_stop(f"{joint.label}: {finding}; {remedy}"))
+    return checks or [Check(OK, f"the trajectory stays within {whose} limits")]
 
 
 # --- what the motors say ------------------------------------------------------------------------
@@ -315,7 +340,9 @@ def general_checks(
 
 def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
     """Return what the motors on the bus say to the plan."""
-    joints, settings, checks = plan.trajectory.joints, plan.settings, [*_bus_itself(inspection)]
+    joints = plan.trajectory.joints
+    settings = plan.settings
+    checks = list(_bus_itself(inspection))
     present = [inspection.motors[j.address] for j in joints if j.address in inspection.motors]
     for joint in joints:
         if (motor := inspection.motors.get(joint.address)) is None:
@@ -328,7 +355,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
     if len(limits) == len(joints):
         checks += _within_limits(plan, limits, "its registers'")
         checks += _in_time(inspection.round_trip, settings)
-        checks += _near_start(plan, plan.places(inspection))
+        checks += _near_start(plan, plan.joint_positions(inspection))
     return [*checks, *_other_motors(plan, plan.others(inspection))]
 
 
@@ -380,67 +407,70 @@ def _condition(
     joint: DamiaoJoint | None = None,
     taken_over: bool = False,
 ) -> Iterator[Check]:
-    name, held = joint.label if joint else motor.name, motor.registers
+    name = joint.label if joint else motor.name
+    registers = motor.registers
     if len(motor.reply_ids) > 1:
         yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
-    lacking = [frames.NAMES[number] for number in frames.REQUIRED if number not in held]
+    lacking = [frames.NAMES[number] for number in frames.REQUIRED if number not in registers]
     if lacking:
         yield _stop(f"{name} does not answer for {', '.join(lacking)}; try again")
         return
     if joint:
         yield from _identity(motor, joint, name)
         yield _scaling(motor, joint, allow)
-    mode = int(held[frames.CTRL_MODE])
+    mode = int(registers[frames.CTRL_MODE])
     if mode != frames.MIT_MODE:
-        said = frames.MODES.get(mode, "unknown")
-        yield _stop(f"{name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
-    stored = held[frames.TIMEOUT] * frames.TIMEOUT_UNIT
+        mode_name = frames.MODES.get(mode, "unknown")
+        yield _stop(f"{name} is in mode {mode} ({mode_name}); set CTRL_MODE to 1 (MIT)")
+    stored = registers[frames.TIMEOUT] * frames.TIMEOUT_UNIT
     yield _watchdog(name, stored if allow.watchdog is None else allow.watchdog, play)
     yield from _state(motor, play, name, taken_over)
 
 
 def _identity(motor: InspectedMotor, joint: DamiaoJoint, name: str) -> Iterator[Check]:
-    found, stored = (int(motor.registers[n]) for n in (frames.ESC_ID, frames.MST_ID))
-    if found != joint.can_id:
-        yield _stop(f"{name} says that its CAN id is {found}; power-cycle it")
-    if stored != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
+    can_id = int(motor.registers[frames.ESC_ID])
+    master_id = int(motor.registers[frames.MST_ID])
+    if can_id != joint.can_id:
+        yield _stop(f"{name} says that its CAN id is {can_id}; power-cycle it")
+    if master_id != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
         answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
         yield _stop(
-            f"{name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
+            f"{name} answers on {answers} (MST_ID {master_id:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set it (robot-sysid motors setup --new-master-id), or export "
             "again (robot-sysid plan --export-damiao --master-id)"
         )
 
 
-def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) -> Check:
-    found, wanted = motor.limits, joint.spec.limits
-    held, usual = (", ".join(f"{value:g}" for value in values) for values in (found, wanted))
-    text = f"{joint.label} has PMAX, VMAX, TMAX {held}"
-    same = f"{joint.label} is scaled as a {joint.motor_type}: {held}"
-    other = f"{text} but a {joint.motor_type} has {usual}"
+def _scaling(motor: InspectedMotor, joint: DamiaoJoint, permissions: Permissions) -> Check:
+    limits = motor.limits
+    stored = ", ".join(f"{limit:g}" for limit in limits)
+    nominal = ", ".join(f"{limit:g}" for limit in joint.spec.limits)
+    text = f"{joint.label} has PMAX, VMAX, TMAX {stored}"
+    same = f"{joint.label} is scaled as a {joint.motor_type}: {stored}"
+    other = f"{text} but a {joint.motor_type} has {nominal}"
     return _first(
-        (STOP, min(found) <= 0.0, f"{text}: not usable"),
-        (OK, limits_agree(wanted, found), same),
-        (NOTE, allowed.register_limits, f"{other}: the motor's own values are used"),
+        (STOP, min(limits) <= 0.0, f"{text}: not usable"),
+        (OK, limits_agree(joint.spec.limits, limits), same),
+        (NOTE, permissions.register_limits, f"{other}: the motor's own values are used"),
         (STOP, True, f"{other}; if the motor is right, give --accept-register-limits"),
     )
 
 
 def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
     least = _LEAST_WATCHDOG_CYCLES * settings.period
-    usual = f"--set-watchdog {max(0.1, np.ceil(10.0 * least) / 10.0):g}"
+    options = f"--set-watchdog {max(0.1, np.ceil(10.0 * least) / 10.0):g}"
     if least > _LONGEST_SET_WATCHDOG:
         slowest = _LEAST_WATCHDOG_CYCLES / _LONGEST_SET_WATCHDOG
-        usual = f"--rate {slowest:g} and --set-watchdog {_LONGEST_SET_WATCHDOG:g}"
-    held, remedy = f"{name}'s watchdog of {1e3 * timeout:g} ms", f"give {usual}"
-    gone = f"{name} has no watchdog: it would go on for ever if this program died"
-    none = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
-    short = f"{held} is too short for {settings.rate:g} Hz; {remedy}"
+        options = f"--rate {slowest:g} and --set-watchdog {_LONGEST_SET_WATCHDOG:g}"
+    watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
+    absent = f"{name} has no watchdog: it would go on for ever if this program died"
+    endless = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
+    short = f"{watchdog} is too short for {settings.rate:g} Hz; give {options}"
     return _first(
-        (STOP, timeout == 0.0, f"{gone}; {remedy} or set TIMEOUT"),
-        (STOP, timeout > _NO_WATCHDOG, f"{none}; {remedy} or set TIMEOUT"),
+        (STOP, timeout == 0.0, f"{absent}; give {options} or set TIMEOUT"),
+        (STOP, timeout > _NO_WATCHDOG, f"{endless}; give {options} or set TIMEOUT"),
         (STOP, timeout < least, short),
-        (NOTE, timeout > _LONG_WATCHDOG, f"{held} is long; {usual} is better"),
+        (NOTE, timeout > _LONG_WATCHDOG, f"{watchdog} is long; {options} is better"),
         (OK, True, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms"),
     )
 
@@ -448,11 +478,11 @@ def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
 def _state(
     motor: InspectedMotor, settings: PlaySettings, name: str, taken_over: bool
 ) -> Iterator[Check]:
-    told = motor.feedback
-    if told is None:
+    feedback = motor.feedback
+    if feedback is None:
         yield _stop(f"{name} does not tell its state; its firmware may be too old")
         return
-    code = int(told.status[0])
+    code = int(feedback.status[0])
     if code == frames.ENABLED and taken_over:
         yield _note(
             f"{name} is enabled by another program: it is taken over, and disabled at the end"
@@ -460,11 +490,12 @@ def _state(
     elif code == frames.ENABLED:
         yield _stop(f"{name} is enabled already; end the program that uses it")
     elif code != frames.DISABLED:
-        said = frames.describe(code)
-        yield _stop(f"{name} reports {said}; find the cause, then clear it or power-cycle")
-    hot, most = max(told.temperature_mos[0], told.temperature_rotor[0]), settings.start_temperature
-    if hot > most:
-        yield _stop(f"{name} is at {hot} deg C, above {most:g}; let it cool down")
+        fault = frames.describe(code)
+        yield _stop(f"{name} reports {fault}; find the cause, then clear it or power-cycle")
+    temperature = max(feedback.temperature_mos[0], feedback.temperature_rotor[0])
+    if temperature > settings.start_temperature:
+        limit = f"{settings.start_temperature:g}"
+        yield _stop(f"{name} is at {temperature} deg C, above {limit}; let it cool down")
 
 
 def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
@@ -483,30 +514,35 @@ def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
 
 def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
     """Yield which joints' directions nothing has shown, and what to do."""
-    known = model or FileHolding(plan.trajectory)
-    unseen = [joint.label for joint in known.unjudged(plan.trajectory.q[0])]
-    if not unseen:
+    holding = model or FileHolding(plan.trajectory)
+    unverified = [joint.label for joint in holding.unverified_joints(plan.trajectory.q[0])]
+    if not unverified:
         yield Check(OK, "gravity shows which way each joint turns, or somebody has verified it")
         return
-    names = f"nobody has verified which way {', '.join(unseen)} turn"
-    names += ", and where the trajectory begins gravity hardly loads them"
+    finding = (
+        f"nobody has verified which way {', '.join(unverified)} turn, and where the trajectory "
+        "begins gravity hardly loads them"
+    )
     if model is None or plan.allowed.directions:
-        return (yield _note(f"{names}: mirrored or swapped, they would be played like that"))
+        yield _note(f"{finding}: mirrored or swapped, they would be played like that")
+        return
     yield _stop(
-        f"{names}; move them by hand once (robot-sysid motors map --model), or let each move a "
+        f"{finding}; move them by hand once (robot-sysid motors map --model), or let each move a "
         "little (robot-sysid motors play --verify), and give the --joint-map; --accept-directions "
         "plays without"
     )
 
 
-def _near_start(plan: Plan, places: Array) -> Iterator[Check]:
+def _near_start(plan: Plan, q: Array) -> Iterator[Check]:
     tolerance = plan.settings.start_tolerance
-    for joint, here, first in zip(plan.trajectory.joints, places, plan.trajectory.q[0]):
-        away = abs(here - first)
-        if away > tolerance:
-            whole = abs(away - 2.0 * np.pi) < tolerance
-            turn = "; a whole turn apart: the motor lost its turn count when it was off"
-            yield _stop(
-                f"{joint.label} is at {here:.3f} rad but the trajectory starts at {first:.3f}, "
-                f"more than {tolerance:g} away; move it there by hand{turn if whole else ''}"
-            )
+    for joint, position, first in zip(plan.trajectory.joints, q, plan.trajectory.q[0]):
+        distance = abs(position - first)
+        if distance <= tolerance:
+            continue
+        text = (
+            f"{joint.label} is at {position:.3f} rad but the trajectory starts at {first:.3f}, "
+            f"more than {tolerance:g} away; move it there by hand"
+        )
+        if abs(distance - 2.0 * np.pi) < tolerance:
+            text += "; a whole turn apart: the motor lost its turn count when it was off"
+        yield _stop(text)

@@ -29,7 +29,7 @@ class Reference(NamedTuple):
 ReferenceFunction = Callable[[float], Reference]
 
 
-def sampled(trajectory: DamiaoTrajectory, speed: float) -> ReferenceFunction:
+def reference_along(trajectory: DamiaoTrajectory, speed: float) -> ReferenceFunction:
     """Return a trajectory between its rows, as a function of the time after its start [s].
 
     Played at ``speed`` s the joints pass the same positions with s times the velocity. The
@@ -41,11 +41,11 @@ def sampled(trajectory: DamiaoTrajectory, speed: float) -> ReferenceFunction:
 
     def reference(time: float) -> Reference:
         moment = times[0] + time * speed
-        after = int(np.searchsorted(times, moment))
-        row = values[min(after, len(times) - 1)]
-        if 0 < after < len(times):
-            share = (moment - times[after - 1]) / (times[after] - times[after - 1])
-            row = values[after - 1] + (row - values[after - 1]) * share
+        later = int(np.searchsorted(times, moment))
+        row = values[min(later, len(times) - 1)]
+        if 0 < later < len(times):
+            share = (moment - times[later - 1]) / (times[later] - times[later - 1])
+            row = values[later - 1] + (row - values[later - 1]) * share
         position, velocity, torque = np.split(row, 3)
         return Reference(position, velocity * speed, torque)
 
@@ -57,7 +57,7 @@ ORDERS = (STRAIGHT, "joint by joint from the base", "joint by joint from the tip
 """In which order joints may go from one pose to another: all together, or one after the other."""
 
 
-def passed(begin: Array, end: Array, order: str) -> list[Array]:
+def poses_between(begin: Array, end: Array, order: str) -> list[Array]:
     """Return the poses (n,) between which an order of ``ORDERS`` goes in straight lines."""
     poses = [begin]
     if order != STRAIGHT:
@@ -83,12 +83,13 @@ def approach(
     is fed forward is what ``carries`` the arm in each pose (n,) [N m], and besides what start and
     target have beyond it.
     """
-    poses = passed(start.position, target.position, order)
+    poses = poses_between(start.position, target.position, order)
     lines = np.diff(poses, axis=0)
     times = np.maximum(shortest, 1.875 * np.max(np.abs(lines), axis=1) / speed)
     begins = np.append(0.0, np.cumsum(times))
     duration = float(begins[-1])
-    extra = [each.torque - carries(each.position) for each in (start, target)]
+    extra_at_start = start.torque - carries(start.position)
+    extra_at_target = target.torque - carries(target.position)
 
     def reference(time: float) -> Reference:
         k = int(np.clip(np.searchsorted(begins, time) - 1, 0, len(times) - 1))
@@ -96,9 +97,9 @@ def approach(
         share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
         rate = 30.0 * s * s * (1.0 - s) ** 2 / times[k]
         done = (begins[k] + share * times[k]) / duration
-        place = poses[k] + share * lines[k]
-        fed = carries(place) + (1.0 - done) * extra[0] + done * extra[1]
-        return Reference(place, rate * lines[k], fed)
+        q = poses[k] + share * lines[k]
+        fed = carries(q) + (1.0 - done) * extra_at_start + done * extra_at_target
+        return Reference(q, rate * lines[k], fed)
 
     return reference, duration
 
@@ -118,18 +119,19 @@ def way_rows(
 
     For ``pace``, speed and shortest time, and ``order`` see ``approach``.
     """
-    still = np.zeros_like(begin)
-    start, target = (Reference(place, still, still) for place in (begin, end))
+    zero = np.zeros_like(begin)
+    start = Reference(begin, zero, zero)
+    target = Reference(end, zero, zero)
     reference, duration = approach(start, target, *pace, order)
     time = np.linspace(0.0, duration, int(np.ceil(duration * WAY_RATE)) + 1)
-    q, qd, tau = (np.array(part) for part in zip(*map(reference, time)))
+    q, qd, tau = (np.array(signal) for signal in zip(*map(reference, time)))
     return replace(trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau)
 
 
 def hold(reference: Reference) -> ReferenceFunction:
     """Return a function that stays at a reference, at rest."""
-    still = Reference(reference.position, np.zeros_like(reference.velocity), reference.torque)
-    return lambda time: still
+    at_rest = Reference(reference.position, np.zeros_like(reference.velocity), reference.torque)
+    return lambda time: at_rest
 
 
 def alongside(reference: ReferenceFunction, positions: Array) -> ReferenceFunction:
@@ -142,7 +144,9 @@ def alongside(reference: ReferenceFunction, positions: Array) -> ReferenceFuncti
 # judgement: dry friction is of this size, and leaves a joint alone.
 _FULL_LOAD = 0.05
 # Judgements: the feed-forward torque fades in [s]; slower than [rad/s] for so long [s] is still.
-_FADE, _STILL_SPEED, _STILL_TIME = 1.0, 0.02, 0.5
+_FADE = 1.0
+_STILL_SPEED = 0.02
+_STILL_TIME = 0.5
 LONGEST = 20.0
 """After this time [s] the arm counts as lowered."""
 
@@ -174,9 +178,9 @@ class Lowering:
         share = np.clip(np.nan_to_num(self.torque) / self._full_load, -1.0, 1.0)
         faded = max(1.0 - time / _FADE, 0.0)
         velocity = np.zeros_like(share) if faded > 0.0 else -self._speed * share
-        wanted = self._position + velocity * (time - self._time)
-        inside = np.clip(wanted, self._lower, self._upper)
-        velocity = np.where(inside == wanted, velocity, 0.0)
+        moved = self._position + velocity * (time - self._time)
+        inside = np.clip(moved, self._lower, self._upper)
+        velocity = np.where(inside == moved, velocity, 0.0)
         self._position = inside
         self._time = time
         if faded > 0.0 or np.max(np.abs(velocity)) > _STILL_SPEED:
@@ -193,7 +197,8 @@ class Lowering:
 _DOUBT = 0.06
 # Of the doubt: a joint that carries more than this is judged by it, also where a guessed model is
 # twice too heavy; one that then carries less than that is not at the joint it is taken for.
-_LOADED, _BARE = 2.0, 0.5
+_LOADED = 2.0
+_BARE = 0.5
 
 
 def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
@@ -236,7 +241,7 @@ class HoldingCheck:
         self.doubt = doubt + torque_doubt(joints)
         self.is_model = load is not None
 
-    def unjudged(self, q: Array) -> list[DamiaoJoint]:
+    def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) shows no direction."""
         bare = np.abs(self._due(q)) <= _LOADED * self.doubt
         return [j for j, is_bare in zip(self._joints, bare) if is_bare and not j.verified]
@@ -256,11 +261,12 @@ class HoldingCheck:
 
     def __call__(self, q: Array, tau: Array) -> None:
         """Raise HardwareAbort where a torque (n,) [N m] at rest at q (n,) is not what holds it."""
-        due, tau = self._due(q[: self.n_joints]), tau[: self.n_joints]
+        due = self._due(q[: self.n_joints])
+        tau = tau[: self.n_joints]
         along = np.sign(due) * tau
-        wrong = (np.abs(due) > self.doubt) & (along < -self.doubt)
-        wrong |= (np.abs(due) > _LOADED * self.doubt) & (along < _BARE * self.doubt)
-        for j in np.flatnonzero(wrong).tolist():
+        is_wrong = (np.abs(due) > self.doubt) & (along < -self.doubt)
+        is_wrong |= (np.abs(due) > _LOADED * self.doubt) & (along < _BARE * self.doubt)
+        for j in np.flatnonzero(is_wrong).tolist():
             raise HardwareAbort(
                 f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m but {self._source} "
                 f"{due[j]:.1f} N m in this pose: a motor turns the other way than its joint, sits "
@@ -270,7 +276,8 @@ class HoldingCheck:
 
 # So near to the first point its torque is nearly what holds the arm: 2 N m off at 20 N m/rad [rad].
 # With less acceleration [rad/s^2] it is the torque at rest: 1 N m at 2 kg m^2.
-_NEAR, _GENTLE = 0.1, 0.5
+_NEAR = 0.1
+_GENTLE = 0.5
 
 
 class FileHolding(HoldingCheck):
@@ -281,12 +288,12 @@ class FileHolding(HoldingCheck):
     """
 
     def __init__(self, played: DamiaoTrajectory) -> None:
-        near = np.all(np.abs(played.q - played.q[0]) <= _NEAR, axis=1)
-        speeding = np.max(np.abs(np.gradient(played.qd, played.time, axis=0)), axis=1)
-        row = int(np.argmin(np.where(near, speeding, np.inf)))
-        torque, self._at_rest = played.tau[row], speeding[row] < _GENTLE
-        said = "the trajectory feeds forward"
-        super().__init__(played.joints, lambda q: torque, 0.0, said)
+        is_near = np.all(np.abs(played.q - played.q[0]) <= _NEAR, axis=1)
+        acceleration = np.max(np.abs(np.gradient(played.qd, played.time, axis=0)), axis=1)
+        row = int(np.argmin(np.where(is_near, acceleration, np.inf)))
+        torque = played.tau[row]
+        self._at_rest = acceleration[row] < _GENTLE
+        super().__init__(played.joints, lambda q: torque, 0.0, "the trajectory feeds forward")
         self._first = played.q[0]
         self._carries = bool(np.any(np.abs(played.tau).max(axis=0) > self.doubt))
 

@@ -18,7 +18,8 @@ from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
 # A frame may be lost; five in a row are not, and 2 ms lets a full queue of 14 frames empty [s].
-_DISABLE_REPEATS, _DISABLE_SPACING = 5, 2e-3
+_DISABLE_REPEATS = 5
+_DISABLE_SPACING = 2e-3
 # Far more than the slowest adapter takes (16 ms, see docs/damiao.md) [s].
 _CONFIRM_TIMEOUT = 0.02
 # A bus that comes back within this time still gets its motors disabled.
@@ -41,8 +42,8 @@ class Outstanding:
     """Which answer belongs to which command of n motors, although answers carry no number.
 
     Each command is answered once, in order. Where an answer is missing at the end of its cycle, the
-    next thing heard from that motor may be it, late, or the answer to the next command. So it is
-    told nothing new until the missing answer has come or is long overdue: what a slow adapter holds
+    next thing heard from that motor may be it, late, or the answer to the next command. So it gets
+    no new command until the missing answer has come or is long overdue: what a slow adapter holds
     back is out of the way then, and each answer that is believed belongs to the command before it.
     ``surplus`` (n,) counts the answers of this cycle that no command had asked for.
     """
@@ -50,20 +51,20 @@ class Outstanding:
     def __init__(self, n: int) -> None:
         self._owed = np.zeros(n, int)
         self._silent = np.zeros(n, int)
-        self._told = np.zeros(n, bool)
+        self._commanded = np.zeros(n, bool)
         self.surplus = np.zeros(n, int)
 
-    def may_be_told(self, wanted: Mask) -> Mask:
-        """Begin a cycle: return which of the motors ``wanted`` (n,) get a command in it."""
-        self._silent = np.where(self._told, 0, self._silent + 1)
+    def may_be_commanded(self, motors: Mask) -> Mask:
+        """Begin a cycle: return which of the motors (n,) get a command in it."""
+        self._silent = np.where(self._commanded, 0, self._silent + 1)
         self._owed[self._silent >= PAUSE] = 0
-        self._told = np.asarray(wanted & (self._owed == 0))
-        self._owed += self._told
-        return self._told
+        self._commanded = np.asarray(motors & (self._owed == 0))
+        self._owed += self._commanded
+        return self._commanded
 
     def heard(self, j: int) -> bool:
         """Note an answer; return whether it is that to the command of this cycle."""
-        timely = bool(self._told[j] and self._owed[j] == 1)
+        timely = bool(self._commanded[j] and self._owed[j] == 1)
         self.surplus[j] += self._owed[j] == 0
         self._owed[j] = max(self._owed[j] - 1, 0)
         self._silent[j] = 0
@@ -163,7 +164,7 @@ class MotorSession:
     def __enter__(self) -> MotorSession:
         return self
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, error_type: object, error: BaseException | None, trace: object) -> None:
         if not self.unconfirmed:
             return
         self.disable()
@@ -180,10 +181,11 @@ class MotorSession:
         Where a motor stands is believed when two of its answers agree.
         """
         self.unconfirmed = self.joints
-        asked = [self._ask(j, frames.refresh_frame(i.address)) for j, i in enumerate(self.joints)]
+        requests = [frames.refresh_frame(joint.address) for joint in self.joints]
+        answers = [self._ask(j, request) for j, request in enumerate(requests)]
         position = np.empty(self.n_joints)
         for j, joint in enumerate(self.joints):
-            position[j] = self._enable_one(j, joint, asked[j])
+            position[j] = self._enable_one(j, joint, *answers[j])
         now = self.clock.now()
         self._filter.start(now, position)
         self._bounds = self._bounds.including(position)
@@ -191,8 +193,7 @@ class MotorSession:
         self._sent_at = np.full(self.n_joints, now)
         return position
 
-    def _enable_one(self, j: int, joint: DamiaoJoint, before: tuple[int, float]) -> float:
-        status, position = before
+    def _enable_one(self, j: int, joint: DamiaoJoint, status: int, position: float) -> float:
         for _ in range(_ENABLE_TRIES):
             last_status = status
             last_position = position
@@ -202,17 +203,17 @@ class MotorSession:
                 return position
             if frames.is_fault(status) and status == last_status != NO_STATUS:
                 break
-        words = "no answer" if status == NO_STATUS else frames.describe(status)
+        reason = "no answer" if status == NO_STATUS else frames.describe(status)
         if status == ENABLED:
-            words = f"its answers disagree, {last_position:.3f} and {position:.3f} rad"
-        raise HardwareAbort(f"{joint.label} did not enable: {words}")
+            reason = f"its answers disagree, {last_position:.3f} and {position:.3f} rad"
+        raise HardwareAbort(f"{joint.label} did not enable: {reason}")
 
     def _ask(self, j: int, request: Frame) -> tuple[int, float]:
         """Send a request to a motor; return the status and the position [rad] it answers."""
         self._link.drain()
         self._link.send(request)
-        only = np.arange(self.n_joints) == j
-        feedback = self._collect(only, self.clock.now() + _CONFIRM_TIMEOUT).feedback
+        this_motor = np.arange(self.n_joints) == j
+        feedback = self._collect(this_motor, self.clock.now() + _CONFIRM_TIMEOUT).feedback
         return int(feedback.status[j]), float(feedback.position[j])
 
     def exchange(
@@ -233,7 +234,7 @@ class MotorSession:
         self._regardless = braking
         self._outstanding.surplus[:] = 0
         self._foreign[:] = 0
-        wanted = np.ones(self.n_joints, bool) if joints is None else joints
+        motors = np.ones(self.n_joints, bool) if joints is None else joints
         # What has arrived since the last exchange is late, but it is known whose answer it was.
         while (frame := self._link.receive(self.clock.now())) is not None:
             self._note_foreign(frame)
@@ -242,22 +243,23 @@ class MotorSession:
         now = self.clock.now()
         command = self._bound(command, now, braking)
         packed = codec.encode_mit(self.space.command_to_motors(command), self.scaling)
-        told = wanted if braking else self._outstanding.may_be_told(wanted)
-        # As the motors read it; one that is told nothing stays under its old command.
+        commanded = motors if braking else self._outstanding.may_be_commanded(motors)
+        # As the motors read it; one that gets no command stays under its old one.
         new = self.space.command_to_joints(codec.decode_mit(packed, self.scaling))
         acted = self._command
         old = acted or new
-        self._command = codec.MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
+        in_force = (np.where(commanded, *pair) for pair in zip(new, old))
+        self._command = codec.MitCommand(*in_force)
         used = np.abs(new.position - self._sent_position) / self._bounds.command_range.speed
         unused = np.clip(self._time_to_move(now) - np.nan_to_num(used), 0.0, _MOST_CREDIT)
-        self._credit = np.where(told, unused, self._credit)
-        self._sent_position = np.where(told, new.position, self._sent_position)
-        self._sent_at = np.where(told, now, self._sent_at)
-        for j in np.flatnonzero(told).tolist():
+        self._credit = np.where(commanded, unused, self._credit)
+        self._sent_position = np.where(commanded, new.position, self._sent_position)
+        self._sent_at = np.where(commanded, now, self._sent_at)
+        for j in np.flatnonzero(commanded).tolist():
             bus, can_id = self.joints[j].address
             self._sent_data[j] = packed[j].tobytes()
             self._link.send(Frame(can_id, self._sent_data[j], bus=bus))
-        return self._collect(told, until, self._command, acted, believe=True)
+        return self._collect(commanded, until, self._command, acted, believe=True)
 
     def _time_to_move(self, now: float) -> Array:
         """Return for how long each joint's command (n,) may have moved on since its last one [s].
@@ -317,7 +319,7 @@ class MotorSession:
 
     def _collect(
         self,
-        wanted: Mask,
+        motors: Mask,
         until: float,
         command: codec.MitCommand | None = None,
         acted: codec.MitCommand | None = None,
@@ -326,10 +328,10 @@ class MotorSession:
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         received = np.full(self.n_joints, np.nan)
         sent = np.full(self.n_joints, np.nan)
-        missing = int(np.count_nonzero(wanted))
+        missing = int(np.count_nonzero(motors))
         try:
             while missing and (frame := self._link.receive(until)) is not None:
-                missing -= self._take(frame, wanted, raw, received, sent)
+                missing -= self._take(frame, motors, raw, received, sent)
         finally:
             answered = np.isfinite(received)
             decoded = codec.decode_feedback(raw, self.scaling, half_step=True)
@@ -338,7 +340,7 @@ class MotorSession:
             status = np.where(answered, decoded.status, NO_STATUS)
             feedback = replace(decoded, status=status, position=q, velocity=qd, torque=tau)
             stamps = np.where(answered & np.isfinite(sent), sent, received)
-            replies = Replies(answered, stamps, feedback, wanted, command)
+            replies = Replies(answered, stamps, feedback, motors, command)
             if believe:
                 surplus = self._outstanding.surplus.copy()
                 counted = replace(replies, surplus=surplus, foreign=self._foreign.copy())
@@ -347,9 +349,9 @@ class MotorSession:
         return replies
 
     def _take(
-        self, frame: Frame, wanted: Mask, raw: codec.Bytes, received: Array, sent: Array
+        self, frame: Frame, motors: Mask, raw: codec.Bytes, received: Array, sent: Array
     ) -> bool:
-        """File a frame where it belongs; return whether it is an answer that was missing."""
+        """File a frame where it belongs; return whether it is a missing answer of a motor (n,)."""
         commanded = self._by_command.get(Address(frame.bus, frame.id))
         if frame.echo and commanded is not None:
             sent[commanded] = frame.time
@@ -358,7 +360,7 @@ class MotorSession:
         if j is None:
             return False
         timely = self._outstanding.heard(j)
-        if not wanted[j] or np.isfinite(received[j]) or not (timely or self._regardless):
+        if not motors[j] or np.isfinite(received[j]) or not (timely or self._regardless):
             return False
         raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
         received[j] = frame.time

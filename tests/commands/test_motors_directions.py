@@ -91,4 +91,4 @@ def test_a_motor_that_carries_nothing_where_its_joint_carries_much_is_stopped():
     check(np.zeros(1), np.array([1.0]))
     with pytest.raises(HardwareAbort, match="motor 1 holds the arm with 0.1 N m but the model"):
         check(np.zeros(1), np.array([0.1]))
-    assert check.unjudged(np.zeros(1)) == []
+    assert check.unverified_joints(np.zeros(1)) == []

@@ -13,7 +13,7 @@ from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.preflight import bus_checks, stops
 from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, TIMEOUT
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, mapped
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, map_joints
 from robot_sysid.damiao.references import ORDERS, FileHolding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
@@ -174,17 +174,17 @@ def test_the_recording_of_the_example_gives_the_true_link_back(monkeypatch):
 def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
     joints = damiao_joints(["DM4340"] * 2, 2)
     rows = [map_line("a", "", 1, 17, 1), map_line("b", "", 2, 18, -1)]
-    assert [j.direction for j in mapped(joints, rows, ["can0"])] == [1, -1]
-    assert [j.name for j in mapped(joints, rows, ["can0"], ["b", "a"])] == ["b", "a"]
+    assert [j.direction for j in map_joints(joints, rows, ["can0"])] == [1, -1]
+    assert [j.name for j in map_joints(joints, rows, ["can0"], ["b", "a"])] == ["b", "a"]
     with pytest.raises(InputError, match="no line for c; it has a, b"):
-        mapped(joints, rows, ["can0"], ["a", "c"])
+        map_joints(joints, rows, ["can0"], ["a", "c"])
     with pytest.raises(InputError, match="2 joints but the trajectory 1"):
-        mapped(joints[:1], rows, ["can0"])
+        map_joints(joints[:1], rows, ["can0"])
     far = [replace(row, channel="can7") for row in rows]
     with pytest.raises(InputError, match="open it with --channel can7"):
-        mapped(joints, far, ["can0", "can1"])
+        map_joints(joints, far, ["can0", "can1"])
     # One adapter may have got another name since.
-    assert [j.bus for j in mapped(joints, far, ["can0"])] == [0, 0]
+    assert [j.bus for j in map_joints(joints, far, ["can0"])] == [0, 0]
 
 
 def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
@@ -192,8 +192,8 @@ def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
     rows += [map_line(f"right_{k}", "can1", k, k + 16, 1) for k in (1, 2)]
     joints, right = damiao_joints(["DM4340"] * 2, 2), ["right_1", "right_2"]
     with pytest.raises(InputError, match="right_1 on can1; open it with --channel can1"):
-        mapped(joints, rows, ["can0"], right)
-    assert [j.can_id for j in mapped(joints, rows, ["can1"], right)] == [1, 2]
+        map_joints(joints, rows, ["can0"], right)
+    assert [j.can_id for j in map_joints(joints, rows, ["can1"], right)] == [1, 2]
 
 
 def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):

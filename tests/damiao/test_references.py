@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.references import ORDERS, Lowering, Reference, approach, sampled
+from robot_sysid.damiao.references import ORDERS, Lowering, Reference, approach, reference_along
 from tests.support.damiao_rig import swing, trajectory_file
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
@@ -16,7 +16,7 @@ ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
 @pytest.mark.parametrize("speed", [1.0, 0.3])
 def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed):
     time, q, qd, tau = swing(3)
-    sampler = sampled(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
+    sampler = reference_along(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
     for moment in np.append(np.arange(0.0, 2.0 / speed, 0.137), 9.0):
         reference = sampler(moment)
         for got, wanted in zip(reference, (q, speed * qd, tau)):

@@ -22,7 +22,7 @@ from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, BusTiming, Frame, is_special
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.recorder import MeasurementRecorder, RecordingOptions
-from robot_sysid.damiao.references import sampled
+from robot_sysid.damiao.references import reference_along
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.simulated import SimulatedArm
 from robot_sysid.errors import HardwareAbort, SysidError
@@ -541,9 +541,9 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
 def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):
     def spoiled(played, speed):
         played.tau[60, 0] = 30.0
-        return sampled(played, speed)
+        return reference_along(played, speed)
 
-    monkeypatch.setattr("robot_sysid.damiao.execution.sampled", spoiled)
+    monkeypatch.setattr("robot_sysid.damiao.execution.reference_along", spoiled)
     rig().run().assert_stopped("motor 1 would be asked for")
 
 

@@ -237,7 +237,7 @@ def test_no_answer_is_taken_for_that_to_another_command(delays):
         for _ in [each for each in underway if each[1] < cycle]:
             books.heard(0)
         underway = [each for each in underway if each[1] >= cycle]
-        if books.may_be_told(ONE)[0]:
+        if books.may_be_commanded(ONE)[0]:
             delay = delays.pop(0) if delays else 0
             underway += [] if delay is None else [(cycle, cycle + delay)]
         for asked, _ in [each for each in underway if each[1] == cycle]:
@@ -248,9 +248,11 @@ def test_no_answer_is_taken_for_that_to_another_command(delays):
 def test_one_lost_answer_costs_the_pause_and_no_more():
     books = Outstanding(1)
     for _ in range(10):
-        assert books.may_be_told(ONE)[0] and books.heard(0)
-    assert books.may_be_told(ONE)[0]
-    assert [bool(books.may_be_told(ONE)[0]) for _ in range(PAUSE + 1)] == [False] * PAUSE + [True]
+        assert books.may_be_commanded(ONE)[0] and books.heard(0)
+    assert books.may_be_commanded(ONE)[0]
+    assert [bool(books.may_be_commanded(ONE)[0]) for _ in range(PAUSE + 1)] == [False] * PAUSE + [
+        True
+    ]
     assert books.heard(0)
 
 

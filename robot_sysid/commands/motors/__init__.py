@@ -113,7 +113,7 @@ def simulate(asked: Asked) -> int:
     options, plan = record_from(SimulatedMotorOptions, asked.values), asked.plan()
     checks = asked.checks(plan)
     if options.play:
-        with asked.simulated(asked.simulated_arm(plan, options.watchdog)) as link:
+        with asked.simulated_bus(asked.simulated_arm(plan, options.watchdog)) as link:
             return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
     preflight.require_no_stop(checks, "not rehearsed")
     arm = asked.simulated_arm(plan, options.watchdog, _REAL_TIME_STEP)

@@ -62,7 +62,7 @@ def verify(asked: Asked, link: GuardedLink, plan: Plan) -> int:
     if not kept and path.exists():
         raise InputError(f"{path} is there already; give it with --joint-map")
     holding = asked.holding(plan)
-    unseen = [] if holding is None else holding.unjudged(plan.trajectory.q[0])
+    unseen = [] if holding is None else holding.unverified_joints(plan.trajectory.q[0])
     if not unseen:
         shown = "gravity shows which way each joint turns, or somebody has verified it"
         asked.conclude(f"Done: {shown}", asked.play_words())
@@ -90,7 +90,7 @@ def _move_a_little(
 ) -> list[str]:
     """Move joints one after the other; return which way each should have gone, in words."""
     inspection, console = inspect_bus(link), asked.console
-    here = plan.places(inspection)
+    here = plan.joint_positions(inspection)
     for j in np.flatnonzero(~np.isfinite(here)).tolist():
         joint = plan.trajectory.joints[j]
         raise InputError(f"{joint.label} does not answer; see robot-sysid motors check")

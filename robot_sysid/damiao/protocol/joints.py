@@ -247,7 +247,7 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
     write_whole(path, "\n".join(lines) + "\n")
 
 
-def mapped(
+def map_joints(
     joints: Sequence[DamiaoJoint],
     rows: Sequence[DamiaoJoint],
     channels: Sequence[str],
