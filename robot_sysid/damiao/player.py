@@ -167,6 +167,8 @@ class Player:
         self._shown_at = -np.inf
         self._still: list[Array] = []
         self._track: list[tuple[float, Array]] = []
+        # What the last answers were sampled under (n,) [N m].
+        self._motor_torque: Array
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
         """Enable the motors, play ``trajectory`` and come to rest; disabling is the session's job.
@@ -292,8 +294,9 @@ class Player:
                     self._keep(time, origin, partial, self._command)
                 raise
             if record:
+                self._add_to_track(time)
                 self._keep(time, origin, replies, acted)
-            self._check(replies, acted)
+            self._observer.check(replies, acted, self._standing, self._rising)
 
     def _stop_if_asked(self) -> None:
         if self._stop.count:
@@ -320,9 +323,9 @@ class Player:
     def _note(self, replies: Replies, acted: MitCommand) -> None:
         """Keep what was heard: for a reference that follows the arm, and what holds it still."""
         q, qd = self._session.believed
-        commanded = acted.motor_torque(q, qd)
+        self._motor_torque = acted.motor_torque(q, qd)
         if isinstance(self._follower, paths.Lowering):
-            self._follower.torque = commanded
+            self._follower.torque = self._motor_torque
         elif self._follower is not None:
             trusted = self._observer.trusted
             self._follower.q = np.where(trusted, q, np.nan)
@@ -330,24 +333,23 @@ class Player:
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
         if np.all(np.isfinite(q)):
-            self._still.append(np.stack([q, commanded]))
+            self._still.append(np.stack([q, self._motor_torque]))
             del self._still[:-_STILL_SAMPLES]
 
-    def _keep(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
-        self._played += 1
+    def _add_to_track(self, time: float) -> None:
         is_due = not self._track or time - self._track[-1][0] >= _TRACK_INTERVAL
         if is_due and len(self._track) < _MOST_TRACKED:
             q, qd = self._session.believed
-            self._track.append((time, np.stack([q, qd, acted.motor_torque(q, qd)])))
+            self._track.append((time, np.stack([q, qd, self._motor_torque])))
+
+    def _keep(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
+        self._played += 1
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
             self._recorder.end_cycle()
         if time - self._shown_at >= _PROGRESS_INTERVAL:
             self._shown_at = time
             self._on_progress(time)
-
-    def _check(self, replies: Replies, acted: MitCommand) -> None:
-        self._observer.check(replies, acted, self._standing, self._rising)
 
     def _command_for(self, reference: Reference) -> MitCommand:
         position, velocity, torque = reference
@@ -385,14 +387,17 @@ class Player:
         observer = self._observer
         settings = self._settings
         q, qd = (np.where(observer.trusted, x, np.nan) for x in self._session.believed)
-        place = q, reference.position, reference.torque
-        away = np.abs(q - reference.position) > settings.max_tracking_error
-        left = observer.has_left(*place) if self._standing else away
-        wrong = left & observer.is_pushed(*place)
+        if self._standing:
+            has_left = observer.has_left(q, reference.position, reference.torque)
+        else:
+            has_left = np.abs(q - reference.position) > settings.max_tracking_error
+        is_pushed = observer.is_pushed(q, reference.position, reference.torque)
         model = self._holding.torque(np.where(np.isfinite(q), q, reference.position))
         # While gains rise, what was fed forward is not yet what carries the arm.
-        lately = np.where(np.isnan(observer.fed) | self._rising, reference.torque, observer.fed)
-        fed = np.where(wrong, 0.0, model if self._holding.is_model else lately)
+        is_new = np.isnan(observer.fed) | self._rising
+        recent_torque = np.where(is_new, reference.torque, observer.fed)
+        carrying_torque = model if self._holding.is_model else recent_torque
+        fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         start = StopStart(
             Reference(self._session.sent_position, reference.velocity, reference.torque),
             q,

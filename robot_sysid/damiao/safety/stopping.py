@@ -96,22 +96,37 @@ class CarriedStop:
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s] after the beginning; times never go back."""
         start = self._start
-        braked = min(max(time, 0.0), self.duration)
-        left = 1.0 - braked / self.duration if self.duration > 0.0 else 0.0
-        position = start.reference.position + self._velocity * braked * (1.0 + left) / 2.0
-        position = np.clip(position, start.command_range.lower, start.command_range.upper)
+        position, velocity = self._braking_path(time)
         goal = position - self._offset
-        displaced = self._displacement(goal)
-        self._relieve(time, np.nan_to_num(goal - self.q))
-        share = min(time / max(self.duration, _BLEND_TIME), 1.0)
-        fed = start.reference.torque + share * (start.fed - start.reference.torque)
-        leaving = -np.sign(displaced) * np.nan_to_num(self.qd)
-        lift = self._stiffening * displaced * (_STEADY + _LEAVING * np.tanh(leaving / _SPEED_SCALE))
+        self._relieve(time, goal)
         relief_torque = self._relief * start.kp * self._offset
-        if braked < self.duration or np.any(np.abs(np.nan_to_num(self.qd)) > _REST_SPEED):
-            self._moved_at = time
-        self.last = Reference(position, self._velocity * left, fed + lift - relief_torque)
+        torque = self._carrying_torque(time) + self._lift(goal) - relief_torque
+        self._note_motion(time)
+        self.last = Reference(position, velocity, torque)
         return self.last
+
+    def _braking_path(self, time: float) -> tuple[Array, Array]:
+        """Return position and velocity (n,) of the reference: it slows down evenly, then stands."""
+        braked = min(max(time, 0.0), self.duration)
+        share_left = 1.0 - braked / self.duration if self.duration > 0.0 else 0.0
+        position = self._start.reference.position
+        position = position + self._velocity * braked * (1.0 + share_left) / 2.0
+        command_range = self._start.command_range
+        position = np.clip(position, command_range.lower, command_range.upper)
+        return position, self._velocity * share_left
+
+    def _carrying_torque(self, time: float) -> Array:
+        """Return the feed-forward torque (n,): from that of the path to what carries at rest."""
+        last_torque = self._start.reference.torque
+        share = min(time / max(self.duration, _BLEND_TIME), 1.0)
+        return last_torque + share * (self._start.fed - last_torque)
+
+    def _lift(self, goal: Array) -> Array:
+        """Return the torque (n,) that pulls joints back to their way, more so as they leave it."""
+        displacement = self._displacement(goal)
+        leaving_speed = -np.sign(displacement) * np.nan_to_num(self.qd)
+        share = _STEADY + _LEAVING * np.tanh(leaving_speed / _SPEED_SCALE)
+        return np.asarray(self._stiffening * displacement * share)
 
     def _displacement(self, goal: Array) -> Array:
         """Return how far joints (n,) are off the way that they have come and have to go [rad]."""
@@ -122,14 +137,20 @@ class CarriedStop:
         highest = np.fmax(self._reached, goal)
         return np.nan_to_num(np.clip(self.q, lowest, highest) - self.q)
 
-    def _relieve(self, time: float, moved: Array) -> None:
+    def _relieve(self, time: float, goal: Array) -> None:
+        """Give back more of what holds joints that stand, once the reference stands at ``goal``."""
         passed = time - self._time
         self._time = time
         if time <= self.duration:
             return
-        self._has_moved |= np.abs(moved) > _RELIEF_MOVED
+        self._has_moved |= np.abs(np.nan_to_num(goal - self.q)) > _RELIEF_MOVED
         less = (1.0 - self._relief) * min(passed / _RELIEF_TIME, 1.0)
         self._relief = np.where(self._has_moved, self._relief, self._relief + less)
+
+    def _note_motion(self, time: float) -> None:
+        is_moving = np.abs(np.nan_to_num(self.qd)) > _REST_SPEED
+        if time < self.duration or np.any(is_moving):
+            self._moved_at = time
 
     @property
     def is_at_rest(self) -> bool:
