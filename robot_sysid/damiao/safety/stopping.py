@@ -20,11 +20,14 @@ from robot_sysid.records import Array
 # has moved so far [rad]: then it was its load and not an obstacle.
 _RELIEF_TIME = 0.3
 _RELIEF_MOVED = 0.01
-# A joint that leaves its way is stiffened by the computer, through the feed-forward torque. It sees
-# what is one and a half cycles old, which takes damping away: half of the motor's at most.
+# A joint that leaves its way is stiffened and damped by the computer, through the feed-forward
+# torque, which acts on what is one and a half cycles old. That takes damping away at one frequency
+# or another, so both are shares of the motor's own: of kd, and of kd per delay. With these, no
+# energy goes into a joint of any inertia or flexibility, also when samples are two cycles older;
+# more of either makes light or flexible joints swing.
 _DELAY_CYCLES = 1.5
-_DAMPING_SHARE = 0.5
-_MOST_STIFFENING = 4.0
+_ADDED_DAMPING = 0.25
+_ADDED_STIFFNESS = 0.8
 # It pulls harder on a joint that leaves than on one that comes back: so it takes energy away. Full
 # difference at about this speed [rad/s].
 _STEADY = 0.6
@@ -66,7 +69,8 @@ class CarriedStop:
       reference from its own speed, and one that goes the other way from rest.
     - The distance between reference and joint stays, and with it the torque that it makes.
     - What a joint does not need to stay where it is, is given back: it may lean on an obstacle.
-    - A joint that leaves its way, under its load or thrown by another joint, is held stiffer.
+    - A joint that leaves its way, under its load or thrown by another joint, is held stiffer and
+      damped more, as far as its motor's own damping allows.
 
     ``q`` and ``qd`` (n,), as believed last, are to be set in every cycle; NaN where unknown.
     ``last`` is the last reference. Joints are at rest when they have stood for ``rest_time`` [s].
@@ -86,8 +90,7 @@ class CarriedStop:
         self._velocity = np.clip(speed, np.minimum(led, 0.0), np.maximum(led, 0.0))
         self.duration = float(np.max(np.abs(self._velocity), initial=0.0)) / deceleration
         self._offset = np.nan_to_num(start.reference.position - start.q)
-        stable = _DAMPING_SHARE * start.kd / (_DELAY_CYCLES * period)
-        self._stiffening = np.minimum(stable, _MOST_STIFFENING * start.kp)
+        self._stiffening = _ADDED_STIFFNESS * start.kd / (_DELAY_CYCLES * period)
         self._relief = np.where(start.stuck, 1.0, 0.0)
         self._reached = start.q
         self._has_moved = np.zeros(len(led), dtype=bool)
@@ -100,7 +103,8 @@ class CarriedStop:
         goal = position - self._offset
         self._relieve(time, goal)
         relief_torque = self._relief * start.kp * self._offset
-        torque = self._carrying_torque(time) + self._lift(goal) - relief_torque
+        holding_torque = self._lift(goal) + self._damping_torque(velocity)
+        torque = self._carrying_torque(time) + holding_torque - relief_torque
         self._note_motion(time)
         self.last = Reference(position, velocity, torque)
         return self.last
@@ -127,6 +131,10 @@ class CarriedStop:
         leaving_speed = -np.sign(displacement) * np.nan_to_num(self.qd)
         share = _STEADY + _LEAVING * np.tanh(leaving_speed / _SPEED_SCALE)
         return np.asarray(self._stiffening * displacement * share)
+
+    def _damping_torque(self, velocity: Array) -> Array:
+        """Return the torque (n,) against speeds other than that of the reference."""
+        return np.asarray(_ADDED_DAMPING * self._start.kd * np.nan_to_num(velocity - self.qd))
 
     def _displacement(self, goal: Array) -> Array:
         """Return how far joints (n,) are off the way that they have come and have to go [rad]."""
