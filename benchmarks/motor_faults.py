@@ -220,6 +220,7 @@ HOLD_COLUMNS = (
     ("fall after the stop [rad]", lambda o: f"{o.fall:.3f}"),
     ("others' fall [rad]", lambda o: f"{o.others_fall:.3f}"),
     ("others' speed [rad/s]", lambda o: f"{o.others_speed:.2f}"),
+    ("0.1 s later [rad/s]", lambda o: f"{o.others_later_speed:.2f}"),
     ("energy gained [J]", lambda o: f"{o.energy_gain:.2f}"),
     _WORDS,
 )

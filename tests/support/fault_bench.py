@@ -47,6 +47,8 @@ DURATION = 5.0
 FILE_RATE = 250.0
 OBSERVED = 1.0
 """How long after a stop begins it is observed [s]; the motors may be disabled before."""
+LATER = 0.1
+"""From when on after a stop begins joints have lost the speed that they had then [s]."""
 WINDOW_BEFORE, WINDOW_AFTER = 0.1, 0.5
 """Which part of the undisturbed path a joint may be on: around the stop [s]."""
 FASTEST_CLASSIC = 250.0
@@ -485,7 +487,8 @@ class Outcome:
         departure_after_stop: farthest after the stop began, from where the joint was then [rad].
         fall: that of the joint at fault, if one is named; else of all; ``others_fall`` of the
             other joints.
-        others_speed: greatest speed of the other joints after the stop began [rad/s].
+        others_speed: greatest speed of the other joints after the stop began [rad/s];
+            ``others_later_speed`` later than ``LATER`` after that.
         top_speed: greatest speed of any joint after the stop began [rad/s].
         kinetic: greatest kinetic energy after the onset [J]; ``clean_kinetic`` that of a clean run.
         energy_gain: most that the mechanical energy rose after the stop began [J].
@@ -504,6 +507,7 @@ class Outcome:
     fall: float
     others_fall: float
     others_speed: float
+    others_later_speed: float
     top_speed: float
     kinetic: float
     clean_kinetic: float
@@ -584,7 +588,7 @@ def judged_outcome(case, record, clean):
     until = last if stop_at is None else min(last, stop_at + OBSERVED)
     departure = _departures(record, clean, onset, until)
     worst = int(np.argmax(departure))
-    way, speed, gain = _motion_after_stop(record, until)
+    way, speed, later_speed, gain = _motion_after_stop(record, until)
     is_other = np.arange(len(way)) != case.joint
     return Outcome(
         name=case.name,
@@ -598,6 +602,7 @@ def judged_outcome(case, record, clean):
         fall=float(way.max() if case.joint is None else way[case.joint]),
         others_fall=float(way[is_other].max()),
         others_speed=float(speed[is_other].max()),
+        others_later_speed=float(later_speed[is_other].max()),
         top_speed=float(speed.max()),
         kinetic=_peak_kinetic(record, onset, until),
         clean_kinetic=_peak_kinetic(clean, onset, clean.time[-1]),
@@ -610,18 +615,21 @@ def judged_outcome(case, record, clean):
 
 
 def _motion_after_stop(record, until):
-    """Return how far (n,) and how fast (n,) joints got after the stop, and the energy gained."""
+    """Return how far, how fast, and later how fast joints got after the stop, each (n,), and the
+    energy gained.
+    """
     n = record.q.shape[1]
     stop_at = np.inf if record.stop_at is None else record.stop_at
     inside = (record.time >= stop_at) & (record.time <= until)
     if not np.any(inside):
-        return np.zeros(n), np.zeros(n), 0.0
+        return np.zeros(n), np.zeros(n), np.zeros(n), 0.0
     q = record.q[inside]
     way = np.abs(q - q[0]).max(axis=0)
-    speed = np.abs(record.qd[inside]).max(axis=0)
+    speed = np.abs(record.qd[inside])
+    later_speed = speed[record.time[inside] >= stop_at + LATER].max(axis=0, initial=0.0)
     times, kinetic, potential = record.energy.T
     total = (kinetic + potential)[(times >= stop_at - 0.02) & (times <= until)]
-    return way, speed, float(np.max(total) - total[0])
+    return way, speed.max(axis=0), later_speed, float(np.max(total) - total[0])
 
 
 def _peak_kinetic(record, onset, until):
