@@ -70,7 +70,7 @@ def play(
         require_no_stop(asked.checks(plan), "not played")
         asked.require_free(plan)
         arm = asked.simulated_arm(plan, DEFAULT_WATCHDOG) if simulate else None
-        with asked.bus() if arm is None else asked.simulated(arm) as link:
+        with asked.bus() if arm is None else asked.simulated_bus(arm) as link:
             return _played(asked, link, plan, say, real=not simulate)
 
 
