@@ -15,6 +15,7 @@ endian, eight bytes of data, 55.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import re
 import select
@@ -62,7 +63,7 @@ class PacketReader:
 BAUD = 921_600
 # Longest wait for the line to take a packet: longer, and the motors' watchdogs are near [s].
 _WRITE_TIMEOUT = 0.02
-# How long python-can's slcan waits for a byte by default before it looks at its own time-out [s].
+# How long a serial port waits for a byte before it is asked whether to go on [s].
 _PATIENCE = 1e-3
 
 
@@ -117,64 +118,68 @@ def _bus_class() -> Any:
     return DamiaoSerialBus
 
 
-class _Line:
-    """A serial line as python-can's slcan wants it; it is asked for one byte after the other.
+class _LineReader:
+    """Reads an slcan adapter's lines for python-can, whose own loop asks for each byte.
 
-    ``fetch`` returns all bytes that have come, waiting a moment for the first one.
+    It waits no longer than it is asked to: python-can's waits a millisecond for the first byte also
+    where only what has come is wanted, a quarter of a control cycle. ``fetch`` returns all bytes
+    that have come, and waits for the first one as long as it is told [s].
     """
 
-    def __init__(self, fetch: Callable[[], bytes]) -> None:
-        self._fetch, self._come = fetch, b""
+    def __init__(self, fetch: Callable[[float], bytes]) -> None:
+        self._fetch = fetch
+        self._come = b""
 
-    @property
-    def in_waiting(self) -> int:
-        """How many bytes have come."""
+    def __call__(self, timeout: float | None) -> str | None:
+        """Return the next line with its end, or None after ``timeout`` [s]."""
+        until = math.inf if timeout is None else time.monotonic() + timeout
+        while (end := _LINE_END.search(self._come)) is None:
+            left = min(max(until - time.monotonic(), 0.0), _LONGEST_LOOK)
+            piece = self._fetch(left)
+            self._come += piece
+            if not piece and left == 0.0:
+                return None
+        line = self._come[: end.end()]
+        self._come = self._come[end.end() :]
         # python-can gives up at a byte that is no text.
-        self._come = self._come or self._fetch().decode("ascii", "ignore").encode()
-        return len(self._come)
-
-    def read(self, size: int) -> bytes:
-        """Return up to that many of the bytes that have come."""
-        piece, self._come = self._come[:size], self._come[size:]
-        return piece
+        return line.decode("ascii", "ignore")
 
 
-class _Port(_Line):
-    """A serial port; read in pieces, a frame takes a fifth of the time that bytes take."""
-
-    def __init__(self, port: Any, patience: float, write_timeout: float) -> None:
-        self._port, port.timeout, port.write_timeout = port, patience, write_timeout
-        super().__init__(lambda: port.read(max(port.in_waiting, 1)))
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._port, name)
+# A wait without end is made of looks as long as this [s].
+_LONGEST_LOOK = 1.0
+# slcan ends a line with a carriage return, or with a bell where it refuses a command.
+_LINE_END = re.compile(rb"[\r\a]")
 
 
 def read_in_pieces(bus: Any, alone: bool, write_timeout: float) -> None:
     """Let python-can's slcan read what has come at once; wait for it only on a bus that is alone.
 
-    Where there are several, a millisecond's wait for one that is silent keeps the others waiting.
+    Where there are several, a wait for one that is silent keeps the others waiting.
     """
-    bus.serialPortOrig = _Port(bus.serialPortOrig, _PATIENCE if alone else 0.0, write_timeout)
+    port = bus.serialPortOrig
+    port.timeout = _PATIENCE if alone else 0.0
+    port.write_timeout = write_timeout
+    # Setting a port's time-out configures it anew, so it stays what it is.
+    bus._read = _LineReader(lambda left: port.read(port.in_waiting or int(left > 0.0)))
 
 
-class _NearEnd(_Line):
+class _NearEnd:
     """Our end of a pseudo-terminal."""
 
     write_timeout: float | None = None
 
-    def __init__(self, patience: float) -> None:
+    def __init__(self) -> None:
         import tty
 
         # The far end stays open here too, so that a client may come and go.
         self._near, self._far = os.openpty()
         tty.setraw(self._far)
         os.set_blocking(self._near, False)
-        self.device, self._patience = os.ttyname(self._far), patience
-        super().__init__(self._piece)
+        self.device = os.ttyname(self._far)
 
-    def _piece(self) -> bytes:
-        ready = select.select([self._near], [], [], self._patience)[0]
+    def fetch(self, patience: float) -> bytes:
+        """Return the bytes that have come, after waiting for the first one [s]."""
+        ready = select.select([self._near], [], [], patience)[0]
         return os.read(self._near, 4096) if ready else b""
 
     def write(self, data: bytes) -> None:
@@ -191,12 +196,11 @@ class _NearEnd(_Line):
         os.close(self._far)
 
 
-def slcan_terminal(alone: bool = True) -> tuple[Any, str]:
+def slcan_terminal() -> tuple[Any, str]:
     """Return a python-can bus behind a pseudo-terminal, and the device at which to open it.
 
     Whoever opens the device with python-can's slcan interface talks to this process; nothing leaves
-    the computer. Where there are several it waits for none, see ``read_in_pieces``. InputError
-    where there are no pseudo-terminals.
+    the computer. InputError where there are no pseudo-terminals.
     """
     if not hasattr(os, "openpty"):
         raise InputError("pseudo-terminals need a Unix system")
@@ -211,6 +215,8 @@ def slcan_terminal(alone: bool = True) -> tuple[Any, str]:
                 return super()._recv_internal(timeout)
             return None, False
 
-    bus, line = Terminal("loop://", sleep_after_open=0), _NearEnd(_PATIENCE if alone else 0.0)
+    bus: Any = Terminal("loop://", sleep_after_open=0)
+    line = _NearEnd()
     bus.serialPortOrig = line
+    bus._read = _LineReader(line.fetch)
     return bus, line.device

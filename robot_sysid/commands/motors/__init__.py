@@ -361,7 +361,7 @@ def _simulated_end(asked: Asked) -> bus.Link:
     else:
         bus.import_can()
         names = asked.channels
-        ends = [slcan_terminal(alone=len(names) < 2) for _ in names or ("",)]
+        ends = [slcan_terminal() for _ in names or ("",)]
         devices = [device for _, device in ends]
         channels = tuple(map("=".join, zip(names, devices))) if len(names) > 1 else tuple(devices)
         link, interface = BusLink([terminal for terminal, _ in ends], asked.clock), "slcan"
