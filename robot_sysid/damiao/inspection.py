@@ -18,6 +18,7 @@ import numpy as np
 from robot_sysid.damiao.bus import GuardedLink, LinkError
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_feedback
+from robot_sysid.damiao.safety.realtime import undisturbed
 from robot_sysid.errors import HardwareAbort
 
 # A frame may be lost on a bus that another program has just left.
@@ -234,7 +235,9 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         motors[address] = replace(motor, feedback=client.state_of(motor))
     asked, round_trip = [(each.address, each.reply_ids[0]) for each in motors.values()], None
     if all(each.feedback for each in motors.values()):
-        times = [client.seconds_to_refresh(asked) for _ in range(_ROUNDS)]
+        # As in the run that it is for.
+        with undisturbed(link.clock.live):
+            times = [client.seconds_to_refresh(asked) for _ in range(_ROUNDS)]
         answered = [time for time in times if time is not None]
         if len(answered) > _ROUNDS // 2:
             round_trip = float(np.percentile(answered, 90.0))

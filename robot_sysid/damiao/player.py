@@ -7,10 +7,8 @@ answers makes no difference to it.
 from __future__ import annotations
 
 import contextlib
-import gc
-import sys
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +19,7 @@ from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import HoldingCheck, Reference, ReferenceFunction, hold
 from robot_sysid.damiao.safety.observer import Fault, Observer
+from robot_sysid.damiao.safety.realtime import undisturbed
 from robot_sysid.damiao.safety.samples import Replies
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
@@ -86,8 +85,6 @@ _STILL_SAMPLES = 100
 # its first minute. An arm may be held for days.
 _TRACK_INTERVAL = 0.03
 _MOST_TRACKED = 2000
-# A busy thread gives way after this long [s]; Python's own default is more than a control cycle.
-_SWITCH_INTERVAL = 2e-4
 # Nothing heard for longer than this while braking: the watchdogs (0.1 s, and half as much again)
 # have stopped the motors, or the bus is gone [s].
 _DEAF = 0.15
@@ -176,7 +173,7 @@ class Player:
         The trajectory is asked at times that never go back, up to its duration [s]. HardwareAbort
         tells the cause when motors that still answer have been brought to rest.
         """
-        with _undisturbed():
+        with undisturbed(self._clock.live):
             try:
                 self._run_phases(trajectory, duration)
             except BaseException as error:
@@ -443,18 +440,3 @@ class Player:
         self._note(replies, acted)
         if self._recorder:
             self._recorder.end_cycle()
-
-
-@contextlib.contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Keep the garbage collector, and what happens aside, from pausing a control cycle."""
-    was_on, interval = gc.isenabled(), sys.getswitchinterval()
-    gc.collect()
-    gc.disable()
-    sys.setswitchinterval(_SWITCH_INTERVAL)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(interval)
-        if was_on:
-            gc.enable()

@@ -1,0 +1,129 @@
+"""Priority of a control loop: given where it is allowed, and given back on every way out."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import sys
+import threading
+
+import pytest
+
+from robot_sysid.damiao.safety.realtime import PRIORITY, undisturbed
+
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
+
+
+class Scheduler:
+    """Stands for the system's scheduler; ``policies`` and ``priorities`` are by thread."""
+
+    def __init__(self, monkeypatch, is_allowed=True, policy=0):
+        self.is_allowed = is_allowed
+        self.schedules = {}
+        self.first_policy = policy
+        monkeypatch.setattr(os, "sched_getscheduler", self.policy)
+        monkeypatch.setattr(os, "sched_setscheduler", self.schedule)
+
+    def policy(self, thread_id):
+        return self.schedules.get(thread_id, (self.first_policy, 0))[0]
+
+    def schedule(self, thread_id, policy, parameters):
+        if not self.is_allowed:
+            raise PermissionError(1, "Operation not permitted")
+        self.schedules[thread_id] = policy, parameters.sched_priority
+
+
+@contextlib.contextmanager
+def waiting_thread():
+    """A thread that waits for the end of the block; yields its number."""
+    leave = threading.Event()
+    thread = threading.Thread(target=leave.wait)
+    thread.start()
+    try:
+        yield thread.native_id
+    finally:
+        leave.set()
+        thread.join()
+
+
+@LINUX
+def test_the_loop_goes_before_the_other_threads_and_these_before_other_programs(monkeypatch):
+    scheduler = Scheduler(monkeypatch)
+    with waiting_thread() as other, undisturbed() as is_granted:
+        assert is_granted
+        assert scheduler.schedules[0] == (os.SCHED_FIFO, PRIORITY)
+        policy, priority = scheduler.schedules[other]
+        assert policy == os.SCHED_FIFO
+        assert 0 < priority < PRIORITY
+
+
+@LINUX
+@pytest.mark.parametrize("error", [None, ValueError, KeyboardInterrupt, SystemExit])
+def test_priority_is_given_back_on_every_way_out(monkeypatch, error):
+    scheduler = Scheduler(monkeypatch)
+    expected = pytest.raises(error) if error else contextlib.nullcontext()
+    with contextlib.ExitStack() as stack:
+        earlier = stack.enter_context(waiting_thread())
+        with expected, undisturbed():
+            # It inherits the loop's priority.
+            later = stack.enter_context(waiting_thread())
+            if error:
+                raise error
+        for thread_id in (0, earlier, later):
+            assert scheduler.schedules[thread_id] == (os.SCHED_OTHER, 0)
+
+
+@LINUX
+@pytest.mark.parametrize(("policy", "is_granted"), [("SCHED_RR", True), ("SCHED_BATCH", False)])
+def test_a_policy_that_somebody_has_chosen_stays(monkeypatch, policy, is_granted):
+    scheduler = Scheduler(monkeypatch, policy=getattr(os, policy))
+    with undisturbed() as has_priority:
+        assert has_priority == is_granted
+    assert scheduler.schedules == {}
+
+
+@LINUX
+def test_a_user_without_the_right_goes_on_without(monkeypatch):
+    scheduler = Scheduler(monkeypatch, is_allowed=False)
+    with undisturbed() as is_granted:
+        assert not is_granted
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    assert scheduler.schedules == {}
+
+
+@pytest.mark.parametrize("platform", ["darwin", "win32"])
+def test_a_system_that_knows_no_such_priority_goes_on_without(monkeypatch, platform):
+    monkeypatch.setattr(sys, "platform", platform)
+    for name in ("sched_getscheduler", "sched_setscheduler", "SCHED_FIFO", "SCHED_RR"):
+        monkeypatch.delattr(os, name, raising=False)
+    with undisturbed() as is_granted:
+        assert not is_granted
+
+
+@LINUX
+def test_simulated_time_takes_no_priority(monkeypatch):
+    """It never waits, and would keep a processor for itself."""
+    scheduler = Scheduler(monkeypatch)
+    with undisturbed(live=False) as is_granted:
+        assert not is_granted
+    assert scheduler.schedules == {}
+
+
+def test_garbage_collection_and_the_switch_interval_are_put_back():
+    interval = sys.getswitchinterval()
+    with pytest.raises(ValueError), undisturbed():
+        assert not gc.isenabled()
+        assert sys.getswitchinterval() < 1e-3
+        raise ValueError
+    assert gc.isenabled()
+    assert sys.getswitchinterval() == interval
+
+
+@LINUX
+def test_the_system_itself_gives_and_takes_it():
+    before = os.sched_getscheduler(0)
+    with undisturbed() as is_granted:
+        assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == is_granted
+    assert os.sched_getscheduler(0) == before
