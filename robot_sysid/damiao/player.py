@@ -293,6 +293,9 @@ class Player:
             if record:
                 self._add_to_track(time)
                 self._keep(time, origin, replies, acted)
+            if self._recorder:
+                # Also what is not recorded: its frames would all be written at once later.
+                self._recorder.end_cycle()
             self._observer.check(replies, acted, self._standing, self._rising)
 
     def _stop_if_asked(self) -> None:
@@ -343,7 +346,6 @@ class Player:
         self._played += 1
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
-            self._recorder.end_cycle()
         if time - self._shown_at >= _PROGRESS_INTERVAL:
             self._shown_at = time
             self._on_progress(time)
