@@ -74,9 +74,9 @@ class CycleTimer:
 _LIFT_SHARE = 0.2
 # In fewer cycles than this an arm falls between two of them: it is lifted in one.
 _LEAST_LIFT_STEPS = 4.0
-# Of a cycle: how long replies are waited for, and at least, where it began late. The rest is for
-# the checks; seven motors' commands and replies take 1.9 of 4 ms on classic CAN.
-_REPLY_SHARE, _LEAST_REPLY_SHARE = 0.9, 0.3
+# How long replies are waited for, as a share of a cycle; the rest is for the checks. Motors get it
+# also where the computer began late: that is no fault of theirs, and the next cycle is left out.
+_REPLY_SHARE = 0.9
 # Judgements: how often the progress is shown [s], and over how many cycles the torque that holds
 # the arm is averaged.
 _PROGRESS_INTERVAL = 0.1
@@ -283,7 +283,7 @@ class Player:
             wanted = reference(time)
             self._stop_if_asked()
             try:
-                replies, acted = self._cycle(wanted, deadline)
+                replies, acted = self._cycle(wanted)
             except BaseException:
                 # What the exchange had collected when it was cut short is recorded.
                 partial = self._session.last_replies
@@ -305,7 +305,7 @@ class Player:
         if failure is not None:
             raise HardwareAbort(f"cannot record: {words_of(failure)}")
 
-    def _cycle(self, reference: Reference, deadline: float) -> tuple[Replies, MitCommand]:
+    def _cycle(self, reference: Reference) -> tuple[Replies, MitCommand]:
         """Exchange one command; return the replies and the command they were sampled under."""
         steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
         self._gain = min(self._gain + 1.0 / steps, 1.0) if steps > _LEAST_LIFT_STEPS else 1.0
@@ -313,7 +313,7 @@ class Player:
         # A motor makes no torque before its first command.
         idle = command._replace(kp=0.0 * self._kp, kd=0.0 * self._kd, torque=0.0 * command.torque)
         acted = self._command or idle
-        replies = self._session.exchange(command, self._reply_deadline(deadline))
+        replies = self._session.exchange(command, self._reply_deadline())
         self._observer.update(replies)
         self._reference = reference
         self._command = replies.command
@@ -354,10 +354,8 @@ class Player:
         position, velocity, torque = reference
         return MitCommand(position, velocity, self._gain * self._kp, self._kd, self._gain * torque)
 
-    def _reply_deadline(self, deadline: float) -> float:
-        period = self._settings.period
-        least = self._clock.now() + _LEAST_REPLY_SHARE * period
-        return max(deadline + _REPLY_SHARE * period, least)
+    def _reply_deadline(self) -> float:
+        return self._clock.now() + _REPLY_SHARE * self._settings.period
 
     def _stop_gently(self) -> None:
         """Brake and hold the motors that still answer, whatever else goes wrong meanwhile."""
@@ -428,14 +426,14 @@ class Player:
                 return
             # A bus that fails now may work again in the next cycle.
             with contextlib.suppress(BaseException):
-                self._stop_cycle(reference(deadline - origin), deadline)
+                self._stop_cycle(reference(deadline - origin))
 
-    def _stop_cycle(self, wanted: Reference, deadline: float) -> None:
+    def _stop_cycle(self, wanted: Reference) -> None:
         # A motor that does not answer may still obey, so only failed ones are left out.
         driving = ~self._observer.failed
         command = self._command_for(wanted)
         acted = self._command or command
-        until = self._reply_deadline(deadline)
+        until = self._reply_deadline()
         replies = self._session.exchange(command, until, driving, braking=True)
         self._command = replies.command
         self._observer.update(replies)
