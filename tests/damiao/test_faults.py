@@ -5,17 +5,13 @@ An arm's model plays on simulated motors; ``benchmarks/motor_faults.py`` prints 
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from robot_sysid.damiao.protocol.frames import Frame
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
-from robot_sysid.damiao.simulated import simulated_motor
 from tests.support.arm_pair import play_openarms
 from tests.support.damaged_links import Damage, frame_of_line, slcan_line
 from tests.support.fault_bench import Case, SetUp, loaded_joint, outcomes_of
 from tests.support.fault_lines import LINES, SHOULDER
-from tests.support.faulty_arm import bench_motor
 from tests.support.motor_causes import joint_of
 from tests.support.places import ROOT
 
@@ -63,18 +59,6 @@ def test_exchanged_cables_of_two_arms_are_named_soon_after_they_leave_a_symmetri
 
 
 # --- the bench itself ---------------------------------------------------------------------------
-
-
-def test_a_bench_motor_packs_its_state_as_the_codec_does():
-    random = np.random.default_rng(0)
-    motor = bench_motor(DamiaoJoint("DM4340", 5, 0x15))
-    plain = simulated_motor(motor.joint)
-    for _ in range(200):
-        for state, limit in zip(("position", "velocity", "torque"), motor.joint.spec.limits):
-            value = random.uniform(-1.1 * limit, 1.1 * limit)
-            setattr(motor, state, value)
-            setattr(plain, state, value)
-        assert motor._feedback() == plain._feedback()
 
 
 @pytest.mark.parametrize(

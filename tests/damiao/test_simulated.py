@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 
 import can
+import numpy as np
 import pytest
 
 from robot_sysid.damiao.bus import BusLink, SimulatedClock, SystemClock
+from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_mit, encode_feedback
 from robot_sysid.damiao.protocol.frames import (
     Address,
     Frame,
@@ -15,8 +17,9 @@ from robot_sysid.damiao.protocol.frames import (
     enable_frame,
     refresh_frame,
 )
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.serial_adapter import slcan_terminal
-from robot_sysid.damiao.simulated import serve
+from robot_sysid.damiao.simulated import serve, simulated_motor
 from tests.support.damiao_rig import two_motor_arm
 
 
@@ -43,13 +46,28 @@ def served(clock, far, arm, seconds):
     return serve(arm, far, clock, lambda: clock.now() < seconds)
 
 
+def test_a_motor_packs_and_unpacks_as_the_codec_does():
+    random = np.random.default_rng(0)
+    motor = simulated_motor(DamiaoJoint("DM4340", 5, 0x15))
+    scaling = Scaling([motor.joint.spec.limits])
+    for _ in range(200):
+        measured = [random.uniform(-1.1 * limit, 1.1 * limit) for limit in scaling.limits[0]]
+        motor.position, motor.velocity, motor.torque = measured
+        columns = (np.array([value]) for value in (motor.can_id, motor.status, *measured, 31, 29))
+        assert motor._feedback() == encode_feedback(Feedback(*columns), scaling)[0].tobytes()
+        command = random.integers(0, 256, 8, dtype=np.uint8)
+        meaning = decode_mit(command[None], scaling)
+        assert motor._unpacked(command.tobytes()) == [float(value[0]) for value in meaning]
+
+
 def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():
     clock, arm = SimulatedClock(), two_motor_arm()
     asked = [(0.1 * i, refresh_frame(Address(0, i))) for i in (1, 2, 3)]
     far = FarEnd(clock, *asked, (0.4, enable_frame(Address(0, 1))._replace(echo=True)))
-    assert served(clock, far, arm, 1.0) == 0.0
+    assert served(clock, far, arm, 1.0).left_out == 0.0
     assert far.answers == [(0.1, 17), (0.2, 18)] and not arm.motors[0].driving
-    assert arm.time == pytest.approx(1.0, abs=3e-3)
+    # It lives in whole steps, and is asked for the last time a tick before the end.
+    assert -1e-9 < 1.0 - arm.time < arm.mechanism.timestep + 1e-3
 
 
 def test_watchdogs_expire_while_nobody_talks():
@@ -73,7 +91,9 @@ def test_a_computer_that_falls_behind_leaves_time_out_instead_of_catching_up():
         return ordinary(until)
 
     far.receive = paused
-    assert served(clock, far, arm, 5.3) == pytest.approx(5.0 - 0.3, abs=5e-3)
+    report = served(clock, far, arm, 5.3)
+    assert report.left_out == pytest.approx(5.0 - 0.3, abs=5e-3)
+    assert report.longest_delay == pytest.approx(5.0 - 0.3, abs=5e-3)
     assert arm.time == pytest.approx(5.3, abs=3e-3)
     # Physics ran from enabling to the pause and after it.
     assert sum(steps) == pytest.approx(0.2 + 0.3, abs=10 * arm.mechanism.timestep)

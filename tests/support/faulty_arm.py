@@ -7,7 +7,6 @@ the joints': motors are mounted straight here.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import mujoco
@@ -44,24 +43,9 @@ class BenchMotor(FaultyMotor):
         if not np.isnan(self.frozen_position):
             position = self.frozen_position
             velocity = 0.0
-        self.last_answer = self._packed(position, velocity)
+        measured = velocity * self.velocity_factor, self.torque * self.torque_factor
+        self.last_answer = self._packed(position, *measured)
         return self.last_answer
-
-    def _packed(self, position, velocity):
-        """Return what ``codec.encode_feedback`` does, number by number: forty times as fast."""
-        quantities = (
-            (position + self.shift, frames.PMAX, 16),
-            (velocity * self.velocity_factor, frames.VMAX, 12),
-            (self.torque * self.torque_factor, frames.TMAX, 12),
-        )
-        word = int(self.status) << 4 | (self.can_id & 0xF)
-        for value, register, bits in quantities:
-            limit = self.registers[register]
-            full = (1 << bits) - 1
-            code = math.floor((value + limit) * (full / (2.0 * limit)))
-            word = word << bits | min(max(code, 0), full)
-        heat = bytes([self.temperature_mos, self.temperature_rotor])
-        return word.to_bytes(6, "big") + heat
 
 
 def bench_motor(joint, watchdog=DEFAULT_WATCHDOG):
