@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import json
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -489,7 +487,7 @@ def test_terminals_of_a_map_of_two_buses_have_its_names(capsys, trajectory, mode
     arm = ("--model", model, "--joint-map", two_buses)
     code, out, err = run(capsys, "simulate", trajectory, *arm, "--for", "0.01")
     assert (code, err) == (0, "")
-    words = shlex.split(out.splitlines()[-1])
+    words = shlex.split(next(line for line in out.splitlines() if line.startswith("robot-sysid")))
     channels = [word for before, word in zip(words, words[1:]) if before == "--channel"]
     assert [name for name, _, _ in (c.partition("=/dev/") for c in channels)] == ["can0", "can1"]
 
@@ -514,21 +512,14 @@ def test_a_simulated_arm_goes_on_until_it_is_interrupted(capsys, bus, trajectory
 
 # Wide enough for most computers; one that has other things to do keeps time for what may go first.
 SLOWLY = ("--rate", "25", "--max-tracking-error", "1")
-
-
-@functools.cache
-def program(command, priority):
-    """The words that start a command, with real-time priority where that is allowed."""
-    first = ["chrt", "-f", priority] if shutil.which("chrt") else []
-    allowed = first and subprocess.run([*first, "true"], capture_output=True).returncode == 0
-    return [*(first if allowed else []), sys.executable, "-m", "robot_sysid", "motors", command]
+PROGRAM = (sys.executable, "-m", "robot_sysid", "motors")
 
 
 @contextlib.contextmanager
 def simulator(trajectory, model, watchdog="2"):
     """A simulated arm in a process of its own; yields the device to reach it at."""
     server = subprocess.Popen(
-        [*program("simulate", "5"), trajectory, "--model", model, "--watchdog", watchdog],
+        [*PROGRAM, "simulate", trajectory, "--model", model, "--watchdog", watchdog],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
@@ -551,7 +542,7 @@ def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
     """What the user does: simulate in one terminal, play and stop it in the other."""
     with simulator(trajectory, model, watchdog="5") as device:
         play = [
-            *program("play", "10"), trajectory,
+            *PROGRAM, "play", trajectory,
             "--interface", "slcan", "--channel", device, *SLOWLY,
             "--yes", "--record", tmp_path / "measured.csv",
         ]  # fmt: skip
@@ -577,7 +568,7 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(model, tmp_
     with simulator(trajectory, model) as device:
         play = subprocess.Popen(
             [
-                *program("play", "10"), trajectory, "--yes",
+                *PROGRAM, "play", trajectory, "--yes",
                 "--interface", "slcan", "--channel", device, *SLOWLY, "--record", record,
                 "--raw-log", frames,
             ],
