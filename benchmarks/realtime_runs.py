@@ -1,0 +1,308 @@
+"""Whether undisturbed runs in real time are played to their ends, also on a busy computer.
+
+Run from the checkout, nothing else running; it exits with 1 when a run was stopped:
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.realtime_runs
+    ... --arm kinova --rate 250 --load busy --repeats 5
+    ... --setups 5           # motors setup, on a busy computer
+
+``robot-sysid motors simulate`` is the arm, behind a pseudo-terminal; ``robot-sysid motors play`` is
+another process. On a busy computer a program of ordinary priority keeps each processor busy. Have
+the right to real-time priority, see docs/damiao.md.
+
+A motor never pauses, but the simulated arm does when the computer does. How long it kept commands
+waiting is said, and how long each processor stood still: a virtual machine's are taken away from it
+now and then, for longer than a run may be late. And so is how long a byte took through another
+pseudo-terminal: the kernel hands it on by a thread of ordinary priority. Witnesses of the highest
+priority notice both. Where one of them had to wait right before a run was stopped, nothing is known
+about the program: the run is called spoilt and is tried again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import multiprocessing
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import tty
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.support.places import MODELS
+from tests.support.rehearsals import ARMS as REHEARSED_ARMS
+from tests.support.rehearsals import FAST, Arm, model, plan
+
+STRONG = ("DM10010L",) * 4 + ("DM4340",) * 3
+ARMS = {
+    "kinova": REHEARSED_ARMS["kinova"],
+    "openarm": REHEARSED_ARMS["openarm"],
+    # No test of motors names these two.
+    "iiwa": Arm(MODELS / "kuka_iiwa_14" / "iiwa14.xml", None, STRONG),
+    "fr3": Arm(MODELS / "franka_fr3" / "FrankaFR3_7DoF.urdf", None, STRONG),
+}
+RATES = (50.0, 100.0, 250.0, 500.0)
+DURATION = 4.0
+LOADS = ("idle", "busy")
+LONGEST_RUN = 120.0
+LEAST_PAUSE = 2e-3
+"""From which length on a pause of a processor is noted [s]."""
+SPOILING_CYCLES = 1.5
+LONGEST_PAUSE = 0.015
+"""Pauses in cycles, and at most [s], from which on answers are missed or cycles are too late."""
+BEFORE_STOP = 0.3
+"""How long before a stop its cause is looked for [s]; the player takes a part of it to say so."""
+TRIES = 3
+WITNESS_PRIORITY = 60
+PROGRAM = (sys.executable, "-m", "robot_sysid", "motors")
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of a run.
+
+    Attributes:
+        ending: "completed", "STOPPED", or "spoilt" where a witness had to wait before the stop.
+        words: the last line of the player, or its error.
+        arm_delay: longest time that commands waited for the simulated arm, if it says so [ms].
+        pauses: longest pause of each processor, and of the line, meanwhile [ms].
+    """
+
+    label: str
+    ending: str
+    words: str
+    arm_delay: str
+    pauses: tuple[float, ...]
+
+    def __str__(self) -> str:
+        *processors, line = (f"{pause:.0f}" for pause in self.pauses)
+        waits = f"arm {self.arm_delay} ms, processors {'/'.join(processors)} ms, line {line} ms"
+        return f"{self.label:28s} {self.ending:9s} [{waits}] {self.words}"
+
+
+def spin() -> None:
+    """Keep a processor busy for ever."""
+    while True:
+        pass
+
+
+@contextlib.contextmanager
+def load(is_busy: bool) -> Iterator[None]:
+    """Let a program of ordinary priority keep each processor busy."""
+    count = os.cpu_count() if is_busy else 0
+    programs = [multiprocessing.Process(target=spin, daemon=True) for _ in range(count or 0)]
+    for program in programs:
+        program.start()
+    try:
+        yield
+    finally:
+        for program in programs:
+            program.kill()
+
+
+def watch(wait, pauses, leave) -> None:
+    """Write down when a wait was over and how long it was [s], until ``leave`` is set."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(WITNESS_PRIORITY))
+    while not leave.is_set():
+        begun = time.monotonic()
+        wait()
+        ended = time.monotonic()
+        if ended - begun > LEAST_PAUSE:
+            pauses.append((ended, ended - begun))
+
+
+def watch_processor(number: int, pauses, leave) -> None:
+    """Watch whether a processor stands still."""
+    os.sched_setaffinity(0, {number})
+    watch(lambda: time.sleep(1e-3), pauses, leave)
+
+
+def watch_line(pauses, leave) -> None:
+    """Watch how long bytes take through a pseudo-terminal."""
+    near, far = os.openpty()
+    tty.setraw(far)
+
+    def pass_byte() -> None:
+        os.write(far, b"x")
+        os.read(near, 1)
+        time.sleep(1e-3)
+
+    watch(pass_byte, pauses, leave)
+
+
+@contextlib.contextmanager
+def witnesses() -> Iterator[list]:
+    """Watch the processors and a line; yields the pauses of each, to be read after the block."""
+    with multiprocessing.Manager() as manager:
+        *processors, line = [manager.list() for _ in range((os.cpu_count() or 1) + 1)]
+        leave = multiprocessing.Event()
+        programs = [multiprocessing.Process(target=watch_line, args=(line, leave))]
+        for number, pauses in enumerate(processors):
+            arguments = number, pauses, leave
+            programs.append(multiprocessing.Process(target=watch_processor, args=arguments))
+        for program in programs:
+            program.start()
+        seen: list = []
+        try:
+            yield seen
+        finally:
+            leave.set()
+            for program in programs:
+                program.join()
+            seen += [list(pauses) for pauses in (*processors, line)]
+
+
+@contextlib.contextmanager
+def simulated_arm(words: list[str]) -> Iterator[tuple[str, list[str]]]:
+    """Let an arm live behind a pseudo-terminal; yields its device, and what it says at the end."""
+    command = [*PROGRAM, "simulate", *words]
+    arm = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    said: list[str] = []
+    try:
+        device = None
+        while device is None:
+            line = arm.stdout.readline()
+            if not line:
+                raise SystemExit(f"no simulated arm: {' '.join(command)}")
+            device = re.search(r"--channel (\S+)", line)
+        yield device[1], said
+    finally:
+        arm.terminate()
+        said += arm.communicate()[0].splitlines()
+
+
+def bus_words(name: str, rate: float, trajectory: Path) -> list[str]:
+    """Return what play and simulate are both told."""
+    fd = ["--fd"] if rate > FAST else []
+    arm = [str(word) for word in model(ARMS[name])]
+    return [str(trajectory), "--model", *arm, *fd, "--rate", f"{rate:g}"]
+
+
+def arm_delay(said: list[str]) -> str:
+    """Return how long commands waited for the simulated arm [ms], by its last words."""
+    delay = re.search(r"waiting for up to (\d+)", "\n".join(said))
+    return delay[1] if delay else "< 3"
+
+
+def longest_pauses(seen: list, begin: float, end: float) -> tuple[float, ...]:
+    """Return the longest pause that each witness saw between two moments [ms]."""
+    meanwhile = [[pause for moment, pause in pauses if begin < moment < end] for pauses in seen]
+    return tuple(1e3 * max(pauses, default=0.0) for pauses in meanwhile)
+
+
+def play(name: str, rate: float, load_name: str, trajectory: Path) -> Result:
+    """Play an arm's trajectory once."""
+    words = bus_words(name, rate, trajectory)
+    record = trajectory.with_name("measured.csv")
+    # Ten cycles at least, as play asks for.
+    watchdog = ["--watchdog", f"{max(0.1, 10.5 / rate):g}"]
+    enabled_at = None
+    stopped_at = None
+    lines = []
+    with load(load_name == "busy"), witnesses() as seen, simulated_arm([*words, *watchdog]) as arm:
+        device, said = arm
+        address = ["--interface", "slcan", "--channel", device, "--accept-directions"]
+        recording = ["--record", str(record), "--overwrite", "--yes"]
+        player = subprocess.Popen(
+            [*PROGRAM, "play", *words, *address, *recording],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        for line in player.stdout:
+            lines.append(line.strip())
+            if line.startswith("enabling"):
+                enabled_at = time.monotonic()
+            if line.startswith("stopping"):
+                stopped_at = time.monotonic()
+        code = player.wait(LONGEST_RUN)
+        ended_at = time.monotonic()
+    told = [line for line in lines if line.startswith(("played", "robot-sysid: error"))]
+    before_stop = (stopped_at or ended_at) - BEFORE_STOP, stopped_at or ended_at
+    is_spoilt = max(longest_pauses(seen, *before_stop)) > 1e3 * min(
+        SPOILING_CYCLES / rate, LONGEST_PAUSE
+    )
+    return Result(
+        f"{name}, {rate:g} Hz, {load_name}",
+        "completed" if code == 0 else "spoilt" if is_spoilt else "STOPPED",
+        (told or ["said nothing"])[-1],
+        arm_delay(said),
+        longest_pauses(seen, enabled_at or 0.0, ended_at),
+    )
+
+
+def judged(*run) -> Iterator[Result]:
+    """Play until a run is not spoilt, a few times at most; yields all results."""
+    for _ in range(TRIES):
+        result = play(*run)
+        yield result
+        if result.ending != "spoilt":
+            return
+
+
+def set_up(name: str, trajectory: Path) -> Result:
+    """List the motors of a simulated arm on a busy computer, and change one of them."""
+    words = bus_words(name, RATES[1], trajectory)
+    n_motors = len(ARMS[name].motors)
+    with load(True), witnesses() as seen, simulated_arm(words) as (device, said):
+        change = ["--motor", "1", "--watchdog", "0.2"]
+        setup = subprocess.run(
+            [*PROGRAM, "setup", "--interface", "slcan", "--channel", device, *change],
+            capture_output=True, text=True, timeout=LONGEST_RUN,
+        )  # fmt: skip
+    listed = len(re.findall(r"^ *\d+ +0x1\d", setup.stdout, re.MULTILINE))
+    is_changed = "Done: motor 1 is changed" in setup.stdout
+    lines = (setup.stderr or setup.stdout).strip().splitlines()
+    return Result(
+        f"setup of {name}, busy",
+        "completed" if is_changed and listed == n_motors else "STOPPED",
+        f"{listed} of {n_motors} motors; {'motor 1 is changed' if is_changed else lines[-1:]}",
+        arm_delay(said),
+        longest_pauses(seen, 0.0, float("inf")),
+    )
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    options.add_argument("--arm", choices=list(ARMS), action="append")
+    options.add_argument("--rate", type=float, action="append", help="[Hz]")
+    options.add_argument("--load", choices=LOADS, action="append")
+    options.add_argument("--repeats", type=int, default=1, help="of each combination")
+    options.add_argument("--setups", type=int, default=0, help="motors setup instead, per arm")
+    return options
+
+
+def results_of(chosen: argparse.Namespace, folder: Path) -> Iterator[Result]:
+    """Yield what comes of all runs that were asked for."""
+    for name in chosen.arm or ARMS:
+        place = folder / name
+        place.mkdir()
+        trajectory = plan(ARMS[name], place, DURATION)
+        for _ in range(chosen.setups):
+            yield set_up(name, trajectory)
+        for rate in [] if chosen.setups else chosen.rate or RATES:
+            for load_name in chosen.load or LOADS:
+                for _ in range(chosen.repeats):
+                    yield from judged(name, rate, load_name, trajectory)
+
+
+def main() -> int:
+    """Print a line for each run, and how many were stopped; return 1 if any was."""
+    chosen = parser().parse_args()
+    endings: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        for result in results_of(chosen, Path(folder)):
+            print(result, flush=True)
+            endings[result.ending] += 1
+    print(", ".join(f"{count} {ending}" for ending, count in endings.items()))
+    return 1 if endings["STOPPED"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
