@@ -19,7 +19,7 @@ from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import HoldingCheck, Reference, ReferenceFunction, hold
 from robot_sysid.damiao.safety.observer import Fault, Observer
-from robot_sysid.damiao.safety.realtime import undisturbed
+from robot_sysid.damiao.safety.realtime import lacks_priority, undisturbed
 from robot_sysid.damiao.safety.samples import Replies
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
@@ -58,9 +58,11 @@ class CycleTimer:
         self.skipped += skip
         self._index += skip + 1
         if late > self.max_lateness and not lenient:
+            can_be_allowed = self._clock.live and lacks_priority()
+            allow = "allow real-time priority (see docs/damiao.md), " if can_be_allowed else ""
             raise HardwareAbort(
                 f"the computer was {1e3 * late:.1f} ms late for a control cycle, limit "
-                f"{1e3 * self.max_lateness:g} ms; close other programs or lower --rate"
+                f"{1e3 * self.max_lateness:g} ms; {allow}close other programs or lower --rate"
             )
         return deadline + skip * self.period
 

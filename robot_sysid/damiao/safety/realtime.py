@@ -61,6 +61,13 @@ def _real_time_priority() -> Iterator[bool]:
             _schedule(thread_id, os.SCHED_OTHER, 0)
 
 
+def lacks_priority() -> bool:
+    """Tell whether this system has real-time priority but has not given it to this thread."""
+    if sys.platform != "linux":
+        return False
+    return os.sched_getscheduler(0) not in (os.SCHED_FIFO, os.SCHED_RR)
+
+
 def _schedule(thread_id: int, policy: int, priority: int) -> bool:
     """Set how a thread is scheduled, 0 for the calling one; return whether it was allowed."""
     try:

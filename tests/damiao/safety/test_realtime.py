@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from robot_sysid.damiao.safety.realtime import PRIORITY, undisturbed
+from robot_sysid.damiao.safety.realtime import PRIORITY, lacks_priority, undisturbed
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
 
@@ -52,6 +52,7 @@ def test_the_loop_goes_before_the_other_threads_and_these_before_other_programs(
     scheduler = Scheduler(monkeypatch)
     with waiting_thread() as other, undisturbed() as is_granted:
         assert is_granted
+        assert not lacks_priority()
         assert scheduler.schedules[0] == (os.SCHED_FIFO, PRIORITY)
         policy, priority = scheduler.schedules[other]
         assert policy == os.SCHED_FIFO
@@ -88,6 +89,7 @@ def test_a_user_without_the_right_goes_on_without(monkeypatch):
     scheduler = Scheduler(monkeypatch, is_allowed=False)
     with undisturbed() as is_granted:
         assert not is_granted
+        assert lacks_priority()
         assert not gc.isenabled()
     assert gc.isenabled()
     assert scheduler.schedules == {}
@@ -100,6 +102,7 @@ def test_a_system_that_knows_no_such_priority_goes_on_without(monkeypatch, platf
         monkeypatch.delattr(os, name, raising=False)
     with undisturbed() as is_granted:
         assert not is_granted
+        assert not lacks_priority()
 
 
 @LINUX
