@@ -1,4 +1,5 @@
-"""What the recordings decide: couplings, each joint's friction, how far links may be off.
+"""What the recordings decide: which rows to leave out, couplings, each joint's friction, how far
+links may be off.
 
 In-sample errors fall with every term; what counts is the error of stretches of time that were not
 fitted. They are compared by ratios, because a joint may show its friction in one of them far more
@@ -27,11 +28,14 @@ from robot_sysid.estimation.algebra.information import (
     sample_counts,
     update_triangle,
 )
-from robot_sysid.estimation.algebra.nuisances import WithPriors
+from robot_sysid.estimation.algebra.nuisances import SURE, WithPriors, is_no_chance
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import Columns, Point
+from robot_sysid.estimation.couplings import couplings_of
+from robot_sysid.estimation.dataset import Dataset, mean_torque
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
 from robot_sysid.estimation.unknowns import COMMON_SCALE, Choice, Question, Unknowns, unknowns
-from robot_sysid.records import Array, Validation
+from robot_sysid.records import Array, RobotModel, Validation
 from robot_sysid.records.results import validation_of
 
 CANDIDATES = (
@@ -47,6 +51,11 @@ CANDIDATES = (
 """Friction models that are tried, the same for every joint of every arm, simplest first."""
 IN_FILE, WITH_POLYNOMIAL = CANDIDATES[0], CANDIDATES[5]
 """Those that a model file can hold."""
+WITH_ALL = "coulomb-viscous-offset-armature-sqrt-stribeck-load"
+"""What follows any friction that depends on speed and load closely enough to judge its rows by."""
+WORSE = 2.0
+"""Ratio of mean squared residuals from which on rows make an estimate worse: the variance s^2 / n
+of one from n rows falls by m more of variance r s^2 for as long as r < 2 + m / n."""
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Factors of the other links' uncertainty that are tried; 16 times 5 % is nearly all of a link."""
 AS_GOOD = 1.02
@@ -240,6 +249,51 @@ def is_clearly_lower(after: Array, before: Array) -> bool:
     needed = np.log(1.0 - CLEAR_SHARE)
     lower = np.sum(after) < (1.0 - CLEAR_SHARE) * np.sum(before)
     return bool(lower and mean < needed and mean + CLEARLY * spread < 0.0)
+
+
+def without_standing(robot: RobotModel, dataset: Dataset, options: EstimationOptions) -> Dataset:
+    """Return a recording without the rows over turns at which joints stand for a while.
+
+    Low-passed positions do not show that (``signals.turning``), but residuals do. Rows over turns
+    also tell the most of inertia, and where friction turns round at once they would be lost for
+    nothing, so they are left out where they fit worse than all others. Every recording decides for
+    itself: logs that are added up one by one say the same together.
+
+    Raises:
+        InputError: no joint moves fast enough, or the recording is too short.
+    """
+    signals = dataset.signals
+    if signals is None or not np.any(signals.turning):
+        return dataset
+
+    columns = Columns(robot, [dataset], options.torques, couplings_of(robot, options)[0])
+    model = friction_model(WITH_ALL)
+    if options.friction is not None and not options.friction.terms:
+        model = options.friction
+    choice = Choice((model,) * robot.n_joints, columns.couplings)
+    question = Question(replace(options, delay="off", tilt="off"), loaded=dataset.is_loaded)
+    fit = Fitter(columns, mean_torque([dataset])).fit(question, choice, rounds=1)
+
+    (samples,) = fit.samples
+    turns_left_out = replace(signals, standing=tuple(range(robot.n_joints))).usable()
+    standing = []
+    for row, joint in enumerate(columns.rows_of):
+        predicted = samples.rows[row] @ fit.values[samples.columns[row]]
+        if _are_worse(samples.tau[row] - predicted, ~turns_left_out[:, joint]):
+            standing.append(joint)
+    return replace(dataset, source=replace(signals, standing=tuple(standing)))
+
+
+def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
+    """Tell whether doubtful rows (K,) have clearly larger residuals (K,), NaN where not in use."""
+    used = np.isfinite(residual)
+    doubted = residual[used & doubtful]
+    others = residual[used & ~doubtful]
+    if len(doubted) == 0 or len(others) < len(doubted):
+        return False
+    usual = float(np.mean(others**2))
+    squared = float(np.sum(doubted**2)) / usual if usual > 0.0 else 0.0
+    return squared > WORSE * len(doubted) and is_no_chance(squared, len(doubted), 1.0 - SURE)
 
 
 def choose(

@@ -14,7 +14,7 @@ from robot_sysid.errors import InputError, named
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer, written_payload
-from robot_sysid.estimation.choices import choose, coupled
+from robot_sysid.estimation.choices import choose, coupled, without_standing
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import couplings_of
 from robot_sysid.estimation.dataset import Dataset, Mask, mean_torque
@@ -73,7 +73,10 @@ def filtered(
         still = options.velocity_deadband, piece.least_deadband
         with named(piece.name):
             pairs.append((piece, process(part, robot.joint_names, cutoff, *still, by)))
-    found = [Dataset(p.name, each, p.is_loaded, p.place) for p, each in pairs]
+    found = []
+    for piece, each in pairs:
+        dataset = Dataset(piece.name, each, piece.is_loaded, piece.place)
+        found.append(without_standing(robot, dataset, options))
     told: dict[str, tuple[str, ...]] = {}
     for piece, each in pairs:
         told[piece.name] = tuple(dict.fromkeys((*told.get(piece.name, ()), *each.notes)))

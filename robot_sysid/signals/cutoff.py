@@ -69,6 +69,11 @@ class Spectra:
     noise: Array
     level: Array
 
+    @property
+    def position_noise(self) -> Array:
+        """Standard deviation (n,) of the noise of the readings [rad]."""
+        return np.asarray(np.sqrt(self.level * self.rate / 2.0))
+
 
 def choose_cutoff(spectra: Spectra) -> tuple[float, float, str]:
     """Return (one cut-off for all joints [Hz], expected error of acceleration as a part, why)."""
@@ -84,7 +89,7 @@ def choose_cutoff(spectra: Spectra) -> tuple[float, float, str]:
     errors = np.array([_error(c, spectra) for c in candidates])
     fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
     best = candidates[fit[-1]]
-    sigma, expected = np.sqrt(spectra.level * rate / 2.0), float(np.sqrt(errors[fit[-1]]))
+    sigma, expected = spectra.position_noise, float(np.sqrt(errors[fit[-1]]))
     reason = f"cut-off {best:.3g} Hz chosen from the data: position noise {sigma.min():.2g} to "
     reason += f"{sigma.max():.2g} rad, expected error of the acceleration {percent(expected)}"
     return float(best), expected, reason

@@ -8,7 +8,8 @@
    turns with the sign of a speed at the full rate (``ProcessedSignals.passed``);
 5. the ends are cut off, and rows over long holes in the log, over corners of motion without noise,
    or over moments in which a joint is too slow for its friction to have a sign, are masked
-   (``ProcessedSignals.usable``).
+   (``ProcessedSignals.usable``), and where its torque shows that it stands as it turns round, also
+   those over its turns (``turning``, ``choices.without_standing``).
 
 A filtered row mixes all samples under the filter's window, near a reversal also some in which the
 direction of friction is not known. Rows with more than ``LARGEST_SLOW_SHARE`` of the filter's
@@ -52,6 +53,7 @@ from robot_sysid.signals.filters import (
     second_derivative,
 )
 from robot_sysid.signals.resampling import UniformSignals, is_fresh, resampled
+from robot_sysid.signals.turning import turning_samples
 
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband may have in a row that is used;
@@ -88,8 +90,10 @@ class ProcessedSignals:
             often as the regressor columns do [N m].
         bridged: (N,) whether a long hole in the log, or a corner of motion without noise, is near.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
+        turning: (N, n) whether a joint may be standing because it turns round.
         flat: the filter that positions have passed; of one weight where they are free of noise.
         acceleration_error: expected, as a part of it; 0 where the cut-off was given.
+        standing: numbers of the joints that do stand then, so that these rows are not used.
     """
 
     time: Array
@@ -99,10 +103,12 @@ class ProcessedSignals:
     tau: Array
     bridged: NDArray[np.bool_]
     deadband: Array
+    turning: NDArray[np.bool_]
     low_pass: LowPass
     flat: LowPass
     notes: tuple[str, ...]
     acceleration_error: float = 0.0
+    standing: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.time)
@@ -178,10 +184,15 @@ class ProcessedSignals:
         return self.time[self.low_pass.centres(len(self))]
 
     def slow_share(self) -> Array:
-        """Return (K, n) how much of each decimated row's weight is on samples in the deadband."""
+        """Return (K, n) how much of each decimated row's weight is on samples in the deadband, or
+        on those at which a joint stands as it turns round.
+        """
         size = np.abs(self.low_pass.kernel)
         weights = replace(self.low_pass, kernel=size / size.sum())
-        return weights.decimated(np.less(np.abs(self.qd), self.deadband))
+        slow = np.less(np.abs(self.qd), self.deadband)
+        for joint in self.standing:
+            slow[:, joint] |= self.turning[:, joint]
+        return weights.decimated(slow)
 
     def one_way_joints(self, joint_names: Sequence[str]) -> Iterator[str]:
         """Yield a sentence per joint whose sign(qd) hardly takes both values."""
@@ -250,7 +261,8 @@ def process(
     Args:
         cutoff: of the low-pass [Hz]; None chooses it from the data.
         deadband: speed below which a joint's friction has no sure direction [rad/s], one number or
-            one per joint; None takes 0.5 % of the joint's peak speed, zero uses all rows.
+            one per joint; None takes 0.5 % of the joint's peak speed, zero uses all rows. Where one
+            is given, no joint is ``turning``.
         least_deadband: (n,) where the deadband is taken from the data, it is at least this [rad/s].
         chosen_by: where a cut-off that is not chosen here comes from, in words.
     """
@@ -279,13 +291,18 @@ def process(
     qdd = second_derivative(q, uniform.rate, reach)
     usual = np.maximum(USUAL_DEADBAND * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
     slow = np.maximum(usual, np.asarray(least_deadband or 0.0))
+    turning = np.zeros(qd.shape, dtype=bool)
     if deadband is not None:
         slow = per_joint(deadband, qd.shape[1], "--velocity-deadband")
+    elif corners is None and piece.spectra is not None:
+        # Of positions without noise any speed has a sign.
+        turning = turning_samples(uniform.q[lost:-lost], qd, piece.spectra.position_noise)
     time = uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate
     bridged = bridged if corners is None else bridged | corners
     # A view would keep the torque of the whole log.
     q, tau = q[reach:-reach], uniform.tau[lost:-lost].copy()
-    signals = ProcessedSignals(time, q, qd, qdd, tau, bridged, slow, low_pass, flat, (), expected)
+    unsure = bridged, slow, turning
+    signals = ProcessedSignals(time, q, qd, qdd, tau, *unsure, low_pass, flat, (), expected)
     notes = (*uniform.notes, Detail(reason), *_notes(signals, joint_names))
     return replace(signals, notes=notes)
 
@@ -296,7 +313,8 @@ def with_delay(signals: ProcessedSignals, delay: float) -> ProcessedSignals:
     if len(tau) < len(signals.low_pass.kernel):
         raise InputError(f"a delay of {delay:g} s leaves nothing of the log")
     part = slice(first, first + len(tau))
-    cut = {name: getattr(signals, name)[part] for name in ("time", "q", "qd", "qdd", "bridged")}
+    names = "time", "q", "qd", "qdd", "bridged", "turning"
+    cut = {name: getattr(signals, name)[part] for name in names}
     return replace(signals, tau=tau, **cut)
 
 

@@ -96,6 +96,25 @@ def test_nothing_is_added_where_nothing_is_missing(plant, robot):
         assert errors[BASIC] == pytest.approx(min(errors.values()), rel=0.1)
 
 
+def test_rows_over_turns_are_left_out_of_the_joint_that_stands_there(robot, noisy):
+    """The second joint's friction turns round as late as that of a joint that stood for 80 ms."""
+    (plain,), options = datasets_of(robot, noisy)
+    assert plain.signals.standing == ()
+    speed = np.gradient(noisy.q[:, 1], noisy.time)
+    direction = np.sign(np.convolve(speed, np.ones(9) / 9.0, "same"))
+    late = np.roll(direction, 8) - direction
+    tau = noisy.tau.copy()
+    tau[:, 1] += 1.5 * late
+    (recording,), _ = datasets_of(robot, replace(noisy, tau=tau))
+    assert recording.signals.standing == (1,)
+    used = recording.signals.usable()
+    np.testing.assert_array_equal(used[:, [0, 2]], plain.signals.usable()[:, [0, 2]])
+    assert np.mean(used[:, 1]) < np.mean(plain.signals.usable()[:, 1])
+
+    (given,), _ = datasets_of(robot, replace(noisy, tau=tau), velocity_deadband=0.01)
+    assert given.signals.standing == ()
+
+
 def stribeck(motion):
     return 0.4 * np.sign(motion.qd) * np.exp(-((motion.qd / 0.05) ** 2))
 

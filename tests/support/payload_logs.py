@@ -109,7 +109,8 @@ def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
     joints = motion.q.shape[1]
     still = np.zeros(joints)
     bridged = np.zeros(len(motion.time), dtype=bool)
-    parts = motion.time, motion.q, motion.qd, motion.qdd, tau, bridged, still
+    turning = np.zeros(motion.q.shape, dtype=bool)
+    parts = motion.time, motion.q, motion.qd, motion.qdd, tau, bridged, still, turning
     signals = ProcessedSignals(*parts, low_pass, low_pass, ())
     return Dataset(name, signals, is_loaded, place)
 
