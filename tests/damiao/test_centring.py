@@ -50,49 +50,66 @@ def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
     assert error < 0.25 * half_step_only
 
 
-def sampled_ripple(mobility, damping, step, time, period):
-    """Positions and velocities by integration of sawteeth of torque, until they repeat."""
-    fine = 2000
-    h, n = period / fine, len(step)
-    q, v, mean, sampled = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((2, n))
-    at = np.round(time / h).astype(int)
-    matrix = np.eye(n) + 0.5 * h * mobility * damping
-    before = np.eye(n) - 0.5 * h * mobility * damping
-    for k in range(12 * fine):
-        share = ((k + 0.5) * h - time) / period % 1.0
-        sampled = np.where(k % fine == at, [q, v], sampled)
+def one_period(mobility, stiffness, damping, torques, start):
+    """Positions and velocities (2, n) after each short step of a period of held torques."""
+    h, n = PERIOD / len(torques), len(start[0])
+    resistance = 0.5 * h * mobility * (damping + 0.5 * h * stiffness)
+    after = np.linalg.inv(np.eye(n) + resistance)
+    before = np.eye(n) - resistance
+    q, v = start
+    states = []
+    for torque in torques:
         earlier = v
-        v = np.linalg.solve(matrix, before @ v + h * mobility @ (step * (0.5 - share)))
+        v = after @ (before @ v + h * mobility @ (torque - stiffness * q))
         q = q + 0.5 * h * (earlier + v)
-        mean = q / fine if k % fine == 0 else mean + q / fine
-    return sampled[0] - mean, sampled[1]
+        states.append((q, v))
+    return np.array(states)
 
 
+def sampled_ripple(mobility, stiffness, damping, step, growth, time):
+    """Positions and velocities of the motion that sawteeth of torque make and that recurs."""
+    fine, n = 2000, len(step)
+    share = ((np.arange(fine)[:, None] + 0.5) / fine - time / PERIOD) % 1.0
+    torques = step * (0.5 - share) + 0.5 * growth * (share**2 - share + 1.0 / 6.0)
+    arm = mobility, stiffness, damping
+    from_rest = one_period(*arm, torques, np.zeros((2, n)))[-1].ravel()
+    units = np.eye(2 * n).reshape(-1, 2, n)
+    carried = np.array([one_period(*arm, 0.0 * torques, unit)[-1].ravel() for unit in units]).T
+    start = np.linalg.lstsq(np.eye(2 * n) - carried, from_rest, rcond=1e-12)[0].reshape(2, n)
+    states = one_period(*arm, torques, start)
+    at = np.round(time / PERIOD * fine).astype(int) - 1
+    sampled = states[at, :, np.arange(n)].T
+    return sampled[0] - np.mean(states[:, 0], axis=0), sampled[1]
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 100.0, 1000.0])
 @pytest.mark.parametrize("damping", [0.05, 1.0, 20.0])
-def test_ripple_is_the_periodic_response_to_steps_at_their_moments(damping):
+def test_ripple_is_the_periodic_response_to_steps_at_their_moments(damping, stiffness):
     mobility = np.linalg.inv([[0.05, 0.01], [0.01, 0.008]])
     viscous, kd = np.array([0.02, 0.3]), damping * np.array([1.0, 0.4])
+    kp = stiffness * np.array([1.0, 0.6])
     step, time = np.array([0.7, -0.4]), np.array([0.001, 0.0025])
+    growth = np.array([0.1, 0.3])
     ripple = SamplingRipple(lambda q: mobility, viscous)
-    expected = sampled_ripple(mobility, kd + viscous, step, time, PERIOD)
-    # Slow modes take long to forget that the first sawtooth began from rest.
-    decays = np.linalg.eigvals(mobility * (kd + viscous)).real * PERIOD
-    tolerance = 2e-3 + np.exp(-12.0 * np.min(decays))
-    computed = ripple.motion(np.zeros(2), kd, step, time, PERIOD)
+    expected = sampled_ripple(mobility, kp, kd + viscous, step, growth, time)
+    command = MitCommand(*np.zeros((2, 2)), kp, kd, np.zeros(2))
+    computed = ripple.motion(np.zeros(2), command, step, growth, time, PERIOD)
     for values, integrated in zip(computed, expected):
-        np.testing.assert_allclose(values, integrated, atol=tolerance * np.max(np.abs(values)))
+        np.testing.assert_allclose(values, integrated, atol=2e-3 * np.max(np.abs(values)))
 
 
 def test_a_step_leaves_a_twelfth_of_its_impulse_where_nothing_damps():
     ripple = SamplingRipple(lambda q: np.array([[4.0]]), np.zeros(1))
     still = np.zeros(1)
-    _, velocity = ripple.motion(still, still, np.array([0.6]), still, PERIOD)
+    free = stiff(still, 0.0, 0.0)
+    _, velocity = ripple.motion(still, free, np.array([0.6]), still, still, PERIOD)
     assert velocity[0] == pytest.approx(-0.6 * PERIOD * 4.0 / 12.0, rel=1e-3)
 
 
 def test_a_model_without_inertia_tells_nothing_of_ripple():
     ripple = SamplingRipple(lambda q: np.full((1, 1), np.inf), np.zeros(1))
-    motion = ripple.motion(np.zeros(1), np.ones(1), np.ones(1), np.zeros(1), PERIOD)
+    still, command = np.zeros(1), stiff(np.zeros(1))
+    motion = ripple.motion(still, command, np.ones(1), still, still, PERIOD)
     np.testing.assert_array_equal(motion, 0.0)
 
 
