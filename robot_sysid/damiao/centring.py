@@ -66,7 +66,11 @@ class SamplingRipple:
         damping = mobility * (acted.kd[:n] + self._viscous)
         system = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
         rates, modes = np.linalg.eig(system)
-        drive = np.linalg.solve(modes, np.vstack((np.zeros((n, n)), mobility)))
+        try:
+            drive = np.linalg.solve(modes, np.vstack((np.zeros((n, n)), mobility)))
+        except np.linalg.LinAlgError:
+            # Two modes in one, as of a joint without gains: a sample is not worth the run.
+            return np.zeros(n), np.zeros(n)
         change = rates * period
         change = np.where(np.abs(change) < _SLOWEST_CHANGE, -_SLOWEST_CHANGE, change)
 

@@ -127,3 +127,12 @@ def test_a_missing_answer_leaves_the_other_joints_torques_as_they_are():
             step, centre = centring.torques(replies_of(q, q, stamps, sent), acted)
             np.testing.assert_array_equal(np.isfinite(centre), ~silent)
             assert centre[0] == pytest.approx(0.5 * step[0], rel=0.2)
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(0.0, 0.0), (0.0, 2.0), (1.0, 4.0)])
+def test_gains_that_leave_two_modes_in_one_spoil_no_sample(kp, kd):
+    """None at all, or critical damping: kd^2 = 4 kp inertia."""
+    ripple = SamplingRipple(lambda q: np.array([[0.25]]), np.zeros(1))
+    one = np.ones(1)
+    added = ripple.motion(0.0 * one, stiff(0.0 * one, kp, kd), one, one, 0.0 * one, PERIOD)
+    assert np.all(np.isfinite(added)) and np.max(np.abs(added)) < 1e-3
