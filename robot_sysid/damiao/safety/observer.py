@@ -434,11 +434,16 @@ class Observer:
         feedback = replies.feedback
         path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
         torque_limit = np.inf * self._torque_limit if rising else self._torque_limit
+        # A light joint has slowed down when it is sampled, at the end of its command's time.
+        slowed = acted.velocity / self._velocity_check.explained
+        lowest = np.minimum(acted.velocity, slowed)
+        highest = np.maximum(acted.velocity, slowed)
+        velocity = np.clip(feedback.velocity, lowest, highest)
         off_path = np.where(replies.answered, np.abs(feedback.position - acted.position), 0.0)
         self.worst_tracking = np.maximum(self.worst_tracking, off_path)
         for quantity, value, target, limit in (
             ("rad off its path", feedback.position, acted.position, path_limit),
-            ("rad/s off its speed", feedback.velocity, acted.velocity, self._speed_limit),
+            ("rad/s off its speed", feedback.velocity, velocity, self._speed_limit),
             ("N m off its torque", feedback.torque, acted.torque, torque_limit),
         ):
             error = np.where(replies.answered, np.abs(value - target), 0.0)

@@ -52,11 +52,14 @@ class VelocityScalingCheck:
     slowed down. Without any it is v = v_des + k (p_des - p), k = kp / kd, so that in steady motion
     the mean over a cycle T is (exp(kT) - 1) / (kT) times the last velocity; with inertia it is
     between 1 and this. ``fades`` (n,) is kT.
+
+    Attributes:
+        explained: (n,) the largest mean velocity of a cycle over its last one.
     """
 
     def __init__(self, velocity_step: Array, fades: Array) -> None:
         n_joints = len(velocity_step)
-        self._explained = np.expm1(fades) / fades
+        self.explained: Array = np.expm1(fades) / fades
         self._rounding = 0.5 * velocity_step * _WINDOW
         self._last: tuple[Array, Array, Array] | None = None
         self._begin_time = np.zeros(n_joints)
@@ -100,14 +103,14 @@ class VelocityScalingCheck:
 
     def _slip(self, integral: Array, change: Array, path: Array) -> Slip | None:
         """Return the joint that slipped, of integrals, changes and lengths of paths (n,) [rad]."""
-        fastest = integral * self._explained
+        fastest = integral * self.explained
         lower = np.minimum(integral, fastest)
         upper = np.maximum(integral, fastest)
         mismatch = change - np.clip(change, lower, upper)
         # Where a joint slows down within a cycle, its mean speed is known less well.
-        doubt = _SLIP_SHARE + 0.5 * (self._explained - 1.0)
+        doubt = _SLIP_SHARE + 0.5 * (self.explained - 1.0)
         tolerance = _LEAST_SLIP + doubt * path + 2.0 * self._rounding
-        tolerance = np.where(self._explained > _COARSE, np.inf, tolerance)
+        tolerance = np.where(self.explained > _COARSE, np.inf, tolerance)
         j = int(np.argmax(np.abs(mismatch) - tolerance))
         if abs(mismatch[j]) <= tolerance[j]:
             return None
@@ -130,7 +133,7 @@ class VelocityScalingCheck:
         residual = np.maximum(cyy - slope * cxy, 0.0) / np.maximum(count - 2.0, 1.0)
         error = 3.0 * np.sqrt(residual / variation)
         doubt = error + self._rounding / np.where(moved, spread, 1.0)
-        unexplained = slope / np.clip(slope, 1.0, self._explained)
+        unexplained = slope / np.clip(slope, 1.0, self.explained)
         worst = _farthest_from_one(unexplained, np.where(moved, doubt, np.inf), _SLOPE_TOLERANCE)
         return None if worst is None else (worst[0], float(slope[worst[0]]))
 
