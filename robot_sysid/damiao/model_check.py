@@ -27,7 +27,7 @@ from robot_sysid.damiao.references import (
     poses_between,
     torque_doubt,
 )
-from robot_sysid.damiao.safety.zeros import describe_moved_zero
+from robot_sysid.damiao.safety.zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
@@ -375,7 +375,7 @@ _STEP = 1e-4
 def gravity_check(
     robot: RobotModel, joints: tuple[DamiaoJoint, ...], is_chain: bool = True
 ) -> HoldingCheck:
-    """Return what compares holding torques, and of a serial chain whole runs, with a model."""
+    """Return what compares holding torques, and of a serial chain those of motion, with a model."""
     arm = ArmTorque(robot)
 
     def holding(q: Array) -> Array:
@@ -396,5 +396,5 @@ def gravity_check(
         return -slopes @ gravity
 
     needs = f"the model {robot.path.name} needs"
-    review = partial(describe_moved_zero, robot, joints) if is_chain else None
-    return HoldingCheck(joints, holding, robot.friction.coulomb, needs, load, review)
+    watch = partial(MovedZeroCheck, robot, joints) if is_chain else None
+    return HoldingCheck(joints, holding, robot.friction.coulomb, needs, load, watch)

@@ -26,7 +26,7 @@ from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, words_of
-from robot_sysid.records import Array, Measurement
+from robot_sysid.records import Array
 
 
 class CycleTimer:
@@ -83,10 +83,6 @@ _REPLY_SHARE = 0.9
 # the arm is averaged.
 _PROGRESS_INTERVAL = 0.1
 _STILL_SAMPLES = 100
-# How often a run is sampled to be looked at as a whole [s], and how many samples are kept at most:
-# its first minute. An arm may be held for days.
-_TRACK_INTERVAL = 0.03
-_MOST_TRACKED = 2000
 # Nothing heard for longer than this while braking: the watchdogs (0.1 s, and half as much again)
 # have stopped the motors, or the bus is gone [s].
 _DEAF = 0.15
@@ -98,9 +94,7 @@ _LONGEST_CARRIED = 2.0
 class PlayReport:
     """How a run went: cycles while playing, and those skipped because the computer was late.
 
-    Lateness is in [s]; commands that were missed and the tracking error [rad] are (n,). ``track``
-    is where the joints were, how fast, and with which torque they were commanded, now and then
-    within the first minute.
+    Lateness is in [s]; commands that were missed and the tracking error [rad] are (n,).
     """
 
     cycles: int
@@ -109,7 +103,6 @@ class PlayReport:
     lateness_p99: float
     missed: Array
     worst_tracking: Array
-    track: Measurement | None = None
 
 
 class Player:
@@ -165,7 +158,6 @@ class Player:
         self._played = 0
         self._shown_at = -np.inf
         self._still: list[Array] = []
-        self._track: list[tuple[float, Array]] = []
         # What the last answers were sampled under (n,) [N m].
         self._motor_torque: Array
 
@@ -188,14 +180,7 @@ class Player:
         timer = self._timer
         counts = self._played, timer.skipped, timer.lateness(50.0), timer.lateness(99.0)
         watched = self._observer.total_missed, self._observer.worst_tracking
-        return PlayReport(*counts, *watched, self._measurement())
-
-    def _measurement(self) -> Measurement | None:
-        if not self._track:
-            return None
-        signals = np.array([signal for _, signal in self._track])
-        time = np.array([time for time, _ in self._track])
-        return Measurement(time, signals[:, 0], signals[:, 1], signals[:, 2])
+        return PlayReport(*counts, *watched)
 
     def _explain(self, fault: Fault) -> HardwareAbort:
         """Return a fault with its cause, by what has held the arm since it was stopped."""
@@ -293,12 +278,14 @@ class Player:
                     self._keep(time, origin, partial, self._command)
                 raise
             if record:
-                self._add_to_track(time)
                 self._keep(time, origin, replies, acted)
             if self._recorder:
                 # Also what is not recorded: its frames would all be written at once later.
                 self._recorder.end_cycle()
             self._observer.check(replies, acted, self._standing, self._rising)
+            # An arm that takes up its load swings; one that is lowered comes to lie on something.
+            if not self._rising and self._follower is None:
+                self._observer.check_zeros(replies, acted)
 
     def _stop_if_asked(self) -> None:
         if self._stop.count:
@@ -337,12 +324,6 @@ class Player:
         if np.all(np.isfinite(q)):
             self._still.append(np.stack([q, self._motor_torque]))
             del self._still[:-_STILL_SAMPLES]
-
-    def _add_to_track(self, time: float) -> None:
-        is_due = not self._track or time - self._track[-1][0] >= _TRACK_INTERVAL
-        if is_due and len(self._track) < _MOST_TRACKED:
-            q, qd = self._session.believed
-            self._track.append((time, np.stack([q, qd, self._motor_torque])))
 
     def _keep(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
         self._played += 1

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Optional
 
 import numpy as np
 
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.records import Array, Measurement
+from robot_sysid.records import Array
 
 
 class Reference(NamedTuple):
@@ -206,6 +206,11 @@ def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
     return _DOUBT * np.array([joint.spec.peak_torque * joint.torque_ratio for joint in joints])
 
 
+MotionCheck = Callable[[float, Array, Array, Array], Optional[tuple[int, str]]]
+"""Takes time [s], positions, velocities and commanded torques (n,) of each cycle; returns a joint
+in which something is wrong, with a sentence about it, or None."""
+
+
 class HoldingCheck:
     """Compares the torques that hold an arm still with those that should.
 
@@ -215,7 +220,7 @@ class HoldingCheck:
         source: who says what should, in words.
         load: from a pose to the torque that a kilogram at the arm's end takes there (n,) [N m];
             None without a model.
-        review: from a whole run to what is wrong with the arm, in words; "" where nothing is.
+        watch: makes what watches the joints of one run; None where nothing does.
 
     Attributes:
         n_joints: joints that are judged; motors beside the arm come behind them.
@@ -230,13 +235,13 @@ class HoldingCheck:
         doubt: Array | float,
         source: str,
         load: Callable[[Array], Array] | None = None,
-        review: Callable[[Measurement], str] | None = None,
+        watch: Callable[[], MotionCheck] | None = None,
     ) -> None:
         self._due = torque
         self._joints = joints
         self._source = source
         self._load = load
-        self._review = review
+        self.watch = watch
         self.n_joints = len(joints)
         self.doubt = doubt + torque_doubt(joints)
         self.is_model = load is not None
@@ -245,10 +250,6 @@ class HoldingCheck:
         """Return the unverified joints whose load at q (n,) shows no direction."""
         bare = np.abs(self._due(q)) <= _LOADED * self.doubt
         return [j for j, is_bare in zip(self._joints, bare) if is_bare and not j.verified]
-
-    def review(self, track: Measurement | None) -> str:
-        """Return what is wrong with the arm, as a whole run says; "" where nothing is known."""
-        return self._review(track) if self._review is not None and track is not None else ""
 
     def load(self, q: Array) -> Array:
         """Return the torque (n,) that a kilogram at the arm's end takes at q [N m]."""

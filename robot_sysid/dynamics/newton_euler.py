@@ -180,19 +180,21 @@ class LinkDynamics:
 
     def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
         """Return the motion of all links for chain motions (N, n) [rad, rad/s, rad/s^2]."""
+        return LinksMotion(*zip(*self.moves(q, qd, qdd)))
+
+    def moves(self, q: Array, qd: Array, qdd: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """Yield velocity, acceleration, step and screw of each link, see ``LinksMotion``."""
         velocity, acceleration = np.zeros((2, 6, len(q)))
         acceleration[3:] = -self._gravity
         turns = (q - self._home).T
         sines, versines = np.where(self._slides[:, None], turns, np.sin(turns)), 1.0 - np.cos(turns)
-        moves = []
         for i, screw in enumerate(self._screws):
             grown = np.stack((np.ones(len(q)), sines[i], versines[i]))
             step = np.tensordot(self._steps[i], grown, 1)
             velocity = np.einsum("abn,bn->an", step, velocity) + np.outer(screw, qd[:, i])
             acceleration = np.einsum("abn,bn->an", step, acceleration) + np.outer(screw, qdd[:, i])
             acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
-            moves.append((velocity, acceleration, step, screw))
-        return LinksMotion(*zip(*moves))
+            yield velocity, acceleration, step, screw
 
 
 def in_parts(width: int, *motion: Array) -> Iterator[tuple[Array, ...]]:

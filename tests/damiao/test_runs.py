@@ -632,10 +632,3 @@ def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(rig, after, monk
     run.during("raising", after, lambda r: r.stop("stopped by SIGTERM")).run(settle=0.0)
     assert str(run.error) == "stopped by SIGTERM"
     assert max(farthest) < 0.03
-
-
-def test_what_is_kept_of_a_run_is_bounded(rig, monkeypatch):
-    """An arm may be held for days: what is kept until the end fills the memory, and it falls."""
-    monkeypatch.setattr("robot_sysid.damiao.player._MOST_TRACKED", 10)
-    run = rig(motion=swing(2, duration=2.0)).run()
-    assert run.error is None and len(run.report.track) == 10

@@ -59,7 +59,7 @@ OTHERS = "others_departure"
 SECOND = "a second motor has its id"
 FOREIGN = "gets commands of another program"
 UNSEEN = "another program commands it"
-MOVED = "the zero of motor 2"
+MOVED = "its zero has moved"
 LINES = (
     Line("motor makes half its torque", WeakMotor(SHOULDER, 0.5), "its motor is weak"),
     Line("motor makes 0.6 of its torque, at kp 500", WeakMotor(SHOULDER, 0.6), ""),
@@ -76,12 +76,12 @@ LINES = (
     Line("encoder frozen, shoulder", FrozenEncoder(SHOULDER), "its encoder is frozen"),
     Line("encoder frozen, wrist", FrozenEncoder(WRIST), "its encoder is frozen"),
     Line("reported position frozen", FrozenEncoder(SHOULDER, False), "it is frozen"),
-    Line("gear slips 0.3 rad/s", SlippingGear(SHOULDER), "its gear slips", bound=1.3),
+    Line("gear slips 0.3 rad/s", SlippingGear(SHOULDER), "its gear slips", bound=0.4),
     Line(
         "gear slips, velocity is the joint's", SlippingGear(SHOULDER, is_felt=False),
         "its gear or its encoder slips", bound=0.3,
     ),
-    Line("gear of an unloaded wrist slips", SlippingGear(WRIST), "", bound=1.3),
+    Line("gear of an unloaded wrist slips", SlippingGear(WRIST), "its gear slips", bound=0.9),
     Line("stale answers", MotorSetting(SHOULDER, "is_stale", True), "its answers are stale"),
     Line(
         "velocity reversed", MotorSetting(SHOULDER, "velocity_factor", -1.0),

@@ -143,6 +143,7 @@ class Observer:
         fades = settings.period * kp / np.array(settings.kd)
         self._velocity_check = VelocityScalingCheck(self._velocity_step, fades)
         self._torque_check = TorqueScalingCheck(torque_step, peak_torque)
+        self._zero_check = holding.watch() if holding.watch is not None else None
         self._added = _RunningMean(n_joints, settings.period / _MOMENT)
         self._usual_added = _RunningMean(n_joints, settings.period / _LONG)
         self._needed = _RunningMean(n_joints, settings.period / _MOMENT)
@@ -221,6 +222,21 @@ class Observer:
         self._needed.add(acted.torque, restart=rising)
         self._fed.add(acted.torque, restart=rising)
         self._check_limits(replies, acted, rising)
+
+    def check_zeros(self, replies: Replies, acted: MitCommand) -> None:
+        """Raise HardwareAbort naming a joint that is elsewhere than it says, where a model tells.
+
+        The arm has to move freely.
+        """
+        if self._zero_check is None:
+            return
+        feedback = replies.feedback
+        n = self._holding.n_joints
+        commanded = acted.motor_torque(feedback.position, feedback.velocity)
+        signals = (feedback.position[:n], feedback.velocity[:n], commanded[:n])
+        finding = self._zero_check(float(np.mean(replies.time[:n])), *signals)
+        if finding is not None:
+            self._raise(*finding)
 
     @property
     def trusted(self) -> Mask:

@@ -1,161 +1,334 @@
-"""Whether a joint's zero has moved since its map was made: what the torques of a motion say.
+"""Whether a joint is elsewhere than it says: what the torques of a motion tell while it goes on.
 
-A joint that stands elsewhere than it says loads itself and the joints beyond it in another way than
-the model expects. Links that weigh something else do that too, so both compete: the measured
-torques tau are
+A joint whose zero has moved, or whose gear slips, loads itself and the joints below it in another
+way than the model expects. Links that weigh something else do that too, so the torques tau of each
+window of time are taken for
 
-    tau = model(q, qd, qdd) + Y dtheta + d(model)/dq_j shift_j + friction + noise,
+    tau = model(q, qd, qdd) + X x + noise,   x ~ N(0, 1),
 
-with a prior for what the model's links, its friction and an unknown load at its end may be off. A
-moved zero is named where it raises the log marginal likelihood by a margin, and more than that of
-any other joint. (Rasmussen and Williams, Gaussian Processes, 2006, equation 2.30.)
+where X holds what one standard deviation of each link, of a load at the end and of friction makes.
+x is estimated recursively (the Kalman filter of a state that hardly changes). A change that began
+at some window adds a column c times an unknown size; the filter turns c into innovations c~ just as
+it turns the torques into theirs, e with covariance S, so that each change has a log likelihood
+ratio against none of
+
+    a^2 / (2 (1 + b)) - log(1 + b) / 2,   a = sum c~^T S^-1 e,   b = sum c~^T S^-1 c~,
+
+over the windows since (Willsky and Jones, "A generalized likelihood ratio approach to the detection
+and estimation of jumps in linear systems", IEEE Transactions on Automatic Control 21(1), 1976).
+Moved zeros compete with a load that is taken up, with motors that make another share of their
+torque, and with torques in single joints, such as friction or a push. One is named where its ratio
+is large and twice as large as that of any other change.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion
 from robot_sysid.estimation.algebra.nuisances import model_link_factor
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import Array, RobotModel
+from robot_sysid.regressor import wrench_regressor
 
-# Samples that are averaged: so far apart that their errors are not alike [s].
-_WINDOW = 0.2
+# Over so long signals are averaged [s]; within twice that a window has to be full.
+_WINDOW = 0.1
+_LEAST_SAMPLES = 3
+# Slower than this [rad/s] dry friction holds the arm, and hides what it carries. So many windows in
+# which it moves have to show how well the model fits before anything is judged.
+_MOVING = 0.05
 _LEAST_WINDOWS = 15
-_MOST_WINDOWS = 80
 # Judgements, standard deviations: links of a guessed model [share], an unknown load at the end [kg]
-# and how far from there its mass is [m], a zero that moved [rad].
+# and how far from there its mass is [m].
 _LINKS = 0.3
 _LOAD = 3.0
 _LEVER = 0.2
+# Of changes: a zero [rad], a torque in one joint [of what says nothing], the share of its torque
+# that a motor does not make, and a load, in standard deviations of the unknown one.
 _SHIFT = 0.3
-# Of the torque that says nothing: what is left of averages over a window; the likeliest is taken.
-_NOISES = (0.05, 0.15, 0.5)
-_DIFFERENCE = 0.01
-# In nats: how much better than no moved zero, and than that of any other joint.
-_MARGIN = 15.0
-_APART = 5.0
-# A smaller shift is within what people measure with a ruler [rad].
+_TORQUE = 0.5
+_SHARE = 0.5
+_NEW_LOAD = 1.5
+# Noise, of the torque that says nothing: at the beginning, where it counts as so many windows, and
+# at least; how much of the estimate a window leaves.
+_NOISE = 0.15
+_NOISE_WINDOWS = 2.0
+_LEAST_NOISE = 0.03
+_SCATTER = 3.0
+_OUTLIER = 30.0
+_REMEMBER = 0.95
+# Variance that x gains in a window: motors become warm.
+_DRIFT = 1e-6
+# What a model lacks changes more slowly than windows do: errors of this many are alike.
+_ALIKE = 5.0
+# Changes may have begun in each of the last windows; one is judged after some. It grows for up to
+# so long [s].
+_ONSETS = 14
+_LEAST_AGE = 3
+_GROWTH = 1.0
+# In nats: how much better than no change, and than any other. Of the best, what others may have:
+# where noise is larger than it seems, all of them are too large.
+_MARGIN = 12.0
+_APART = 8.0
+_OTHERS = 0.6
+# A smaller shift is within what people measure with a ruler [rad]; of the torque that says nothing:
+# what it has to make.
 _LEAST_SHIFT = 0.08
+_LEAST_TORQUE = 0.3
+# For slopes [rad].
+_DIFFERENCE = 0.01
+# In how many parts a window is computed, beside one for each link.
+_OTHER_PARTS = 8
+_LOAD_PARAMETERS = 4
 
 
-def describe_moved_zero(
-    robot: RobotModel, joints: Sequence[DamiaoJoint], samples: Measurement
-) -> str:
-    """Return a sentence about the joint whose zero has moved; "" where none has surely.
+class MovedZeroCheck:
+    """Tells which joint is elsewhere than it says, from the cycles of a run.
+
+    What a window shows is computed in small parts, one or a few in each cycle of the next window:
+    a control cycle has no room for all of it.
 
     Args:
         robot: the arm's model.
         joints: its motors, base to terminal.
-        samples: motion and torque (N, n) of a whole run.
     """
-    motion = _average_over_windows(samples)
-    if motion is None:
-        return ""
-    dynamics = LinkDynamics(robot)
-    q, qd, qdd, tau = motion
-    doubt = torque_doubt(joints) + robot.friction.coulomb
-    weights = np.tile(1.0 / doubt, len(q))
-    friction = robot.friction.torque(qd) + robot.armature * qdd
-    needed = dynamics.motion(q, qd, qdd).torque(robot.thetas) + friction
-    residual = (tau - needed).ravel() * weights
-    links = _link_errors(robot, dynamics, q, qd, qdd)
-    errors = np.column_stack([links, _friction_errors(qd, doubt)]) * weights[:, None]
-    spread = errors @ errors.T
-    slopes = [_slope(robot, dynamics, q, qd, qdd, j) * weights for j in range(robot.n_joints)]
 
-    without_shift, _ = _likeliest_noise(residual, spread)
-    likelihoods = []
-    noises = []
-    for slope in slopes:
-        likelihood, noise = _likeliest_noise(residual, spread + _SHIFT**2 * np.outer(slope, slope))
-        likelihoods.append(likelihood)
-        noises.append(noise)
-    joint = int(np.argmax(likelihoods))
-    others = np.delete(likelihoods, joint)
-    is_sure = likelihoods[joint] > without_shift + _MARGIN
-    is_sure &= likelihoods[joint] > np.max(others, initial=without_shift) + _APART
-    covariance = spread + noises[joint] ** 2 * np.eye(len(residual))
-    shift, error = _posterior_shift(residual, covariance, slopes[joint])
-    if not is_sure or abs(shift) < _LEAST_SHIFT + 2.0 * error:
-        return ""
-    return (
-        f"the zero of {joints[joint].label} has moved by about {abs(shift):.1f} rad since "
-        "its map was made, as the torques of this motion say; look at its mounting and make the "
-        "map again: see 'motors map'"
-    )
+    def __init__(self, robot: RobotModel, joints: Sequence[DamiaoJoint]) -> None:
+        n = robot.n_joints
+        self._robot = robot
+        self._dynamics = LinkDynamics(robot)
+        self._links = [*other_links(robot), n - 1]
+        factor = model_link_factor(robot, self._links, _LINKS)
+        load = np.zeros((len(factor), _LOAD_PARAMETERS))
+        load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])
+        self._factor = np.column_stack([factor, load])
+        self._doubt = torque_doubt(joints) + robot.friction.coulomb
+        self._samples: list[tuple[float, Array]] = []
+        self._work: Iterator[None] = iter(())
+        self._parts_per_cycle = 1
+        self._finding: tuple[int, str] | None = None
+        self._has_changed = False
+        self._windows = 0
+        n_errors = self._factor.shape[1] + 2 * n
+        self._mean = np.zeros(n_errors)
+        self._covariance = np.eye(n_errors)
+        self._squares = np.full(n, _NOISE_WINDOWS * _NOISE**2)
+        self._weight = _NOISE_WINDOWS
+        # Changes by their onset: the first one is since before the run, the others take turns.
+        n_onsets = 1 + _ONSETS
+        n_changes = 3 * n + _LOAD_PARAMETERS
+        self._begin = np.zeros(n_onsets)
+        self._age = np.zeros(n_onsets, int)
+        self._state_shift = np.zeros((n_onsets, n_errors, n_changes))
+        self._score = np.zeros((n_onsets, n_changes))
+        self._information = np.zeros((n_onsets, n_changes))
+        self._load_information = np.zeros((n_onsets, _LOAD_PARAMETERS, _LOAD_PARAMETERS))
 
+    def __call__(self, time: float, q: Array, qd: Array, tau: Array) -> tuple[int, str] | None:
+        """Take in one cycle's motion and commanded torque (n,); return what is known by now.
 
-def _posterior_shift(residual: Array, covariance: Array, slope: Array) -> tuple[float, float]:
-    """Return the posterior mean and standard deviation of a zero's shift [rad]."""
-    weighted_slope = np.linalg.solve(covariance, slope)
-    information = float(slope @ weighted_slope) + 1.0 / _SHIFT**2
-    return float(residual @ weighted_slope) / information, information**-0.5
+        That is the number of a joint that is elsewhere than it says, and a sentence about it
+        without its name; None where there is none.
+        """
+        for _ in range(self._parts_per_cycle):
+            next(self._work, None)
+        sample = np.stack([q, qd, tau])
+        if not (np.isfinite(time) and np.all(np.isfinite(sample))):
+            return self._finding
+        self._samples.append((time, sample))
+        duration = time - self._samples[0][0]
+        if duration < _WINDOW:
+            return self._finding
+        window = self._samples
+        self._samples = []
+        if duration < 2.0 * _WINDOW and len(window) >= _LEAST_SAMPLES:
+            average = _average(window)
+            if np.max(np.abs(average.qd)) > _MOVING:
+                # What is left of the last window is lost where the computer has skipped cycles.
+                self._work = self._take_in(average)
+                self._parts_per_cycle = 1 + (self._robot.n_joints + _OTHER_PARTS) // len(window)
+        return self._finding
 
+    def _take_in(self, window: _Window) -> Iterator[None]:
+        """Update all estimates with one window, in parts."""
+        robot = self._robot
+        time, q, qd, qdd, tau, scatter = window
+        n = robot.n_joints
+        step = _DIFFERENCE * np.eye(n)
+        places = q + np.vstack([np.zeros(n), step, -step])
+        moves = []
+        for move in self._dynamics.moves(places, qd + 0.0 * places, qdd + 0.0 * places):
+            moves.append(move)
+            yield
+        motion = LinksMotion(*zip(*moves))
+        to_links = motion.to_links
+        yield
+        wrenches = _base_wrenches(motion, to_links)
+        yield
+        twists = motion.joint_twists
+        yield
+        torques = _joint_torques(twists, np.einsum("lnak,lk->lna", wrenches, robot.thetas))
+        slopes = (torques[1 : n + 1] - torques[n + 1 :]).T / (2.0 * _DIFFERENCE)
+        friction = robot.friction.torque(qd[None])[0] + robot.armature * qdd
+        needed = torques[0] + friction
+        yield
+        columns = np.einsum("aj,lak->jlk", twists[:, :, 0], wrenches[:, 0])
+        columns *= np.triu(np.ones((n, n)))[:, :, None]
+        link_errors = columns[:, self._links].reshape(n, -1) @ self._factor
+        dry = np.diag(np.tanh(qd / 0.02))
+        viscous = np.diag(qd)
+        errors = np.hstack([link_errors / self._doubt[:, None], dry, viscous])
+        load = link_errors[:, -_LOAD_PARAMETERS:]
+        changes = np.hstack([_SHIFT * slopes, _SHARE * np.diag(needed), _NEW_LOAD * load])
+        changes = np.hstack([changes / self._doubt[:, None], _TORQUE * np.eye(n)])
+        residual = (tau - needed) / self._doubt
+        yield
+        innovation, covariance, gain = self._update(errors, residual, scatter)
+        yield
+        self._update_changes(time, changes, errors, innovation, covariance, gain)
+        yield
+        self._finding = self._finding or self._judge(time, slopes / self._doubt[:, None])
 
-def _average_over_windows(samples: Measurement) -> tuple[Array, ...] | None:
-    """Return q, qd, qdd and tau (K, n) averaged over windows, None where they are too few.
+    def _update(self, errors: Array, residual: Array, scatter: Array) -> tuple[Array, Array, Array]:
+        """Update the model's errors; return innovation (n,), its covariance and the gain."""
+        rounding = (_SCATTER * scatter / self._doubt) ** 2
+        noise = np.maximum(self._squares / self._weight, _LEAST_NOISE**2)
+        innovation = residual - errors @ self._mean
+        shared = errors @ self._covariance
+        predicted = shared @ errors.T
+        covariance = predicted + np.diag(_ALIKE * noise + rounding)
+        gain = np.linalg.solve(covariance, shared).T
+        self._mean = self._mean + gain @ innovation
+        self._covariance = self._covariance - gain @ shared + _DRIFT * np.eye(len(self._mean))
+        unexplained = innovation**2 - np.diag(predicted) - rounding
+        self._squares = _REMEMBER * self._squares + np.clip(unexplained, 0.0, _OUTLIER * noise)
+        self._weight = _REMEMBER * self._weight + 1.0
+        return innovation, covariance, gain
 
-    Of a long run as many windows are taken as a covariance of all their torques has room for.
-    """
-    assert samples.qd is not None
-    number = ((samples.time - samples.time[0]) / _WINDOW).astype(int)
-    count = np.bincount(number)
-    full = np.flatnonzero(count >= 0.5 * np.median(count))
-    if len(full) < _LEAST_WINDOWS:
+    def _update_changes(
+        self,
+        time: float,
+        changes: Array,
+        errors: Array,
+        innovation: Array,
+        covariance: Array,
+        gain: Array,
+    ) -> None:
+        """Update what is known of each change (n, changes) that may have begun at each onset."""
+        newest = 1 + self._windows % _ONSETS
+        self._windows += 1
+        self._begin[newest] = time - 0.5 * _WINDOW
+        self._age += 1
+        for state in (
+            self._age,
+            self._state_shift,
+            self._score,
+            self._information,
+            self._load_information,
+        ):
+            state[newest] = 0
+        grown = self._growth(time)[:, None, None] * changes
+        passed = grown - errors @ self._state_shift
+        weighted = np.linalg.inv(covariance) @ passed
+        self._score += innovation @ weighted
+        self._information += np.sum(passed * weighted, axis=1)
+        load = slice(-_LOAD_PARAMETERS - len(innovation), -len(innovation))
+        self._load_information += passed[:, :, load].transpose(0, 2, 1) @ weighted[:, :, load]
+        self._state_shift += gain @ passed
+
+    def _growth(self, time: float) -> Array:
+        """Return how far the changes of each onset (onsets,) have grown."""
+        grown = np.minimum((time - self._begin) / _GROWTH, 1.0)
+        grown[0] = 1.0
+        return grown
+
+    def _judge(self, time: float, slopes: Array) -> tuple[int, str] | None:
+        """Return the joint whose zero has moved, and words, if one of the changes is sure."""
+        if self._windows < _LEAST_WINDOWS:
+            return None
+        n = self._robot.n_joints
+        gains = 0.5 * self._score**2 / (1.0 + self._information)
+        gains -= 0.5 * np.log1p(self._information)
+        load = slice(2 * n, 2 * n + _LOAD_PARAMETERS)
+        gains[:, load] = self._load_gains(self._score[:, load])[:, None]
+        gains[1:][self._age[1:] < _LEAST_AGE, :n] = 0.0
+        if self._has_changed:
+            # What is off now need not have been off before the run.
+            gains[0] = 0.0
+        best = np.max(gains, axis=0)
+        joint = int(np.argmax(best[:n]))
+        onset = int(np.argmax(gains[:, joint]))
+        variance = 1.0 / (1.0 + self._information[onset, joint])
+        unit = _SHIFT * self._growth(time)[onset]
+        shift = unit * abs(self._score[onset, joint]) * variance
+        is_sure = best[joint] > _MARGIN
+        others = np.max(np.delete(best, joint))
+        is_sure &= others < min(best[joint] - _APART, _OTHERS * best[joint])
+        is_sure &= shift > _LEAST_SHIFT + 2.0 * unit * np.sqrt(variance)
+        is_sure &= shift * np.max(np.abs(slopes[:, joint])) > _LEAST_TORQUE
+        if is_sure:
+            return joint, (_SLIPS if onset > 0 else _MOVED).format(shift)
+        oldest = 1 + self._windows % _ONSETS
+        self._has_changed |= bool(np.max(gains[oldest]) > _MARGIN)
         return None
-    full = full[:: 1 + (len(full) - 1) // _MOST_WINDOWS]
-    qdd = np.gradient(samples.qd, samples.time, axis=0)
-    means = []
-    for signal in (samples.q, samples.qd, qdd, samples.tau):
-        sums = [np.bincount(number, column) for column in signal.T]
-        means.append((np.array(sums) / np.maximum(count, 1)).T[full])
-    return tuple(means)
+
+    def _load_gains(self, score: Array) -> Array:
+        """Return the log likelihood ratio (onsets,) of a load with all its parameters."""
+        information = np.eye(_LOAD_PARAMETERS) + self._load_information
+        explained = np.linalg.solve(information, score[:, :, None])[:, :, 0]
+        return 0.5 * np.sum(score * explained, axis=1) - 0.5 * np.linalg.slogdet(information)[1]
 
 
-def _link_errors(
-    robot: RobotModel, dynamics: LinkDynamics, q: Array, qd: Array, qdd: Array
-) -> Array:
-    """Return torques (K n, m) that one standard deviation of each link error makes."""
-    links = [*other_links(robot), robot.n_joints - 1]
-    columns = dynamics.motion(q, qd, qdd).columns(links)
-    factor = model_link_factor(robot, links, _LINKS)
-    load = np.zeros((len(factor), 4))
-    load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])
-    return (columns @ np.column_stack([factor, load])).reshape(q.size, -1)
+_SLIPS = (
+    "has come about {:.1f} rad off the angle that it reports, as the torques of this motion say: "
+    "its gear slips"
+)
+_MOVED = (
+    "stands about {:.1f} rad off the angle that it reports, as the torques of this motion say: its "
+    "zero has moved since its map was made; look at its mounting and make the map again: see "
+    "'motors map'"
+)
 
 
-def _friction_errors(qd: Array, doubt: Array) -> Array:
-    """Return torques (K n, 2 n) that one standard deviation of each joint's friction makes."""
-    units = np.eye(qd.shape[1])
-    dry = np.tanh(qd / 0.02) * doubt
-    viscous = qd * doubt
-    columns = [signal[:, :, None] * units for signal in (dry, viscous)]
-    return np.concatenate(columns, axis=2).reshape(qd.size, -1)
+class _Window(NamedTuple):
+    """Averages (n,) over a window of time, and how far torques are off a straight line (rms)."""
+
+    time: float
+    q: Array
+    qd: Array
+    qdd: Array
+    tau: Array
+    scatter: Array
 
 
-def _slope(
-    robot: RobotModel, dynamics: LinkDynamics, q: Array, qd: Array, qdd: Array, joint: int
-) -> Array:
-    """Return how torques (K n,) change with one joint's position [N m/rad]."""
-    step = _DIFFERENCE * np.eye(q.shape[1])[joint]
-    ahead = dynamics.motion(q + step, qd, qdd).torque(robot.thetas)
-    behind = dynamics.motion(q - step, qd, qdd).torque(robot.thetas)
-    return ((ahead - behind) / (2.0 * _DIFFERENCE)).ravel()
+def _average(samples: Sequence[tuple[float, Array]]) -> _Window:
+    """Return the averages of cycles' times [s] and motions and torques (3, n)."""
+    times = np.array([time for time, _ in samples])
+    signals = np.array([signal for _, signal in samples])
+    time = float(np.mean(times))
+    since = times - time
+    mean = np.mean(signals, axis=0)
+    slope = np.tensordot(since, signals, 1) / (since @ since)
+    q, qd, tau = mean
+    bend = signals[:, 2] - tau - np.outer(since, slope[2])
+    return _Window(time, q, qd, slope[1], tau, np.sqrt(np.mean(bend**2, axis=0)))
 
 
-def _likeliest_noise(residual: Array, spread: Array) -> tuple[float, float]:
-    """Return the largest log likelihood over the noises, and the noise that has it."""
-    return max((_log_likelihood(residual, spread, noise), noise) for noise in _NOISES)
+def _base_wrenches(motion: LinksMotion, to_links: Array) -> Array:
+    """Return what each link's wrench in the base's frame is per parameter (n, N, 6, 10)."""
+    moves = (np.moveaxis(np.array(move), 1, -1) for move in (motion.velocity, motion.acceleration))
+    velocity, acceleration = moves
+    regressor = wrench_regressor(velocity.reshape(-1, 6), acceleration.reshape(-1, 6))
+    own = np.moveaxis(regressor, -1, 0).reshape(*velocity.shape, -1)
+    return np.swapaxes(to_links, -1, -2) @ own
 
 
-def _log_likelihood(residual: Array, spread: Array, noise: float) -> float:
-    """Return log N(residual; 0, spread + noise^2 I) but for a constant."""
-    factor = np.linalg.cholesky(spread + noise**2 * np.eye(len(residual)))
-    white = np.linalg.solve(factor, residual)
-    return float(-0.5 * white @ white - np.sum(np.log(np.diag(factor))))
+def _joint_torques(twists: Array, wrenches: Array) -> Array:
+    """Return joint torques (N, n) of twists (6, n, N) and links' wrenches (n, N, 6) in the base."""
+    carried = np.cumsum(wrenches[::-1], axis=0)[::-1]
+    return np.einsum("ajn,jna->nj", twists, carried)
