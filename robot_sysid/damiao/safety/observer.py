@@ -8,7 +8,7 @@ the bus                                answers missing, damaged, doubled; comman
 torque reported, torque commanded      torque scale or sign, weak motor, another master, supply
 position, integrated velocity          velocity scale or sign, slipping gear or encoder
 position, command                      blocked joint, frozen encoder, answers that repeat
-torque commanded, torque needed        weak motor, new load, push, moved zero
+torque commanded, torque needed        weak motor, new load, push, moved zero, slipping gear
 =====================================  =========================================================
 
 Torque needed is what is fed forward, by the model or by the file, and what the joint's own control

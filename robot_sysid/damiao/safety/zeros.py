@@ -16,9 +16,9 @@ ratio against none of
 
 over the windows since (Willsky and Jones, "A generalized likelihood ratio approach to the detection
 and estimation of jumps in linear systems", IEEE Transactions on Automatic Control 21(1), 1976).
-Moved zeros compete with a load that is taken up, with motors that make another share of their
-torque, and with torques in single joints, such as friction or a push. One is named where its ratio
-is large and twice as large as that of any other change.
+Moved zeros compete with a load that is taken up, with a force at the end, with motors that make
+another share of their torque, and with torques in single joints, such as friction. One is named
+where its ratio is large, and clearly larger than that of any other change.
 """
 
 from __future__ import annotations
@@ -49,19 +49,22 @@ _LINKS = 0.3
 _LOAD = 3.0
 _LEVER = 0.2
 # Of changes: a zero [rad], a torque in one joint [of what says nothing], the share of its torque
-# that a motor does not make, and a load, in standard deviations of the unknown one.
+# that a motor does not make, a load, in standard deviations of the unknown one, and a force [N].
 _SHIFT = 0.3
 _TORQUE = 0.5
 _SHARE = 0.5
 _NEW_LOAD = 1.5
+_FORCE = 20.0
 # Noise, of the torque that says nothing: at the beginning, where it counts as so many windows, and
-# at least; how much of the estimate a window leaves.
+# at least; what share of its estimate stays in each window.
 _NOISE = 0.15
 _NOISE_WINDOWS = 2.0
 _LEAST_NOISE = 0.03
-_SCATTER = 3.0
-_OUTLIER = 30.0
 _REMEMBER = 0.95
+# One window may show so many times the variance of before; where torques scatter within it, by a
+# blow for instance, so many times their scatter is taken for noise.
+_OUTLIER = 30.0
+_SCATTER = 3.0
 # Variance that x gains in a window: motors become warm.
 _DRIFT = 1e-6
 # What a model lacks changes more slowly than windows do: errors of this many are alike.
@@ -75,7 +78,7 @@ _GROWTH = 1.0
 # where noise is larger than it seems, all of them are too large.
 _MARGIN = 12.0
 _APART = 8.0
-_OTHERS = 0.6
+_OTHERS = 0.55
 # A smaller shift is within what people measure with a ruler [rad]; of the torque that says nothing:
 # what it has to make.
 _LEAST_SHIFT = 0.08
@@ -85,6 +88,7 @@ _DIFFERENCE = 0.01
 # In how many parts a window is computed, beside one for each link.
 _OTHER_PARTS = 8
 _LOAD_PARAMETERS = 4
+_END_PARAMETERS = _LOAD_PARAMETERS + 3
 
 
 class MovedZeroCheck:
@@ -119,15 +123,17 @@ class MovedZeroCheck:
         self._covariance = np.eye(n_errors)
         self._squares = np.full(n, _NOISE_WINDOWS * _NOISE**2)
         self._weight = _NOISE_WINDOWS
+        # Where changes at the end stand among all: behind the zeros and the motors.
+        self._end = slice(2 * n, 2 * n + _END_PARAMETERS)
         # Changes by their onset: the first one is since before the run, the others take turns.
         n_onsets = 1 + _ONSETS
-        n_changes = 3 * n + _LOAD_PARAMETERS
+        n_changes = 3 * n + _END_PARAMETERS
         self._begin = np.zeros(n_onsets)
         self._age = np.zeros(n_onsets, int)
         self._state_shift = np.zeros((n_onsets, n_errors, n_changes))
         self._score = np.zeros((n_onsets, n_changes))
         self._information = np.zeros((n_onsets, n_changes))
-        self._load_information = np.zeros((n_onsets, _LOAD_PARAMETERS, _LOAD_PARAMETERS))
+        self._end_information = np.zeros((n_onsets, _END_PARAMETERS, _END_PARAMETERS))
 
     def __call__(self, time: float, q: Array, qd: Array, tau: Array) -> tuple[int, str] | None:
         """Take in one cycle's motion and commanded torque (n,); return what is known by now.
@@ -184,8 +190,11 @@ class MovedZeroCheck:
         viscous = np.diag(qd)
         errors = np.hstack([link_errors / self._doubt[:, None], dry, viscous])
         load = link_errors[:, -_LOAD_PARAMETERS:]
-        changes = np.hstack([_SHIFT * slopes, _SHARE * np.diag(needed), _NEW_LOAD * load])
-        changes = np.hstack([changes / self._doubt[:, None], _TORQUE * np.eye(n)])
+        force = (to_links[-1, 0] @ twists[:, :, 0])[3:].T
+        at_end = np.hstack([_NEW_LOAD * load, _FORCE * force])
+        alone = _TORQUE * np.diag(self._doubt)
+        changes = np.hstack([_SHIFT * slopes, _SHARE * np.diag(needed), at_end, alone])
+        changes /= self._doubt[:, None]
         residual = (tau - needed) / self._doubt
         yield
         innovation, covariance, gain = self._update(errors, residual, scatter)
@@ -196,16 +205,16 @@ class MovedZeroCheck:
 
     def _update(self, errors: Array, residual: Array, scatter: Array) -> tuple[Array, Array, Array]:
         """Update the model's errors; return innovation (n,), its covariance and the gain."""
-        rounding = (_SCATTER * scatter / self._doubt) ** 2
+        scattered = (_SCATTER * scatter / self._doubt) ** 2
         noise = np.maximum(self._squares / self._weight, _LEAST_NOISE**2)
         innovation = residual - errors @ self._mean
         shared = errors @ self._covariance
         predicted = shared @ errors.T
-        covariance = predicted + np.diag(_ALIKE * noise + rounding)
+        covariance = predicted + np.diag(_ALIKE * noise + scattered)
         gain = np.linalg.solve(covariance, shared).T
         self._mean = self._mean + gain @ innovation
         self._covariance = self._covariance - gain @ shared + _DRIFT * np.eye(len(self._mean))
-        unexplained = innovation**2 - np.diag(predicted) - rounding
+        unexplained = innovation**2 - np.diag(predicted) - scattered
         self._squares = _REMEMBER * self._squares + np.clip(unexplained, 0.0, _OUTLIER * noise)
         self._weight = _REMEMBER * self._weight + 1.0
         return innovation, covariance, gain
@@ -229,7 +238,7 @@ class MovedZeroCheck:
             self._state_shift,
             self._score,
             self._information,
-            self._load_information,
+            self._end_information,
         ):
             state[newest] = 0
         grown = self._growth(time)[:, None, None] * changes
@@ -237,8 +246,8 @@ class MovedZeroCheck:
         weighted = np.linalg.inv(covariance) @ passed
         self._score += innovation @ weighted
         self._information += np.sum(passed * weighted, axis=1)
-        load = slice(-_LOAD_PARAMETERS - len(innovation), -len(innovation))
-        self._load_information += passed[:, :, load].transpose(0, 2, 1) @ weighted[:, :, load]
+        end = self._end
+        self._end_information += passed[:, :, end].transpose(0, 2, 1) @ weighted[:, :, end]
         self._state_shift += gain @ passed
 
     def _growth(self, time: float) -> Array:
@@ -254,8 +263,9 @@ class MovedZeroCheck:
         n = self._robot.n_joints
         gains = 0.5 * self._score**2 / (1.0 + self._information)
         gains -= 0.5 * np.log1p(self._information)
-        load = slice(2 * n, 2 * n + _LOAD_PARAMETERS)
-        gains[:, load] = self._load_gains(self._score[:, load])[:, None]
+        ends = gains[:, self._end]
+        for group in (slice(0, _LOAD_PARAMETERS), slice(_LOAD_PARAMETERS, _END_PARAMETERS)):
+            ends[:, group] = self._end_gains(group)[:, None]
         gains[1:][self._age[1:] < _LEAST_AGE, :n] = 0.0
         if self._has_changed:
             # What is off now need not have been off before the run.
@@ -277,9 +287,11 @@ class MovedZeroCheck:
         self._has_changed |= bool(np.max(gains[oldest]) > _MARGIN)
         return None
 
-    def _load_gains(self, score: Array) -> Array:
-        """Return the log likelihood ratio (onsets,) of a load with all its parameters."""
-        information = np.eye(_LOAD_PARAMETERS) + self._load_information
+    def _end_gains(self, group: slice) -> Array:
+        """Return the log likelihood ratios (onsets,) of a load or a force with all parameters."""
+        score = self._score[:, self._end][:, group]
+        information = self._end_information[:, group, group]
+        information = information + np.eye(information.shape[1])
         explained = np.linalg.solve(information, score[:, :, None])[:, :, 0]
         return 0.5 * np.sum(score * explained, axis=1) - 0.5 * np.linalg.slogdet(information)[1]
 

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.safety import zeros
 from robot_sysid.damiao.safety.zeros import MovedZeroCheck
 from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from tests.support import arms
+from tests.support.places import DATA
 
 JOINTS = damiao_joints(["DM4340", "DM4340", "DM4310"], 3)
 PERIOD = 0.02
@@ -119,3 +122,34 @@ def test_a_link_without_mass_has_no_errors_to_compete(arm):
     light = replace(arm.links[0], theta=0.0 * arm.links[0].theta)
     robot = replace(arm, links=(light, *arm.links[1:]))
     assert finding(robot, played(robot, 0, 0.15)) is None
+
+
+LWR4_PEAK = (176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0)
+UR10E_PEAK = (330.0, 330.0, 150.0, 54.0, 54.0, 54.0)
+LOGS = (
+    *(
+        (f"kuka_lwr4/lwr4_hw{run}_200Hz.csv", "kuka_lwr4/kuka_lwr4.urdf", LWR4_PEAK)
+        for run in (1, 2, 3)
+    ),
+    *(
+        (f"ur10e_payload/{name}_100Hz.csv", "ur10e_payload/ur10e.urdf", UR10E_PEAK)
+        for name in ("empty", "loaded_2p805kg")
+    ),
+)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="logs of real arms are not here")
+@pytest.mark.parametrize(("log", "model", "peak"), LOGS)
+def test_a_real_arm_that_nothing_happens_to_is_left_alone(log, model, peak, monkeypatch):
+    """With friction and rotors that no model has, and with a table of links that is wrong."""
+    monkeypatch.setattr(zeros, "torque_doubt", lambda joints: 0.06 * np.array(joints))
+    table = np.loadtxt(DATA / log, delimiter=",", skiprows=1)
+    time = table[:, 0]
+    q, tau = np.split(table[:, 1:], 2, axis=1)
+    smoother = np.hanning(2 * round(0.04 / np.median(np.diff(time))) + 1)
+    smooth = [np.convolve(column, smoother / smoother.sum(), "same") for column in q.T]
+    qd = np.gradient(np.array(smooth), time, axis=1).T
+    check = MovedZeroCheck(load_robot_model(DATA / model), peak)
+    inside = slice(len(smoother), -len(smoother))
+    cycles = zip(time[inside], q[inside], qd[inside], tau[inside])
+    assert not any(check(*cycle) for cycle in cycles)
