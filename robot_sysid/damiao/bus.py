@@ -85,7 +85,10 @@ class GuardedLink:
         refuse: Callable[[Frame], None] = refuse_harmful,
     ) -> None:
         self._refuse = refuse
-        self._link, self.clock, self._fd, self.channels = link, clock, fd, tuple(channels)
+        self._link = link
+        self._fd = fd
+        self.clock = clock
+        self.channels = tuple(channels)
         self.observer: Callable[[Frame, bool], None] | None = None
 
     def send(self, frame: Frame) -> None:
@@ -140,12 +143,13 @@ class BusAddress(OptionRecord):
     @property
     def buses(self) -> Mapping[str, str]:
         """What messages and joint maps call each bus, and where it is; InputError for one twice."""
-        named = [_NAMED.fullmatch(channel) for channel in self.channel]
-        pairs = [(found[1] or found[2], found[2]) for found in named if found]
+        matches = [_NAMED.fullmatch(channel) for channel in self.channel]
+        pairs = [(match[1] or match[2], match[2]) for match in matches if match]
         # One that fell out would leave its arm to the other's trajectory.
-        for words in map(list, zip(*pairs)):
-            for word in (each for each in words if words.count(each) > 1):
-                raise InputError(f"--channel names {word} twice; give each bus once")
+        for names in zip(*pairs):
+            for name in names:
+                if names.count(name) > 1:
+                    raise InputError(f"--channel names {name} twice; give each bus once")
         return dict(pairs)
 
 
@@ -156,7 +160,8 @@ SERIAL_ADAPTER = "damiao"
 # motors on another bus can wait for their next command: watchdogs take 0.1 s or more [s].
 _SEND_TIMEOUT = 0.05
 # A queue that is full for longer than this is not going to empty within a control cycle.
-_FULL_PATIENCE, _FULL_PAUSE = 1.5e-3, 2e-4
+_FULL_PATIENCE = 1.5e-3
+_FULL_PAUSE = 2e-4
 _FULL = (
     "the CAN bus takes no more frames because nobody acknowledges them: check the motors' power, "
     "the wiring and the termination (60 ohm between the two wires)"
@@ -186,19 +191,21 @@ def import_can() -> Any:
     return can
 
 
-def _said_by(error: BaseException) -> str:
+def _driver_words(error: BaseException) -> str:
     return repr(error) if isinstance(error, SystemExit) else words_of(error)
 
 
-def _message(can: Any, frame: Frame, **rest: Any) -> Any:
+def _message(can: Any, frame: Frame, **stamp: Any) -> Any:
     fd = {"is_fd": frame.fd, "bitrate_switch": frame.fd}
     flags = {"is_extended_id": False, "is_error_frame": frame.error, **fd}
-    return can.Message(arbitration_id=frame.id, data=frame.data, **flags, **rest)
+    return can.Message(arbitration_id=frame.id, data=frame.data, **flags, **stamp)
 
 
 # How often the watch looks [s], and after how many looks at the same call it says so, and ends.
 # The longest watchdog that a run allows is 5 s: by then no motor drives any more.
-_LOOK, _LOOKS_TO_SAY, _LOOKS_TO_END = 0.1, 10, 50
+_LOOK = 0.1
+_LOOKS_TO_SAY = 10
+_LOOKS_TO_END = 50
 # What opening an adapter may take in addition: python-can's slcan sleeps for 2 s [looks].
 _OPENING = 50
 Told = Callable[[str, bool], None]
@@ -213,19 +220,24 @@ class DriverWatch:
     """
 
     def __init__(self, tell: Told | None = None) -> None:
-        self._tell, self._call, self._looks = tell, object(), 0
-        self._idle, self._closed = self._call, threading.Event()
+        self._tell = tell
+        # Each call is an object of its own, and one stands for none.
+        self._no_call = object()
+        self._call = self._no_call
+        self._looks = 0
+        self._closed = threading.Event()
         if tell is not None:
             threading.Thread(target=self._look, daemon=True).start()
 
     @contextlib.contextmanager
-    def during(self, allowed: int = 0) -> Iterator[None]:
+    def during(self, more_looks: int = 0) -> Iterator[None]:
         """Watch the call in the block, which may take so many looks more than a usual one."""
-        self._call, self._looks = object(), -allowed
+        self._call = object()
+        self._looks = -more_looks
         try:
             yield
         finally:
-            self._call = self._idle
+            self._call = self._no_call
 
     def close(self) -> None:
         """Watch no more."""
@@ -233,11 +245,11 @@ class DriverWatch:
 
     def _look(self) -> None:
         assert self._tell is not None
-        before = self._idle
+        last_call = self._no_call
         while self._looks < _LOOKS_TO_END and not self._closed.wait(_LOOK):
-            self._looks += self._call is before is not self._idle
-            before = self._call
-            if before is not self._idle and self._looks in (_LOOKS_TO_SAY, _LOOKS_TO_END):
+            self._looks += self._call is last_call is not self._no_call
+            last_call = self._call
+            if last_call is not self._no_call and self._looks in (_LOOKS_TO_SAY, _LOOKS_TO_END):
                 self._tell(
                     f"the adapter's driver has not returned for {_LOOK * self._looks:.0f} s, and "
                     "nothing can be sent meanwhile: motors that were enabled are stopped by their "
@@ -257,12 +269,15 @@ class BusLink:
         self, buses: Sequence[Any], clock: SystemClock, watch: DriverWatch | None = None
     ) -> None:
         self._can = import_can()
-        self._buses, self._clock, self._watch = buses, clock, watch or DriverWatch()
+        self._buses = buses
+        self._clock = clock
+        self._watch = watch or DriverWatch()
         self._garbled_at: deque[float] = deque(maxlen=_MOST_GARBLED)
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise LinkError."""
-        message, patience = _message(self._can, frame), self._clock.now() + _FULL_PATIENCE
+        message = _message(self._can, frame)
+        patience = self._clock.now() + _FULL_PATIENCE
         while True:
             try:
                 with self._watch.during():
@@ -271,8 +286,8 @@ class BusLink:
                 # Whatever a driver raises: the caller has to go on with the other motors.
                 codes = getattr(error, "error_code", None), getattr(error, "errno", None)
                 if errno.ENOBUFS not in codes:
-                    said = f"the CAN bus does not take frames: {_said_by(error)}"
-                    raise LinkError(said) from error
+                    reason = _driver_words(error)
+                    raise LinkError(f"the CAN bus does not take frames: {reason}") from error
                 if self._clock.now() >= patience:
                     raise LinkError(_FULL) from error
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
@@ -299,7 +314,7 @@ class BusLink:
                 self._note_garbled(error)
                 message = None
             except (Exception, SystemExit) as error:
-                raise LinkError(f"the CAN bus cannot be read: {_said_by(error)}") from error
+                raise LinkError(f"the CAN bus cannot be read: {_driver_words(error)}") from error
             if message is None and self._clock.now() >= until:
                 return None
             if message is not None and not message.is_extended_id:
@@ -325,8 +340,15 @@ class BusLink:
         age = time.time() - message.timestamp
         # Where the adapter has another clock, a frame counts as just come.
         then = self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
-        content, flags = bytes(message.data), (message.is_fd, message.is_error_frame)
-        return Frame(message.arbitration_id, content, then, *flags, not message.is_rx, bus)
+        return Frame(
+            message.arbitration_id,
+            bytes(message.data),
+            then,
+            message.is_fd,
+            message.is_error_frame,
+            not message.is_rx,
+            bus,
+        )
 
 
 def open_bus(
@@ -351,7 +373,8 @@ def open_bus(
 
 
 def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
-    can, interface = import_can(), address.interface
+    can = import_can()
+    interface = address.interface
     options = _bus_options(can, interface, timing)
     for text in address.bus_option:
         name, equals, value = text.partition("=")
@@ -367,15 +390,15 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         return bus
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.
-        what = f"{interface} channel {channel}"
-        raise InputError(f"cannot open {what}: {_said_by(error)}") from error
+        reason = _driver_words(error)
+        raise InputError(f"cannot open {interface} channel {channel}: {reason}") from error
 
 
 def _value(text: str) -> Any:
     """Return a number, True or False where a text is one."""
-    for kind in (int, float):
+    for number_type in (int, float):
         with contextlib.suppress(ValueError):
-            return kind(text)
+            return number_type(text)
     return {"true": True, "false": False}.get(text.lower(), text)
 
 
@@ -402,7 +425,8 @@ class RawFrameLog:
     """
 
     def __init__(self, path: Path, link: GuardedLink) -> None:
-        self._can, self._link = import_can(), link
+        self._can = import_can()
+        self._link = link
         try:
             self._writer: Any = self._can.Logger(str(path))
         except ValueError as error:
@@ -420,7 +444,7 @@ class RawFrameLog:
         self._link.observer = None
         # What a recorder did not take: without one, everything; if there is room for it.
         with contextlib.suppress(Exception):
-            self.write(self.taken())
+            self.write(self.take_frames())
         with contextlib.suppress(Exception):
             self._writer.stop()
 
@@ -428,17 +452,23 @@ class RawFrameLog:
         """Take a frame."""
         self._waiting.append((frame, sent))
 
-    def taken(self) -> list[tuple[Frame, bool]]:
+    def take_frames(self) -> list[tuple[Frame, bool]]:
         """Return the frames that came since the last call, for ``write``."""
-        taken, self._waiting = self._waiting, []
-        return taken
+        frames = self._waiting
+        self._waiting = []
+        return frames
 
     def write(self, frames: list[tuple[Frame, bool]]) -> None:
         """Write frames in order of time; may be called from another thread than the rest."""
         for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
-            stamp, channel = frame.time + self._offset, self._link.channels[frame.bus]
-            rest = {"timestamp": stamp, "is_rx": not sent, "channel": channel}
-            self._writer.on_message_received(_message(self._can, frame, **rest))
+            message = _message(
+                self._can,
+                frame,
+                timestamp=frame.time + self._offset,
+                is_rx=not sent,
+                channel=self._link.channels[frame.bus],
+            )
+            self._writer.on_message_received(message)
         file: Any = getattr(self._writer, "file", None)
         if file is not None:
             file.flush()

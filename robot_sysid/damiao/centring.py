@@ -42,7 +42,9 @@ class SamplingRipple:
     """
 
     def __init__(self, mobility: Callable[[Array], Array], viscous: Array) -> None:
-        self.n_joints, self._mobility, self._viscous = len(viscous), mobility, viscous
+        self.n_joints = len(viscous)
+        self._mobility = mobility
+        self._viscous = viscous
 
     def motion(
         self, q: Array, acted: MitCommand, step: Array, growth: Array, time: Array, period: float
@@ -95,7 +97,8 @@ class Centring:
     """
 
     def __init__(self, period: float, ripple: SamplingRipple | None = None) -> None:
-        self._period, self._ripple = period, ripple
+        self._period = period
+        self._ripple = ripple
         self._last: Array | None = None
 
     def torques(self, replies: Replies, acted: MitCommand) -> tuple[Array, Array]:

@@ -38,7 +38,9 @@ class RegisterClient:
     """Talks about registers over a link; an answer may take ``timeout`` [s]."""
 
     def __init__(self, link: GuardedLink, timeout: float = 0.02) -> None:
-        self._link, self._clock, self._timeout = link, link.clock, timeout
+        self._link = link
+        self._clock = link.clock
+        self._timeout = timeout
         self.error_frames = 0
 
     def read(self, motor: frames.Address, register: int) -> RegisterReply | None:
@@ -51,17 +53,18 @@ class RegisterClient:
         A motor refuses a value by answering with the old one, so the answer is compared; unless it
         cannot be ``heard`` any more.
         """
-        raw, name = frames.bytes_from_value(register, value), frames.NAMES[register]
+        raw = frames.bytes_from_value(register, value)
+        name = frames.NAMES[register]
         request = frames.write_frame(motor, register, raw)
         if not heard:
             return self._link.send(request)
         replies = self.answers(request, 1)
         if not replies:
             raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")
-        kept = replies[0].value
-        if frames.bytes_from_value(register, kept) != raw:
+        stored = replies[0].value
+        if frames.bytes_from_value(register, stored) != raw:
             raise HardwareAbort(
-                f"motor {motor.can_id} refused {name} = {value:g} and keeps {kept:g}"
+                f"motor {motor.can_id} refused {name} = {value:g} and keeps {stored:g}"
             )
 
     def refresh(self, motor: frames.Address, master_id: int) -> frames.Frame | None:
@@ -89,15 +92,15 @@ class RegisterClient:
                 missing.discard((frame.bus, frame.id))
         return None if missing else self._clock.now() - start
 
-    def answers(self, request: frames.Frame, most: int | None = None) -> list[RegisterReply]:
-        """Return up to ``most`` answers; more than one tells that motors share an id."""
-        tries = (list(islice(self._replies(request), most)) for _ in range(_TRIES))
+    def answers(self, request: frames.Frame, limit: int | None = None) -> list[RegisterReply]:
+        """Return up to ``limit`` answers; more than one tells that motors share an id."""
+        tries = (list(islice(self._replies(request), limit)) for _ in range(_TRIES))
         return next(filter(None, tries), [])
 
     def _replies(self, request: frames.Frame) -> Iterator[RegisterReply]:
         # Most firmware answers a write with 0x55, some with 0x33.
         codes = (frames.READ, frames.WRITE) if request.data[2] == frames.WRITE else (frames.READ,)
-        heads = [request.data[:2] + bytes([each, request.data[3]]) for each in codes]
+        heads = [request.data[:2] + bytes([code, request.data[3]]) for code in codes]
         for frame in self._frames_after(request):
             if frame.data[:4] in heads:
                 value = frames.value_from_bytes(request.data[3], frame.data[4:8])
@@ -135,22 +138,23 @@ def watchdogs_set_to(
     ever. Nothing is stored to flash: after a power cycle the motors have their own values again.
     ``is_off`` tells, at the end, whether a motor is surely disabled.
     """
-    before = {motor.address: motor.registers[frames.TIMEOUT] for motor in motors}
+    old_values = {motor.address: motor.registers[frames.TIMEOUT] for motor in motors}
     try:
-        for address in before:
+        for address in old_values:
             client.write(address, frames.TIMEOUT, float(round(seconds / frames.TIMEOUT_UNIT)))
         yield
     finally:
-        for address in filter(is_off, before):
+        for address in filter(is_off, old_values):
             # A motor that does not answer any more keeps the safer value until power-off.
             with contextlib.suppress(BaseException):
-                client.write(address, frames.TIMEOUT, before[address])
+                client.write(address, frames.TIMEOUT, old_values[address])
 
 
 _ALL_IDS = range(1, 16)
 # A program that streams at 40 Hz or more is heard in this time; a slow adapter answers in half of
 # the other (16 ms, see docs/damiao.md) [s].
-_LISTEN, _ASK_TIMEOUT = 0.05, 0.03
+_LISTEN = 0.05
+_ASK_TIMEOUT = 0.03
 # How often all motors are asked at once, to know how long nine of ten times take.
 _ROUNDS = 20
 
@@ -218,7 +222,8 @@ class Inspection:
 
 def inspect_bus(link: GuardedLink) -> Inspection:
     """Ask every id on every bus for its registers and state; enables nothing."""
-    until, unsolicited = link.clock.now() + _LISTEN, 0
+    until = link.clock.now() + _LISTEN
+    unsolicited = 0
     while (frame := link.receive(until)) is not None:
         unsolicited += not frame.echo
     client = RegisterClient(link, timeout=_ASK_TIMEOUT)
@@ -233,11 +238,12 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         channel = link.channels[address.bus] if len(link.channels) > 1 else ""
         motor = InspectedMotor(address, reply_ids, registers, None, channel)
         motors[address] = replace(motor, feedback=client.state_of(motor))
-    asked, round_trip = [(each.address, each.reply_ids[0]) for each in motors.values()], None
-    if all(each.feedback for each in motors.values()):
+    round_trip = None
+    if all(motor.feedback for motor in motors.values()):
+        addresses = [(motor.address, motor.reply_ids[0]) for motor in motors.values()]
         # As in the run that it is for.
         with undisturbed(link.clock.live):
-            times = [client.seconds_to_refresh(asked) for _ in range(_ROUNDS)]
+            times = [client.seconds_to_refresh(addresses) for _ in range(_ROUNDS)]
         answered = [time for time in times if time is not None]
         if len(answered) > _ROUNDS // 2:
             round_trip = float(np.percentile(answered, 90.0))

@@ -33,7 +33,9 @@ class CycleTimer:
     """Hands out absolute deadlines [s]: a late cycle is skipped, lateness does not add up."""
 
     def __init__(self, clock: SystemClock, period: float, max_lateness: float) -> None:
-        self._clock, self.period, self.max_lateness = clock, period, max_lateness
+        self._clock = clock
+        self.period = period
+        self.max_lateness = max_lateness
         self._start = clock.now() + period
         self._index = 0
         self.skipped = 0
@@ -194,28 +196,34 @@ class Player:
         self._stop_if_asked()
         self._announce("enabling the motors")
         start = self._session.enable()
-        here = Reference(start, np.zeros_like(start), self._holding.torque(start))
-        speed, shortest = settings.approach_speed, settings.approach_time
-        order, carries = self._orders[0], self._holding.torque
-        way, way_time = paths.approach(here, first, speed, shortest, order, carries)
+        standing = Reference(start, np.zeros_like(start), self._holding.torque(start))
+        order = self._orders[0]
+        approach, approach_time = paths.approach(
+            standing,
+            first,
+            settings.approach_speed,
+            settings.approach_time,
+            order,
+            self._holding.torque,
+        )
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._rising = True
-        self._phase(hold(here), settings.ramp_time, standing=True)
+        self._phase(hold(standing), settings.ramp_time, standing=True)
         self._rising = False
-        self._hold_and_compare(here)
+        self._hold_and_compare(standing)
         # What held the arm lately, or else what was fed forward.
-        still = [torque for _, torque in self._still] or [here.torque]
-        held = np.asarray(np.mean(still, axis=0))
-        self._announce(f"moving to the first point, {order} ({way_time:.1f} s)")
-        self._phase(way, way_time)
+        torques = [torque for _, torque in self._still] or [standing.torque]
+        holding_torque = np.asarray(np.mean(torques, axis=0))
+        self._announce(f"moving to the first point, {order} ({approach_time:.1f} s)")
+        self._phase(approach, approach_time)
         self._hold_and_compare(first)
         self._announce(f"playing ({duration:.1f} s)")
         self._phase(trajectory, duration, record=True)
         self._announce("coming to rest")
         last = trajectory(duration)
         self._phase(hold(last), settings.rest_time)
-        self._leave(last, Reference(start, np.zeros_like(start), held))
+        self._leave(last, Reference(start, np.zeros_like(start), holding_torque))
 
     def _hold_and_compare(self, reference: Reference) -> None:
         self._still.clear()
@@ -223,21 +231,23 @@ class Player:
         if self._still:
             self._holding(*np.mean(self._still[len(self._still) // 2 :], axis=0))
 
-    def _leave(self, last: Reference, stood: Reference) -> None:
+    def _leave(self, last: Reference, at_start: Reference) -> None:
         if self._park is None:
             return
         if isinstance(self._park, str) and self._park == "rest":
             self._announce("lowering the arm")
             self._phase(self._lower_from(last), paths.LONGEST)
             return
-        target, carries = stood, self._holding.torque
+        carries = self._holding.torque
+        target = at_start
         if not isinstance(self._park, str):
-            beyond = last.torque - carries(last.position)
-            target = Reference(self._park, np.zeros_like(self._park), carries(self._park) + beyond)
-        speed, order = self._settings.approach_speed, self._orders[-1]
-        way, time = paths.approach(last, target, speed, 1.0, order, carries)
-        self._announce(f"parking, {order} ({time:.1f} s)")
-        self._phase(way, time)
+            torque = carries(self._park) + last.torque - carries(last.position)
+            target = Reference(self._park, np.zeros_like(self._park), torque)
+        order = self._orders[-1]
+        speed = self._settings.approach_speed
+        parking, parking_time = paths.approach(last, target, speed, 1.0, order, carries)
+        self._announce(f"parking, {order} ({parking_time:.1f} s)")
+        self._phase(parking, parking_time)
         self._phase(hold(target), self._settings.rest_time)
 
     def _lower_from(self, begin: Reference) -> paths.Lowering:
@@ -261,16 +271,17 @@ class Player:
         standing: bool = False,
         record: bool = False,
     ) -> None:
-        origin, self._standing = self._timer.next_deadline, standing
+        origin = self._timer.next_deadline
+        self._standing = standing
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + length + 0.5 * self._settings.period
         while self._timer.next_deadline < end and not self._lowering_is_done:
             deadline = self._timer.wait()
             time = min(deadline - origin, length)
-            wanted = reference(time)
+            target = reference(time)
             self._stop_if_asked()
             try:
-                replies, acted = self._cycle(wanted)
+                replies, acted = self._cycle(target)
             except BaseException:
                 # What the exchange had collected when it was cut short is recorded.
                 partial = self._session.last_replies
@@ -411,10 +422,10 @@ class Player:
             with contextlib.suppress(BaseException):
                 self._stop_cycle(reference(deadline - origin))
 
-    def _stop_cycle(self, wanted: Reference) -> None:
+    def _stop_cycle(self, target: Reference) -> None:
         # A motor that does not answer may still obey, so only failed ones are left out.
         driving = ~self._observer.failed
-        command = self._command_for(wanted)
+        command = self._command_for(target)
         acted = self._command or command
         until = self._reply_deadline()
         replies = self._session.exchange(command, until, driving, braking=True)

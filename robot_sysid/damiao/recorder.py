@@ -107,21 +107,21 @@ class RecordingOptions(OptionRecord):
     @property
     def frames(self) -> Path | None:
         """Where every frame is written, or None."""
-        beside = None if self.record is None else self.record.with_suffix(".log")
-        return self.raw_log or beside
+        default = None if self.record is None else self.record.with_suffix(".log")
+        return self.raw_log or default
 
     def require_free(self, *read: Path) -> None:
         """Raise InputError where a file is there that must not be replaced.
 
         Files that the run reads stay even with --overwrite.
         """
-        taken = {os.path.realpath(path) for path in read}
+        used = {os.path.realpath(path) for path in read}
         for path in filter(None, (self.record, self.frames)):
-            if os.path.realpath(path) in taken:
+            if os.path.realpath(path) in used:
                 raise InputError(f"{path} is needed for something else; choose another name")
             if os.path.exists(path) and not self.overwrite:
                 raise InputError(f"{path} exists; choose another --record file or give --overwrite")
-            taken.add(os.path.realpath(path))
+            used.add(os.path.realpath(path))
 
 
 def head_lines(
@@ -171,11 +171,13 @@ class MeasurementRecorder:
         frames: RawFrameLog | None = None,
         overwrite: bool = False,
     ) -> None:
-        self._aside, self._frames, self._n = aside, frames, len(labels)
+        self._aside = aside
+        self._frames = frames
+        self._n = len(labels)
         self._centring = centring
         columns = ["time"]
-        for words in (_MEASURED, _EXTRA):
-            columns += [f"{label}_{word}" for label in labels for word in words]
+        for signals in (_MEASURED, _EXTRA):
+            columns += [f"{label}_{signal}" for label in labels for signal in signals]
         try:
             self._file = open(path, "w" if overwrite else "x", encoding="utf-8")  # noqa: SIM115
             self._file.writelines([*(f"# {line}\n" for line in head), ",".join(columns) + "\n"])
@@ -191,7 +193,7 @@ class MeasurementRecorder:
     def __enter__(self) -> MeasurementRecorder:
         return self
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, error_type: object, error: BaseException | None, trace: object) -> None:
         ending = "completed" if error is None else f"stopped: {error}".replace("\n", " ")
         self.end_cycle()
         self._aside(lambda: self._file.write(f"# end: {ending}\n"))
@@ -209,8 +211,9 @@ class MeasurementRecorder:
         """Hand everything to the operating system, which keeps it even if this process dies."""
         self._aside(self._file.flush)
         if self._frames:
-            log, frames = self._frames, self._frames.taken()
-            self._aside(lambda: log.write(frames))
+            frame_log = self._frames
+            frames = frame_log.take_frames()
+            self._aside(lambda: frame_log.write(frames))
 
     def _row(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> str:
         measured = replies.feedback

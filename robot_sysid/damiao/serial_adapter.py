@@ -29,7 +29,8 @@ from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.errors import InputError
 
 _HEAD = bytes([0x55, 0xAA, 30, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
-_RECEIVED, _A_FRAME = 16, b"\x11"
+_RECEIVED = 16
+_A_FRAME = b"\x11"
 _PACKET = re.compile(rb"\xaa(.).(.{4})(.{8})\x55", re.DOTALL)
 _DATA = 8
 
@@ -46,17 +47,18 @@ class PacketReader:
     """Finds packets in what comes over the line, also after garbage or a packet's loss."""
 
     def __init__(self) -> None:
-        self._rest = b""
+        self._incomplete = b""
 
     def take(self, piece: bytes) -> list[Frame]:
         """Return the frames that are complete now."""
-        line, frames = self._rest + piece, []
-        rest = max(len(line) - _RECEIVED + 1, 0)
-        for found in _PACKET.finditer(line):
-            rest = max(rest, found.end())
-            if found[1] == _A_FRAME:
-                frames.append(Frame(int.from_bytes(found[2], "little"), found[3]))
-        self._rest = line[rest:]
+        line = self._incomplete + piece
+        frames = []
+        end = max(len(line) - _RECEIVED + 1, 0)
+        for match in _PACKET.finditer(line):
+            end = max(end, match.end())
+            if match[1] == _A_FRAME:
+                frames.append(Frame(int.from_bytes(match[2], "little"), match[3]))
+        self._incomplete = line[end:]
         return frames
 
 
@@ -86,12 +88,13 @@ def _bus_class() -> Any:
             channel: str,
             baudrate: int = BAUD,
             write_timeout: float = _WRITE_TIMEOUT,
-            **rest: Any,
+            **bus_options: Any,
         ) -> None:
             self._port = serial.Serial(channel, baudrate, timeout=0, write_timeout=write_timeout)
-            self._reader, self._waiting = PacketReader(), deque[Any]()
+            self._reader = PacketReader()
+            self._waiting = deque[Any]()
             self.channel_info = f"Damiao serial adapter at {channel}"
-            super().__init__(channel=channel, **rest)
+            super().__init__(channel=channel, **bus_options)
 
         def send(self, msg: Any, timeout: float | None = None) -> None:
             """Send a frame; the adapter does not say when it was on the bus."""
@@ -107,8 +110,13 @@ def _bus_class() -> Any:
                 if not self._waiting and until is not None and time.monotonic() >= until:
                     return None, False
             frame = self._waiting.popleft()
-            told = {"timestamp": time.time(), "arbitration_id": frame.id, "data": frame.data}
-            return can.Message(is_extended_id=False, **told), False
+            message = can.Message(
+                timestamp=time.time(),
+                arbitration_id=frame.id,
+                is_extended_id=False,
+                data=frame.data,
+            )
+            return message, False
 
         def shutdown(self) -> None:
             """Close the serial line."""

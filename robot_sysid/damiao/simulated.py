@@ -113,7 +113,7 @@ class SimulatedMotor:
         # The answer to a command is the state before it acts.
         answer = self._feedback()
         if self.driving and self.registers[frames.CTRL_MODE] == frames.MIT_MODE:
-            self.command = self._unpacked(data)
+            self.command = self._unpack(data)
         return answer
 
     def _special(self, code: int) -> None:
@@ -124,12 +124,14 @@ class SimulatedMotor:
         elif code == frames.SET_ZERO and not self.driving:
             self.shift = -self.position
         elif code in (frames.DISABLE, frames.CLEAR_ERROR):
-            self.status, self.command = frames.DISABLED, _NOTHING
+            self.status = frames.DISABLED
+        self.command = _NOTHING
 
     def _register_answer(self, data: bytes) -> bytes | None:
         if data[0] | data[1] << 8 != self.can_id:
             return None
-        operation, number = data[2], data[3]
+        operation = data[2]
+        number = data[3]
         if operation == frames.REFRESH:
             return self._feedback()
         if operation == frames.STORE and not self.driving:
@@ -142,9 +144,9 @@ class SimulatedMotor:
         return data[:4] + frames.bytes_from_value(number, self.registers[number])
 
     def _feedback(self) -> bytes:
-        return self._packed(self.position, self.velocity, self.torque)
+        return self._pack(self.position, self.velocity, self.torque)
 
-    def _packed(self, *measured: float) -> bytes:
+    def _pack(self, *measured: float) -> bytes:
         """Return the frame of a position [rad], velocity [rad/s] and torque [N m].
 
         It is what ``codec.encode_feedback`` makes of whole arrays, forty times as fast for one
@@ -160,7 +162,7 @@ class SimulatedMotor:
             word = word << bits | min(max(code, 0), full)
         return word.to_bytes(6, "big") + bytes([self.temperature_mos, self.temperature_rotor])
 
-    def _unpacked(self, data: bytes) -> list[float]:
+    def _unpack(self, data: bytes) -> list[float]:
         """Return p, v, kp, kd and t of a command's frame, as ``codec.decode_mit`` reads them."""
         pmax, vmax, tmax = (self.registers[number] for number in frames.SCALING)
         ranges = ((-pmax, pmax), (-vmax, vmax), (0.0, codec.KP_MAX), (0.0, codec.KD_MAX))
@@ -175,7 +177,8 @@ class SimulatedMotor:
 
 def simulated_motor(joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG) -> SimulatedMotor:
     """Return a joint's motor as it leaves the factory, apart from ids and watchdog [s]."""
-    peak, gear = joint.spec.peak_torque, joint.spec.gear_ratio
+    peak = joint.spec.peak_torque
+    gear = joint.spec.gear_ratio
     registers: dict[int, float] = {
         0: 15.0, 1: 0.0, 2: 100.0, 3: 0.8, 11: 1.96e-4, 12: 1.97e-5, 14: 5013.0, 16: 14.0,
         17: 0.84, 19: 5.16e-3, 29: 32.0, 30: 1.0, frames.CAN_BR: 4.0, frames.GR: gear,
@@ -198,9 +201,12 @@ class SimulatedArm:
     """
 
     def __init__(self, mechanism: ArmStepper, motors: Sequence[SimulatedMotor]) -> None:
-        self.mechanism, self.motors = mechanism, list(motors)
+        self.mechanism = mechanism
+        self.motors = list(motors)
         self._space = JointSpace.of([m.joint for m in self.motors[: mechanism.n_joints]])
-        self.time, self._was_enabled, self._changed = 0.0, False, True
+        self.time = 0.0
+        self._was_enabled = False
+        self._changed = True
         self._read_at = -math.inf
         self._has_moved = True
 
@@ -245,8 +251,9 @@ class SimulatedArm:
             answer = motor.handle(frame, time)
             if answer is not None:
                 # Another motor whose id matches that of an answer takes it for a command.
-                heard = [each.handle(answer, time) for each in self.motors if each is not motor]
-                answers += [answer, *filter(None, heard)]
+                others = [other for other in self.motors if other is not motor]
+                echoes = [other.handle(answer, time) for other in others]
+                answers += [answer, *filter(None, echoes)]
         self._was_enabled |= any(motor.driving for motor in self.motors)
         return answers
 
@@ -254,8 +261,8 @@ class SimulatedArm:
         motors = self.motors[: self.mechanism.n_joints]
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
-        *told, brake, peak = table.T
-        self._p, v, kp, kd, t = self._space.command_to_joints(codec.MitCommand(*told))
+        *commands, brake, peak = table.T
+        self._p, v, kp, kd, t = self._space.command_to_joints(codec.MitCommand(*commands))
         self._peak = peak * self._space.ratio
         self._kd = np.where(driving, kd, brake)
         self._offset = np.where(driving, kd * v + t, 0.0)
@@ -276,13 +283,15 @@ class SimulatedArm:
     def _read_sensors(self) -> None:
         self._read_at = self.time
         self._has_moved = False
-        q, qd = self.mechanism.q, self.mechanism.qd
+        q = self.mechanism.q
+        qd = self.mechanism.qd
         torque, damping = self._law(q)
-        read = np.transpose(self._space.to_motors(q, qd, torque - damping * qd)).tolist()
-        for motor, (position, velocity, made) in zip(self.motors, read):
-            motor.position, motor.velocity = position, velocity
+        readings = np.transpose(self._space.to_motors(q, qd, torque - damping * qd)).tolist()
+        for motor, (position, velocity, motor_torque) in zip(self.motors, readings):
+            motor.position = position
+            motor.velocity = velocity
             # It knows the current it drives, not what its shorted windings do.
-            motor.torque = made if motor.driving else 0.0
+            motor.torque = motor_torque if motor.driving else 0.0
 
 
 # Between a command's last bit and the first of its answer [s]: an assumption, a third of a frame.
@@ -300,8 +309,10 @@ class SimulatedLink:
     def __init__(
         self, clock: SimulatedClock, arm: SimulatedArm, timing: BusTiming, echo: bool = False
     ) -> None:
-        self.clock, self.arm = clock, arm
-        self._timing, self._echo = timing, echo
+        self.clock = clock
+        self.arm = arm
+        self._timing = timing
+        self._echo = echo
         self._free_at: defaultdict[int, float] = defaultdict(float)
         self._order = itertools.count()
         # What is through on the wire, by its time, and answers that wait for it.

@@ -265,7 +265,7 @@ def test_the_frame_log_is_lossless(tmp_path_factory, frames):
         # In whatever order they come, they are written in that of their times.
         for k, (frame, sent) in reversed(list(enumerate(frames))):
             log(frame._replace(time=0.001 * k), sent)
-        log.write(log.taken())
+        log.write(log.take_frames())
         with can.LogReader(path) as reader:
             messages = list(reader)
     assert len(messages) == len(frames)

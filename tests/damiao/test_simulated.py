@@ -57,7 +57,7 @@ def test_a_motor_packs_and_unpacks_as_the_codec_does():
         assert motor._feedback() == encode_feedback(Feedback(*columns), scaling)[0].tobytes()
         command = random.integers(0, 256, 8, dtype=np.uint8)
         meaning = decode_mit(command[None], scaling)
-        assert motor._unpacked(command.tobytes()) == [float(value[0]) for value in meaning]
+        assert motor._unpack(command.tobytes()) == [float(value[0]) for value in meaning]
 
 
 def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():

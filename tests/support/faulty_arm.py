@@ -44,7 +44,7 @@ class BenchMotor(FaultyMotor):
             position = self.frozen_position
             velocity = 0.0
         measured = velocity * self.velocity_factor, self.torque * self.torque_factor
-        self.last_answer = self._packed(position, *measured)
+        self.last_answer = self._pack(position, *measured)
         return self.last_answer
 
 
