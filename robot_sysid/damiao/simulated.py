@@ -125,7 +125,7 @@ class SimulatedMotor:
             self.shift = -self.position
         elif code in (frames.DISABLE, frames.CLEAR_ERROR):
             self.status = frames.DISABLED
-        self.command = _NOTHING
+            self.command = _NOTHING
 
     def _register_answer(self, data: bytes) -> bytes | None:
         if data[0] | data[1] << 8 != self.can_id:

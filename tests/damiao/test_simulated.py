@@ -11,6 +11,7 @@ import pytest
 from robot_sysid.damiao.bus import BusLink, SimulatedClock, SystemClock
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_mit, encode_feedback
 from robot_sysid.damiao.protocol.frames import (
+    SET_ZERO,
     Address,
     Frame,
     disable_frame,
@@ -58,6 +59,21 @@ def test_a_motor_packs_and_unpacks_as_the_codec_does():
         command = random.integers(0, 256, 8, dtype=np.uint8)
         meaning = decode_mit(command[None], scaling)
         assert motor._unpack(command.tobytes()) == [float(value[0]) for value in meaning]
+
+
+def test_a_motor_keeps_its_command_until_it_is_disabled():
+    """Being enabled again, or told to take a new zero while it drives, it goes on as before."""
+    motor = simulated_motor(DamiaoJoint("DM4340", 5, 0x15))
+    address = Address(0, 5)
+    motor.handle(enable_frame(address), 0.0)
+    motor.handle(Frame(5, bytes([0x90, 0, 0x80, 0x02, 0, 0x40, 0x08, 0])), 0.0)
+    command = list(motor.command)
+    assert any(command)
+    motor.handle(enable_frame(address), 0.01)
+    motor.handle(Frame(5, b"\xff" * 7 + bytes([SET_ZERO])), 0.02)
+    assert list(motor.command) == command and motor.shift == 0.0
+    motor.handle(disable_frame(address), 0.03)
+    assert not any(motor.command)
 
 
 def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():
