@@ -156,7 +156,6 @@ class Player:
         self._command: MitCommand | None = None
         self._follower: paths.Lowering | CarriedStop | None = None
         self._heard_at = 0.0
-        self._cycles = 0
         self._played = 0
         self._shown_at = -np.inf
         self._still: list[Array] = []
@@ -293,10 +292,8 @@ class Player:
             if self._recorder:
                 # Also what is not recorded: its frames would all be written at once later.
                 self._recorder.end_cycle()
-            self._observer.check(replies, acted, self._standing, self._rising)
-            # An arm that takes up its load swings; one that is lowered comes to lie on something.
-            if not self._rising and self._follower is None:
-                self._observer.check_zeros(replies, acted)
+            is_lowered = self._follower is not None
+            self._observer.check(replies, acted, self._standing, self._rising, is_lowered)
 
     def _stop_if_asked(self) -> None:
         if self._stop.count:

@@ -11,12 +11,12 @@ import pytest
 from robot_sysid.damiao.bus import BusLink, SimulatedClock, SystemClock
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_mit, encode_feedback
 from robot_sysid.damiao.protocol.frames import (
-    SET_ZERO,
     Address,
     Frame,
     disable_frame,
     enable_frame,
     refresh_frame,
+    set_zero_frame,
 )
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.serial_adapter import slcan_terminal
@@ -70,7 +70,7 @@ def test_a_motor_keeps_its_command_until_it_is_disabled():
     command = list(motor.command)
     assert any(command)
     motor.handle(enable_frame(address), 0.01)
-    motor.handle(Frame(5, b"\xff" * 7 + bytes([SET_ZERO])), 0.02)
+    motor.handle(set_zero_frame(address), 0.02)
     assert list(motor.command) == command and motor.shift == 0.0
     motor.handle(disable_frame(address), 0.03)
     assert not any(motor.command)

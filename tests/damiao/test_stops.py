@@ -19,13 +19,18 @@ def test_one_damaged_frame_moves_no_joint_far_from_its_path():
     assert worst.departure < DAMAGE_BOUND, worst.line()
 
 
+def outcomes_of_holding(fault, kp, poses):
+    """What comes of faults whose name contains this, of an arm that is held still."""
+    cases = [case for case in hold_cases("kinova") if fault in case.name]
+    cases = [case for case in cases if case.setup.kp == kp and case.setup.pose in poses]
+    return list(outcomes_of(cases))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kp", [60.0, 180.0])
 def test_a_weak_motors_joint_is_carried_and_no_energy_goes_into_the_arm(kp):
     """A stop that moved the reference to the joint let it fall by 0.8 rad at kp 60."""
-    cases = [case for case in hold_cases("kinova") if case.setup.kp == kp]
-    weak = [case for case in cases if "weak" in case.name and case.setup.pose in (0, 2)]
-    falls = list(outcomes_of(weak))
+    falls = outcomes_of_holding("weak", kp, poses=(0, 2))
     assert len(falls) == 4
     for outcome in falls:
         assert outcome.fall < 0.1, outcome.line()
@@ -37,9 +42,7 @@ def test_a_weak_motors_joint_is_carried_and_no_energy_goes_into_the_arm(kp):
 @pytest.mark.parametrize("kp", [60.0, 180.0])
 def test_beside_a_lost_motor_the_other_joints_are_held(kp):
     """Its own joint swings at 6 rad/s and throws the others: to 0.9 rad/s before it is noticed."""
-    cases = [case for case in hold_cases("kinova") if case.setup.kp == kp]
-    lost = [case for case in cases if "lost" in case.name and case.setup.pose in (1, 3)]
-    falls = list(outcomes_of(lost))
+    falls = outcomes_of_holding("lost", kp, poses=(1, 3))
     assert len(falls) == 2
     for outcome in falls:
         assert outcome.others_fall < 0.06, outcome.line()

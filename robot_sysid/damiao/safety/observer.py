@@ -191,13 +191,19 @@ class Observer:
         self._slip = slip or self._slip
 
     def check(
-        self, replies: Replies, acted: MitCommand, standing: bool = False, rising: bool = False
+        self,
+        replies: Replies,
+        acted: MitCommand,
+        standing: bool = False,
+        rising: bool = False,
+        lowered: bool = False,
     ) -> None:
         """Raise HardwareAbort naming the first thing that is out of order; after ``update``.
 
         ``acted`` is the command in force when the replies were sampled; while ``standing`` nothing
         is to move. While gains are ``rising`` an arm that takes up a new load swings about where it
-        will settle, with twice the torque: how far it sinks tells enough.
+        will settle, with twice the torque: how far it sinks tells enough. One that is ``lowered``
+        comes to lie on something.
         """
         feedback = replies.feedback
         q, qd, tau = feedback.position, feedback.velocity, feedback.torque
@@ -222,21 +228,8 @@ class Observer:
         self._needed.add(acted.torque, restart=rising)
         self._fed.add(acted.torque, restart=rising)
         self._check_limits(replies, acted, rising)
-
-    def check_zeros(self, replies: Replies, acted: MitCommand) -> None:
-        """Raise HardwareAbort naming a joint that is elsewhere than it says, where a model tells.
-
-        The arm has to move freely.
-        """
-        if self._zero_check is None:
-            return
-        feedback = replies.feedback
-        n = self._holding.n_joints
-        commanded = acted.motor_torque(feedback.position, feedback.velocity)
-        signals = (feedback.position[:n], feedback.velocity[:n], commanded[:n])
-        finding = self._zero_check(float(np.mean(replies.time[:n])), *signals)
-        if finding is not None:
-            self._raise(*finding)
+        if not (rising or lowered):
+            self._check_zeros(replies, commanded)
 
     @property
     def trusted(self) -> Mask:
@@ -417,6 +410,19 @@ class Observer:
                 "another joint (cables of two arms exchanged, ids swapped, mirrored)"
             ),
         )
+
+    def _check_zeros(self, replies: Replies, commanded: Array) -> None:
+        """Notice a joint that is elsewhere than it says, where a model tells; the arm is free."""
+        if self._zero_check is None:
+            return
+        n = self._holding.n_joints
+        time = float(np.mean(replies.time[:n]))
+        feedback = replies.feedback
+        finding = self._zero_check(
+            time, feedback.position[:n], feedback.velocity[:n], commanded[:n]
+        )
+        if finding is not None:
+            self._raise(*finding)
 
     def has_left(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Tell which joints (n,) have left a place where they are to stand still."""

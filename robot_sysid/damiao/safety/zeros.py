@@ -166,9 +166,11 @@ class MovedZeroCheck:
         time, q, qd, qdd, tau, scatter = window
         n = robot.n_joints
         step = _DIFFERENCE * np.eye(n)
-        places = q + np.vstack([np.zeros(n), step, -step])
+        # ``LinksMotion`` has slopes, columns and torques too, made for many samples: of one they
+        # take 2, 0.5 and 0.5 ms at once, which a control cycle does not have.
+        poses = q + np.vstack([np.zeros(n), step, -step])
         moves = []
-        for move in self._dynamics.moves(places, qd + 0.0 * places, qdd + 0.0 * places):
+        for move in self._dynamics.moves(poses, qd + 0.0 * poses, qdd + 0.0 * poses):
             moves.append(move)
             yield
         motion = LinksMotion(*zip(*moves))
@@ -336,8 +338,8 @@ def _base_wrenches(motion: LinksMotion, to_links: Array) -> Array:
     moves = (np.moveaxis(np.array(move), 1, -1) for move in (motion.velocity, motion.acceleration))
     velocity, acceleration = moves
     regressor = wrench_regressor(velocity.reshape(-1, 6), acceleration.reshape(-1, 6))
-    own = np.moveaxis(regressor, -1, 0).reshape(*velocity.shape, -1)
-    return np.swapaxes(to_links, -1, -2) @ own
+    wrenches = np.moveaxis(regressor, -1, 0).reshape(*velocity.shape, -1)
+    return np.swapaxes(to_links, -1, -2) @ wrenches
 
 
 def _joint_torques(twists: Array, wrenches: Array) -> Array:
