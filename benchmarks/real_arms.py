@@ -1,0 +1,250 @@
+"""How often stated 95 % intervals hold the truth on arms as people have them.
+
+    python -m benchmarks.real_arms MODELS_FOLDER [--logs 20] [--arms ur5e iiwa14 ...]
+        [--kinds real priors exact] [--first-seed 0]
+
+Each log is of an arm of its own. Its duration is 8, 20 or 60 s, and every other log has white torque
+noise where the rest have noise with a memory of 20 samples.
+
+real    links as real model files have them: every mass off by 10 to 20 %, one link 40 % heavier,
+        centres of mass off by 15 % of the radius of gyration, inertias by 15 %; torque scales off by
+        2 %, encoder zeros by 2 mrad, the base by 0.3 degrees; Stribeck friction of 30 % of Coulomb
+        friction, and 2 to 6 % of the load lost in the gear
+priors  everything drawn from the default priors
+exact   nothing off but noise; Coulomb and viscous friction
+
+Two of the arms have torque sensors behind the gears: a tenth of the friction, no rotor inertia.
+Printed per arm and kind: coverage, root mean square of error over stated error, that error in
+parts of the true value, and the median stated error in the same parts; then how many answers may
+be trusted, and how many of these are both 20 % and two stated errors off.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.honest_intervals import Off, body_off
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import other_links
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
+from robot_sysid.estimation.algebra.nuisances import model_link_factor
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.trajectory import generate_excitation_trajectory
+from tests.support.core_fits import result_of_logs
+
+ARMS = {
+    "ur5e": "universal_robots_ur5e/ur5e.xml",
+    "iiwa14": "kuka_iiwa_14/iiwa14.xml",
+    "panda": "franka_panda/panda_nohand.xml",
+    "gen3": "kinova_gen3/gen3.xml",
+    "xarm7": "ufactory_xarm7/xarm7.xml",
+    "fr3": "franka_fr3/fr3.xml",
+}
+USUAL_ARMS = ("ur5e", "iiwa14", "panda", "gen3")
+SENSOR_ARMS = ("iiwa14", "panda", "fr3")
+"""Arms whose torque sensors sit behind the gears."""
+KINDS = ("real", "priors", "exact")
+DURATIONS = (8.0, 20.0, 60.0)
+RATE, STEP = 250.0, 1e-4
+STRIBECK, MEMORY, NOISE = 0.3, 0.95, 0.08
+
+
+@dataclass(frozen=True)
+class RealArm:
+    """An arm that is not as its model, and what its sensors say.
+
+    Attributes:
+        robot: the model as the user has it.
+        thetas: (n, 10) the true links.
+        coulomb, viscous, rotor: (n,) true friction and rotor inertia.
+        scales: (n,) torque column over true torque.
+        motion_time: (N,) [s].
+        rigid: (N, n) torque of the links and rotors [N m].
+        log: what was recorded.
+    """
+
+    robot: RobotModel
+    thetas: Array
+    coulomb: Array
+    viscous: Array
+    rotor: Array
+    scales: Array
+    rigid: Array
+    log: Measurement
+
+
+def wrong_links(robot: RobotModel, rng: np.random.Generator) -> Array:
+    """Return links (n, 10) as far from the model's as those of real model files are."""
+    thetas = robot.thetas
+    count = len(thetas)
+    shares = rng.uniform(0.1, 0.2, count) * rng.choice([-1.0, 1.0], count)
+    movable = other_links(robot)
+    shares[movable[int(rng.integers(len(movable)))]] = 0.4
+    for index, theta in enumerate(thetas):
+        if theta[0] <= 0.0:
+            continue
+        mass, com, inertia = spatial.com_from_theta(theta)
+        gyration = np.sqrt(np.trace(inertia) / (2.0 * mass))
+        com = com + 0.15 * gyration * rng.standard_normal(3)
+        inertia = inertia * max(1.0 + 0.15 * rng.standard_normal(), 0.3)
+        thetas[index] = spatial.theta_from_com(mass * (1.0 + shares[index]), com, inertia)
+    return thetas
+
+
+def prior_links(robot: RobotModel, rng: np.random.Generator) -> Array:
+    """Return links (n, 10) drawn from the prior of 5 %; the last one is off by as much."""
+    links = range(robot.n_joints)
+    factor = model_link_factor(robot, links, 0.05)
+    return robot.thetas + (factor @ rng.standard_normal(len(factor))).reshape(-1, 10)
+
+
+def draw_arm(
+    robot: RobotModel, kind: str, has_sensors: bool, duration: float, white: bool, seed: int
+) -> RealArm:
+    """Return one arm with one log of it."""
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    plan, _ = generate_excitation_trajectory(robot, rng, duration)
+    motion = plan.evaluate(np.arange(round(RATE * duration)) / RATE)
+    exact = next(iter(simulate_inverse(robot, iter([motion]))))
+
+    is_off = kind != "exact"
+    angles = np.radians(0.3) * rng.standard_normal(2) * is_off
+    arm = with_gravity(robot, turned(gravity(robot), angles))
+    draw_links = {"real": wrong_links, "priors": prior_links, "exact": lambda r, _: r.thetas}
+    thetas = draw_links[kind](robot, rng)
+    beyond_links = exact.tau - robot.friction.torque(exact.qd)
+    beyond_links -= LinkDynamics(robot).motion(exact.q, exact.qd, exact.qdd).torque(robot.thetas)
+    rigid = beyond_links + LinkDynamics(arm).motion(exact.q, exact.qd, exact.qdd).torque(thetas)
+
+    peak = np.max(np.abs(rigid), axis=0)
+    fastest = np.max(np.abs(exact.qd), axis=0)
+    nominal = np.maximum(0.04 * peak, 0.004 * np.max(peak)) * rng.uniform(0.7, 1.4, len(peak))
+    shown = 0.1 if has_sensors else 1.0
+    coulomb = shown * nominal
+    viscous = coulomb / fastest * rng.uniform(0.5, 1.5, len(peak))
+    rms_acceleration = np.sqrt(np.mean(exact.qdd**2, axis=0))
+    rotor = 0.02 * np.max(peak) / rms_acceleration * rng.uniform(0.3, 1.5, len(peak))
+    rotor = np.zeros_like(peak) if has_sensors else rotor
+    rigid = rigid + (rotor - robot.armature) * exact.qdd
+
+    speed = np.abs(exact.qd)
+    dry = coulomb * np.ones_like(speed)
+    if kind == "real":
+        dry += STRIBECK * coulomb * np.exp(-speed / (0.1 * fastest))
+        dry += shown * rng.uniform(0.02, 0.06, len(peak)) * np.abs(rigid)
+    elif kind == "priors":
+        dry += 0.1 * coulomb * rng.standard_normal(len(peak)) * np.sqrt(speed / fastest)
+        dry += 0.02 * rng.standard_normal(len(peak)) * np.abs(rigid)
+    scales = 1.0 + 0.02 * is_off * rng.standard_normal(len(peak))
+    tau = scales * rigid + dry * np.sign(exact.qd) + viscous * exact.qd
+    tau = tau + NOISE * nominal * _noise(rng, tau.shape, white)
+    if kind == "priors":
+        lag = 5e-3 * rng.standard_normal()
+        tau = np.stack([np.interp(exact.time - lag, exact.time, c) for c in tau.T], axis=1)
+    q = exact.q + 2e-3 * is_off * rng.standard_normal(len(peak))
+    log = Measurement(exact.time, np.round(q / STEP) * STEP, None, tau)
+    return RealArm(robot, thetas, coulomb, viscous, rotor, scales, rigid, log)
+
+
+def _noise(rng: np.random.Generator, shape: tuple[int, ...], white: bool) -> Array:
+    """Return noise (N, n) of unit variance, white or with a memory of 20 samples."""
+    from scipy.signal import lfilter
+
+    drawn = rng.standard_normal((shape[0] + 200, shape[1]))
+    if not white:
+        drawn = lfilter([np.sqrt(1.0 - MEMORY**2)], [1.0, -MEMORY], drawn, axis=0)
+    return np.asarray(drawn[200:])
+
+
+def draw_arms(robot: RobotModel, arm_name: str, kind: str, seeds: range) -> Iterator[RealArm]:
+    """Yield an arm per seed, of all durations and both kinds of noise in turn."""
+    for seed in seeds:
+        duration = DURATIONS[seed % len(DURATIONS)]
+        has_sensors = arm_name in SENSOR_ARMS
+        yield draw_arm(robot, kind, has_sensors, duration, seed % 2 == 0, seed)
+
+
+def errors_of(arm: RealArm, options: EstimationOptions) -> tuple[list[Off], bool]:
+    """Return how far all numbers of an arm are off, and whether the answer may be trusted."""
+    robot = arm.robot
+    result = result_of_logs(robot, [arm.log], options)
+    offs = list(body_off(result.links[-1], arm.thetas[-1]))
+    bodies = {body.joint: body for body in result.links[:-1]}
+    for link in other_links(robot):
+        body = bodies.get(robot.joint_names[link])
+        true_mass = float(arm.thetas[link][0])
+        if body is not None:
+            error = body.inertial.mass - true_mass
+            offs.append(("other masses", error, float(body.errors[0]), true_mass))
+    for index, joint in enumerate(robot.joint_names):
+        terms = result.joints[joint].terms
+        truth = (
+            ("Coulomb", terms.get("coulomb") or terms["sigmoid"], arm.coulomb[index]),
+            ("viscous", terms["viscous"], arm.viscous[index]),
+            ("rotor", terms["armature"], arm.rotor[index]),
+        )
+        for quantity, term, value in truth:
+            size = float(value) if value else float(robot.thetas[-1, 4:].max()) + 1e-3
+            offs.append((quantity, term.value - float(value), term.error, size))
+    return offs, result.verdict.is_trustworthy
+
+
+def study(robot: RobotModel, arm_name: str, kind: str, seeds: range) -> Iterator[str]:
+    """Yield one line per quantity, and one of the answers."""
+    offs: dict[str, list[tuple[float, float, float]]] = {}
+    trusted_count = 0
+    wrong_count = 0
+    for arm in draw_arms(robot, arm_name, kind, seeds):
+        errors, is_trusted = errors_of(arm, EstimationOptions())
+        for quantity, *numbers in errors:
+            offs.setdefault(quantity, []).append((numbers[0], numbers[1], numbers[2]))
+        _, error, stated, true_mass = errors[0]
+        trusted_count += is_trusted
+        is_wrong = abs(error) > max(0.2 * true_mass, 2.0 * stated)
+        wrong_count += is_trusted and is_wrong
+    for quantity, rows in offs.items():
+        yield interval_line(quantity, np.array(rows))
+    yield f"{'answers':<16} trusted {trusted_count} of {len(seeds)}, of these wrong {wrong_count}"
+
+
+def interval_line(quantity: str, rows: Array) -> str:
+    """Return the words of errors, stated errors and sizes, rows (m, 3)."""
+    error, stated, size = rows[np.isfinite(rows[:, 1])].T
+    coverage = 100.0 * np.mean(np.abs(error) < 1.96 * stated)
+    ratio = float(np.sqrt(np.mean((error / stated) ** 2)))
+    rms = 100.0 * float(np.sqrt(np.mean((error / size) ** 2)))
+    width = 100.0 * float(np.median(stated / size))
+    return f"{quantity:<16}{coverage:6.0f} %{ratio:8.2f}{rms:9.2f} %{width:9.2f} %"
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("models", type=Path)
+    parser.add_argument("--logs", type=int, default=20)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS))
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
+    chosen = parser.parse_args()
+    print(f"{'arm':<8}{'kind':<8}{'':<16}coverage  rms/stated    rms  median stated")
+    seeds = range(chosen.first_seed, chosen.first_seed + chosen.logs)
+    for arm_name in chosen.arms:
+        robot = load_robot_model(chosen.models / ARMS[arm_name])
+        for kind in chosen.kinds:
+            for line in study(robot, arm_name, kind, seeds):
+                print(f"{arm_name:<8}{kind:<8}{line}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
