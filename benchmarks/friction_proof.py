@@ -118,7 +118,8 @@ def prove(name: str, path: str) -> None:
     spent = time.perf_counter() - start
     lengths = ", ".join(f"{plan.duration:.0f} s" for plan in made)
     print(f"{name}: motions {lengths} designed in {designed:.0f} s; identified in {spent:.0f} s")
-    print(f"  links up to {result.prior_scale:g} times as far off, low-pass {result.cutoff:g} Hz")
+    scales = ", ".join(f"{kind} {scale:.2g}" for kind, scale in result.link_scales.items())
+    print(f"  links off by so many times their share: {scales}; low-pass {result.cutoff:g} Hz")
     for index, joint in enumerate(robot.joint_names):
         found = result.joints[joint]
         cells = [_cell(truth, found, index, term) for term in GOALS]

@@ -3,11 +3,11 @@
     python -m benchmarks.real_arms MODELS_FOLDER [--logs 20] [--arms ur5e iiwa14 ...]
         [--kinds real priors exact] [--first-seed 0]
 
-Each log is of an arm of its own. Its duration is 8, 20 or 60 s, and every other log has white torque
-noise where the rest have noise with a memory of 20 samples.
+Each log is of an arm of its own. Its duration is 8, 20 or 60 s. Every other log has white torque
+noise, the rest noise with a memory of 20 samples.
 
-real    links as real model files have them: every mass off by 10 to 20 %, one link 40 % heavier,
-        centres of mass off by 15 % of the radius of gyration, inertias by 15 %; torque scales off by
+real    links as real model files have them: masses off by 10 to 20 %, one link 40 % heavier,
+        centres of mass by 15 % of the radius of gyration, inertias by 15 %; torque scales off by
         2 %, encoder zeros by 2 mrad, the base by 0.3 degrees; Stribeck friction of 30 % of Coulomb
         friction, and 2 to 6 % of the load lost in the gear
 priors  everything drawn from the default priors

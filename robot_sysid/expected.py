@@ -19,6 +19,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.common_scale import doubted
 from robot_sysid.estimation.algebra.identifiability import describe, triangle_space
+from robot_sysid.estimation.algebra.link_scales import EXPECTED
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.possible_errors import once_possible, possible_covariance
@@ -43,6 +44,7 @@ from robot_sysid.estimation.unknowns import (
     Question,
     Unknowns,
     common_error,
+    expected_dry_friction,
     scale_spread,
     unknowns,
 )
@@ -97,7 +99,8 @@ def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str)
     rng, limits = np.random.default_rng(0), problem.limits
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
     torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))
-    choice, question = _choice(problem, options), Question(options)
+    question = Question(options)
+    choice = replace(_choice(problem, options), dry_friction=expected_dry_friction(columns, torque))
     sought = unknowns(columns, question, choice, torque, np.ones(len(columns.names), dtype=bool))
     factor, sure = np.zeros((0, 0)), dict[str, float]()
     for group in sought.groups:
@@ -119,7 +122,7 @@ def _choice(problem: ExcitationProblem, options: EstimationOptions) -> Choice:
     assert given.friction is not None
     given_motors, offered = couplings_of(problem.robot, options)
     friction = (given.friction,) * problem.robot.n_joints
-    return Choice(friction, () if offered else given_motors)
+    return Choice(friction, () if offered else given_motors, link_scales=EXPECTED)
 
 
 def expect(
@@ -206,6 +209,7 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     columns = Columns(robot, datasets, options.torques, choice.couplings)
     torque = mean_torque(datasets)
     data = evidence_of([columns.samples(columns.start())], torque)
+    choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
     told = torque, data.shown
     sought = unknowns(columns, question, choice, *told)

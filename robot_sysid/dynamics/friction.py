@@ -16,6 +16,9 @@ load         sign(qd) abs(load)            1 (loss of a gear that grows with its
 quadratic    qd abs(qd)                    N m s^2/rad^2
 cubic        qd^3                          N m s^3/rad^3
 sigmoid      tanh(qd/vs)                   N m (Coulomb friction that turns round softly)
+fading_fast  sign(qd) exp(-abs(qd)/0.04)   N m (friction above Coulomb that fades with speed)
+fading       sign(qd) exp(-abs(qd)/0.13)   N m
+fading_slow  sign(qd) exp(-abs(qd)/0.4)    N m
 ===========  ============================  ==========================================
 
 Coulomb friction that differs between the two directions is coulomb plus, and minus, offset.
@@ -32,6 +35,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -80,6 +84,17 @@ _SIGMOID = BentTerm(
     usual=0.05,
     tried=(0.01, 0.03, 0.1, 0.3),
 )
+FADING_SPEEDS: Mapping[str, float] = {"fading_fast": 0.04, "fading": 0.13, "fading_slow": 0.4}
+"""Term to the speed over which it fades [rad/s]: together they follow any friction that falls with
+speed, whatever its own speed is."""
+
+
+def _fading(qd: Array, qdd: Array, load: Array, fading_speed: float) -> Array:
+    # Numbers near 1e-308 take a hundred times as long to multiply.
+    decay = np.minimum(np.abs(qd) / fading_speed, 200.0)
+    return np.asarray(np.sign(qd) * np.exp(-decay))
+
+
 BENT: Mapping[str, BentTerm] = {"stribeck": _STRIBECK, "sigmoid": _SIGMOID}
 """Terms that are nonlinear in one parameter; the fit of a whole arm seeks it too."""
 
@@ -94,6 +109,7 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "quadratic": lambda qd, qdd, load: qd * np.abs(qd),
     "cubic": lambda qd, qdd, load: qd * qd * qd,
     "sigmoid": lambda qd, qdd, load: _SIGMOID.column(qd, _SIGMOID.usual),
+    **{name: partial(_fading, fading_speed=speed) for name, speed in FADING_SPEEDS.items()},
 }
 """Term name to the function that makes its column, see ``FrictionModel.columns``; a new term is one
 more line here. Those of ``BENT`` take their usual speed."""

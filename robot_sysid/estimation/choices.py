@@ -28,13 +28,29 @@ from robot_sysid.estimation.algebra.information import (
     sample_counts,
     update_triangle,
 )
-from robot_sysid.estimation.algebra.nuisances import SURE, WithPriors, is_no_chance
+from robot_sysid.estimation.algebra.link_scales import LinkEvidence, average_scales, link_evidence
+from robot_sysid.estimation.algebra.nuisances import (
+    SURE,
+    LinkScales,
+    WithPriors,
+    is_no_chance,
+    link_directions,
+    link_lengths,
+)
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.couplings import couplings_of
 from robot_sysid.estimation.dataset import Dataset, mean_torque
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
-from robot_sysid.estimation.unknowns import COMMON_SCALE, Choice, Question, Unknowns, unknowns
+from robot_sysid.estimation.unknowns import (
+    COMMON_SCALE,
+    LINKS,
+    PER_CENT,
+    Choice,
+    Question,
+    Unknowns,
+    unknowns,
+)
 from robot_sysid.records import Array, RobotModel, Validation
 from robot_sysid.records.results import validation_of
 
@@ -318,9 +334,36 @@ def choose(
     if is_scaled(fit, question, choice):
         choice = replace(choice, common_scale=COMMON_SCALE)
         fit = fitter.fit(question, choice, fit.point, rounds=1)
-    judge = held_out(fit, _sought(fit, question, choice))
-    choice = replace(choice, prior_scale=prior_scale(judge, fit, question, choice))
-    return choice, errors, fit.point if choice != fit.choice else fit.next_point
+    choice = replace(choice, dry_friction=dry_friction(fit))
+    fit = fitter.fit(question, choice, fit.point, rounds=1)
+    choice = replace(choice, noise_memory=tuple(fitter.noise_memory(fit).tolist()))
+    fit = replace(fitter.fit(question, choice, fit.point, rounds=1), samples=())
+    evidence = _link_evidence(fit)
+    if evidence is not None:
+        choice = replace(choice, link_scales=average_scales(evidence))
+    return choice, errors, fit.point
+
+
+def _link_evidence(fit: Fit) -> LinkEvidence | None:
+    """Return what a fit says of the links that the model states; None where none is sought."""
+    group = next((group for group in fit.unknowns.groups if group.cause == LINKS), None)
+    if group is None:
+        return None
+    columns = fit.columns
+    number = {link.body_name: index for index, link in enumerate(columns.robot.links)}
+    names = list(dict.fromkeys(group.members))
+    thetas = [columns.robot.links[number[name]].theta for name in names]
+    is_stated = np.array([columns.usual[name] is theta for name, theta in zip(names, thetas)])
+    if not np.any(is_stated):
+        return None
+    stated = np.flatnonzero(is_stated).tolist()
+    lengths = link_lengths(columns.robot, [number[names[index]] for index in stated])
+    bodies = tuple(tuple(thetas[index]) for index in stated)
+    share = PER_CENT * fit.question.options.link_uncertainty
+    directions = share * link_directions(bodies, tuple(lengths))
+    others = [other for other in fit.unknowns.groups if other is not group]
+    data = fit.evidence.of(fit.unknowns)
+    return link_evidence(data, fit.weights, others, group, directions, is_stated)
 
 
 def _simplest(
@@ -492,15 +535,29 @@ def shown_rotors(fit: Fit) -> dict[str, float]:
     return dict(zip(joints, values.tolist()))
 
 
-def prior_scale(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> float:
-    """Return the least factor of the links' uncertainty that predicts about as well as any.
+def dry_friction(fit: Fit) -> tuple[float, ...]:
+    """Return about how much dry friction (joints,) each row's joint has [N m]."""
+    sizes = np.zeros(len(fit.columns.joints))
+    for place, joint in enumerate(fit.columns.joints):
+        names = [f"{term}[{joint}]" for term in ("coulomb", "sigmoid")]
+        sizes[place] = np.sum(np.abs(fit.values[fit.columns.at(names)]))
+    return tuple(sizes.tolist())
 
-    It grows for as long as that does not predict worse.
+
+def predictive_link_scales(
+    judge: HeldOut, fit: Fit, question: Question, choice: Choice
+) -> LinkScales:
+    """Return the least multiple of the links' uncertainty that predicts about as well as any.
+
+    It grows for as long as that does not predict worse. A file keeps what predicts best; how far
+    off links may be is another question (``link_scales``).
     """
-    scores: list[float] = []
+    scores = list[float]()
     for scale in SCALES:
-        each = replace(choice, prior_scale=scale)
-        scores.append(float(np.mean(score_of(judge, fit, question, each))))
+        wider = replace(choice, link_scales=LinkScales(scale, scale, scale, scale))
+        scores.append(float(np.mean(score_of(judge, fit, question, wider))))
         if scores[-1] > AS_GOOD * min(scores):
             break
-    return SCALES[int(np.flatnonzero(np.array(scores) <= AS_GOOD * min(scores))[0])]
+    as_good = np.flatnonzero(np.array(scores) <= AS_GOOD * min(scores))
+    best = SCALES[int(as_good[0])]
+    return LinkScales(best, best, best, best)

@@ -36,7 +36,14 @@ from robot_sysid.dynamics.equations import (
     link_names,
     other_links,
 )
-from robot_sysid.dynamics.friction import BENT, TERMS, Coupling, FrictionModel, speed_name
+from robot_sysid.dynamics.friction import (
+    BENT,
+    FADING_SPEEDS,
+    TERMS,
+    Coupling,
+    FrictionModel,
+    speed_name,
+)
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import (
     TILT_NAMES,
@@ -55,7 +62,7 @@ LINEAR = tuple(term for term in TERMS if term not in ("load", *BENT))
 """Friction terms whose columns depend on the motion alone."""
 PLACEHOLDER = 1e-3
 """Share of the other links' usual mass below which a body's numbers say nothing."""
-_DRIFTING = ("coulomb", "viscous", "sqrt", "load", *BENT, "quadratic", "cubic")
+_DRIFTING = ("coulomb", "viscous", "sqrt", "load", *BENT, "quadratic", "cubic", *FADING_SPEEDS)
 _SMOOTH = ("viscous", "armature")
 # Rows for which what is made of links alone is made together: calls against memory.
 _TOGETHER = 4000

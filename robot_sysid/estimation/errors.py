@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.newton_euler import in_parts
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
 from robot_sysid.estimation.algebra.information import normal_matrix, restricted, sample_counts
@@ -26,7 +27,14 @@ from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space,
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, give_back
-from robot_sysid.estimation.unknowns import COMMON, SCALES, common_error, unknowns
+from robot_sysid.estimation.unknowns import (
+    COMMON,
+    LINKS,
+    SCALES,
+    common_error,
+    scale_spread,
+    unknowns,
+)
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
 FILTERING, HELD = "filtering", "friction at its bound"
@@ -157,8 +165,10 @@ def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...
     if fit.question.loaded or fit.question.in_file:
         return ()
     slow = sample_counts(fit.evidence.whole) / np.maximum(effective, 1.0)
-    noise = np.sqrt(np.maximum(slow, 1.0)) / fit.weights
-    return misfits(fit.evidence.of(fit.unknowns), noise, fit.unknowns.groups)
+    noise = np.sqrt(np.maximum(slow, 1.0) * fit.inflation) * fit.noise
+    conflicts = misfits(fit.evidence.of(fit.unknowns), noise, fit.unknowns.groups)
+    # How far off links are is averaged already (``link_scales``), and named by its own evidence.
+    return tuple(conflict for conflict in conflicts if conflict.cause != LINKS)
 
 
 def _more(
@@ -176,6 +186,8 @@ def _more(
             yield conflict.cause, np.sqrt(asked) * causes[conflict.cause]
     if fit.choice.common_scale:
         yield SCALES, _unscaled(fit)
+    if not fit.question.in_file:
+        yield SCALES, _scaled_friction(fit)
     places = fit.columns.at(fit.unknowns.at_bound)
     places = places[fit.evidence.shown[places]]
     if len(places):
@@ -185,6 +197,23 @@ def _more(
         size, axes = np.linalg.eigh(normal[np.ix_(places, places)] - crossed.T @ moved)
         seen = size > _SEEN * size[-1]
         yield HELD, (moved @ (axes[:, seen] / np.sqrt(size[seen]))).T
+
+
+def _scaled_friction(fit: Fit) -> Array:
+    """Return how far friction and rotors are off by torque scales, rows (joints, k).
+
+    The columns of a scale hold the torque of the links alone, so that friction and rotors come out
+    as the torque column has them: off by as much as the scale is.
+    """
+    spread = scale_spread(fit.columns, fit.question.options, fit.question.loaded)
+    names = fit.unknowns.kept_names
+    rows = np.zeros((len(spread), len(names)))
+    for row, joint in enumerate(fit.columns.joints):
+        for place, name in enumerate(names):
+            term, _, member = name.partition("[")
+            if term in TERMS and term != "load" and member == f"{joint}]":
+                rows[row, place] = spread[row] * fit.values[fit.unknowns.kept[place]]
+    return rows
 
 
 def _unscaled(fit: Fit) -> Array:

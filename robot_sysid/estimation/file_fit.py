@@ -20,7 +20,7 @@ from robot_sysid.estimation.choices import (
     HeldOut,
     held_out,
     is_clearly_lower,
-    prior_scale,
+    predictive_link_scales,
     score_of,
     shown_offsets,
     shown_rotors,
@@ -92,7 +92,8 @@ def fit_file(
     fit = fitter.fit(question, choice, point, rounds=1)
     judge = held_out(fit)
     choice = replace(choice, friction=_polynomials(judge, fit, question, choice))
-    choice = replace(choice, prior_scale=prior_scale(judge, fit, question, choice))
+    scales = predictive_link_scales(judge, fit, question, choice)
+    choice = replace(choice, link_scales=scales)
     choice = shown_offsets(fit, question, choice)
     asked, after, rounds = question, fit.next_point, _ROUNDS
     if FILE_GRAVITY not in kept and fit.unknowns.settle:

@@ -13,6 +13,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT
 from robot_sysid.errors import SysidError
+from robot_sysid.estimation.algebra.autocorrelation import concentration, memory
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.information import combined, parts_of, restricted
 from robot_sysid.estimation.algebra.least_squares import sharpened, solver, weighted
@@ -133,7 +134,8 @@ class Fit:
         evidence: what they say.
         unknowns: what was sought, and what was known.
         weights: (joints,) by which each joint's equations count [1/(N m)].
-        inflation: (joints,) by how much less than independent samples each joint's count.
+        inflation: (joints,) by how much less than independent samples each joint's count, as
+            motion that repeats says.
         free: (p,) the estimate before bodies had to be possible.
         values: (p,) the estimate.
     """
@@ -158,7 +160,12 @@ class Fit:
     @property
     def noise(self) -> Array:
         """Standard deviation (joints,) of the torque noise of one sample [N m]."""
-        return 1.0 / (self.weights * np.sqrt(self.inflation))
+        return 1.0 / (self.weights * np.sqrt(self.inflation * self.noise_memory))
+
+    @property
+    def noise_memory(self) -> Array:
+        """How many rows (joints,) of each joint counted as one independent row."""
+        return memory_of(self.choice, len(self.columns.joints))
 
     @property
     def noise_per_joint(self) -> dict[str, float]:
@@ -230,6 +237,19 @@ class Fitter:
             self._last = point, evidence(samples, self.torque), samples
         return self._last[1:]
 
+    def noise_memory(self, fit: Fit) -> Array:
+        """Return how many rows (joints,) of each joint count as one independent row.
+
+        That is their memory, or how far a few bursts hold all that is left, where that is more.
+        """
+        residuals = list(_residuals(fit.samples, fit.values))
+        in_bursts = np.array([concentration(residual) for residual in residuals])
+        if self.visits is None:
+            slow = np.array([memory(residual) for residual in residuals])
+        else:
+            slow = self.visits.inflation(residuals)[1]
+        return np.maximum(slow, in_bursts)
+
     def fit(
         self,
         question: Question,
@@ -246,9 +266,10 @@ class Fitter:
         Raises:
             SysidError: a delay or a tilt that is sought keeps moving.
         """
-        # Columns that depend on what is sought: those of the load, and those with a speed.
+        # Columns that depend on what is sought: those of the load, and those with a speed. While
+        # friction is chosen, a load that is only allowed for does without.
         terms = {term for model in choice.friction for term in model.terms}
-        exact = not terms.isdisjoint(("load", *BENT))
+        exact = not terms.isdisjoint(("load", *BENT)) or choice.dry_friction is not None
         point = point or self.columns.start()
         if (point.exact_load, point.in_file) != (exact, question.in_file):
             point = replace(point, exact_load=exact, in_file=question.in_file)
@@ -299,7 +320,7 @@ def solved(
     data: Evidence,
     samples: tuple[DecimatedSamples, ...] = (),
     visits: Visits | None = None,
-    inflation: tuple[Array, Array] | None = None,
+    inflation: Array | None = None,
     noise: Array | None = None,
 ) -> Fit:
     """Solve the equations as they stand around a point.
@@ -311,20 +332,24 @@ def solved(
         noise: (joints,) to begin with [N m].
     """
     sought = unknowns(columns, question, choice, data.torque, data.shown)
-    counted, memory = inflation or np.ones((2, len(columns.joints)))
+    memory = memory_of(choice, len(columns.joints))
+    counted = np.ones_like(memory) if inflation is None else inflation
+    widening = memory
     inside: Unknowns | None = sought
     for _ in range(_MOST_BOUNDS):
         sought = inside or sought
-        sought, free, counts = _bounded(columns, sought, data, counted, memory, noise)
-        noise = counts / np.sqrt(counted)
+        divided = counted * memory
+        sought, free, counts = _bounded(columns, sought, data, divided, widening / memory, noise)
+        noise = counts / np.sqrt(divided)
         if visits is not None and inflation is None:
             before = counted
-            counted, memory = visits.inflation(_residuals(samples, free))
+            counted, widening = visits.inflation(_residuals(samples, free))
             widens = any(group.may_widen for group in sought.groups)
             if widens or not np.array_equal(before, counted):
-                again = columns, sought, data, counted, memory, noise
+                divided = counted * memory
+                again = columns, sought, data, divided, widening / memory, noise
                 sought, free, counts = _bounded(*again)
-                noise = counts / np.sqrt(counted)
+                noise = counts / np.sqrt(divided)
         values = possible(sought, data, 1.0 / counts, free)
         # Bodies that have to be possible push others across their bounds.
         inside = sought.bounded(values)
@@ -333,6 +358,11 @@ def solved(
     values = np.clip(values, sought.lower, sought.upper)
     made = columns, question, choice, point, samples, data, sought
     return Fit(*made, 1.0 / counts, counted, free, values)
+
+
+def memory_of(choice: Choice, n_joints: int) -> Array:
+    """Return how many rows (joints,) of each joint count as one independent row."""
+    return np.ones(n_joints) if choice.noise_memory is None else np.array(choice.noise_memory)
 
 
 def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from robot_sysid.dynamics.nuisances import gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.algebra.link_scales import LINK_KINDS
 from robot_sysid.estimation.answer import (
     Answer,
     base_parameters,
@@ -29,8 +30,10 @@ from robot_sysid.estimation.verdict import (
     of_known_mass,
     of_payload,
     unexplained,
+    wrong_links,
 )
-from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, RobotModel
+from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, RobotModel, WrongLink
+from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Detail
 from robot_sysid.results.record import (
     LINK,
@@ -69,15 +72,26 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
         findings += [] if judged[0].is_trustworthy else [judged]
         ended = judged[0]
     status, reasons = first(findings, ended)
+    wrong = tuple(wrong_links(links[:-1]))
+    notes += tuple(map(_wrong_link_line, wrong))
     return replace(
         common,
         verdict=status,
         reasons=reasons,
         links=links,
+        wrong_links=wrong,
         file=file,
         validation=tests,
         notes=tuple(dict.fromkeys((*robot.notes, *notes, *_said(answer, file)))),
         base=None if fit.columns.torques == "terminal" else base_parameters(fit, answer.errors),
+    )
+
+
+def _wrong_link_line(link: WrongLink) -> str:
+    moment = with_error(link.first_moment, link.error, "kg m")
+    return (
+        f"{link.name} of your model is probably wrong: mass x distance of its centre of mass "
+        f"{link.first_moment_of_model:.3g} -> {moment}; which of the two is off is not told apart"
     )
 
 
@@ -106,7 +120,7 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
         sensors=answer.sensors(),
         friction_model=models.pop() if len(models) == 1 else "per joint",
         cutoff=signals[0].cutoff if signals else None,
-        prior_scale=fit.choice.prior_scale,
+        link_scales={kind: getattr(fit.choice.link_scales, kind) for kind in LINK_KINDS},
         conflicts=answer.errors.conflicts,
         delay=fit.value(DELAY_NAME) if options.delay == "auto" else None,
         tilt=_turned(robot, fit.point.gravity) if options.tilt == "auto" else None,
@@ -121,10 +135,6 @@ def _turned(robot: RobotModel, down: Array) -> float:
 
 def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
     """Yield sentences on what the user should know of the estimate."""
-    scale, asked = answer.fit.choice.prior_scale, "held-out torques ask for it"
-    if scale > 1.0:
-        allowed = f"the other links are allowed to be off by {scale:g} times --link-uncertainty"
-        yield f"{allowed}: {asked}"
     if answer.fit.choice.common_scale:
         scales = [f.value for n, f in answer.sensors().items() if n.startswith("scale[")]
         size = 1.0 + float(np.mean(scales))
@@ -135,7 +145,8 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
         )
     given = answer.fit.question.options.coupling is not None
     for motor in answer.fit.choice.couplings:
-        yield f"a motor turns with {motor.name}: {'as given' if given else asked}"
+        reason = "as given" if given else "held-out torques ask for it"
+        yield f"a motor turns with {motor.name}: {reason}"
     for group in answer.fit.unknowns.groups:
         if group.may_widen and group.widened > WIDER:
             yield (

@@ -198,13 +198,16 @@ class _Fixed(Fitter):
         self, question: Question, choice: Choice, point: Point | None = None, rounds: int = 1
     ) -> Fit:
         """Return the fit around the one point that there is."""
-        found, inflation = self._found, None
-        if found.residuals:
-            own = np.array([memory_of(each.products, each.count) for each in found.residuals])
-            inflation = found.rows.inflation(), own
-        return solved(
-            self.columns, question, choice, self._point, found.evidence, inflation=inflation
-        )
+        inflation = self._found.rows.inflation() if self._found.residuals else None
+        data = self._found.evidence
+        return solved(self.columns, question, choice, self._point, data, inflation=inflation)
+
+    def noise_memory(self, fit: Fit) -> Array:
+        """Return how many rows (joints,) of each joint count as one, by the first round."""
+        residuals = self._found.residuals
+        if not residuals:
+            return np.ones(len(self.columns.joints))
+        return np.array([memory_of(each.products, each.count) for each in residuals])
 
 
 def log_information(

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.friction import Coupling, FrictionModel, speed_name
+from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling, FrictionModel, speed_name
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.nuisances import (
+    AS_STATED,
+    LinkScales,
     NuisanceGroup,
     link_aspects,
     link_factor,
@@ -34,12 +36,15 @@ COMMON, WEIGHT, OFFSETS = "common torque scale", "known mass", "sensor offsets"
 """Causes of error, as they are called in results."""
 FILE_FRICTION, FILE_ROTORS, FILE_GRAVITY, FILE_LINKS = "friction", "rotors", "gravity", "links"
 """Parts of a model file that may be kept as they are."""
-LACKING = ("load", "sqrt")
-"""Friction terms that a real joint has and a simpler model of it lacks."""
-CURVATURE, LEAST_COULOMB = 5.0, 0.02
-"""How curved friction may be, as part of its Coulomb friction and in units of what it may grow with
-the gear's torque (documented with --friction-uncertainty); Coulomb friction is at least so much of
-the joint's usual torque."""
+CURVATURE = 5.0
+"""How curved friction may be, as part of its dry friction and in units of what it may grow with the
+gear's torque (documented with --friction-uncertainty)."""
+FADING = 15.0
+"""How much of friction may fade with speed, the same way: a Stribeck curve of 30 %."""
+LARGEST_USUAL_LOSS = 2.5
+"""What a gear may lose of its load where it has much dry friction, in the same units."""
+LEAST_COULOMB, LEAST_FOUND = 0.02, 1e-3
+"""Dry friction is at least so much of a joint's usual torque: before a fit, and after one."""
 LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
 DRIFTS, LOADED_LOSS = 0.2, 0.1
@@ -91,18 +96,24 @@ class Choice:
     Attributes:
         friction: per chain joint, its friction terms.
         couplings: motors that turn with several joints.
-        prior_scale: by how much more than was said the other links may be off.
+        link_scales: by how many times the stated share the other links may be off.
         common_scale: how far all torque scales may be off together, which only links tell.
         offsets: joint to how far its torque sensor may be off [N m]; that of others is free.
         rotors: joint to its rotor's inertia, where that is known [kg m^2].
+        dry_friction: (joints,) about how much dry friction each row's joint has [N m], which says
+            how curved its friction may be; None while friction terms are chosen: beside curves
+            that are allowed for, a term that is there would gain nothing.
+        noise_memory: (joints,) how many rows of a joint count as one independent row; None for one.
     """
 
     friction: tuple[FrictionModel, ...]
     couplings: tuple[Coupling, ...] = ()
-    prior_scale: float = 1.0
+    link_scales: LinkScales = AS_STATED
     common_scale: float = 0.0
     offsets: Mapping[str, float] = field(default_factory=dict)
     rotors: Mapping[str, float] = field(default_factory=dict)
+    dry_friction: tuple[float, ...] | None = None
+    noise_memory: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -338,20 +349,44 @@ def _groups(
 def _friction_group(
     columns: Columns, question: Question, choice: Choice, torque: Array
 ) -> Iterator[NuisanceGroup]:
-    """Yield what friction may have that its model lacks."""
+    """Yield what friction may have that its model lacks, of a size that its dry friction says."""
     share = PER_CENT * question.options.friction_uncertainty
-    loss = max(share, LOADED_LOSS) if question.loaded else share
-    coulomb = np.maximum(columns.robot.friction.coulomb, LEAST_COULOMB * torque)
-    sizes = {"load": np.full(len(coulomb), loss), "sqrt": CURVATURE * share * coulomb}
-    lacking = [
-        (f"{term}[{joint}]", joint, max(float(sizes[term][row]), _EXACT))
-        for term in (LACKING if share > 0.0 else ())
-        for row, joint in zip(columns.rows_of, columns.joints)
-        if choice.friction[row].terms and term not in choice.friction[row].terms
-    ]
-    if lacking:
-        names, members, each = zip(*lacking)
-        yield independent(FRICTION, names, members, np.array(each), question.loaded)
+    if share == 0.0:
+        return
+    rows = list(columns.rows_of)
+    usual_torque = torque[rows]
+    if choice.dry_friction is None:
+        dry = np.array(expected_dry_friction(columns, torque))
+        loss = np.full_like(dry, share)
+    else:
+        dry = np.maximum(choice.dry_friction, LEAST_FOUND * usual_torque)
+        # A gear that loses much of its load has much dry friction without load, too.
+        share_of_torque = dry / np.maximum(usual_torque, _EXACT)
+        loss = np.clip(share_of_torque, share, LARGEST_USUAL_LOSS * share)
+    if question.loaded:
+        loss = np.full_like(dry, max(share, LOADED_LOSS))
+    sizes = {"load": loss, "sqrt": CURVATURE * share * dry}
+    if choice.dry_friction is not None:
+        sizes |= dict.fromkeys(FADING_SPEEDS, FADING * share * dry)
+    names, members, spread = list[str](), list[str](), list[float]()
+    for term, size in sizes.items():
+        for place, joint in enumerate(columns.joints):
+            model = choice.friction[rows[place]]
+            if model.terms and term not in model.terms:
+                names.append(f"{term}[{joint}]")
+                members.append(joint)
+                spread.append(max(float(size[place]), _EXACT))
+    if names:
+        yield independent(FRICTION, names, members, np.array(spread), question.loaded)
+
+
+def expected_dry_friction(columns: Columns, torque: Array) -> tuple[float, ...]:
+    """Return about how much dry friction (joints,) rows have before a fit [N m], of usual torques
+    (n,) [N m]: the file's, or a share of the torque.
+    """
+    rows = list(columns.rows_of)
+    dry = np.maximum(columns.robot.friction.coulomb[rows], LEAST_COULOMB * torque[rows])
+    return tuple(dry.tolist())
 
 
 def _link_group(columns: Columns, question: Question, choice: Choice) -> NuisanceGroup | None:
@@ -369,12 +404,14 @@ def _link_group(columns: Columns, question: Question, choice: Choice) -> Nuisanc
     lengths = link_lengths(robot, links)
     factor = np.zeros((10 * len(links), 10 * len(links)))
     believed = [usual[k] is robot.links[link].theta for k, link in enumerate(links)]
-    kinds = [(np.flatnonzero(believed), share * choice.prior_scale)]
-    kinds += [(np.array([k]), 1.0) for k in np.flatnonzero(np.logical_not(believed))]
-    for alike, size in (each for each in kinds if len(each[0])):
-        at = np.add.outer(10 * alike, np.arange(10)).ravel()
-        spread = link_factor([usual[k] for k in alike], size, [lengths[k] for k in alike])
-        factor[np.ix_(at, at)] = spread
+    alike = [(np.flatnonzero(believed), share, choice.link_scales)]
+    alike += [(np.array([k]), 1.0, AS_STATED) for k in np.flatnonzero(np.logical_not(believed))]
+    for members_alike, size, scales in alike:
+        if len(members_alike):
+            at = np.add.outer(10 * members_alike, np.arange(10)).ravel()
+            thetas = [usual[k] for k in members_alike]
+            sizes = [lengths[k] for k in members_alike]
+            factor[np.ix_(at, at)] = link_factor(thetas, size, sizes, scales)
     places = np.concatenate([sought[name][0] for name in names])
     members = tuple(name for name in names for _ in PARAMETER_NAMES)
     own = tuple(columns.names[k] for k in places)

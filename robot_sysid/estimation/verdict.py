@@ -17,7 +17,7 @@ from robot_sysid.estimation.columns import PLACEHOLDER, usual_bodies
 from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.model.inertia import link_reach
-from robot_sysid.records import Array, InertialParameters, RobotModel, Validation
+from robot_sysid.records import Array, InertialParameters, RobotModel, Validation, WrongLink
 from robot_sysid.records.figures import percent, with_error
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 
@@ -39,6 +39,8 @@ MOVED_UNSEEN = 2.0
 """Factor between the model's mass and a mass that only consistency or a prior has moved."""
 COARSE = 0.2
 """Expected error of the acceleration, as a part of it, beyond which it says nothing."""
+LEAST_WRONG = 0.1
+"""Share by which mass times distance of the centre of mass of a link is off where it is named."""
 LARGEST_RATIO, FARTHEST_LINK = 20.0, 1.5
 """By how much another link's mass may differ from the model's; how many times the link's size its
 centre of mass may move, or its radius of gyration be."""
@@ -166,6 +168,25 @@ def implausible_joints(
             yield Verdict.IMPLAUSIBLE, f"{name} would have {dry:.3g} N m of dry friction or more"
         if not slide and rotor > inertia > 0.0:
             yield Verdict.IMPLAUSIBLE, f"{name} would have a rotor of {rotor:.3g} kg m^2 or more"
+
+
+def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
+    """Yield the links of the model that recordings contradict, of the estimates of all links.
+
+    Mass and centre of mass of a link hide behind each other and behind its neighbours'; mass times
+    distance of the centre, which is the torque that the link's weight makes at its joint, is seen
+    better. The direction is the model's.
+    """
+    for link in links:
+        if link.before is None or not np.any(link.before.theta[1:4]):
+            continue
+        expected = float(np.linalg.norm(link.before.theta[1:4]))
+        direction = link.before.theta[1:4] / expected
+        moment = float(direction @ link.inertial.theta[1:4])
+        error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
+        off = abs(moment - expected)
+        if np.all(link.shown[1:4]) and off > max(_SURE * error, LEAST_WRONG * expected):
+            yield WrongLink(link.name, expected, moment, error)
 
 
 def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judged]:

@@ -9,6 +9,7 @@ THETA = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
 """Units of the ten inertial parameters."""
 _TERMS: Mapping[str, tuple[str, str]] = {
     **dict.fromkeys(("coulomb", "offset", "stribeck", "sigmoid"), ("N·m", "N")),
+    **dict.fromkeys(("fading_fast", "fading", "fading_slow"), ("N·m", "N")),
     "viscous": ("N·m·s/rad", "N·s/m"),
     "armature": ("kg·m²", "kg"),
     "sqrt": ("N·m·√(s/rad)", "N·√(s/m)"),

@@ -128,6 +128,24 @@ def validation_of(
 
 
 @dataclass(frozen=True)
+class WrongLink:
+    """A link of the model that recordings contradict.
+
+    Attributes:
+        name: the body's.
+        first_moment_of_model, first_moment: mass times distance of the centre of mass from the
+            link's joint [kg m], in the model and as the recordings have it, along the model's
+            direction.
+        error: standard error of the latter [kg m].
+    """
+
+    name: str
+    first_moment_of_model: float
+    first_moment: float
+    error: float
+
+
+@dataclass(frozen=True)
 class PriorConflict:
     """A cause of error, such as "links", that the data asks for more of than was thought.
 

@@ -240,7 +240,9 @@ class Result:
         delay, tilt: by which torque lags position [s], and angle between the model's gravity and
             the estimated one [rad], where they were sought.
         cutoff: of the low-pass [Hz]; None of a simulation and of resting poses.
-        prior_scale: by how much the other links' uncertainty was widened.
+        link_scales: "mass", "centre_of_mass" and "inertia" to by how many times the stated share
+            the other links were taken to be off.
+        wrong_links: links of the model that the recordings contradict.
         conflicts: what the data asks for that the model does not have.
         notes: one sentence each: what the user should know.
         rollout: how the model before and after move beside the arm, where that was asked for.
@@ -265,7 +267,8 @@ class Result:
     delay: float | None = None
     tilt: float | None = None
     cutoff: float | None = None
-    prior_scale: float = 1.0
+    link_scales: Mapping[str, float] = field(default_factory=dict)
+    wrong_links: tuple[records.WrongLink, ...] = ()
     conflicts: tuple[records.PriorConflict, ...] = ()
     notes: tuple[str, ...] = ()
     rollout: RolloutTest | None = None

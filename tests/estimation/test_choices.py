@@ -89,7 +89,7 @@ def names(found):
 def test_nothing_is_added_where_nothing_is_missing(plant, robot):
     found, _ = chosen(plant, robot, lambda motion: 0.0 * motion.q, offered=True)
     assert names(found) == [BASIC] * 3
-    assert found.choice.couplings == () and found.choice.prior_scale == 1.0
+    assert found.choice.couplings == ()
     assert set(found.errors) == set(robot.joint_names)
     for errors in found.errors.values():
         assert set(errors) == set(CANDIDATES)
@@ -165,7 +165,10 @@ def test_links_that_are_further_off_are_given_more_room(plant):
     """That all are, and not the torques, is known where scales are said."""
     model, told = with_links(plant, 0.5, 7), {"given": BASIC, "duration": 30.0}
     found, _ = chosen(plant, model, lambda motion: 0.0 * motion.q, scale_uncertainty=2.0, **told)
-    assert found.choice.prior_scale > 1.0 and not found.choice.common_scale
+    usual, _ = chosen(plant, plant, lambda motion: 0.0 * motion.q, scale_uncertainty=2.0, **told)
+    assert found.choice.link_scales.mass > usual.choice.link_scales.mass
+    assert found.choice.link_scales.centre_of_mass > usual.choice.link_scales.centre_of_mass
+    assert not found.choice.common_scale
 
 
 @pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.25, True), (0.8, True)])
@@ -184,13 +187,13 @@ def test_a_scale_of_all_torques_is_told_from_none(plant, factor, told):
 
 
 def test_errors_grow_where_there_may_be_no_scale_of_all_torques(plant):
-    """Torques contradict by 25 % links that are known to 1 %, or to 0.2 %: then they are wrong."""
+    """Torques contradict by 25 % links that are known to 1 %, or to 0.05 %: then they are wrong."""
 
     def more(motion):
         return 0.25 * ArmDynamics(plant).torque(motion.q, motion.qd, motion.qdd)
 
     known = {"zero_uncertainty": 0.5, "gravity_uncertainty": 0.02, "delay_uncertainty": 0.0}
-    for share, either in ((1.0, True), (0.2, False)):
+    for share, either in ((1.0, True), (0.05, False)):
         told = {"given": BASIC, "seed": 3, "duration": 30.0, "link_uncertainty": share, **known}
         _, fit = chosen(plant, plant, more, **told)
         errors, names = fit_errors(fit), fit.information.names
@@ -208,7 +211,11 @@ def test_noise_with_a_memory_alone_gives_them_none(plant, robot):
         return 0.1 * lfilter([1.0], [1.0, -keep], drive, axis=0)
 
     found, _ = chosen(plant, robot, noise, given=BASIC, duration=30.0)
-    assert found.choice.prior_scale == 1.0
+    white, _ = chosen(plant, robot, lambda motion: 0.0 * motion.q, given=BASIC, duration=30.0)
+    slow = found.choice.link_scales
+    fast = white.choice.link_scales
+    assert slow.mass < 1.2 * fast.mass
+    assert slow.centre_of_mass < 2.0 * fast.centre_of_mass
 
 
 # ---- the judge

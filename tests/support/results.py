@@ -22,6 +22,7 @@ from robot_sysid.records import (
     Source,
     SubtreeBody,
     Validation,
+    WrongLink,
 )
 from robot_sysid.records.results import CLOSED, OPEN, RolloutError, RolloutTest
 from robot_sysid.results.record import (
@@ -243,7 +244,8 @@ def whole(**changes) -> Result:
         "delay": 0.0032,
         "tilt": float(np.radians(0.5)),
         "cutoff": 8.0,
-        "prior_scale": 2.0,
+        "link_scales": {"mass": 4.0, "centre_of_mass": 1.0, "inertia": 2.0},
+        "wrong_links": (WrongLink("link3", 3.96, 2.8, 0.3),),
         "conflicts": (PriorConflict("links", ("link5",), 2.5, 1.0),),
         "reasons": ("because",),
         "notes": ("a note",),

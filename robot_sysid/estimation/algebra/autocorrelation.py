@@ -26,6 +26,8 @@ from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
 CHANCE = 2.0
 """Standard errors of an autocorrelation of independent values that are taken for none."""
+# Stretches that a residual's energy is compared in.
+_STRETCHES = 25
 # How many channels are transformed at a time: memory against calls.
 _CHANNELS = 4
 # Largest lag that is looked at [samples], and bins over the lags: chosen for cost.
@@ -288,6 +290,19 @@ def memory(residual: Array, repeats: float = 1.0) -> float:
     """Return ``memory_of`` a residual (K,) that repeats; NaN stands for what is left out."""
     covariance, pairs = autocovariance(residual, max(len(residual) // 10, 1) - 1)
     return memory_of(covariance, pairs[0] / repeats)
+
+
+def concentration(residual: Array) -> float:
+    """Return by how much less than its rows a residual (K,) counts whose squares stand in bursts.
+
+    Of stretches with energies E_b, (sum E_b)^2 / sum E_b^2 count: all of them where the energy is
+    spread evenly, one where a single burst holds it. NaN stands for what is left out.
+    """
+    squares = residual[np.isfinite(residual)] ** 2
+    if len(squares) < 2 * _STRETCHES or not np.any(squares):
+        return 1.0
+    energies = np.array([np.sum(part) for part in np.array_split(squares, _STRETCHES)])
+    return float(_STRETCHES * np.sum(energies**2) / np.sum(energies) ** 2)
 
 
 def memory_of(covariance: Array, count: float) -> float:

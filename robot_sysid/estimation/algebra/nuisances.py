@@ -38,6 +38,27 @@ _ROUNDS, _SETTLED, _NARROWEST, _FIXED = 30, 1e-3, 0.01, 1e-4
 
 
 @dataclass(frozen=True)
+class LinkScales:
+    """By how many times the stated share links may be off, in each kind of their numbers.
+
+    ``common`` is for what all links have in common.
+    """
+
+    mass: float = 1.0
+    centre_of_mass: float = 1.0
+    inertia: float = 1.0
+    common: float = 1.0
+
+    def of_directions(self, n_links: int) -> Array:
+        """Return the scale (10 L + 2,) of each column of ``link_directions``."""
+        one_link = np.repeat((self.mass, self.centre_of_mass, self.inertia), (1, 3, 6))
+        return np.append(np.tile(one_link, n_links), (self.common, self.common))
+
+
+AS_STATED = LinkScales()
+
+
+@dataclass(frozen=True)
 class NuisanceGroup:
     """Nuisances with one cause.
 
@@ -94,7 +115,9 @@ def with_prior(
     return replace(information, prior=np.vstack(rows))
 
 
-def link_factor(thetas: Sequence[Array], share: float, lengths: Sequence[float]) -> Array:
+def link_factor(
+    thetas: Sequence[Array], share: float, lengths: Sequence[float], scales: LinkScales = AS_STATED
+) -> Array:
     """Return F (10 L, 10 L) of L links whose numbers are known to a share.
 
     Each mass is off by the share, each centre of mass by that share of the link's size, each
@@ -107,8 +130,11 @@ def link_factor(thetas: Sequence[Array], share: float, lengths: Sequence[float])
         share: 0.05 for 5 %.
         lengths: per link, from its joint to the next one [m]; its size is that, or the length of
             the uniform rod whose mass is as far from its end, where that is more.
+        scales: multiples of the share.
     """
-    return share * _whole_factor(tuple(map(tuple, thetas)), tuple(lengths))
+    directions = link_directions(tuple(map(tuple, thetas)), tuple(lengths))
+    scaled = directions * scales.of_directions(len(thetas))
+    return share * np.linalg.cholesky(scaled @ scaled.T)
 
 
 def link_lengths(robot: RobotModel, links: Sequence[int]) -> list[float]:
@@ -124,18 +150,21 @@ def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> 
 
 
 @lru_cache(maxsize=8)
-def _whole_factor(thetas: tuple[tuple[float, ...], ...], lengths: tuple[float, ...]) -> Array:
-    """Return what ``link_factor`` is a share of: choosing friction asks for the same many times."""
-    own = np.zeros((10 * len(thetas), 10 * len(thetas)))
-    common = np.zeros((10 * len(thetas), 2))
+def link_directions(thetas: tuple[tuple[float, ...], ...], lengths: tuple[float, ...]) -> Array:
+    """Return independent errors (10 L, 10 L + 2) of L links for a share of one.
+
+    Columns are each link's mass (1), centre of mass (3) and inertia (6), then what all links have
+    in common: all masses, all distances of a centre of mass from its joint.
+    """
+    directions = np.zeros((10 * len(thetas), 10 * len(thetas) + 2))
     for place, (theta, length) in enumerate(zip(np.array(thetas), lengths)):
         block = slice(10 * place, 10 * (place + 1))
-        own[block, block], moved = own_errors(theta, 1.0, length)
+        directions[block, block], moved = own_errors(theta, 1.0, length)
         com = spatial.com_from_theta(theta)[1]
         distance = float(np.linalg.norm(com))
-        common[block, 0] = theta
-        common[block, 1] = moved @ com / distance if distance > 0.0 else 0.0
-    return np.linalg.cholesky(own @ own.T + common @ common.T)
+        directions[block, -2] = theta
+        directions[block, -1] = moved @ com / distance if distance > 0.0 else 0.0
+    return directions
 
 
 def link_aspects(thetas: Sequence[Array], lengths: Sequence[float]) -> tuple[Array, ...]:
