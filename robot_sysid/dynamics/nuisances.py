@@ -23,6 +23,8 @@ from robot_sysid.records import Array, Motion, RobotModel
 TILT_NAMES = ("tilt_1", "tilt_2")
 _MOST_TURNED = 1000
 """Rows turned at once."""
+# Below 1 + cosine of every turn but one upside down, for which all axes are as good.
+_OPPOSITE = 1e-12
 
 
 def gravity(robot: RobotModel) -> Array:
@@ -37,31 +39,56 @@ def with_gravity(robot: RobotModel, vector: Array) -> RobotModel:
     return replace(robot, mj_model=mj_model)
 
 
-def tilt_axes(vector: Array) -> Array:
-    """Return (2, 3) unit vectors perpendicular to gravity and to each other."""
-    size = float(np.linalg.norm(vector))
+def tilt_axes(level: Array, vector: Array | None = None) -> Array:
+    """Return (2, 3) unit vectors perpendicular to gravity ``level`` (3,) and to each other.
+
+    With another gravity ``vector`` (3,) they are carried along by the shortest turn to it, so that
+    angles about the axes of a tilted arm add to those about the axes of the level one.
+    """
+    size = float(np.linalg.norm(level))
     if size == 0.0:
         raise InputError("--tilt auto needs gravity, but the model's gravity is zero")
-    down = np.asarray(vector) / size
+    down = np.asarray(level) / size
     first = np.cross(down, np.eye(3)[int(np.argmin(np.abs(down)))])
     first /= np.linalg.norm(first)
-    return np.array([first, np.cross(down, first)])
+    axes = np.array([first, np.cross(down, first)])
+    if vector is None:
+        return axes
+    there = vector / np.linalg.norm(vector)
+    turn = np.cross(down, there)
+    once = np.cross(turn, axes)
+    return np.asarray(axes + once + np.cross(turn, once) / max(1.0 + down @ there, _OPPOSITE))
 
 
-def turned(vector: Array, angles: Array) -> Array:
-    """Return gravity (3,) turned by two angles (2,) [rad] about ``tilt_axes``."""
-    turn = angles @ tilt_axes(vector)
+def turned(vector: Array, angles: Array, axes: Array | None = None) -> Array:
+    """Return gravity (3,) turned by two angles (2,) [rad] about ``axes`` (2, 3) perpendicular to
+    it; without them, about its own ``tilt_axes``.
+    """
+    turn = angles @ (tilt_axes(vector) if axes is None else axes)
     # Perpendicular to gravity, as Rodrigues' formula has it; numpy's sinc(x) is that of pi x.
     size = float(np.linalg.norm(turn))
     return np.cos(size) * vector + np.sinc(size / np.pi) * np.cross(turn, vector)
 
 
-def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
+def tilt_angles(level: Array, vector: Array) -> Array:
+    """Return the angles (2,) [rad] about ``tilt_axes(level)`` that turn ``level`` to a gravity."""
+    turn = np.cross(level, vector)
+    sine = float(np.linalg.norm(turn))
+    if sine == 0.0:
+        return np.array([np.pi * (level @ vector < 0.0), 0.0])
+    angle = np.arctan2(sine, level @ vector)
+    return np.asarray(angle / sine * (tilt_axes(level) @ turn))
+
+
+def tilt_columns(robot: RobotModel, thetas: Array, q: Array, level: Array | None = None) -> Array:
     """Return (N, n, 2) torque per radian of tilt around the arm's gravity [N m/rad], of links
     known as theta (n, 10), at positions q (N, n).
+
+    Without the gravity ``level`` (3,) that tilts are told from, the arm's own is that.
     """
     here, found = gravity(robot), []
-    down = np.cross(tilt_axes(here), here).T
+    axes = tilt_axes(here if level is None else level, here)
+    down = np.cross(axes, here).T
     for some in np.array_split(q, len(q) // _MOST_TURNED + 1):
         twice, still = np.tile(some, (2, 1)), np.zeros((2 * len(some), q.shape[1]))
         dynamics = LinkDynamics(robot, np.repeat(down, len(some), axis=1))

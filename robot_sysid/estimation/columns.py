@@ -48,6 +48,8 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import (
     TILT_NAMES,
     gravity,
+    tilt_angles,
+    tilt_axes,
     tilt_columns,
     turned,
     with_gravity,
@@ -203,10 +205,21 @@ class Columns:
         return replace(
             point,
             values=new,
-            gravity=turned(point.gravity, angles) if np.any(angles) else point.gravity,
+            gravity=self._tilted(point, angles),
             delay=point.delay + step.get(DELAY_NAME, 0.0),
             speed=speed,
         )
+
+    def _tilted(self, point: Point, angles: Array) -> Array:
+        """Return a point's gravity (3,) turned further, about the model's axes carried along."""
+        if not np.any(angles):
+            return point.gravity
+        return turned(point.gravity, angles, tilt_axes(gravity(self.robot), point.gravity))
+
+    def whole_tilt(self, point: Point, values: Array) -> Array:
+        """Return the angles (2,) [rad] from the model's gravity to that of an estimate (p,)."""
+        steps = values[self.at(TILT_NAMES)]
+        return tilt_angles(gravity(self.robot), self._tilted(point, steps))
 
     def samples(self, point: Point) -> tuple[DecimatedSamples, ...]:
         """Return the rows of each recording around a point."""
@@ -317,9 +330,9 @@ class Columns:
 
     def _tilt(self, arm: RobotModel, thetas: Array, motion: Motion) -> Array:
         """Return the columns of gravity's direction (K, n, 2); none (K, n, 0) without gravity."""
-        return (
-            tilt_columns(arm, thetas, motion.q) if self._tilts else np.zeros((*motion.q.shape, 0))
-        )
+        if not self._tilts:
+            return np.zeros((*motion.q.shape, 0))
+        return tilt_columns(arm, thetas, motion.q, gravity(self.robot))
 
     def _of_links(
         self, point: Point, delayed: Sequence[Dataset], made: Callable[[Array, Motion], Array]

@@ -11,7 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import BENT
+from robot_sysid.dynamics.friction import BENT, speed_name
+from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.autocorrelation import concentration, memory
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
@@ -199,16 +200,17 @@ class Fit:
 
     @cached_property
     def final(self) -> Array:
-        """All parameters (p,), the delay and speeds in place of their last changes."""
-        values, names = self.values.copy(), self.columns.robot.joint_names
-        settled = set(self.unknowns.settle)
-        if DELAY_NAME in settled:
-            values[self.columns.place[DELAY_NAME]] += self.point.delay
+        """All parameters (p,); delay, tilt and speeds with what the point holds of them."""
+        values = self.values.copy()
+        place = self.columns.place
+        values[place[DELAY_NAME]] += self.point.delay
+        if TILT_NAMES[0] in place:
+            values[self.columns.at(TILT_NAMES)] = self.columns.whole_tilt(self.point, self.values)
         for term, speeds in (self.point.speed or {}).items():
-            for joint, speed in zip(names, speeds.tolist()):
-                name = f"{term}_speed[{joint}]"
-                if name in settled:
-                    values[self.columns.place[name]] += speed
+            for joint, speed in zip(self.columns.robot.joint_names, speeds.tolist()):
+                name = speed_name(term, joint)
+                if name in self.unknowns.settle:
+                    values[place[name]] += speed
         return values
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.nuisances import gravity
+from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, tilt_angles
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.link_scales import LINK_KINDS
 from robot_sysid.estimation.answer import (
@@ -32,7 +33,7 @@ from robot_sysid.estimation.verdict import (
     unexplained,
     wrong_links,
 )
-from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, RobotModel, WrongLink
+from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, WrongLink
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Detail
 from robot_sysid.results.record import (
@@ -123,14 +124,8 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
         link_scales={kind: getattr(fit.choice.link_scales, kind) for kind in LINK_KINDS},
         conflicts=answer.errors.conflicts,
         delay=fit.value(DELAY_NAME) if options.delay == "auto" else None,
-        tilt=_turned(robot, fit.point.gravity) if options.tilt == "auto" else None,
+        tilt=math.hypot(*map(fit.value, TILT_NAMES)) if options.tilt == "auto" else None,
     )
-
-
-def _turned(robot: RobotModel, down: Array) -> float:
-    """Return the angle between some gravity (3,) and the model's [rad]."""
-    there = gravity(robot)
-    return float(np.arctan2(np.linalg.norm(np.cross(down, there)), down @ there))
 
 
 def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
@@ -162,7 +157,7 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
                 "positions"
             )
     if file is not None and file.gravity is not None:
-        angle = np.degrees(_turned(answer.robot, file.gravity))
+        angle = math.degrees(math.hypot(*tilt_angles(gravity(answer.robot), file.gravity)))
         yield (
             f"the written model's gravity is turned by {angle:.2f} degrees: the base is tilted by "
             "that, or encoder zeros look like it (--keep gravity leaves it alone)"

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics, in_parts
-from robot_sysid.dynamics.nuisances import tilt_axes, turned, zero_columns
+from robot_sysid.dynamics.nuisances import tilt_angles, tilt_axes, turned, zero_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Motion
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
@@ -24,6 +24,30 @@ def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
     # Both axes are perpendicular to gravity, so the whole turn shows.
     sine = np.linalg.norm(np.cross(down, after)) / (down @ down)
     np.testing.assert_allclose(sine, np.sin(np.hypot(first, second)), rtol=0.0, atol=1e-12)
+
+
+@given(SEEDS, st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
+def test_angles_of_a_turn_are_found_again(seed, first, second):
+    level = 9.81 * np.random.default_rng(seed).normal(size=3)
+    angles = np.array([first, second])
+    np.testing.assert_allclose(tilt_angles(level, turned(level, angles)), angles, atol=1e-9)
+    np.testing.assert_allclose(tilt_angles(level, -level), [np.pi, 0.0])
+
+
+@given(SEEDS, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+def test_axes_that_are_carried_along_stay_square_and_small_turns_add_up(seed, first, second):
+    level = 9.81 * np.random.default_rng(seed).normal(size=3)
+    angles = np.array([first, second])
+    here = turned(level, angles)
+    axes = tilt_axes(level, here)
+    directions = np.array([*axes, here / np.linalg.norm(here)])
+    np.testing.assert_allclose(directions @ directions.T, np.eye(3), atol=1e-9)
+    # A small turn of a tilted arm adds to its tilt, but for the curvature of the sphere.
+    small = 1e-4 * np.array([0.6, 0.8])
+    added = tilt_angles(level, turned(here, small, axes)) - angles
+    curvature = (first**2 + second**2) / 3.0
+    np.testing.assert_allclose(added, small, rtol=0.0, atol=1e-4 * (curvature + 1e-3))
+    np.testing.assert_allclose(tilt_axes(level, level), tilt_axes(level), atol=1e-12)
 
 
 def test_without_gravity_there_is_no_tilt():

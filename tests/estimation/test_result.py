@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import answer_link, answer_payload
@@ -17,6 +18,7 @@ from robot_sysid.records import Flange, Measurement
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import LINK, Figure, Verdict
 from tests.support.core_fits import BASIC, ORIGIN, datasets_of
+from tests.support.imperfect_arm import ImperfectArm, Imperfections
 from tests.support.measured_logs import log_of, plan_of
 from tests.support.payload_logs import PAYLOAD, TrueArm, four_joint_arm
 
@@ -64,6 +66,27 @@ def test_the_estimate_leads_with_the_link_and_its_errors_add_up(result):
     total = np.square(estimate.standard_errors)
     np.testing.assert_allclose(np.diag(estimate.covariance), total, rtol=1e-6)
     assert estimate.samples.keys() == estimate.effective_samples.keys() == result.joints.keys()
+
+
+@pytest.mark.parametrize("degrees", [3.0, 25.0])
+@pytest.mark.parametrize("seed", range(2))
+def test_every_number_of_sensors_is_the_whole_of_it(plant, degrees, seed):
+    """An arm that is tilted and late, with wrong zeros and scales; all of it is sought at once."""
+    rng = np.random.default_rng(seed)
+    sizes = {"links": 0.02, "scale": 0.02, "tilt": np.radians(degrees), "lag": 0.05, "load": 0.01}
+    arm = ImperfectArm(plant, rng, Imperfections(**sizes, noise=0.05))
+    log = arm.log(plan_of(plant, seed, 20.0), np.zeros(10), rng)
+    found = of_link(plant, log, kept=None, tilt="auto", delay="auto")
+    truth = arm.sensors()
+    assert truth.keys() == found.sensors.keys()
+    for name, (value, error) in found.sensors.items():
+        assert abs(value - truth[name]) < 4.0 * error, name
+    assert found.sensors["delay"].error < 0.2 * arm.off.lag
+    assert max(found.sensors[name].error for name in TILT_NAMES) < 0.2 * arm.off.tilt
+    assert found.tilt == pytest.approx(arm.off.tilt, rel=0.2)
+    assert found.delay == found.sensors["delay"].value
+    in_estimate = dict(zip(found.estimate.names, found.estimate.values))
+    assert all(in_estimate[name] == figure.value for name, figure in found.sensors.items())
 
 
 def test_a_still_joint_keeps_the_models_numbers_and_an_offset_is_told(plant, robot, result):

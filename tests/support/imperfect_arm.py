@@ -67,13 +67,23 @@ class ImperfectArm:
         self.scale = drawn if scale is None else scale
         self.zero = off.zero * rng.standard_normal(n)
         direction = rng.uniform(0.0, 2.0 * np.pi)
-        angles = off.tilt * np.array([np.cos(direction), np.sin(direction)])
-        self.dynamics = LinkDynamics(with_gravity(robot, turned(gravity(robot), angles)))
+        self.tilt = off.tilt * np.array([np.cos(direction), np.sin(direction)])
+        self.dynamics = LinkDynamics(with_gravity(robot, turned(gravity(robot), self.tilt)))
         self.coulomb = rng.uniform(0.5, 1.5, n) * self.size
         self.viscous = rng.uniform(0.3, 1.0, n) * self.size
         self.load = np.where(strong, off.load * rng.uniform(0.7, 1.3, n), 0.0)
         self.rotor = rng.uniform(0.05, 0.3, n) * self.size**2
         self.offset = 0.3 * self.size * rng.standard_normal(n)
+
+    def sensors(self):
+        """What is true of its sensors and base, by the names of ``Result.sensors``."""
+        truth = {"delay": self.off.lag, "tilt_1": self.tilt[0], "tilt_2": self.tilt[1]}
+        for index, joint in enumerate(self.robot.joint_names):
+            truth[f"scale[{joint}]"] = self.scale[index] - 1.0
+            truth[f"zero[{joint}]"] = self.zero[index]
+            truth[f"load[{joint}]"] = self.load[index]
+            truth[f"sqrt[{joint}]"] = 0.0
+        return truth
 
     def log(self, plan, payload, rng):
         """What its sensors say along a plan with a payload (10,) on the terminal body."""
