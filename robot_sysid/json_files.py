@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.errors import InputError, words_of
+from robot_sysid.special_files import refuse_special_file
 
 _DIGITS = 300
 _LARGEST = 30_000_000
@@ -23,6 +24,7 @@ def read_json(path: Path, remedy: str) -> Any:
     Raises:
         InputError: it cannot be read, is not JSON or is nested without end.
     """
+    refuse_special_file(path, remedy)
     try:
         if path.stat().st_size > _LARGEST:
             raise ValueError(f"it is larger than {_LARGEST / 1e6:g} MB")

@@ -57,6 +57,7 @@ LAYERS = (
     # The conversions that the records themselves need.
     ("dynamics.spatial",),
     ("json_files",),
+    ("special_files",),
     ("errors", "interrupts"),
     # Nothing but the version.
     ("",),

@@ -32,6 +32,7 @@ HELD = {
     "a pipe or a device in place of a model": f"{DOCUMENTS}test_a_pipe_is_not_waited_for",
     "a mesh": STOPS,
     "or a log": "logs/test_reader.py::test_a_pipe_is_not_waited_for",
+    "any other path": "commands/test_special_files.py::test_no_path_leads_to_a_pipe_or_a_device",
     "textures, height fields": f"{HAZARDS}"
     "test_what_unpacks_to_too_much_together_is_refused_by_its_head",
     "what it attaches that": f"{HAZARDS}test_what_is_attached_counts_each_time",

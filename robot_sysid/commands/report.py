@@ -45,14 +45,15 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parsed(build_parser, arguments)
     page = record_from(PageOptions, values)
+    model = record_from(ModelOptions, values)
     require_report(OutputOptions(report=True))
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.report.page import write_report
     from robot_sysid.report.runs import load_run
 
     runs = [load_run(folder) for folder in values["folders"]]
-    destination, mesh_dir = page.output_dir or runs[0].folder, values.get("mesh_dir")
-    written = write_report(runs, destination, mesh_dir, plots=page.plots, progress=console)
+    destination = page.output_dir or runs[0].folder
+    written = write_report(runs, destination, model.mesh_dir, plots=page.plots, progress=console)
     console.stage(f"Written: {written[0]}")
     if len(written) > 1:
         console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")

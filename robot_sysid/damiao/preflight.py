@@ -29,6 +29,7 @@ from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
+from robot_sysid.special_files import refuse_special_file
 
 OK = "ok"
 NOTE = "note"
@@ -138,6 +139,7 @@ class Plan:
         n = self.trajectory.n_joints
         if park in (None, "rest", "start"):
             return None
+        refuse_special_file(str(park), "--park takes a file")
         try:
             cells = Path(str(park)).read_text(encoding="utf-8-sig").split(",")
             pose = np.array([float(cell) for cell in cells])

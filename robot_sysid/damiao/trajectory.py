@@ -44,6 +44,7 @@ from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.options import per_joint
+from robot_sysid.special_files import refuse_special_file
 
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
 
@@ -214,6 +215,7 @@ def rotor_problems(played: DamiaoTrajectory, speed: float, doubt: Array) -> Iter
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     """Read a trajectory file, or raise InputError, which names the line that is wrong."""
     path = Path(path)
+    refuse_special_file(path, "give a trajectory file")
     joints: list[DamiaoJoint] = []
     try:
         with open(path, encoding="utf-8-sig") as file:

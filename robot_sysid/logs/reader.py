@@ -13,7 +13,6 @@ import functools
 import os
 import re
 import shutil
-import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -41,6 +40,7 @@ from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import join_measurements as join_measurements
 from robot_sysid.signals.resampling import piece_note, pieces_of
+from robot_sysid.special_files import refuse_special_file
 
 
 @dataclass(frozen=True, repr=False)
@@ -202,16 +202,16 @@ def _piped() -> Path:
 _KEPT: list[tempfile.TemporaryDirectory[str]] = []
 
 
+_READ_TWICE = "a log is read twice: write it to a file, or pipe it into this command and call it -"
+
+
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
     """Return a recording as a table."""
     path = _piped() if path == STANDARD_INPUT else path
     is_folder, start = os.path.isdir(path), b""  # Path.is_dir raises where a name is too long
     try:
         if not is_folder:
-            if not stat.S_ISREG(path.stat().st_mode):
-                fault = "is a pipe or a device, and a log is read twice; write it to a file first"
-                fault += ", or pipe it into this command and call it -"
-                raise InputError(f"{path} {fault}")
+            refuse_special_file(path, _READ_TWICE)
             with path.open("rb") as stream:
                 start = stream.read(4096)
     except OSError as error:

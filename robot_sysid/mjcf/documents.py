@@ -16,6 +16,7 @@ from xml.parsers import expat
 
 from robot_sysid.errors import InputError, ModelError, words_of
 from robot_sysid.records.atomic_files import require_utf8
+from robot_sysid.special_files import refuse_special_file
 
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
 _KINDS = {"mujoco": "mjcf", "robot": "urdf"}
@@ -212,9 +213,8 @@ def _read_include(node: Node, known: dict[Path, SourceFile], depth: int) -> Sour
 
 def _read_bytes(path: Path) -> bytes:
     require_utf8(path)
+    refuse_special_file(path, "pass a model file")
     try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            raise InputError(f"{path} is a pipe or a device; pass a model file")
         if path.stat().st_size > LARGEST_FILE:
             most = f"more than the {LARGEST_FILE / 1e6:g} MB of a model file"
             raise ModelError(f"{path} has {most}; pass one, and keep meshes in files of their own")

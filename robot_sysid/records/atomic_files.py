@@ -17,6 +17,7 @@ from typing import TextIO
 
 from robot_sysid.errors import InputError, words_of
 from robot_sysid.interrupts import held_back
+from robot_sysid.special_files import refuse_special_file
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Kind of model file to the name of the written model: a URDF stays one."""
@@ -40,6 +41,7 @@ class WholeFiles:
         """
         if os.path.isdir(path):
             raise InputError(f"cannot write {path}: it is a folder; choose another name")
+        refuse_special_file(path, "choose another name to write to")
         self.withdraw(path)
         with _refusals(path):
             self.create_folder(path.parent)

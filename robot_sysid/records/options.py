@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
 
 from robot_sysid.errors import InputError
+from robot_sysid.special_files import refuse_special_file
 
 if TYPE_CHECKING:
     from robot_sysid.records import Array
@@ -75,6 +76,8 @@ class OptionRecord:
                 if each.choices and single not in each.choices:
                     listed = ", ".join(each.choices)
                     raise InputError(f"{each.flag} {single!r}: choose one of {listed}")
+                if isinstance(single, Path):
+                    refuse_special_file(single, f"give {each.flag} another path")
                 complaint = each.check(single) if each.check else None
                 if complaint:
                     raise InputError(f"{each.flag} {complaint}")

@@ -10,6 +10,7 @@ from typing import Any
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.atomic_files import PLAN_NAME
+from robot_sysid.special_files import refuse_special_file
 
 SETTINGS_NAME = Path(PLAN_NAME).with_suffix(".toml").name
 """Name of the settings file in the folder that a plan writes into."""
@@ -23,6 +24,7 @@ def read_toml(path: Path) -> Mapping[str, Any]:
         import tomllib
     else:
         import tomli as tomllib
+    refuse_special_file(path, "give a TOML file")
     try:
         return dict(tomllib.loads(path.read_text(encoding="utf-8")))
     except OSError as error:

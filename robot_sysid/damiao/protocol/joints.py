@@ -50,6 +50,7 @@ from robot_sysid.errors import InputError, words_of
 from robot_sysid.json_files import read_json
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import write_whole
+from robot_sysid.special_files import refuse_special_file
 
 MASTER_ID_OFFSET = 0x10
 BY_HAND, BY_MOTION = "hand", "motion"
@@ -209,6 +210,7 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
     """
     if path.suffix == ".json":
         return _read_lerobot_map(path, names)
+    refuse_special_file(path, "give a joint map")
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             lines = [line for line in file if line.strip() and not line.startswith("#")]

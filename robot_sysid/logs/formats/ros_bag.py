@@ -35,6 +35,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import table
 from robot_sysid.logs.formats.table import Asked, Block, LogTable, as_input_errors, library, renamed
+from robot_sysid.special_files import refuse_special_file
 
 WHAT = "a ROS bag"
 POSITION, TORQUE = ("position",), ("effort", "current")
@@ -158,6 +159,8 @@ def _opened(path: Path) -> Iterator[Any]:
     typesys = library("rosbags.typesys", "rosbag", WHAT)
     library("rosbags.highlevel", "rosbag", WHAT)
     single = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
+    for part in path.iterdir() if path.is_dir() else ():
+        refuse_special_file(part, "give a bag whose parts are files")
     with as_input_errors(path, WHAT):
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         for name, text in _DEFINED.items():

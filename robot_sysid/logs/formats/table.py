@@ -21,6 +21,7 @@ from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.columns import read_title
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.records import Array
+from robot_sysid.special_files import refuse_special_file
 
 Lines = NDArray[np.int64]
 """Numbers of lines, messages or rows, counted from 1."""
@@ -260,7 +261,11 @@ def library(module: str, extra: str, what: str) -> Any:
 
 @contextlib.contextmanager
 def as_input_errors(path: Path, what: str) -> Iterator[None]:
-    """Turn whatever a library complains about in a file into an InputError."""
+    """Turn whatever a library complains about in a file into an InputError.
+
+    A pipe or a device never gets there.
+    """
+    refuse_special_file(path, f"give {what}")
     try:
         yield
     except SysidError:

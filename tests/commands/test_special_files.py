@@ -1,0 +1,141 @@
+"""Named pipes and endless devices in place of every path that a command takes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import sys
+
+import numpy as np
+import pytest
+
+from robot_sysid.cli import main
+from robot_sysid.commands import example, log, motors, report, run
+from robot_sysid.damiao.protocol.joints import write_joint_map
+from robot_sysid.parser import load_robot_model
+from tests.support import arms, log_files
+from tests.support.damiao_rig import map_line, swing, trajectory_file
+from tests.support.measured_logs import JOINT, log_of, true_arm
+
+resource = pytest.importorskip("resource")
+
+PARSERS = {
+    **{name: run.build_parser(name) for name in run.QUESTIONS},
+    **{f"motors {name}": motors.build_parser(name) for name in motors.COMMANDS},
+    "log": log.build_parser(),
+    "report": report.build_parser(),
+    "example": example.build_parser(),
+}
+BASES = {
+    "": "arm.xml --output-dir out",
+    "plan": "arm.xml --excitation sines --output-dir out",
+    "identify": "arm.xml log.csv --output-dir out",
+    "arm": "arm.xml log.csv --output-dir out",
+    "payload": "arm.xml --empty log.csv --loaded log.csv --output-dir out",
+    "log": "log.csv arm.xml",
+    "report": "out",
+    "example": "kinova",
+    "motors check": "motion.csv --channel can0",
+    "motors play": "motion.csv --channel can0 --yes",
+    "motors simulate": "motion.csv --model two.xml --play",
+    "motors hold": "--model two.xml --channel can0 --yes --joint-map map.csv",
+    "motors setup": "--channel can0",
+    "motors monitor": "--channel can0",
+    "motors map": "--channel can0 --model two.xml",
+}
+"""Command to words with which it gets as far as its files."""
+BESIDE = {
+    ("payload", "--trajectory"): "arm.xml --empty-model arm.xml --loaded-model arm.xml",
+    ("payload", "--empty-model"): "arm.xml --loaded-model arm.xml",
+    ("payload", "--loaded-model"): "arm.xml --empty-model arm.xml",
+    ("log", "--trajectory"): "log.csv arm.xml --video film.gif",
+    ("motors hold", "--park"): "--model two.xml --joint-map map.csv --channel can0 --yes",
+}
+"""Words in place of a command's own, for options that do not go with these."""
+
+
+def is_path(action):
+    """Whether an option or a word of a parser takes a path."""
+    kinds = {"Path", "folder", "film_path", "factors_in"}
+    return getattr(action.type, "__name__", "") in kinds or action.dest == "park"
+
+
+def words_with(command, action, path):
+    """The words of a command with one path in the place of its own, or beside it."""
+    flag = next(iter(action.option_strings), "")
+    words = BESIDE.get((command, flag), BASES[command]).split()
+    if flag in words:
+        words[words.index(flag) + 1] = path
+    elif flag:
+        words += [flag, path]
+    else:
+        places = [a.dest for a in PARSERS[command]._actions if not a.option_strings]
+        words[places.index(action.dest)] = path
+    return [*command.split(), *words]
+
+
+CASES = [
+    pytest.param(command, action, id=f"{command} {(*action.option_strings, action.dest)[0]}")
+    for command, parser in PARSERS.items()
+    for action in parser._actions
+    if is_path(action)
+]
+
+
+@contextlib.contextmanager
+def bounds(seconds, memory):
+    """End what waits or reads without end, instead of the whole test run."""
+
+    def end(*_):
+        raise TimeoutError(f"not done after {seconds} s")
+
+    usual = signal.signal(signal.SIGALRM, end)
+    with open("/proc/self/statm") as file:
+        taken = int(file.read().split()[0]) * resource.getpagesize()
+    _, most = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (taken + memory, most))
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, usual)
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A folder with what the commands read."""
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "arm.xml").write_text(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT))
+    (folder / "two.xml").write_text(arms.serial_arm((arms.Z, arms.Y)))
+    measured = log_of(true_arm(), noise_torque=0.1)
+    rows = np.column_stack((measured.time, measured.q, measured.tau))
+    log_files.write(folder / "log.csv", rows)
+    names = load_robot_model(folder / "two.xml").joint_names
+    rows = [map_line(joint, "", k, 0x10 + k) for k, joint in enumerate(names, start=1)]
+    write_joint_map(folder / "map.csv", rows)
+    path = trajectory_file(folder, swing(2, duration=0.5, amplitude=0.05)).path
+    path.rename(folder / "motion.csv")
+    return folder
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs named pipes and /proc")
+@pytest.mark.parametrize("name", ["pipe", "endless"])
+@pytest.mark.parametrize(("command", "action"), CASES)
+def test_no_path_leads_to_a_pipe_or_a_device(
+    files, tmp_path, monkeypatch, capsys, bus, command, action, name
+):
+    for path in files.iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    os.mkfifo(tmp_path / "pipe")
+    os.symlink("/dev/zero", tmp_path / "endless")
+    monkeypatch.chdir(tmp_path)
+    with bounds(20, 2 * 10**9):
+        code = main(words_with(command, action, name))
+    assert os.path.islink("endless") and not os.path.isfile("pipe")
+    error = capsys.readouterr().err.strip().splitlines()
+    assert code == 2, error
+    assert re.search(rf"\b{name}\S* (is|holds no|exists)\b", error[-1]), error
