@@ -124,6 +124,8 @@ def _columns(
             table.titles, names, choices.over(table.choices), table.first_row, slides, *wanted
         )
     except ColumnsError as error:
+        if table.elsewhere:
+            raise InputError(f"{path}: {error}; {table.elsewhere}") from None
         raise ColumnsError(f"{path}: {error}", error.draft, f"{path.stem}_columns.txt") from None
 
 

@@ -13,6 +13,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -131,6 +132,7 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
     Only what is in the file itself is read: no link to another one is followed.
     """
     path, found = asked.path, {}
+    links: list[str] = []
     h5py = table.library("h5py", "hdf5", "an HDF5 file")
     seen = itertools.count()
 
@@ -139,6 +141,10 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
         # What is called #refs# holds the cells of a MATLAB file.
         if isinstance(member, h5py.Dataset) and not name.startswith("#"):
             found[name] = member
+        for key in member if isinstance(member, h5py.Group) else ():
+            link = member.get(key, getlink=True)
+            if isinstance(link, h5py.ExternalLink) and len(links) < _NAMED:
+                links.append(_linked(f"{name}/{key}".lstrip("/"), link))
 
     with table.as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
         is_aloha = _member(h5py, file, "observations/qpos") is not None
@@ -148,6 +154,7 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
             members = {name: _member(h5py, file, place) for name, place in names.items()}
             found.update({name: data for name, data in members.items() if data is not None})
         else:
+            collect("", file)
             file.visititems(collect)
         columns = {name: data for name, data in found.items() if table.is_column(data)}
         for name, data in columns.items():
@@ -160,7 +167,11 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
             arrays = {name: data[()] for name, data in columns.items()}
         if is_aloha and "qpos" in arrays:
             return _aloha(path, arrays)
-        return table.arrays_table(path, "HDF5", {**found, **arrays})
+        elsewhere = f"{'; '.join(links)}; {_COPY}" if links else ""
+        if links and not arrays:
+            raise InputError(f"{path}: {elsewhere}")
+        made = table.arrays_table(path, "; ".join(("HDF5", *links)), {**found, **arrays})
+        return replace(made, elsewhere=elsewhere)
 
 
 def _member(h5py: Any, file: Any, place: str) -> Any:
@@ -170,8 +181,7 @@ def _member(h5py: Any, file: Any, place: str) -> Any:
         name = rest.pop(0)
         link = group.get(name, getlink=True) if name else None
         if isinstance(link, h5py.ExternalLink):
-            other = f"{name} is a link to another file, {link.filename}"
-            raise InputError(f"{file.filename}: {other}; {_COPY}")
+            raise InputError(f"{file.filename}: {_linked(name, link)}; {_COPY}")
         if isinstance(link, h5py.SoftLink) and links < 50:
             links += 1
             group = file if link.path.startswith("/") else group
@@ -181,7 +191,13 @@ def _member(h5py: Any, file: Any, place: str) -> Any:
     return None if rest else group
 
 
-_COPY = "copy what is in it into this one (h5repack, or h5copy)"
+def _linked(name: str, link: Any) -> str:
+    return f"{name} is a link to another file, {link.filename}"
+
+
+_NAMED = 3
+"""So many links to other files are named."""
+_COPY = "copy what is in it into this one (h5copy -f ext, or h5repack)"
 
 
 def _require_own(path: Path, name: str, data: Any) -> None:

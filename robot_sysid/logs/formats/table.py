@@ -58,6 +58,7 @@ class LogTable:
         choices: what the form itself says of its columns and units.
         word: what its rows are called: "line", "message" or "row".
         first_row: the cells of the first row as text, where it may hold names; else nothing.
+        elsewhere: what it only refers to, in other files, and what to do about it; "" for nothing.
     """
 
     path: Path
@@ -67,6 +68,7 @@ class LogTable:
     choices: ColumnChoices = ColumnChoices()
     word: str = "row"
     first_row: tuple[str, ...] = ()
+    elsewhere: str = ""
 
     def __fspath__(self) -> str:
         """The path, so that arrays may stand where a file is expected."""

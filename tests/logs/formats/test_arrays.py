@@ -191,6 +191,20 @@ def external_link(file, h5py):
     file["observations/qpos"] = h5py.ExternalLink("other", "/q")
 
 
+def external_torque(file, h5py):
+    file["q"], file["tau"] = np.zeros((10, 3)), h5py.ExternalLink("other", "/tau")
+
+
+def external_group(file, h5py):
+    file["arm/torque"] = h5py.ExternalLink("other", "/arm")
+    file["arm/q"] = np.zeros((10, 3))
+
+
+def nothing_but_links(file, h5py):
+    del file["time"]
+    file["log"] = h5py.ExternalLink("other", "/")
+
+
 def soft_to_external(file, h5py):
     file["there"] = h5py.ExternalLink("other", "/q")
     file["observations/qpos"] = h5py.SoftLink("/there/qpos")
@@ -207,7 +221,13 @@ def virtual(file, h5py):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
-@pytest.mark.parametrize("refer", [external_link, soft_to_external, external_storage, virtual])
+@pytest.mark.parametrize(
+    "refer",
+    [
+        *(external_link, soft_to_external, external_storage, virtual),
+        *(external_torque, external_group, nothing_but_links),
+    ],
+)
 def test_hdf5_does_not_follow_what_leads_to_another_file(tmp_path, monkeypatch, refer):
     h5py = pytest.importorskip("h5py")
     monkeypatch.chdir(tmp_path)
@@ -217,6 +237,18 @@ def test_hdf5_does_not_follow_what_leads_to_another_file(tmp_path, monkeypatch, 
         refer(file, h5py)
     with pytest.raises(InputError, match="another file, other; copy what is in it into this one"):
         read_measurements("log.hdf5", JOINTS)
+
+
+def test_hdf5_that_links_to_more_than_a_log_needs_is_read(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log.hdf5"
+    with h5py.File(path, "w") as file:
+        for name, values in COLUMNS.items():
+            file[name] = values
+        file["images/camera"] = h5py.ExternalLink("film.hdf5", "/camera")
+    assert_read(path)
+    notes = read_measurements(path, JOINTS).notes
+    assert "log layout: HDF5; images/camera is a link to another file, film.hdf5" in notes
 
 
 def test_hdf5_links_within_the_file_are_followed(tmp_path):
