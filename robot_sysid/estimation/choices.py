@@ -1,5 +1,5 @@
-"""What the recordings decide: which rows to leave out, couplings, each joint's friction, how far
-links may be off.
+"""What the recordings decide: which rows to leave out, each joint's friction, how far links may be
+off. Which motors turn several joints is decided in ``couplings``.
 
 In-sample errors fall with every term; what counts is the error of stretches of time that were not
 fitted. They are compared by ratios, because a joint may show its friction in one of them far more
@@ -78,7 +78,7 @@ AS_GOOD = 1.02
 """Ratio of squared errors up to which they are as good as equal: one per cent of the error."""
 OWN_SOURCE = "the logs, each fifth predicted from the others"
 CLEAR_SHARE, CLEARLY = 0.1, 2.0
-"""A term (or a coupling) has to lower the held-out squared error by this share, and by this many
+"""A term has to lower the held-out squared error by this share, and by this many
 standard errors of the mean over the blocks."""
 CLEAR_OFFSET, OFFSET = 3.0, 0.01
 """Standard errors that a sensor's offset has to be away from zero, and a rotor from the model's.
@@ -160,30 +160,6 @@ class HeldOut:
         each = self._normal(sought)
         found = [scale * np.linalg.solve(scaled, right) for scaled, right, scale in each]
         return np.array([sought.full(values) for values in found])
-
-    def with_each(self, sought: Unknowns, motors: Sequence[Coupling]) -> Array:
-        """Return (motors, blocks, joints) squared errors as of ``squared``, each with one of some
-        motors that are sought alone: all others are eliminated once.
-        """
-        names = sought.kept_names
-        own = [[names.index(n) for n in each.parameter_names if n in names] for each in motors]
-        new = np.array([place for each in own for place in each], dtype=np.int64)
-        base = np.delete(np.arange(len(names)), new)
-        ends = np.cumsum([0, *map(len, own)])
-        values = np.tile(sought.held[:, None], (len(self.data.blocks), 1, len(motors)))
-        values[:, sought.kept[new]] = 0.0
-        for each, (scaled, right, scale) in zip(values, self._normal(sought)):
-            crossed = scaled[np.ix_(base, new)]
-            goal = np.column_stack((right[base], crossed))
-            solved = np.linalg.solve(scaled[np.ix_(base, base)], goal)
-            left = scaled[np.ix_(new, new)] - crossed.T @ solved[:, 1:]
-            goal = right[new] - crossed.T @ solved[:, 0]
-            for number, some in enumerate(map(slice, ends[:-1], ends[1:])):
-                found = np.linalg.solve(left[some, some], goal[some])
-                rest = solved[:, 0] - solved[:, 1:][:, some] @ found
-                each[sought.kept[base], number] = scale[base] * rest
-                each[sought.kept[new[some]], number] = scale[new[some]] * found
-        return np.moveaxis(self.data.squared_residuals(values), -1, 0)
 
     def chance(self, fit: Fit) -> Array:
         """Return the same (blocks, joints) as noise makes it, in torques and in what others tell.
@@ -320,7 +296,7 @@ def choose(
 ) -> tuple[Choice, Errors, Point]:
     """Return what the recordings decide, by which errors, and where to begin.
 
-    The user may have given the friction of every joint, and ``coupled`` have chosen couplings;
+    The user may have given the friction of every joint, and ``select_couplings`` have chosen some;
     else all those that have columns are taken.
     """
     choice = _simplest(fitter, given, fitter.columns.couplings if couplings is None else couplings)
@@ -386,26 +362,6 @@ def squared_errors(judge: HeldOut, columns: Columns, question: Question, choice:
 def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
     """Return ``HeldOut.score`` (blocks,) of a choice, with bodies that are possible."""
     return judge.score(judge.of(replace(fit, unknowns=_sought(fit, question, choice))))
-
-
-def coupled(
-    fitter: Fitter, question: Question, given: FrictionModel | None, offered: tuple[Coupling, ...]
-) -> tuple[Coupling, ...]:
-    """Return which offered couplings are there: those that predict torques clearly better."""
-    fit = fitter.fit(question, _simplest(fitter, given, ()), rounds=1)
-    left, choice = list(offered), fit.choice
-    judge = held_out(fit, _sought(fit, question, replace(choice, couplings=offered)))
-    best = judge.score(squared_errors(judge, fit.columns, question, choice))
-    while left:
-        wider = replace(choice, couplings=(*choice.couplings, *left))
-        squared = judge.with_each(_sought(fit, question, wider), left)
-        scores = [judge.score(each) for each in squared]
-        found = int(np.argmin([float(np.mean(score)) for score in scores]))
-        if not is_clearly_lower(scores[found], best):
-            break
-        best = scores[found]
-        choice = replace(choice, couplings=(*choice.couplings, left.pop(found)))
-    return choice.couplings
 
 
 def _with_friction(

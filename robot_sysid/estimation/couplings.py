@@ -8,17 +8,38 @@ the usual case: r = 1 on the last two joints.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import Coupling
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, Coupling, FrictionModel, friction_model
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, WithPriors
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.fit import Fit, Fitter
+from robot_sysid.estimation.unknowns import (
+    LEAST_COULOMB,
+    Choice,
+    Question,
+    Unknowns,
+    independent,
+    unknowns,
+)
 from robot_sysid.json_files import read_json
 from robot_sysid.records import Array, RobotModel
+
+CLEAR_EVIDENCE = 15.0
+"""By how much a coupling has to raise the logarithm of the marginal likelihood. That in the wrist of
+a Staubli TX40 does by 114 to 148; where there is none, one does by 3 at most on three logs of a
+KUKA LWR4+, and by 13 on 12 s of a UR10e."""
+# Share of what a motor may have that stands for no motor, and what it may have at least.
+_NOTHING, _LEAST = 1e-4, 1e-9
+# Standard errors that one of its numbers has to be away from zero.
+_CLEAR = 3.0
 
 
 def coupling(robot: RobotModel, ratios: Array) -> Coupling:
@@ -53,6 +74,100 @@ def couplings_of(
         return read_couplings(options.coupling, robot), ()
     offered = tuple(neighbours(robot)) if options.torques == "chain" else ()
     return offered, offered
+
+
+def select_couplings(
+    fitter: Fitter, question: Question, given: FrictionModel | None, offered: tuple[Coupling, ...]
+) -> tuple[Coupling, ...]:
+    """Return the couplings that are there: those not only offered, and those with clear evidence.
+
+    A motor is taken where it makes the torques clearly more likely, with noise estimated anew
+    beside it, and one of its numbers is clearly not zero. Joints whose torque sensors sit behind
+    the gears show nothing of their own motors, and nothing of one that they share either.
+    """
+    every = fitter.columns.couplings
+    model = given or friction_model(DEFAULT_MEASURED)
+    choice = Choice((model,) * fitter.columns.robot.n_joints, every[: len(every) - len(offered)])
+    fit = fitter.fit(question, choice, rounds=1)
+    while True:
+        wider = [
+            fitter.solve_around(fit.point, question, replace(fit.choice, couplings=motors))
+            for motors in _promising_couplings(fit, question, offered)
+        ]
+        gains = [_evidence_gain(fit, each) for each in wider]
+        if not gains or max(gains) < CLEAR_EVIDENCE:
+            return fit.choice.couplings
+        fit = wider[int(np.argmax(gains))]
+
+
+def _promising_couplings(
+    fit: Fit, question: Question, offered: Sequence[Coupling]
+) -> list[tuple[Coupling, ...]]:
+    """Return the couplings of a fit with one that is offered, each that makes torques likelier.
+
+    Noise is that of the fit, and friction may have either sign: this is a cheap first look.
+    """
+    present = fit.choice.couplings
+    candidates = [motor for motor in offered if all(motor is not other for other in present)]
+    if not candidates:
+        return []
+    choice = replace(fit.choice, couplings=(*present, *candidates))
+    sought = unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
+    problem = WithPriors(fit.evidence.of(sought), np.sqrt(fit.inflation * fit.memory) * fit.noise)
+    priors = [_motor_prior(fit, sought, motor) for motor in candidates]
+    absent = [replace(prior, widened=_NOTHING) for prior in priors]
+    groups = [*sought.groups, *absent]
+    without = problem.likely(groups)[1]
+    promising = []
+    for number, motor in enumerate(candidates):
+        groups[len(sought.groups) + number] = priors[number]
+        if problem.likely(groups)[1] > without:
+            promising.append((*present, motor))
+        groups[len(sought.groups) + number] = absent[number]
+    return promising
+
+
+def _evidence_gain(fit: Fit, wider: Fit) -> float:
+    """Return by how much the last motor of a wider fit raises the logarithm of the marginal
+    likelihood; minus infinity where none of its numbers is clearly not zero.
+
+    Samples count by those that are independent beside the residuals of the wider fit.
+    """
+    prior = _motor_prior(fit, wider.unknowns, wider.choice.couplings[-1])
+    priors = [*wider.unknowns.groups, prior]
+    correlation = wider.inflation * wider.memory
+    problem = WithPriors(wider.evidence.of(wider.unknowns), np.sqrt(correlation) * wider.noise)
+    values, covariance, _ = problem.solve(priors)
+    at = prior.places(wider.unknowns.kept_names)
+    if not np.any(np.abs(values[at]) > _CLEAR * np.sqrt(np.diag(covariance)[at])):
+        return -np.inf
+    without = WithPriors(fit.evidence.of(fit.unknowns), np.sqrt(correlation) * fit.noise)
+    counts = np.array(sample_counts(fit.evidence.whole)) / correlation
+    less_noise = float(counts @ np.log(fit.noise / wider.noise))
+    return problem.likely(priors)[1] - without.likely(fit.unknowns.groups)[1] + less_noise
+
+
+def _motor_prior(fit: Fit, sought: Unknowns, motor: Coupling) -> NuisanceGroup:
+    """Return what a motor may have that turns several joints: as much as they have in a fit.
+
+    Where they have next to none, it may make a small part of their usual torque.
+    """
+    columns = fit.columns
+    turned = np.flatnonzero(motor.ratios)
+    names = [name for name in motor.parameter_names if name in sought.kept_names]
+    sizes = []
+    for name in names:
+        term = name.partition("[")[0]
+        own = columns.at([f"{term}[{columns.robot.joint_names[joint]}]" for joint in turned])
+        size = max(float(np.max(np.abs(fit.values[own]))), _LEAST)
+        for joint in turned:
+            rows = fit.evidence.whole.joints[joint]
+            column = rows.triangle[:, :-1][:, rows.columns == columns.place[name]]
+            usual = float(np.linalg.norm(column)) / np.sqrt(max(rows.n_samples, 1))
+            if usual > 0.0:
+                size = max(size, LEAST_COULOMB * fit.evidence.torque[joint] / usual)
+        sizes.append(size)
+    return independent("couplings", names, names, np.array(sizes))
 
 
 def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:

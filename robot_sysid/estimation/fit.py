@@ -137,6 +137,7 @@ class Fit:
         weights: (joints,) by which each joint's equations count [1/(N m)].
         inflation: (joints,) by how much less than independent samples each joint's count, as
             motion that repeats says.
+        memory: (joints,) how many rows of each joint count as one, by its residuals' correlation.
         free: (p,) the estimate before bodies had to be possible.
         values: (p,) the estimate.
     """
@@ -150,6 +151,7 @@ class Fit:
     unknowns: Unknowns
     weights: Array
     inflation: Array
+    memory: Array
     free: Array
     values: Array
 
@@ -252,6 +254,11 @@ class Fitter:
             slow = self.visits.inflation(residuals)[1]
         return np.maximum(slow, in_bursts)
 
+    def solve_around(self, point: Point, question: Question, choice: Choice) -> Fit:
+        """Return the solution of the equations as they stand around a point."""
+        given = self.columns, question, choice, point
+        return solved(*given, *self.around(point), self.visits, noise=self._noise)
+
     def fit(
         self,
         question: Question,
@@ -279,8 +286,7 @@ class Fitter:
         sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
         rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds
         for left in reversed(range(rounds)):
-            given = self.columns, question, choice, point
-            fit = solved(*given, *self.around(point), self.visits, noise=self._noise)
+            fit = self.solve_around(point, question, choice)
             self._noise, after = fit.noise, fit.next_point
             if _rests(fit, after):
                 return fit
@@ -324,6 +330,7 @@ def solved(
     visits: Visits | None = None,
     inflation: Array | None = None,
     noise: Array | None = None,
+    residual_memory: Array | None = None,
 ) -> Fit:
     """Solve the equations as they stand around a point.
 
@@ -332,11 +339,12 @@ def solved(
         visits: which of them pass the same states.
         inflation: as ``Visits.inflation``, where no rows tell it.
         noise: (joints,) to begin with [N m].
+        residual_memory: (joints,) as of ``Visits.inflation``, where no rows tell it.
     """
     sought = unknowns(columns, question, choice, data.torque, data.shown)
     memory = memory_of(choice, len(columns.joints))
     counted = np.ones_like(memory) if inflation is None else inflation
-    widening = memory
+    widening = memory if residual_memory is None else residual_memory
     inside: Unknowns | None = sought
     for _ in range(_MOST_BOUNDS):
         sought = inside or sought
@@ -359,7 +367,7 @@ def solved(
             break
     values = np.clip(values, sought.lower, sought.upper)
     made = columns, question, choice, point, samples, data, sought
-    return Fit(*made, 1.0 / counts, counted, free, values)
+    return Fit(*made, 1.0 / counts, counted, widening, free, values)
 
 
 def memory_of(choice: Choice, n_joints: int) -> Array:

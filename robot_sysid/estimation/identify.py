@@ -14,9 +14,9 @@ from robot_sysid.errors import InputError, named
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer, written_payload
-from robot_sysid.estimation.choices import choose, coupled, without_standing
+from robot_sysid.estimation.choices import choose, without_standing
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.couplings import couplings_of
+from robot_sysid.estimation.couplings import couplings_of, select_couplings
 from robot_sysid.estimation.dataset import Dataset, Mask, mean_torque
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.file_fit import fit_file
@@ -198,13 +198,14 @@ def _fitter(
         tilt_axes(gravity(robot))  # which there have to be
     if all(each.signals is not None for each in datasets):
         again = visits([each.motion for each in datasets])
-    known, offered = couplings_of(robot, options)
-    columns = Columns(robot, datasets, options.torques, known)
+    motors, offered = couplings_of(robot, options)
+    columns = Columns(robot, datasets, options.torques, motors)
     fitter = Fitter(columns, mean_torque(datasets), again, _passes(progress))
     if not offered:
         return fitter
     # Columns of couplings that are not there would cost every later pass time and memory.
-    found = () if question.resting else coupled(fitter, question, given, offered)
+    known = motors[: len(motors) - len(offered)]
+    found = known if question.resting else select_couplings(fitter, question, given, offered)
     fitter = replace(fitter, _last=None)  # before rows are made anew, which take as much memory
     return replace(fitter, columns=columns.coupled(found))
 

@@ -139,9 +139,9 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
             "does not tell which, and the errors allow for both"
         )
     given = answer.fit.question.options.coupling is not None
+    why = "as given" if given else "the torques give clear evidence of it"
     for motor in answer.fit.choice.couplings:
-        reason = "as given" if given else "held-out torques ask for it"
-        yield f"a motor turns with {motor.name}: {reason}"
+        yield f"a motor turns with {motor.name}: {why}"
     for group in answer.fit.unknowns.groups:
         if group.may_widen and group.widened > WIDER:
             yield (

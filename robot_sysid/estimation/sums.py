@@ -21,9 +21,9 @@ from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, memor
 from robot_sysid.estimation.algebra.information import combined
 from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
 from robot_sysid.estimation.answer import Answer
-from robot_sysid.estimation.choices import CANDIDATES, choose, coupled
+from robot_sysid.estimation.choices import CANDIDATES, choose
 from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.couplings import couplings_of
+from robot_sysid.estimation.couplings import couplings_of, select_couplings
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.errors import (
     filtering_bias,
@@ -194,20 +194,30 @@ class _Fixed(Fitter):
         """Return what rows said, and none."""
         return self._found.evidence, ()
 
-    def fit(
-        self, question: Question, choice: Choice, point: Point | None = None, rounds: int = 1
-    ) -> Fit:
-        """Return the fit around the one point that there is."""
-        inflation = self._found.rows.inflation() if self._found.residuals else None
-        data = self._found.evidence
-        return solved(self.columns, question, choice, self._point, data, inflation=inflation)
+    def solve_around(self, point: Point, question: Question, choice: Choice) -> Fit:
+        """Return the solution around the one point that there is."""
+        residuals = self._found.residuals
+        given = self.columns, question, choice, self._point, self._found.evidence
+        if not residuals:
+            return solved(*given)
+        inflation = self._found.rows.inflation()
+        return solved(*given, inflation=inflation, residual_memory=self._residual_memory())
 
     def noise_memory(self, fit: Fit) -> Array:
         """Return how many rows (joints,) of each joint count as one, by the first round."""
+        return self._residual_memory()
+
+    def _residual_memory(self) -> Array:
         residuals = self._found.residuals
         if not residuals:
             return np.ones(len(self.columns.joints))
         return np.array([memory_of(each.products, each.count) for each in residuals])
+
+    def fit(
+        self, question: Question, choice: Choice, point: Point | None = None, rounds: int = 1
+    ) -> Fit:
+        """Return the fit around the one point that there is."""
+        return self.solve_around(self._point, question, choice)
 
 
 def log_information(
@@ -264,7 +274,7 @@ def log_information(
 def _fitted(robot: RobotModel, found: LogInformation) -> Fit:
     options, fitter = found.settled.estimation, _Fixed(robot, found)
     question, (known, offered) = Question(options), couplings_of(robot, options)
-    couplings = coupled(fitter, question, options.friction, offered) if offered else known
+    couplings = select_couplings(fitter, question, options.friction, offered) if offered else known
     choice, *_ = choose(fitter, question, options.friction, couplings)
     return fitter.fit(question, choice)
 

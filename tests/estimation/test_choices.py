@@ -18,14 +18,13 @@ from robot_sysid.estimation.choices import (
     CLEAR_SHARE,
     choose,
     clearly_best,
-    coupled,
     held_out,
     is_clearly_lower,
 )
-from robot_sysid.estimation.couplings import neighbours
+from robot_sysid.estimation.couplings import neighbours, select_couplings
 from robot_sysid.estimation.dataset import block_masks
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.unknowns import SCALES, Choice, Question, unknowns
+from robot_sysid.estimation.unknowns import SCALES, Question
 from tests.support import arms
 from tests.support.core_fits import BASIC, KNOWN, datasets_of, fitted, fitter_of
 from tests.support.measured_logs import JOINT, RATE, log_of, plan_of
@@ -76,7 +75,7 @@ def chosen(plant, robot, more, offered=False, given=None, seed=1, duration=10.0,
     fitter = fitter_of(robot, datasets, couplings=motors)
     model = given and friction_model(given)
     question = Question(options)
-    shared = coupled(fitter, question, model, motors) if offered else ()
+    shared = select_couplings(fitter, question, model, motors) if offered else ()
     choice, errors, start = choose(fitter, question, model, shared)
     fit = fitter.fit(question, choice, start, rounds=1)
     return SimpleNamespace(choice=choice, errors=errors), fit
@@ -244,26 +243,6 @@ def test_each_block_is_predicted_from_the_others(robot, noisy):
         parts = equations(samples.where(mask), sought, np.ones(3))
         left = [np.sum((rows @ values - tau) ** 2) for rows, tau in parts]
         np.testing.assert_allclose(squared, left, rtol=1e-4)
-
-
-def test_a_motor_among_others_is_judged_as_if_it_were_offered_alone(robot, noisy):
-    (log,), options = datasets_of(robot, noisy)
-    motors = tuple(neighbours(robot))
-    fitter, question = fitter_of(robot, [log], couplings=motors), Question(options)
-    choice = Choice((friction_model(BASIC),) * 3)
-    fit = fitter.fit(question, choice, rounds=1)
-    judge = held_out(fit)
-
-    def sought(*couplings):
-        given = fit.columns, question, replace(choice, couplings=couplings)
-        return unknowns(*given, fit.evidence.torque, fit.evidence.shown)
-
-    for motor, squared in zip(motors, judge.with_each(sought(*motors), motors)):
-        np.testing.assert_allclose(squared, judge.squared(sought(motor)), rtol=1e-6)
-        alone = held_out(fit, sought(motor))
-        np.testing.assert_allclose(alone.squared(sought(motor)), squared, rtol=1e-6)
-        with pytest.raises(AssertionError):
-            alone.squared(sought(*motors))
 
 
 def test_the_error_is_that_of_the_noise(payload_fit):
