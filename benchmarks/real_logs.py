@@ -34,6 +34,7 @@ from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import evidence_of
 from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.tendons import joint_friction
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
 from tests.support.places import DATA, ROOT
@@ -135,7 +136,8 @@ def column(case: Case, folder: Path) -> dict[str, str]:
         fit = found.analysis.answer.fit
         own = fit.columns.datasets[0].signals
         test = signals(case.other, found.robot.joint_names, own.cutoff)
-        written = [path for path in found.save(folder / kind) if path.suffix != ".json"]
+        suffix = {"mjcf": ".xml", "urdf": ".urdf"}[kind]
+        written = [path for path in found.save(folder / kind) if path.suffix == suffix]
         error = [percent(file_error(path, found.robot, test)) for path in written[:1]]
         cells[kind] = error[0] if error else "none is written"
     cells["catalogue"] = percent(file_error(mjcf, found.robot, test))
@@ -171,7 +173,7 @@ def file_error(model, robot, test) -> float:
         data.qacc[robot.dof_index] = qdd
         mujoco.mj_inverse(model, data)
         torque[k] = data.qfrc_inverse[robot.dof_index]
-    torque += model.dof_frictionloss[robot.dof_index] * np.sign(test.qd)
+    torque += joint_friction(model, robot.dof_index).dry(test.qd)
     return relative(test, test.low_pass.decimated(torque))
 
 

@@ -95,12 +95,12 @@ def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str)
         own[0] = DRIFTS * robot.friction.coulomb[list(problem.rows)]
         own[1] = DRIFTS * robot.friction.viscous[list(problem.rows)]
         return Known(np.zeros((0, 0)), own, asked)
-    columns = Columns(robot, (), options.torques)
+    choice, question = _choice(problem, options), Question(options)
+    columns = Columns(robot, (), options.torques, choice.couplings)
     rng, limits = np.random.default_rng(0), problem.limits
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
     torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))
-    question = Question(options)
-    choice = replace(_choice(problem, options), dry_friction=expected_dry_friction(columns, torque))
+    choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     sought = unknowns(columns, question, choice, torque, np.ones(len(columns.names), dtype=bool))
     factor, sure = np.zeros((0, 0)), dict[str, float]()
     for group in sought.groups:
@@ -120,9 +120,9 @@ def _choice(problem: ExcitationProblem, options: EstimationOptions) -> Choice:
     """Return the friction that the estimate begins with, and the couplings that are known."""
     given = options if options.friction else replace(options, friction_model=CANDIDATES[0])
     assert given.friction is not None
-    given_motors, offered = couplings_of(problem.robot, options)
+    motors, offered = couplings_of(problem.robot, options)
     friction = (given.friction,) * problem.robot.n_joints
-    return Choice(friction, () if offered else given_motors, link_scales=EXPECTED)
+    return Choice(friction, motors[: len(motors) - len(offered)], link_scales=EXPECTED)
 
 
 def expect(

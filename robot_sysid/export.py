@@ -9,7 +9,7 @@ import contextlib
 import hashlib
 import os
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -130,11 +130,9 @@ def save(
     with atomic_files.whole_files() as files:
         if failure is None and not calibrates:
             # Drafted first, it takes its place last: what the other files say then holds for it.
-            path = folder / atomic_files.MODEL_NAMES[result.robot.kind]
-            target = ModelTarget(files, path, checkpoints, result.estimate.rmse, mesh_dir)
+            target = ModelTarget(files, folder, checkpoints, result.estimate.rmse, mesh_dir)
             try:
-                notes = write_model(result, target, as_body)
-                written.append(path)
+                written, notes = _write_models(result, target, as_body)
             except ExportError as error:
                 failure = f"{error} (the identified numbers are in {atomic_files.PARAMS_NAME})"
             if result.payload is not None:
@@ -151,6 +149,27 @@ def save(
         read = (*inputs, *(file.path for file in read_document(result.robot.path).files))
         notes += remove_earlier(files, folder, written, read)
     return Saved(tuple(written), notes, report, failure, hashlib.sha256(text.encode()).hexdigest())
+
+
+def _write_models(
+    result: Result, target: ModelTarget, as_body: str | None
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Write a model into a folder, where that is an MJCF for a URDF's arm a URDF too; return their
+    paths and notes. Either none is written, or all.
+    """
+    written = []
+    notes: tuple[str, ...] = ()
+    beside = None if result.file is None else result.file.beside
+    try:
+        for model in (result, *([] if beside is None else [replace(result, file=beside)])):
+            path = target.path / atomic_files.MODEL_NAMES[model.model_kind]
+            notes += write_model(model, replace(target, path=path), as_body)
+            written.append(path)
+    except ExportError:
+        for path in written:
+            target.files.withdraw(path)
+        raise
+    return written, notes
 
 
 def remove_earlier(

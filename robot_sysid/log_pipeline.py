@@ -180,7 +180,7 @@ def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> R
         return result
     pairs = []
     with temporary_folder() as folder:
-        path = folder / MODEL_NAMES[robot.kind]
+        path = folder / MODEL_NAMES["mjcf"]  # what is in it tells its kind
         with whole_files() as files:
             target = ModelTarget(files, path, found.checkpoints, result.estimate.rmse, mesh_dir)
             write_model(result, target)

@@ -28,7 +28,8 @@ from robot_sysid.model.chain import (
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
 from robot_sysid.model.inertia import arm_links, subtree_bodies
-from robot_sysid.records import InertialParameters, JointFriction, RobotModel, SubtreeBody
+from robot_sysid.model.tendons import joint_friction
+from robot_sysid.records import InertialParameters, RobotModel, SubtreeBody
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint
 
 
@@ -93,7 +94,7 @@ def robot_from_compiled(
         limits=joint_limits(mj_model, chain, max_velocity, speeds),
         prior=_prior(bodies),
         bodies=bodies,
-        friction=JointFriction(mj_model.dof_frictionloss[dofs], mj_model.dof_damping[dofs]),
+        friction=joint_friction(mj_model, dofs),
         links=arm_links(mj_model, qpos, chain),
         notes=(*compiled.notes, *_notes(mj_model, rest, whole, chain)),
     )

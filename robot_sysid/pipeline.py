@@ -332,5 +332,6 @@ def commands(robot: RobotModel, plan: MotionPlan, rate: float) -> Iterator[Motio
     """
     torque = ArmTorque(robot)
     for motion in motion_chunks(plan, rate):
-        turned = np.tanh(motion.qd / _SMOOTH_REVERSAL) - np.sign(motion.qd)
-        yield motion.time, motion.q, motion.qd, torque(motion) + robot.friction.coulomb * turned
+        smooth = robot.friction.dry(motion.qd, lambda qd: np.tanh(qd / _SMOOTH_REVERSAL))
+        tau = torque(motion) + smooth - robot.friction.dry(motion.qd)
+        yield motion.time, motion.q, motion.qd, tau

@@ -150,7 +150,7 @@ class Identified:
         with in_python(), one_thread():
             with locked_folder(Path(folder), Progress()):
                 files = self._write(Path(folder)).files
-            models = _models_in(files) if bundle else []
+            models = _models_in(files)[:1] if bundle else []
             return (*files, *(write_bundle(model, Path(folder)) for model in models))
 
     def _write(self, folder: Path) -> Outcome:

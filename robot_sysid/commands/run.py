@@ -210,7 +210,7 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
         from robot_sysid.results.model import write_bundle
 
         names = atomic_files.MODEL_NAMES.values()
-        for model in (path for path in outcome.files if path.name in names):
+        for model in [path for path in outcome.files if path.name in names][:1]:
             console.stage(f"Bundle saved to {write_bundle(model, config.output.output_dir)}")
     console.stage(*outcome.verdict)
     if failure:

@@ -284,7 +284,7 @@ class _FedTorque:
         """Compare the torque of a file with a model's, both at the file's own speed."""
         motion = Motion(trajectory.time, trajectory.q, trajectory.qd, _accelerations(trajectory))
         needed = ArmTorque(robot)(motion)
-        doubt = torque_doubt(trajectory.joints) + robot.friction.coulomb
+        doubt = torque_doubt(trajectory.joints) + robot.friction.largest_dry
         needed_rms = np.sqrt(np.mean(needed**2, axis=0))
         error = np.sqrt(np.mean((trajectory.tau - needed) ** 2, axis=0))
         return cls(
@@ -397,4 +397,4 @@ def gravity_check(
 
     needs = f"the model {robot.path.name} needs"
     watch = partial(MovedZeroCheck, robot, joints) if is_chain else None
-    return HoldingCheck(joints, holding, robot.friction.coulomb, needs, load, watch)
+    return HoldingCheck(joints, holding, robot.friction.largest_dry, needs, load, watch)

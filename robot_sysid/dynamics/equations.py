@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,12 @@ class Equations:
     ) -> None:
         self._robot = robot
         self._friction = tuple(friction)
-        self._friction_known = np.array([not model.terms for model in friction])
+        is_known = np.array([not model.terms for model in friction])
+        self._known_friction = replace(
+            robot.friction,
+            coulomb=np.where(is_known, robot.friction.coulomb, 0.0),
+            viscous=np.where(is_known, robot.friction.viscous, 0.0),
+        )
         self._armature_sought = np.array(["armature" in model.terms for model in friction])
         self._links, self._dynamics = tuple(links), LinkDynamics(robot)
         self._beyond, self._rest = BeyondRigidBodies(robot), robot.thetas
@@ -102,6 +108,8 @@ class Equations:
             values[f"coulomb[{joint}]"] = self._robot.friction.coulomb[j]
             values[f"viscous[{joint}]"] = self._robot.friction.viscous[j]
             values[f"armature[{joint}]"] = self._robot.armature[j]
+        for motor in self._motors:
+            values.update(zip(motor.parameter_names, motor.model))
         for link in self._links:
             values.update(zip(link_names(self._robot, link), self._robot.links[link].theta))
         return np.array([float(values.get(name, 0.0)) for name in self.names])
@@ -139,13 +147,16 @@ class Equations:
 
     def friction(self, motion: Motion, carried: Iterable[Array]) -> Iterator[Array]:
         """Yield (N, k + 1) per joint of ``joints``: columns of its friction and of motors that turn
-        with several joints, and the torque of friction that is known, less rotors that are sought
+        with several joints, and the torque of friction that is known, less what the model has of
+        rotors and shared motors that are sought
         [N m]. ``carried`` (N,) is the torque that each joint's gear transmits [N m].
         """
         qd, qdd = motion.qd, motion.qdd
-        known = np.where(self._friction_known, self._robot.friction.torque(qd), 0.0)
+        known = self._known_friction.torque(qd)
         known -= np.where(self._armature_sought, self._robot.armature * qdd, 0.0)
         shared = [(each.ratios, each.columns(qd, qdd).T) for each in self._motors]
+        for (ratios, columns), motor in zip(shared, self._motors):
+            known -= np.outer(motor.model @ columns, ratios)
         for load, j in zip(carried, self.rows_of):
             own = self._friction[j].columns(qd[:, j], qdd[:, j], load)
             turned = [ratios[j] * torque for ratios, torque in shared if ratios[j]]

@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -181,17 +181,28 @@ def friction_model(name: str) -> FrictionModel:
 
 
 _COUPLED = FrictionModel(("coulomb", "viscous", "armature", "sqrt", "stribeck"))
-"""Friction terms of a motor's own speed; offset and load stay with the joints."""
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """One motor that turns with several joints, such as ``joint_5+joint_6``, at ratios (n,): motor
-    speed per joint speed, zero for joints it does not turn with.
+    """One motor that turns with several joints.
+
+    Attributes:
+        ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
+        name: such as ``joint_5+joint_6``.
+        model: (terms,) what the model has of each of its parameters.
+        tendon: MuJoCo id of the fixed tendon that is this motor; None where the model has none.
     """
 
     ratios: Array
     name: str
+    model: Array = field(default_factory=lambda: np.zeros(len(_COUPLED.terms)))
+    tendon: int | None = None
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Friction terms of its own speed; offset and load stay with the joints."""
+        return _COUPLED.terms
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

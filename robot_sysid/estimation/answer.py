@@ -40,6 +40,7 @@ from robot_sysid.records import (
     RobotModel,
     Validation,
 )
+from robot_sysid.records.atomic_files import MODEL_NAMES
 from robot_sysid.records.data import Traces
 from robot_sysid.records.figures import percent, with_error
 from robot_sysid.results.cards import inertia_is_known, principal_moments
@@ -154,7 +155,9 @@ class Answer:
             )
         for motor in self.fit.choice.couplings:
             terms = {name: self.figure(f"{name}[{motor.name}]") for name in own.get(motor.name, ())}
-            yield motor.name, JointEstimate("-".join(terms) or "none", terms)
+            of_model = zip(motor.terms, motor.model.tolist())
+            before = {} if motor.tendon is None else dict(of_model)
+            yield motor.name, JointEstimate("-".join(terms) or "none", terms, before)
 
     def _own_terms(self) -> dict[str, list[str]]:
         """Return joint or motor to the friction terms that were sought of it."""
@@ -200,23 +203,50 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     for body in own.links():
         spread[robot.joint_names.index(str(body.joint))] = body.errors
     joints, notes, kept = {}, [], fit.question.kept_parts
-    for joint, each in list(own.joints())[: robot.n_joints]:
+    for owner, each in own.joints():
         written = {name: figure for name, figure in each.terms.items() if name != "offset"}
-        if fit.choice.rotors.get(joint, each.before["armature"]) != each.before["armature"]:
-            written["armature"] = answer.figure(f"armature[{joint}]")
+        rotor = each.before.get("armature", 0.0)
+        if fit.choice.rotors.get(owner, rotor) != rotor:
+            written["armature"] = answer.figure(f"armature[{owner}]")
         if written:
-            joints[joint] = written
-        else:
+            joints[owner] = written
+        elif owner in robot.joint_names:
             notes.append(
-                f"{joint} does not move fast enough in these logs: nothing is learnt of its "
+                f"{owner} does not move fast enough in these logs: nothing is learnt of its "
                 "friction and rotor inertia, the model's own stay"
             )
     notes = [*([] if FILE_FRICTION in kept else notes), *_beside(own, file.after)]
     turned = fit.next_point.gravity if fit.unknowns.settle else None
     if turned is not None and np.array_equal(turned, gravity(robot)):
         turned = None
-    said = file.before, file.after, (), tuple(sorted(kept))
-    return ModelFile(thetas, spread, joints, turned, *said), tuple(notes)
+    written_file = ModelFile(
+        thetas,
+        spread,
+        joints,
+        turned,
+        file.before,
+        file.after,
+        kept=tuple(sorted(kept)),
+        motors=fit.choice.couplings,
+    )
+    if file.beside is not None:
+        beside, _ = model_file(replace(answer, file=file.beside))
+        return replace(written_file, beside=beside), (*notes, _what_lacks(written_file, beside))
+    return written_file, tuple(notes)
+
+
+def _what_lacks(file: ModelFile, beside: ModelFile) -> str:
+    """Return a sentence on the URDF that is written beside an MJCF."""
+    shares = [
+        "" if test is None or test.relative_error is None else percent(test.relative_error)
+        for test in (beside.after, file.after)
+    ]
+    motors = ", ".join(motor.name for motor in file.motors)
+    return (
+        f"a URDF cannot hold the motor that turns with {motors}, or rotor inertia: "
+        f"{MODEL_NAMES['mjcf']} holds both (torque error on held-out data {shares[1]}), "
+        f"{MODEL_NAMES['urdf']} beside it lacks them ({shares[0]})"
+    )
 
 
 def _beside(file: Answer, after: Validation) -> Iterator[str]:

@@ -471,24 +471,23 @@ def shown_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
 
 
 def shown_rotors(fit: Fit) -> dict[str, float]:
-    """Return joint to the rotor that a file gets: that of a fit with all that friction does, where
-    it is clearly another than the model's, else the model's.
+    """Return joint, or motor that turns several, to the rotor that a file gets: that of a fit with
+    all that friction does, where it is clearly another than the model's, else the model's.
 
     A file lacks most of what friction does, and in slow motion a rotor of its own would take that
-    part. A joint that a motor turns with others is left out: no file has such a motor.
+    part.
     """
     columns, sought = fit.columns, _sought(fit, fit.question, fit.choice)
-    shared = {k for motor in fit.choice.couplings for k in np.flatnonzero(motor.ratios)}
-    alone = [j for k, j in enumerate(columns.robot.joint_names) if k not in shared]
-    joints = [joint for joint in alone if f"armature[{joint}]" in sought.kept_names]
-    names = [f"armature[{joint}]" for joint in joints]
+    owners = [*columns.robot.joint_names, *(motor.name for motor in fit.choice.couplings)]
+    owners = [owner for owner in owners if f"armature[{owner}]" in sought.kept_names]
+    names = [f"armature[{owner}]" for owner in owners]
     if not names:
         return {}
     found, spread = asked_of(fit, sought, names)
     places, error = columns.at(names), np.sqrt(np.diag(spread))
     clear = np.abs(found - columns.prior[places]) > CLEAR_OFFSET * error
     values = np.where(clear, fit.values[places], columns.prior[places])
-    return dict(zip(joints, values.tolist()))
+    return dict(zip(owners, values.tolist()))
 
 
 def dry_friction(fit: Fit) -> tuple[float, ...]:

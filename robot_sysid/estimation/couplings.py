@@ -30,27 +30,51 @@ from robot_sysid.estimation.unknowns import (
     unknowns,
 )
 from robot_sysid.json_files import read_json
+from robot_sysid.model.tendons import CAN_HOLD_ROTORS, shared_motors
 from robot_sysid.records import Array, RobotModel
 
 CLEAR_EVIDENCE = 15.0
-"""By how much a coupling has to raise the logarithm of the marginal likelihood. That in the wrist of
-a Staubli TX40 does by 114 to 148; where there is none, one does by 3 at most on three logs of a
-KUKA LWR4+, and by 13 on 12 s of a UR10e."""
+"""By how much a coupling has to raise the logarithm of the marginal likelihood. That of a Staubli
+TX40's wrist does by 114 to 148; where there is none, one does by 3 at most on three logs of a KUKA
+LWR4+, and by 13 on 12 s of a UR10e."""
 # Share of what a motor may have that stands for no motor, and what it may have at least.
 _NOTHING, _LEAST = 1e-4, 1e-9
 # Standard errors that one of its numbers has to be away from zero.
 _CLEAR = 3.0
+# Cosine from which on ratios of speeds are the same.
+_SAME_DIRECTION = 1.0 - 1e-9
 
 
-def coupling(robot: RobotModel, ratios: Array) -> Coupling:
-    """Return the coupling with these ratios (n,)."""
+def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Coupling:
+    """Return the coupling with these ratios (n,), which may be a fixed tendon of the model."""
     text = ""
     for joint, ratio in zip(robot.joint_names, ratios):
         if ratio != 0.0:
             size = "" if abs(ratio) == 1.0 else f"{abs(ratio):g}*"
             sign = "-" if ratio < 0.0 else "+" if text else ""
             text += f"{sign}{size}{joint}"
-    return Coupling(np.asarray(ratios, dtype=float), text)
+    motor = Coupling(np.asarray(ratios, dtype=float), text)
+    if tendon is None:
+        return motor
+    model = robot.mj_model
+    rotor = model.tendon_armature[tendon] if CAN_HOLD_ROTORS else 0.0
+    numbers = {
+        "coulomb": model.tendon_frictionloss[tendon],
+        "viscous": model.tendon_damping[tendon],
+        "armature": rotor,
+    }
+    of_model = np.array([float(numbers.get(term, 0.0)) for term in motor.terms])
+    return replace(motor, model=of_model, tendon=tendon)
+
+
+def couplings_of_model(robot: RobotModel) -> tuple[Coupling, ...]:
+    """Return the motors of the model that turn several joints of the arm, those that do anything.
+
+    A tendon without friction and rotor inertia is no motor, but a spring or a gripper's fingers.
+    """
+    ratios = shared_motors(robot.mj_model, robot.dof_index)
+    motors = (coupling(robot, each, tendon) for tendon, each in ratios.items())
+    return tuple(motor for motor in motors if np.any(motor.model))
 
 
 def neighbours(robot: RobotModel) -> Iterator[Coupling]:
@@ -67,13 +91,26 @@ def couplings_of(
 ) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
     """Return (the couplings that have columns, those of them that recordings decide for).
 
+    There are those of the model and of the user's file; torques of the last joint alone show none.
+
     Raises:
         InputError: the file that states them cannot be read, or does not fit the arm.
     """
+    given = () if options.coupling is None else read_couplings(options.coupling, robot)
+    if options.torques != "chain":
+        return given, ()
+    of_model = couplings_of_model(robot)
+    known = (*of_model, *(each for each in given if not _is_among(each, of_model)))
     if options.coupling is not None:
-        return read_couplings(options.coupling, robot), ()
-    offered = tuple(neighbours(robot)) if options.torques == "chain" else ()
-    return offered, offered
+        return known, ()
+    offered = tuple(each for each in neighbours(robot) if not _is_among(each, known))
+    return (*known, *offered), offered
+
+
+def _is_among(motor: Coupling, others: Sequence[Coupling]) -> bool:
+    """Tell whether a motor turns as one of some others, whatever its gear."""
+    directions = [each.ratios / np.linalg.norm(each.ratios) for each in (motor, *others)]
+    return any(abs(directions[0] @ other) > _SAME_DIRECTION for other in directions[1:])
 
 
 def select_couplings(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import FrictionModel, friction_model
+from robot_sysid.dynamics.friction import Coupling, FrictionModel, friction_model
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.choices import (
     IN_FILE,
@@ -38,6 +38,7 @@ from robot_sysid.estimation.unknowns import (
     Unknowns,
     unknowns,
 )
+from robot_sysid.model.tendons import CAN_HOLD_ROTORS
 from robot_sysid.records import Array, RobotModel, Validation
 
 # Rounds of a fit that starts at one with the same rows.
@@ -53,12 +54,14 @@ class FileFit:
         before, after: held-out error of the model as it was and of the file, each joint's sensor
             offset taken out.
         errors: how far off its parameters may be.
+        beside: the best URDF, where the model is one and this file is an MJCF.
     """
 
     fit: Fit
     before: Validation
     after: Validation
     errors: FitErrors
+    beside: FileFit | None = None
 
 
 def fit_file(
@@ -71,6 +74,8 @@ def fit_file(
 ) -> FileFit:
     """Return the file that predicts held-out torques best.
 
+    Motors that turn several joints are fixed tendons, which only an MJCF has.
+
     Args:
         options: how far the arm's links may be off.
         kept: parts that stay as they are.
@@ -78,10 +83,26 @@ def fit_file(
         pull: see ``errors.fit_errors``.
         carried: the payload (10,) of loaded recordings.
     """
-    question = Question(options, in_file=True, kept_parts=kept, carried=carried)
     robot = fitter.columns.robot
-    rotors = shown_rotors(made) if _holds_rotors(robot, question) else {}
-    choice = Choice(_friction(robot, question, rotors, IN_FILE), rotors=rotors)
+    stays = options.torques != "chain" or {FILE_FRICTION, FILE_ROTORS} <= {*kept}
+    motors = () if stays or not CAN_HOLD_ROTORS else made.choice.couplings
+    question = Question(
+        options, in_file=True, file_kind=robot.kind, kept_parts=kept, carried=carried
+    )
+    if not motors or robot.kind == "mjcf":
+        return _fit_kind(fitter, question, motors, made, pull)
+    best = _fit_kind(fitter, replace(question, file_kind="mjcf"), motors, made, pull)
+    return replace(best, beside=_fit_kind(fitter, question, (), made, pull))
+
+
+def _fit_kind(
+    fitter: Fitter, question: Question, motors: tuple[Coupling, ...], made: Fit, pull: Array | None
+) -> FileFit:
+    """Return the best file of one kind, with some motors that turn several joints in it."""
+    robot, kept = fitter.columns.robot, question.kept_parts
+    rotors = shown_rotors(made) if _holds_rotors(question) else {}
+    friction = _friction(robot, question, rotors, IN_FILE)
+    choice = Choice(friction, motors, rotors=rotors)
     # What a file cannot hold is the model's again.
     known, beyond = made.values.copy(), ("scale", "drift", "zero", "load")
     for name, place in fitter.columns.place.items():
@@ -109,10 +130,10 @@ def fit_file(
     return FileFit(fit, before, found, fit_errors(fit, (), pull))
 
 
-def _holds_rotors(robot: RobotModel, question: Question) -> bool:
+def _holds_rotors(question: Question) -> bool:
     """Tell whether a file gets rotors; the last joint's torque alone cannot tell its own."""
     kept = FILE_ROTORS in question.kept_parts or question.options.torques == "terminal"
-    return not kept and robot.kind != "urdf"
+    return not kept and question.file_kind != "urdf"
 
 
 def _friction(
@@ -124,7 +145,7 @@ def _friction(
     gone: set[str] = set()
     if FILE_FRICTION in question.kept_parts:
         gone |= {"coulomb", "viscous", "quadratic", "cubic"}
-    joints = rotors if _holds_rotors(robot, question) else robot.joint_names
+    joints = rotors if _holds_rotors(question) else robot.joint_names
     known = {("armature", joint) for joint in joints}
     given = friction_model(name).terms
     return tuple(
@@ -151,10 +172,10 @@ def _as_it_was(fitter: Fitter, question: Question, choice: Choice, point: Point)
     return judge.validation(judge.squared(only))
 
 
-def holds_polynomial(robot: RobotModel, joint: int) -> bool:
-    """Tell whether the file can hold nonlinear damping of a joint, and has none of its own."""
+def holds_polynomial(robot: RobotModel, joint: int, file_kind: str) -> bool:
+    """Tell whether a file can hold nonlinear damping of a joint whose model has none."""
     own = getattr(robot.mj_model, "dof_dampingpoly", None)
-    return robot.kind == "mjcf" and own is not None and not np.any(own[robot.dof_index[joint]])
+    return file_kind == "mjcf" and own is not None and not np.any(own[robot.dof_index[joint]])
 
 
 def _polynomials(
@@ -169,6 +190,6 @@ def _polynomials(
     squared = [squared_errors(judge, fit.columns, question, each) for each in tried]
     for place, joint in enumerate(fit.columns.rows_of):
         better = is_clearly_lower(squared[1][:, place], squared[0][:, place])
-        if better and holds_polynomial(robot, joint):
+        if better and holds_polynomial(robot, joint, question.file_kind):
             found[joint] = wider[joint]
     return tuple(found)

@@ -139,9 +139,10 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
             "does not tell which, and the errors allow for both"
         )
     given = answer.fit.question.options.coupling is not None
-    why = "as given" if given else "the torques give clear evidence of it"
     for motor in answer.fit.choice.couplings:
-        yield f"a motor turns with {motor.name}: {why}"
+        if motor.tendon is None:
+            why = "as given" if given else "the torques give clear evidence of it"
+            yield f"a motor turns with {motor.name}: {why}"
     for group in answer.fit.unknowns.groups:
         if group.may_widen and group.widened > WIDER:
             yield (

@@ -74,6 +74,7 @@ class Question:
         drifts: whether a drift of friction over the recordings is sought.
         known_mass: of the payload [kg], where torque scales are sought with it.
         in_file: whether what is sought has to fit into a model file.
+        file_kind: kind of that file; a "urdf" holds no rotor inertia.
         kept_parts: parts of that file that stay as they are, ``FILE_FRICTION`` and the like.
         carried: the payload (10,) that loaded recordings carry, where it is known.
         resting: whether the recordings are poses at rest.
@@ -84,6 +85,7 @@ class Question:
     drifts: bool = False
     known_mass: float | None = None
     in_file: bool = False
+    file_kind: str = "mjcf"
     kept_parts: tuple[str, ...] = ()
     carried: Array | None = None
     resting: bool = False
@@ -99,7 +101,7 @@ class Choice:
         link_scales: by how many times the stated share the other links may be off.
         common_scale: how far all torque scales may be off together, which only links tell.
         offsets: joint to how far its torque sensor may be off [N m]; that of others is free.
-        rotors: joint to its rotor's inertia, where that is known [kg m^2].
+        rotors: joint or motor to its rotor's inertia, where that is known [kg m^2].
         dry_friction: (joints,) about how much dry friction each row's joint has [N m], which says
             how curved its friction may be; None while friction terms are chosen: beside curves
             that are allowed for, a term that is there would gain nothing.
@@ -235,8 +237,8 @@ def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
         yield joint, {*model.terms, *(f"{term}_speed" for term in model.bent)}
     for motor in choice.couplings:
         turned = [choice.friction[k] for k in np.flatnonzero(motor.ratios)]
-        inside = {name.partition("[")[0] for name in motor.parameter_names}
-        yield motor.name, {term for model in turned for term in model.terms} & inside
+        terms = {term for model in turned for term in model.terms} & {*motor.terms}
+        yield motor.name, terms - ({"armature"} if motor.name in choice.rotors else set())
 
 
 def _settled(columns: Columns, question: Question, choice: Choice) -> Iterator[str]:
@@ -264,15 +266,16 @@ def _held(columns: Columns, question: Question, choice: Choice) -> Array:
     for joint, model in zip(columns.robot.joint_names, choice.friction):
         keeps = not model.terms or FILE_FRICTION in question.kept_parts
         own = ("coulomb", "viscous") if keeps else ()
-        # A URDF cannot hold rotor inertia.
-        lacks_rotor = question.in_file and columns.robot.kind == "urdf"
-        armature = "armature" not in model.terms and not lacks_rotor
+        armature = "armature" not in model.terms and question.file_kind != "urdf"
         for term in (*own, *(("armature",) if armature else ())):
             place = columns.place.get(f"{term}[{joint}]")
             if place is not None:
                 held[place] = columns.prior[place]
-    for joint, rotor in choice.rotors.items():
-        held[columns.place[f"armature[{joint}]"]] = rotor
+    for motor in columns.couplings:
+        places = columns.at(motor.parameter_names)
+        held[places] = columns.prior[places]
+    for owner, rotor in choice.rotors.items():
+        held[columns.place[f"armature[{owner}]"]] = rotor
     return held
 
 

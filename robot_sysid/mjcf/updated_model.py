@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import islice, takewhile
 from pathlib import Path
 
@@ -21,7 +21,13 @@ from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
 from robot_sysid.mjcf.edits import Edits, attributes
 from robot_sysid.mjcf.inertial import mjcf_inertial, number, numbers, urdf_inertial_about_com
 from robot_sysid.mjcf.urdf import give_minimum
-from robot_sysid.mjcf.write_back import ActuatorChange, JointChange, ModelChange, WeldedBody
+from robot_sysid.mjcf.write_back import (
+    ActuatorChange,
+    JointChange,
+    ModelChange,
+    TendonChange,
+    WeldedBody,
+)
 from robot_sysid.records import Array
 
 
@@ -40,6 +46,8 @@ def changed_model_text(
         write_joint(edits, joint)
     for actuator in change.actuators:
         write_actuator(edits, actuator)
+    for tendon in change.tendons:
+        _write_tendon(edits, tendon, change.rmse)
     if change.welded is not None:
         _weld(edits, change.welded, change)
     if change.gravity is not None:
@@ -137,14 +145,19 @@ def _write_gravity(edits: Edits, gravity: tuple[float, float, float], rmse: floa
     edits.set(node, "gravity", text)
 
 
+def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
+    """Raise ExportError unless friction and rotor inertia are finite and not negative."""
+    for name, value in numbers.items():
+        if not 0.0 <= value < math.inf:
+            fault = f"cannot get {name} {value:.4g}: it would drive itself, or is no number"
+            raise ExportError(f"{owner} {fault}")
+
+
 def write_joint(edits: Edits, change: JointChange) -> None:
     """Give a joint its new numbers, or raise ExportError where the file cannot hold them."""
     document, is_urdf = edits.document, edits.document.kind == "urdf"
     further = {"nonlinear damping": min(change.polynomial)} if change.polynomial else {}
-    for name, value in {**change.numbers, **further}.items():
-        if not 0.0 <= value < math.inf:
-            fault = f"cannot get {name} {value:.4g}: it would drive itself, or is no number"
-            raise ExportError(f"joint '{change.label}' {fault}")
+    _require_resistance(f"joint '{change.label}'", {**change.numbers, **further})
     node = find_element(document, "joint", change.label)
     written = {name: number(value) for name, value in change.numbers.items()}
     if is_urdf:
@@ -163,6 +176,38 @@ def write_joint(edits: Edits, change: JointChange) -> None:
         written["damping"] = " ".join([written["damping"], *beyond])
     for name, text in written.items():
         edits.set(node, name, text)
+
+
+def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
+    """Give a fixed tendon its new numbers, or add it; ExportError where the file cannot hold it."""
+    document, joints = edits.document, list(change.coefficients)
+    what = f"motor that turns {' and '.join(joints)}"
+    _require_resistance(f"the {what}", change.numbers)
+    written = {name: number(value) for name, value in change.numbers.items()}
+    comment = _comment(what, rmse, change.words)
+    sections = document.tagged("tendon")
+    if not change.is_new:
+        nodes = (node for section in sections for node in section.children())
+        node = next(islice(nodes, change.tendon, None), None)
+        if node is None or node.tag != "fixed":
+            fault = f"tendon number {change.tendon} is not written out in the file"
+            raise ExportError(f"{document.path}: {fault} as a <fixed>; write it out")
+        edits.comment(node, comment)
+        for name, text in written.items():
+            edits.set(node, name, text)
+        return
+    nameless = [joint for joint in joints if joint.startswith("#")]
+    if nameless:
+        fault = f"a tendon cannot refer to joint {nameless[0]}, which has no name; give it one"
+        raise ExportError(f"{document.path}: {fault}")
+    lines = [comment, f"<fixed{attributes(written)}>"]
+    for joint, coefficient in change.coefficients.items():
+        lines.append(f"  <joint{attributes({'joint': joint, 'coef': number(coefficient)})}/>")
+    lines.append("</fixed>")
+    if sections:
+        edits.append(sections[-1], *lines)
+    else:
+        edits.append(document.root, "<tendon>", *(f"  {line}" for line in lines), "</tendon>")
 
 
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:

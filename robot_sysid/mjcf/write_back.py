@@ -7,7 +7,7 @@ where bodies on joints of their own leave too little even for that, those are ma
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -179,6 +179,23 @@ class JointChange:
 
 
 @dataclass(frozen=True)
+class TendonChange:
+    """A motor that turns several joints, as a fixed tendon over them.
+
+    Attributes:
+        tendon: its MuJoCo id, or that which a new one gets; ``is_new`` tells which.
+        coefficients: joint to speed of the tendon per speed of that joint.
+        numbers: new ones, by their name in MJCF: "armature", "damping", "frictionloss".
+    """
+
+    tendon: int
+    is_new: bool
+    coefficients: Mapping[str, float]
+    numbers: Mapping[str, float]
+    words: str = ""
+
+
+@dataclass(frozen=True)
 class ActuatorChange:
     """New gains for a position actuator, by its MuJoCo id."""
 
@@ -213,5 +230,6 @@ class ModelChange:
     joints: tuple[JointChange, ...] = ()
     welded: WeldedBody | None = None
     actuators: tuple[ActuatorChange, ...] = ()
+    tendons: tuple[TendonChange, ...] = ()
     gravity: tuple[float, float, float] | None = None
     principal: bool = False

@@ -26,9 +26,10 @@ import numpy as np
 
 from robot_sysid.dynamics.kinematics import posed, subtree
 from robot_sysid.model.contacts import parts_of
+from robot_sysid.model.tendons import joint_friction
 from robot_sysid.motion.clearance import Clearance, Closest, approach_rates
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
-from robot_sysid.records import Array, JointFriction, JointLimits, Motion, MotionPlan, RobotModel
+from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel
 from robot_sysid.trajectory import SineTrajectory, sample_times
 
 LEAST_RATE_HZ, FEW_RATE_HZ = 1000.0, 100.0
@@ -312,7 +313,7 @@ def as_one(first: RobotModel, second: RobotModel) -> RobotModel:
         dof_index=both("dof_index"),
         is_slide=both("is_slide"),
         limits=JointLimits(*(both(f"limits.{name}") for name in limits)),
-        friction=JointFriction(both("friction.coulomb"), both("friction.viscous")),
+        friction=joint_friction(first.mj_model, both("dof_index")),
         links=first.links + second.links,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -185,19 +186,42 @@ class JointLimits:
 
 @dataclass(frozen=True)
 class JointFriction:
-    """Friction coefficients (n,) of the chain joints, tau_f = coulomb sign(qd) + viscous qd [N m,
-    N m s/rad or N, N s/m].
+    """Friction of the chain joints, tau_f = coulomb sign(qd) + viscous qd + that of shared motors.
+
+    Attributes:
+        coulomb, viscous: coefficients (n,) [N m, N m s/rad or N, N s/m].
+        shared: (m, n) dry friction of m motors that turn several joints: the torque at each joint
+            while the motor turns forward, which is in proportion to its speed per joint speed. (The
+            viscous friction of such a motor belongs to MuJoCo's inverse dynamics.)
     """
 
     coulomb: Array
     viscous: Array
+    shared: Array | None = None
 
     def __post_init__(self) -> None:
-        check_arrays(self, coulomb=(None,), viscous=(np.size(self.coulomb),))
+        n = np.size(self.coulomb)
+        if self.shared is None:
+            object.__setattr__(self, "shared", np.zeros((0, n)))
+        check_arrays(self, coulomb=(None,), viscous=(n,), shared=(None, n))
 
     def torque(self, qd: Array) -> Array:
         """Return the friction torque (N, n) at velocities qd (N, n)."""
-        return self.coulomb * np.sign(qd) + self.viscous * qd
+        return self.dry(qd) + self.viscous * qd
+
+    def dry(self, qd: Array, direction: Callable[[Array], Array] = np.sign) -> Array:
+        """Return the part (N, n) that is independent of the size of velocities qd (N, n); the
+        direction of a velocity is its sign, or what turns round smoothly in place of that.
+        """
+        assert self.shared is not None
+        speed = qd @ (self.shared / np.max(np.abs(self.shared), axis=1, keepdims=True)).T
+        return np.asarray(self.coulomb * direction(qd) + direction(speed) @ self.shared)
+
+    @property
+    def largest_dry(self) -> Array:
+        """Largest dry friction (n,) of each joint, whichever way shared motors turn."""
+        assert self.shared is not None
+        return np.asarray(self.coulomb + np.sum(np.abs(self.shared), axis=0))
 
 
 @dataclass(frozen=True, repr=False)

@@ -86,7 +86,10 @@ def params_json_text(
         "payload": _payload(found.payload, cards),
         "links": [_link(found, body) for body in found.links],
         "joints": {name: _joint(found, name, each) for name, each in found.joints.items()},
-        "couplings": {name: {"terms": each.terms} for name, each in found.couplings.items()},
+        "couplings": {
+            name: {"terms": each.terms, "in_the_file": _written_terms(found, name)}
+            for name, each in found.couplings.items()
+        },
         "friction_formulas": FORMULAS,
         "sensors": found.sensors,
         **_fit(found),
@@ -198,7 +201,7 @@ def _link(result: Result, body: BodyEstimate) -> dict[str, Any]:
 
 
 def _joint(result: Result, name: str, joint: JointEstimate) -> dict[str, Any]:
-    written = {} if result.file is None else result.file.joints.get(name, {})
+    written = _written_terms(result, name)
     ways = joint.two_ways
     return {
         "friction_model": joint.friction_model,
@@ -210,6 +213,11 @@ def _joint(result: Result, name: str, joint: JointEstimate) -> dict[str, Any]:
         "torque_noise": joint.noise,
         "bam": _bam(joint, written),
     }
+
+
+def _written_terms(result: Result, name: str) -> Mapping[str, Figure]:
+    """Return what the written model has of a joint's friction, or of a shared motor's."""
+    return {} if result.file is None else result.file.joints.get(name, {})
 
 
 def _bam(joint: JointEstimate, written: Mapping[str, Figure]) -> dict[str, Any] | None:

@@ -7,10 +7,11 @@ textures in one folder, a bundle, it can be sent to somebody.
 
 from __future__ import annotations
 
+import itertools
 import os
 import platform
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,17 +28,25 @@ from robot_sysid.mjcf.assets import bundled_text, find_assets
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import setting_number
 from robot_sysid.mjcf.updated_model import changed_model_text
-from robot_sysid.mjcf.write_back import BodyChange, JointChange, ModelChange, WeldedBody
+from robot_sysid.mjcf.write_back import (
+    BodyChange,
+    JointChange,
+    ModelChange,
+    TendonChange,
+    WeldedBody,
+)
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import place_in_carrier
+from robot_sysid.model.in_memory import file_of
 from robot_sysid.model.inertia import body_theta, link_bodies
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
 from robot_sysid.records.atomic_files import WholeFiles, draft_folder, only_run_in
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Detail
 from robot_sysid.results import verification
-from robot_sysid.results.record import Figure, Payload, Result
+from robot_sysid.results.record import Figure, ModelFile, Payload, Result
 
 _MOMENTS = [4, 7, 9]
 _IN_MJCF = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
@@ -69,7 +78,11 @@ def write_model(result: Result, target: ModelTarget, as_body: str | None = None)
     alone. The payload gets a body of its own where that is named. Returns notes, one sentence each,
     or raises ExportError where the model cannot hold it; the draft is withdrawn.
     """
-    robot, (thetas, errors) = result.robot, _links(result)
+    thetas, errors = _links(result)
+    robot = result.robot
+    if result.model_kind != robot.kind:
+        robot = _arm_as_mjcf(robot, target.mesh_dir)
+        target = replace(target, mesh_dir=None)
     found = {} if result.file is None else result.file.joints
     joints, notes = _that_fit(robot, _joint_changes(robot, found))
     payload, welded, words, beside = result.payload, None, "", np.zeros(10)
@@ -85,14 +98,29 @@ def write_model(result: Result, target: ModelTarget, as_body: str | None = None)
         else:
             thetas[-1] += carried
             errors[-1], words = payload.total.errors, f"with {words} in it"
+    if result.model_kind == "urdf" and result.couplings:
+        lacking = f"without the motor that turns with {', '.join(result.couplings)}"
+        words = "; ".join(filter(None, (words, f"{lacking}, which no URDF can hold")))
     bodies, held = _body_changes(robot, thetas, errors, joints, words)
     held[-1] += beside
-    change = ModelChange(bodies, target.rmse, joints, welded)
+    tendons = () if result.file is None else tuple(_tendon_changes(robot, result.file))
+    change = ModelChange(bodies, target.rmse, joints, welded, tendons=tendons)
     if result.file is not None and result.file.gravity is not None:
         x, y, z = (float(value) for value in result.file.gravity)
         change = replace(change, gravity=(x, y, z))
         notes += (_ONLY_MUJOCO,) if robot.kind == "urdf" else ()
     return notes + _write(robot, change, target, held)
+
+
+def _arm_as_mjcf(robot: RobotModel, mesh_dir: Path | None) -> RobotModel:
+    """Return the arm of a URDF as that of an MJCF, which MuJoCo writes with six digits of each
+    number; ExportError where it cannot.
+    """
+    try:
+        path = file_of(compile_model(robot.path, mesh_dir).mj_model)
+        return load_robot_model(path, joint=robot.terminal_joint)
+    except InputError as error:
+        raise ExportError(f"{robot.path} cannot be written as an MJCF: {error}") from None
 
 
 def write_joints(
@@ -131,7 +159,8 @@ def _joint_changes(
 ) -> tuple[JointChange, ...]:
     own = dict(zip(robot.joint_names, robot.friction.viscous.tolist()))
     changes = []
-    for joint, terms in joints.items():
+    for joint in filter(joints.__contains__, robot.joint_names):
+        terms = joints[joint]
         values = {term: figure.value for term, figure in terms.items()}
         polynomial = None
         if "quadratic" in values or "cubic" in values:
@@ -139,13 +168,33 @@ def _joint_changes(
             # One attribute holds all three numbers, so that the one that stays is written again.
             values.setdefault("viscous", own[joint])
         numbers = {name: values.get(term) for term, name in _IN_MJCF.items()}
-        words = ", ".join(
-            f"{_IN_MJCF.get(term, f'{term} damping')} {each.value:.4g}"
-            + (f" ± {each.error:.2g}" if np.isfinite(each.error) else "")
-            for term, each in terms.items()
-        )
+        words = _words_of(terms)
         changes.append(JointChange(joint, **numbers, polynomial=polynomial, words=words))
     return tuple(changes)
+
+
+def _words_of(terms: Mapping[str, Figure]) -> str:
+    """Return what a comment says of some terms of friction."""
+    return ", ".join(
+        f"{_IN_MJCF.get(term, f'{term} damping')} {figure.value:.4g}"
+        + (f" ± {figure.error:.2g}" if np.isfinite(figure.error) else "")
+        for term, figure in terms.items()
+    )
+
+
+def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange]:
+    """Yield the motors that turn several joints, as tendons."""
+    following = itertools.count(robot.mj_model.ntendon)
+    for motor in file.motors:
+        terms = file.joints.get(motor.name, {})
+        ratios = zip(robot.joint_names, motor.ratios.tolist())
+        yield TendonChange(
+            tendon=next(following) if motor.tendon is None else motor.tendon,
+            is_new=motor.tendon is None,
+            coefficients={joint: ratio for joint, ratio in ratios if ratio != 0.0},
+            numbers={_IN_MJCF[term]: figure.value for term, figure in terms.items()},
+            words=_words_of(terms),
+        )
 
 
 def _that_fit(

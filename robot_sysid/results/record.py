@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid import records
+from robot_sysid.dynamics.friction import Coupling
 from robot_sysid.records import Array, InertialParameters, RolloutTest, Validation
 
 LINK, PAYLOAD = "link", "payload"
@@ -166,12 +167,15 @@ class ModelFile:
     Attributes:
         thetas, errors: (n, 10) links as in ``RobotModel.links``, zero without mass, and their
             standard errors.
-        joints: joint to what it gets of "coulomb", "viscous", "armature", "quadratic", "cubic".
+        joints: joint, or motor that turns several, to what it gets of "coulomb", "viscous",
+            "armature", "quadratic", "cubic".
         gravity: (3,) in the model's world frame [m/s^2]; None where the file's own stays.
         before, after: held-out error of the model as it was, each joint's sensor offset taken out,
             and of the written file; None until it is known.
         others: the same pairs on whole other logs.
         kept: parts that were left alone, in words ("friction", "gravity", "other links").
+        motors: those that turn several joints: with one the file is an MJCF.
+        beside: what a URDF gets beside this MJCF, where the model is one; it has no such motors.
     """
 
     thetas: Array
@@ -182,6 +186,8 @@ class ModelFile:
     after: Validation | None
     others: tuple[tuple[Validation, Validation], ...] = ()
     kept: tuple[str, ...] = ()
+    motors: tuple[Coupling, ...] = ()
+    beside: ModelFile | None = None
 
 
 @dataclass(frozen=True)
@@ -272,6 +278,11 @@ class Result:
     conflicts: tuple[records.PriorConflict, ...] = ()
     notes: tuple[str, ...] = ()
     rollout: RolloutTest | None = None
+
+    @property
+    def model_kind(self) -> str:
+        """Kind of the written model, "mjcf" or "urdf"."""
+        return "mjcf" if self.file is not None and self.file.motors else self.robot.kind
 
     @property
     def is_measured(self) -> bool:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.tendons import joint_friction
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, Motion, RobotModel, Validation
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
@@ -52,7 +53,7 @@ def play(
         pieces = [p for log in signals for p in playback.pieces_of_signals(log, since(log))]
         checkpoints = signals[0].motion(signals[0].spread(CHECKPOINTS))
         with temporary_folder() as folder:
-            path = folder / MODEL_NAMES[robot.kind]
+            path = folder / MODEL_NAMES["mjcf"]  # what is in it tells its kind
             with whole_files() as files:
                 write(ModelTarget(files, path, checkpoints, 0.0, mesh_dir))
             after = load_robot_model(path, joint=robot.terminal_joint)
@@ -119,14 +120,14 @@ def torque_error(
     InputError where its file cannot be loaded.
     """
     compiled = compile_model(model).mj_model if isinstance(model, Path) else model
-    dofs, dynamics = robot.dof_index, ArmDynamics(robot, compiled)
-    damping, dry = compiled.dof_damping[dofs], compiled.dof_frictionloss[dofs]
+    dynamics = ArmDynamics(robot, compiled)
+    friction = joint_friction(compiled, robot.dof_index)
 
     def smooth(motion: Motion) -> tuple[Array]:
-        return (dynamics.torque(motion.q, motion.qd, motion.qdd) + damping * motion.qd,)
+        return (dynamics.torque(motion.q, motion.qd, motion.qdd) + friction.viscous * motion.qd,)
 
     (predicted,) = signals.passed(smooth, smooth=True)
-    predicted += dry * signals.low_pass.decimated(np.sign(signals.qd))
+    predicted += signals.low_pass.decimated(friction.dry(signals.qd))
     tau = signals.low_pass.decimated(signals.tau)
     usable = signals.usable()
     residual = np.where(usable, tau - predicted, 0.0)

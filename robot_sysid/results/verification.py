@@ -110,6 +110,10 @@ def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
         yield _Asked(owner, "actuator_gainprm", (*at, 0), servo.stiffness, _OWN_GAINS)
         bias = (0.0, -servo.stiffness, -servo.damping)
         yield _Asked(owner, "actuator_biasprm", (*at, slice(3)), bias, _OWN_GAINS)
+    for tendon in change.tendons:
+        for name, value in tendon.numbers.items():
+            owner = f"tendon number {tendon.tendon}"
+            yield _Asked(owner, f"tendon_{name}", (tendon.tendon,), value)
     if change.gravity is not None:
         yield _Asked("the world", "opt.gravity", ([0, 1, 2],), change.gravity)
 
@@ -139,6 +143,9 @@ def require_change(original: Any, found: Any, change: ModelChange) -> None:
     rows: dict[str, set[int]] = {name: set(thetas) for name in BODY_FIELDS}
     for each in asked:
         rows.setdefault(each.field, set()).update(np.ravel(each.at[0]).tolist())
+    added = sum(tendon.is_new for tendon in change.tendons)
+    if found.ntendon != original.ntendon + added:
+        raise ExportError(f"the written model has {found.ntendon} tendons; no model was written")
     require_same_model(original, found, rows, new)
     for body, (theta, size) in thetas.items():
         require_theta(found, body + (new is not None and body >= new), theta, size)
@@ -161,9 +168,15 @@ def require_same_model(
     original: Any, other: Any, changed: Mapping[str, Collection[int]], new: int | None = None
 ) -> None:
     """Raise ExportError naming the first compiled field that differs and may not, but for rows of
-    ``changed`` fields, and for the one body, if any, that the other model has more, by its id.
+    ``changed`` fields, and for the one body, if any, that the other model has more, by its id, and
+    tendons that it has more, behind the others.
     """
     theirs, skipped = dict(compiled_fields(other)), DERIVED | PATHS
+    if other.ntendon > original.ntendon:
+        skipped |= {"ntendon", "nwrap", "nJten", *_NAMES, *(n for n in theirs if n[:5] == "name_")}
+        for name, value in compiled_fields(original):
+            if name.startswith(("tendon_", "ten_", "wrap_")):
+                theirs[name] = theirs[name][: len(value)]
     if new is not None:
         skipped |= _BOOKKEEPING | {name for name in theirs if name.startswith(_OF_NAMES)}
     for name, value in compiled_fields(original):
@@ -255,12 +268,19 @@ def require_reproduction(
     that were identified, in their bodies' frames.
     """
     asked = replace(robot, mj_model=copy.copy(robot.mj_model))
-    for each in _asked(robot.mj_model, change):
+    present = [tendon for tendon in change.tendons if not tendon.is_new]
+    for each in _asked(robot.mj_model, replace(change, tendons=tuple(present))):
         each.put(asked.mj_model)
     samples = motion.q, motion.qd, motion.qdd
     # What is no rigid body (springs, armature) does not depend on the links' inertia.
     predicted = LinkDynamics(asked).motion(*samples).torque(thetas)
     predicted += BeyondRigidBodies(asked).torque(*samples)
+    for tendon in change.tendons:
+        if tendon.is_new:
+            ratios = np.array([tendon.coefficients.get(name, 0.0) for name in robot.joint_names])
+            pull = tendon.numbers.get("armature", 0.0) * (motion.qdd @ ratios)
+            pull += tendon.numbers.get("damping", 0.0) * (motion.qd @ ratios)
+            predicted += np.outer(pull, ratios)
     del asked  # with its meshes
     actual = ArmDynamics(robot, written).torque(*samples)
     peak = np.max(np.abs(predicted), axis=0)
@@ -277,11 +297,9 @@ def require_reproduction(
 
 PLACE = 1e-12
 """Largest deviation of the new body's place [m] and axes: some roundings of a quaternion."""
+_NAMES = ("nnames", "nnames_map", "names", "names_map")
 # Names and their places, and tables that list each body or number the pairs of them.
-_BOOKKEEPING = {
-    *("nbody", "nB", "nnames", "nnames_map", "names", "names_map"),
-    *("tree_bodynum", "exclude_signature", "pair_signature"),
-}
+_BOOKKEEPING = {*("nbody", "nB", *_NAMES), *("tree_bodynum", "exclude_signature", "pair_signature")}
 _OF_NAMES = ("name_", "B_")
 
 

@@ -291,7 +291,13 @@ class ArmStepper:
         self._model = forward_copy(robot)
         self._model.dof_damping[:] = 0.0
         self._data = posed(self._model, robot.reference_qpos)
-        self._coulomb, self._viscous = robot.friction.coulomb, robot.friction.viscous
+        self._viscous = robot.friction.viscous
+        shared = robot.friction.shared
+        assert shared is not None
+        levels = np.max(np.abs(shared), axis=1)
+        # Dry friction has these levels (k,), along these directions (k, n) of the joints' speeds.
+        self._coulomb = np.concatenate((robot.friction.coulomb, levels))
+        self._rubs_along = np.vstack((np.eye(robot.n_joints), shared / levels[:, None]))
         self.q: Array = np.array(robot.reference if q is None else q, dtype=float)
         self.qd: Array = np.zeros(robot.n_joints)
         self._last_change: Array = np.zeros(robot.n_joints)
@@ -362,16 +368,20 @@ class ArmStepper:
         (n, n) times its torques.
         """
         # A joint slides in the direction it has, or would take without friction; one that would
-        # turn round against its own friction sticks instead, until that needs more than fc.
-        fc, rubs = self._coulomb, self._coulomb > 0.0
-        direction = np.where(self.qd != 0.0, np.sign(self.qd), np.sign(free))
+        # turn round against its own friction sticks instead, until that needs more than fc. So does
+        # a motor that turns several joints.
+        fc, rubs, along = self._coulomb, self._coulomb > 0.0, self._rubs_along
+        of_friction = response @ along.T
+        crossed = along @ of_friction
+        without = along @ free
+        direction = np.where(along @ self.qd != 0.0, np.sign(along @ self.qd), np.sign(without))
         stuck = np.zeros(len(fc), dtype=bool)
         for _ in range(2 * len(fc) + 1):
             friction = np.where(stuck, 0.0, fc * direction)
-            velocity = free - response @ friction
+            velocity = without - crossed @ friction
             if np.any(stuck):
-                friction[stuck] = np.linalg.solve(response[np.ix_(stuck, stuck)], velocity[stuck])
-                velocity -= response[:, stuck] @ friction[stuck]
+                friction[stuck] = self._holding(crossed[np.ix_(stuck, stuck)], velocity[stuck])
+                velocity -= crossed[:, stuck] @ friction[stuck]
                 velocity[stuck] = 0.0
             turned = rubs & ~stuck & (velocity * direction < 0.0)
             broken = stuck & (np.abs(friction) > fc * (1.0 + 1e-9))
@@ -379,7 +389,16 @@ class ArmStepper:
                 break
             direction = np.where(broken, np.sign(friction), direction)
             stuck = (stuck | turned) & ~broken
-        return velocity, friction
+        n = self.n_joints
+        of_joints = np.where(stuck[:n], 0.0, free - of_friction @ friction)
+        return of_joints, along.T @ friction
+
+    def _holding(self, response: Array, velocity: Array) -> Array:
+        """Return the dry friction (k,) that stops what sticks, by its response (k, k)."""
+        if len(self._coulomb) == self.n_joints:
+            return np.asarray(np.linalg.solve(response, velocity))
+        # A motor and all joints that it turns may stick together, which is once too often.
+        return np.asarray(np.linalg.lstsq(response, velocity, rcond=None)[0])
 
 
 # Implicit share of each stage that makes the two-stage method below of second order and L-stable.

@@ -8,15 +8,64 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.couplings import coupling, read_couplings
-from robot_sysid.records import Measurement
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.couplings import (
+    coupling,
+    couplings_of,
+    couplings_of_model,
+    read_couplings,
+)
+from robot_sysid.records import Measurement, Motion
+from robot_sysid.simulator import simulate_inverse
 from tests.support import arms
+from tests.support.releases import since
 
 
 @pytest.fixture(scope="module")
 def robot():
     return arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X)))
+
+
+@pytest.fixture(scope="module")
+def wrist():
+    """An arm whose model has a motor that turns two joints."""
+    return arms.robot_of(arms.SHARED_MOTOR)
+
+
+@since(3, 3)
+@pytest.mark.parametrize("friction", [NO_FRICTION, friction_model(DEFAULT_MEASURED)])
+def test_a_motor_of_the_model_is_in_the_torque_whether_it_is_sought_or_not(wrist, friction):
+    (motor,) = couplings_of_model(wrist)
+    assert motor.name == "joint1-2*joint2" and motor.tendon == 0
+    np.testing.assert_array_equal(motor.model[:3], [1.5, 0.4, 0.03])
+    motion = Motion(np.arange(20.0), *arms.random_motion(np.random.default_rng(0), 3, 20))
+    (measured,) = simulate_inverse(wrist, [motion])
+    for motors in ((), (motor,)):
+        equations = Equations(wrist, "chain", (friction,) * 3, motors)
+        for (rows, tau), columns in zip(equations.rows(measured), equations.columns):
+            np.testing.assert_allclose(rows @ equations.prior[columns], tau, atol=1e-10)
+
+
+@since(3, 3)
+def test_what_the_model_has_is_neither_offered_nor_counted_twice(wrist, tmp_path):
+    every, offered = couplings_of(wrist, EstimationOptions())
+    assert [motor.tendon for motor in every] == [0, *(None,) * 4] and every[1:] == offered
+    path = written(
+        tmp_path, {"m": {"joint1": -1.5, "joint2": 3.0}, "n": {"joint0": 1, "joint1": 1}}
+    )
+    every, offered = couplings_of(wrist, EstimationOptions(coupling=path))
+    assert [motor.name for motor in every] == ["joint1-2*joint2", "joint0+joint1"] and not offered
+
+
+def test_a_tendon_that_only_pulls_or_leads_elsewhere_is_no_motor():
+    spring = arms.TENDON_SPRING.replace('damping="3"', "")
+    assert couplings_of_model(arms.robot_of(spring)) == ()
+    (damper,) = couplings_of_model(arms.robot_of(arms.TENDON_SPRING))
+    assert damper.model[1] == 3.0 and not np.any(damper.model[[0, 2]])
+    # Of a shorter arm, the other joint is held.
+    assert couplings_of_model(arms.robot_of(arms.TENDON_SPRING, joint="joint1")) == ()
 
 
 def written(tmp_path, content):

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, with_gravity
+from robot_sysid.estimation.couplings import coupling
 from robot_sysid.estimation.file_fit import fit_file, holds_polynomial
 from robot_sysid.estimation.unknowns import FILE_FRICTION as FRICTION
 from robot_sysid.estimation.unknowns import FILE_GRAVITY as GRAVITY
@@ -32,11 +33,11 @@ def recorded(plant, model, seed=1, more=None):
     return datasets_of(model, replace(log, tau=log.tau + moved))
 
 
-def file_of(plant, model, kept=(), more=None):
+def file_of(plant, model, kept=(), more=None, couplings=()):
     """The file's fit."""
     datasets, options = recorded(plant, model, more=more)
-    made = fitted(model, datasets, options)
-    return fit_file(fitter_of(model, datasets), options, kept, made)
+    made = fitted(model, datasets, options, couplings=couplings)
+    return fit_file(fitter_of(model, datasets, couplings=couplings), options, kept, made)
 
 
 def compiled(robot, fit):
@@ -163,6 +164,38 @@ def test_nonlinear_damping_is_given_to_the_joint_that_has_it(plant, robot):
     joint = robot.joint_names[1]
     curve = fit.value(f"quadratic[{joint}]") + fit.value(f"cubic[{joint}]")
     assert curve == pytest.approx(0.3, abs=0.15)
-    assert not holds_polynomial(replace(robot, kind="urdf"), 1)
+    assert holds_polynomial(robot, 1, "mjcf") and not holds_polynomial(robot, 1, "urdf")
     other = file_of(plant, robot, (FRICTION, GRAVITY), more).fit
     assert not any("quadratic" in model.terms for model in other.choice.friction)
+
+
+WRIST = np.array([0.0, 1.0, 1.0])
+
+
+def shared_motor(motion):
+    speed, acceleration = motion.qd @ WRIST, motion.qdd @ WRIST
+    return np.outer(1.5 * np.sign(speed) + 0.4 * speed + 0.02 * acceleration, WRIST)
+
+
+def test_a_motor_that_turns_two_joints_is_in_the_file(plant, robot):
+    motors = (coupling(robot, WRIST),)
+    with_it = file_of(plant, robot, (GRAVITY,), shared_motor, motors)
+    without = file_of(plant, robot, (GRAVITY,), shared_motor)
+    for term, value in {"coulomb": 1.5, "viscous": 0.4, "armature": 0.02}.items():
+        assert with_it.fit.value(f"{term}[joint1+joint2]") == pytest.approx(value, rel=0.1)
+    assert with_it.after.relative_error < 0.2 * without.after.relative_error
+    assert with_it.beside is None
+
+    kept = file_of(plant, robot, (GRAVITY, FRICTION), shared_motor, motors).fit
+    assert kept.value("coulomb[joint1+joint2]") == 0.0 != kept.value("armature[joint1+joint2]")
+    kept = file_of(plant, robot, (GRAVITY, FRICTION, ROTORS), shared_motor, motors).fit
+    assert not kept.choice.couplings
+
+
+def test_beside_the_mjcf_that_holds_such_a_motor_a_urdf_is_fitted_as_one(plant, robot):
+    model = replace(robot, kind="urdf")
+    found = file_of(plant, model, (GRAVITY,), shared_motor, (coupling(robot, WRIST),))
+    assert found.fit.question.file_kind == "mjcf" and found.beside.fit.question.file_kind == "urdf"
+    alone = file_of(plant, model, (GRAVITY,), shared_motor)
+    assert found.beside.after.relative_error == pytest.approx(alone.after.relative_error, rel=0.05)
+    assert found.after.relative_error < 0.2 * alone.after.relative_error

@@ -16,8 +16,10 @@ from hypothesis import strategies as st
 
 from robot_sysid import records
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
+from robot_sysid.estimation.couplings import coupling, couplings_of_model
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import find_flange
 from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
@@ -27,6 +29,7 @@ from robot_sysid.results import model as model_module
 from robot_sysid.results import record, verification
 from robot_sysid.results.model import ModelTarget, most_inflated, write_bundle, write_model
 from robot_sysid.results.verification import require_same_model
+from robot_sysid.simulator import ArmTorque
 from tests.support import arms, urdf
 from tests.support import results as made
 from tests.support.command_line import files_in
@@ -286,6 +289,79 @@ def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
     assert "armature" not in again.path.read_text()
     for before, after in zip(thetas, again.links):
         assert_same_theta(after.theta, before)
+
+
+SLACK = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")
+RATIOS = np.array([0.0, 1.0, -2.0])
+
+
+def with_motor(robot, rng):
+    """What a file holds: every link, every joint, and a motor that turns two joints."""
+    (motor,) = couplings_of_model(robot) or (coupling(robot, RATIOS),)
+    joints = {**new_joints(robot, rng), motor.name: dict(new_joints(robot, rng)["joint1"])}
+    return replace(file_of(robot, new_links(robot, rng), joints), motors=(motor,))
+
+
+@since(3, 3)
+@pytest.mark.parametrize("source", [arms.THREE, SLACK, arms.SHARED_MOTOR])
+def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": source}))
+    file = with_motor(robot, np.random.default_rng(7))
+    text = text_of(robot, result_of(robot, file=file))
+    assert "motor that turns joint1 and joint2 identified with" in text
+    again = load_robot_model(tmp_path / "out" / "updated.xml")
+    model, terms = again.mj_model, file.joints["joint1-2*joint2"]
+    assert model.ntendon == max(robot.mj_model.ntendon, 1) + (source == SLACK)
+    for term, field in TERMS.items():
+        assert getattr(model, f"tendon_{field}")[-1] == terms[term].value
+    assert model.tendon_stiffness[-1] == 0.0
+
+    # What the file takes is the torque of what was identified.
+    motion = checkpoints(robot)
+    expected = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).torque(file.thetas)
+    both = [motion.qd, motion.qd @ RATIOS[:, None]], [motion.qdd, motion.qdd @ RATIOS[:, None]]
+    for owners, speed, acceleration in zip((robot.joint_names, ["joint1-2*joint2"]), *both):
+        values = {term: [file.joints[owner][term].value for owner in owners] for term in TERMS}
+        torque = values["coulomb"] * np.sign(speed) + values["viscous"] * speed
+        torque += values["armature"] * acceleration
+        expected += torque if len(owners) > 1 else torque * RATIOS
+    np.testing.assert_allclose(ArmTorque(again)(motion), expected, rtol=1e-9, atol=1e-9)
+
+    # Written again, it is the same motor with other numbers.
+    file = with_motor(again, np.random.default_rng(8))
+    written(again, result_of(again, file=file), tmp_path / "again")
+    (motor,) = couplings_of_model(load_robot_model(tmp_path / "again" / "updated.xml"))
+    np.testing.assert_array_equal(motor.model[0], file.joints[motor.name]["coulomb"].value)
+
+
+@since(3, 3)
+def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
+    links = {"l1": urdf.inertial(), "l2": HEAVY, "l3": LIGHT}
+    robot = load_robot_model(write_files(tmp_path, {"arm.urdf": urdf.robot(urdf.serial(links))}))
+    motor = coupling(robot, np.array([1.0, 1.0]))
+    terms = {"coulomb": record.Figure(0.5, 0.1), "armature": record.Figure(0.02, 0.01)}
+    own = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
+    file = replace(own, joints={motor.name: terms}, motors=(motor,))
+    result = result_of(robot, file=file, couplings={motor.name: record.JointEstimate("c", terms)})
+    assert result.model_kind == "mjcf"
+    written(robot, result)
+    again = load_robot_model(tmp_path / "out" / "updated.urdf")
+    assert again.kind == "mjcf" and again.joint_names == robot.joint_names
+    assert again.mj_model.tendon_frictionloss.tolist() == [0.5]
+    for theta, link in zip(file.thetas, again.links):
+        assert_same_theta(link.theta, theta)
+
+    text = text_of(robot, replace(result, file=own))
+    assert f"without the motor that turns with {motor.name}, which no URDF can hold" in text
+
+
+@since(3, 3)
+def test_a_motor_of_a_joint_without_a_name_is_refused(tmp_path):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.NAMELESS}))
+    motor = coupling(robot, np.array([1.0] * 2 + [0.0] * (robot.n_joints - 2)))
+    file = file_of(robot, joints={motor.name: {"viscous": record.Figure(0.5, 0.1)}})
+    with pytest.raises(ExportError, match="has no name"):
+        written(robot, result_of(robot, file=replace(file, motors=(motor,))))
 
 
 def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):

@@ -113,12 +113,24 @@ def by_inverse_dynamics(xml, motion):
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.qd[k], motion.qdd[k]
         mujoco.mj_inverse(model, data)
         tau[k] = data.qfrc_inverse
-    return tau + model.dof_frictionloss * np.sign(motion.qd)
+    tau += model.dof_frictionloss * np.sign(motion.qd)
+    for tendon, friction in enumerate(model.tendon_frictionloss):
+        ratios = np.zeros(model.nv)
+        first, count = model.tendon_adr[tendon], model.tendon_num[tendon]
+        for wrap in range(first, first + count):
+            ratios[model.jnt_dofadr[model.wrap_objid[wrap]]] = model.wrap_prm[wrap]
+        tau += friction * np.sign(motion.qd @ ratios)[:, None] * ratios
+    return tau
 
 
 @pytest.mark.parametrize(
     "xml",
-    [arms.ARMATURE, arms.TENDON_SPRING, pytest.param(arms.NONLINEAR_DAMPING, marks=since(3, 7))],
+    [
+        arms.ARMATURE,
+        arms.TENDON_SPRING,
+        pytest.param(arms.SHARED_MOTOR, marks=since(3, 3)),
+        pytest.param(arms.NONLINEAR_DAMPING, marks=since(3, 7)),
+    ],
 )
 def test_a_perfect_file_is_off_by_its_sensors_offsets_alone(tmp_path, xml):
     path, motion = write_files(tmp_path, {"arm.xml": xml}), a_motion()

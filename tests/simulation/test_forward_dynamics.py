@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -250,6 +251,57 @@ def test_dry_friction_holds_until_its_limit_and_then_resists_with_it():
     assert arm.qd[0] == 0.0 and arm.q[0] == 0.0
     run(arm, 0.6, 0.1)
     assert arm.qd[0] == pytest.approx((0.6 - 0.4) / 0.01 * 0.1, rel=1e-9)
+
+
+WRIST = (
+    '<mujoco><option gravity="0 0 0"/><worldbody><body name="a">'
+    '<inertial pos="0 0 0" mass="1" diaginertia=".02 .02 .02"/><joint name="a" axis="1 0 0"/>'
+    '<body name="b"><inertial pos="0 0 0" mass="1" diaginertia=".01 .01 .01"/>'
+    '<joint name="b" axis="0 0 1"/></body></body></worldbody><tendon><fixed frictionloss=".4">'
+    '<joint joint="a" coef="1"/><joint joint="b" coef="1"/></fixed></tendon></mujoco>'
+)
+
+
+def test_a_motor_that_turns_two_joints_holds_and_resists_both():
+    """Torques in its ratio are held up to its limit; what turns the joints against each other is
+    not, because the motor then stands still.
+    """
+    robot = arms.robot_of(WRIST)
+    np.testing.assert_array_equal(robot.friction.torque(np.array([[2.0, -1.0]])), [[0.4, 0.4]])
+    arm = ArmStepper(robot, timestep=1e-3)
+    run(arm, 0.39, 0.5)
+    np.testing.assert_array_equal(arm.qd, 0.0)
+    for _ in range(20):
+        arm.step(np.array([0.1, -0.1]), np.zeros(2))
+    assert np.sum(arm.qd) == pytest.approx(0.0, abs=1e-12)
+    assert arm.qd[0] == pytest.approx(0.2 / (0.03 + 0.01) * 0.02)
+
+    arm = ArmStepper(robot, timestep=1e-3)
+    run(arm, 0.6, 0.1)
+    assert arm.qd[1] == pytest.approx((0.6 - 0.4) / 0.01 * 0.1, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["dry friction", "shared motor"])
+def test_fast_joints_have_the_dry_friction_that_mujoco_gives_them(name):
+    models = {**arms.MODELS, **arms.NEWER_MODELS}
+    try:
+        robot = arms.robot_of(models[name])
+    except ValueError:
+        pytest.skip("this MuJoCo does not know the attribute")
+    q, _, _ = arms.random_motion(np.random.default_rng(0), 3, 20)
+    qd = 200.0 * np.random.default_rng(1).choice([-1.0, 1.0], size=q.shape)
+    still = np.zeros_like(q)
+    plant = ForwardPlant(robot, 1e-3, q[:1])
+    smooth = plant_without_dry_friction(robot, q).inverse(q, qd, still)
+    dry = plant.inverse(q, qd, still) - smooth
+    np.testing.assert_allclose(dry, robot.friction.dry(qd), atol=1e-6)
+
+
+def plant_without_dry_friction(robot, q):
+    model = copy.copy(robot.mj_model)
+    model.dof_frictionloss[:] = 0.0
+    model.tendon_frictionloss[:] = 0.0
+    return ForwardPlant(replace(robot, mj_model=model), 1e-3, q[:1])
 
 
 def test_constant_speed_takes_coulomb_plus_viscous_friction():

@@ -138,6 +138,11 @@ TENDON_SPRING = serial_arm(
     extra='<tendon><fixed stiffness="25" springlength=".2" damping="3"><joint joint="joint1" '
     'coef="1"/><joint joint="joint2" coef="-.5"/></fixed></tendon>',
 )
+SHARED_MOTOR = serial_arm(
+    (Z, Y, X),
+    extra='<tendon><fixed armature=".03" damping=".4" frictionloss="1.5"><joint joint="joint1" '
+    'coef="1"/><joint joint="joint2" coef="-2"/></fixed></tendon>',
+)
 EQUALITY_ON_CHAIN = serial_arm(
     (Z, Y, X), extra='<equality><joint joint1="joint1" joint2="joint2"/></equality>'
 )
@@ -181,6 +186,7 @@ NEWER_MODELS = {
         (Z, Y, X), joint='range="-2 2" stiffness="5 2 1" springref=".3"'
     ),
     "tendon armature": TENDON_SPRING.replace("<fixed ", '<fixed armature=".2" '),
+    "shared motor": SHARED_MOTOR,
     "actuator armature": serial_arm(
         (Z, Y, X), extra='<actuator><motor joint="joint2" armature=".05" damping=".4"/></actuator>'
     ),

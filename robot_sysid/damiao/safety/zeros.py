@@ -31,6 +31,7 @@ import numpy as np
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.dynamics.equations import other_links
+from robot_sysid.dynamics.kinematics import BeyondRigidBodies
 from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion
 from robot_sysid.estimation.algebra.nuisances import model_link_factor
 from robot_sysid.records import Array, RobotModel
@@ -106,12 +107,13 @@ class MovedZeroCheck:
         n = robot.n_joints
         self._robot = robot
         self._dynamics = LinkDynamics(robot)
+        self._beyond = BeyondRigidBodies(robot)
         self._links = [*other_links(robot), n - 1]
         factor = model_link_factor(robot, self._links, _LINKS)
         load = np.zeros((len(factor), _LOAD_PARAMETERS))
         load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])
         self._factor = np.column_stack([factor, load])
-        self._doubt = torque_doubt(joints) + robot.friction.coulomb
+        self._doubt = torque_doubt(joints) + robot.friction.largest_dry
         self._samples: list[tuple[float, Array]] = []
         self._work: Iterator[None] = iter(())
         self._parts_per_cycle = 1
@@ -182,8 +184,8 @@ class MovedZeroCheck:
         yield
         torques = _joint_torques(twists, np.einsum("lnak,lk->lna", wrenches, robot.thetas))
         slopes = (torques[1 : n + 1] - torques[n + 1 :]).T / (2.0 * _DIFFERENCE)
-        friction = robot.friction.torque(qd[None])[0] + robot.armature * qdd
-        needed = torques[0] + friction
+        beyond_links = self._beyond.torque(q[None], qd[None], qdd[None])[0]
+        needed = torques[0] + beyond_links + robot.friction.torque(qd[None])[0]
         yield
         columns = np.einsum("aj,lak->jlk", twists[:, :, 0], wrenches[:, 0])
         columns *= np.triu(np.ones((n, n)))[:, :, None]
