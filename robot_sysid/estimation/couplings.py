@@ -140,7 +140,8 @@ def select_couplings(
 def _promising_couplings(
     fit: Fit, question: Question, offered: Sequence[Coupling]
 ) -> list[tuple[Coupling, ...]]:
-    """Return the couplings of a fit with one that is offered, each that makes torques likelier.
+    """Return the couplings of a fit with one that is offered, of the two that make torques likelier
+    than without and most of all.
 
     Noise is that of the fit, and friction may have either sign: this is a cheap first look.
     """
@@ -155,13 +156,13 @@ def _promising_couplings(
     absent = [replace(prior, widened=_NOTHING) for prior in priors]
     groups = [*sought.groups, *absent]
     without = problem.likely(groups)[1]
-    promising = []
-    for number, motor in enumerate(candidates):
+    gains = []
+    for number in range(len(candidates)):
         groups[len(sought.groups) + number] = priors[number]
-        if problem.likely(groups)[1] > without:
-            promising.append((*present, motor))
+        gains.append(problem.likely(groups)[1] - without)
         groups[len(sought.groups) + number] = absent[number]
-    return promising
+    best = np.argsort(gains)[::-1][:2]
+    return [(*present, candidates[number]) for number in best if gains[number] > 0.0]
 
 
 def _evidence_gain(fit: Fit, wider: Fit) -> float:
