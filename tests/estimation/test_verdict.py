@@ -198,3 +198,20 @@ def test_friction_and_rotors_that_no_joint_has_are_refused():
     assert judged(coulomb=30.0, viscous=200.0, armature=0.5) == (OK, ())
     assert "141 N m of dry friction" in judged(coulomb=141.2)[1][0]
     assert judged(armature=1e3)[0] is Verdict.IMPLAUSIBLE
+
+
+@pytest.mark.parametrize(
+    ("distance", "error", "is_named"),
+    [(0.1, 0.001, False), (0.15, 0.01, True), (0.15, 0.03, False)],
+)
+def test_a_link_is_named_whose_first_moment_is_clearly_off(distance, error, is_named):
+    """Off by 50 %: beyond two errors of 0.01 kg m, within two of 0.03."""
+    link = replace(
+        body(com=(0.0, 0.0, distance), moved=error), before=body(com=(0.0, 0.0, 0.1)).inertial
+    )
+    named = list(verdict.wrong_links([link]))
+    assert bool(named) == is_named
+    for wrong in named:
+        assert wrong.first_moment_of_model == pytest.approx(0.1)
+        assert wrong.first_moment == pytest.approx(0.15)
+        assert wrong.error == pytest.approx(0.01)

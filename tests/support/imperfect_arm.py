@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import FADING_SPEEDS
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
 from robot_sysid.records import Measurement
@@ -82,7 +83,8 @@ class ImperfectArm:
             truth[f"scale[{joint}]"] = self.scale[index] - 1.0
             truth[f"zero[{joint}]"] = self.zero[index]
             truth[f"load[{joint}]"] = self.load[index]
-            truth[f"sqrt[{joint}]"] = 0.0
+            for term in ("sqrt", *FADING_SPEEDS):
+                truth[f"{term}[{joint}]"] = 0.0
         return truth
 
     def log(self, plan, payload, rng):

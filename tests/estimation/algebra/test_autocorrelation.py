@@ -8,7 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from robot_sysid.estimation.algebra.autocorrelation import joint_residuals, non_negative
+from robot_sysid.estimation.algebra.autocorrelation import (
+    concentration,
+    joint_residuals,
+    non_negative,
+)
 from tests.support.smooth_arm import remembering_noise
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -116,3 +120,13 @@ def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
         np.testing.assert_allclose(getattr(whole, name), getattr(again, name), atol=1e-11)
     total = sum(log.products * log.pairs for log in (one, two, three))
     np.testing.assert_allclose(whole.products * whole.pairs, total, atol=1e-10)
+
+
+def test_a_burst_counts_as_few_rows():
+    residual = np.random.default_rng(1).standard_normal(1000)
+    even = concentration(residual)
+    residual[400:440] *= 20.0
+    assert even < 1.3
+    assert concentration(residual) > 10.0
+    assert concentration(np.append(residual, np.nan)) > 10.0
+    assert concentration(np.zeros(1000)) == 1.0
