@@ -11,6 +11,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
@@ -26,12 +27,19 @@ MOST_COPIES = 3000
 # Bytes per cell, and per byte of a file, as measured with MuJoCo 4.0: three colours in the
 # compiler and in the model, a height field's floats four times.
 _NUMBER, _TEXEL, _HEIGHT, _FILE = 16.0, 6.0, 16.0, 2.0
+# Per triangle of a mesh: a quarter of what a plan takes, and three times what the model keeps.
+_TRIANGLE = 450.0
+# An OBJ file is read line by line only where it may have more triangles; bytes of a line that is
+# cut into words.
+_FEW, _LONG = 20_000, 100_000
 _CELLS = {"hfield": ("nrow", "ncol"), "numeric": ("size",), "user": ("dim",)}
 _COPIED = ("replicate", "composite", "flexcomp")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _DEFLATE = 1032.0
 """So many bytes at most come out of one that was compressed."""
+_STL = 50.0
+"""Bytes of a triangle in a binary STL file, the only kind that MuJoCo reads."""
 
 
 def refuse_hazards(
@@ -53,7 +61,8 @@ def refuse_hazards(
         if asset.path is None:
             continue
         path, tag = asset.path.resolve(), asset.node.tag
-        memory = _of_file(path, tag) if os.access(path, os.R_OK) else 0.0
+        form = (asset.node.get("content_type") or path.suffix).lower()
+        memory = _of_file(path, tag, form) if os.access(path, os.R_OK) else 0.0
         if tag == "model" and path.suffix.lower() in SUFFIXES:
             if path in (*above, own):
                 fault = f"attaches itself by way of {asset.name}; take it out"
@@ -124,9 +133,14 @@ def _refuse_pipes(document: ModelDocument, asset: Asset) -> None:
             raise ModelError(f"{document.path}: {path} is not a file but a pipe or a device")
 
 
-def _of_file(path: Path, tag: str) -> float:
-    """Return the memory that a file takes [bytes]; of a PNG by its head."""
+def _of_file(path: Path, tag: str, form: str) -> float:
+    """Return the memory that a file takes [bytes]; of a PNG by its head.
+
+    ``form`` is the end of its name, or what the model says instead.
+    """
     size = path.stat().st_size
+    if tag == "mesh" and _FILE * size <= MOST_MEMORY:
+        return max(_FILE * size, _TRIANGLE * _triangles(path, form))
     with path.open("rb") as stream:
         head = stream.read(26)
         is_image = head.startswith(_PNG) and len(head) == 26 and tag in ("texture", "hfield")
@@ -139,6 +153,29 @@ def _of_file(path: Path, tag: str) -> float:
         may_be_more = _DEFLATE * size > MOST_MEMORY > memory
         is_bomb = may_be_more and _unpacks_beyond(stream, 2.0 * raw + 1e6)
         return _DEFLATE * size if is_bomb else memory
+
+
+def _triangles(path: Path, form: str) -> float:
+    """Return how many triangles a mesh has; where they are few, a number that may be too large."""
+    if form.endswith("stl"):
+        return path.stat().st_size / _STL
+    content = path.read_bytes()
+    if form.endswith("msh"):
+        return float(struct.unpack_from("<i", content, 12)[0]) if len(content) >= 16 else 0.0
+    # Where faces begin; a face of k corners, each after a blank, is k - 2 triangles.
+    marks = [place for mark in (b"\nf", b"\rf") if (place := content.find(mark)) >= 0]
+    first = min(marks, default=0)
+    blanks = content.count(b" ", first) + content.count(b"\t", first)
+    at_most = blanks - 2 * (content.count(b"\nf", first) + content.count(b"\rf", first))
+    if at_most <= _FEW:
+        return at_most
+    count = 0
+    for line in BytesIO(content.replace(b"\r", b"\n")):
+        if line.lstrip(b" \t").startswith(b"f"):
+            count += len(line.split()) - 3 if len(line) < _LONG else line.count(b" ")
+        if _TRIANGLE * count > 4.0 * MOST_MEMORY:
+            break
+    return count
 
 
 def _unpacks_beyond(png: BinaryIO, most: float) -> bool:
