@@ -10,6 +10,7 @@ import numpy as np
 
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, tilt_angles
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.algebra.common_scale import LEAST_SCALE
 from robot_sysid.estimation.algebra.link_scales import LINK_KINDS
 from robot_sysid.estimation.answer import (
     Answer,
@@ -130,13 +131,14 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
 
 def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
     """Yield sentences on what the user should know of the estimate."""
-    if answer.fit.choice.common_scale:
-        scales = [f.value for n, f in answer.sensors().items() if n.startswith("scale[")]
-        size = 1.0 + float(np.mean(scales))
+    scales = [f.value for n, f in answer.sensors().items() if n.startswith("scale[")]
+    common_scale = float(np.mean(scales)) if answer.fit.choice.common_scale else 0.0
+    # It is allowed for by a first fit; what the last one finds of it may be nothing.
+    if abs(common_scale) > LEAST_SCALE:
         yield (
-            f"all torques read about {size:.3g} times what the model takes: either the torque "
-            "scale is off (--torque-scale), or all of the model's links are off alike; the log "
-            "does not tell which, and the errors allow for both"
+            f"all torques read about {1.0 + common_scale:.3g} times what the model takes: either "
+            "the torque scale is off (--torque-scale), or all of the model's links are off alike; "
+            "the log does not tell which, and the errors allow for both"
         )
     given = answer.fit.question.options.coupling is not None
     for motor in answer.fit.choice.couplings:
