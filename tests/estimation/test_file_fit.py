@@ -19,6 +19,7 @@ from robot_sysid.estimation.unknowns import FILE_FRICTION as FRICTION
 from robot_sysid.estimation.unknowns import FILE_GRAVITY as GRAVITY
 from robot_sysid.estimation.unknowns import FILE_LINKS as LINKS
 from robot_sysid.estimation.unknowns import FILE_ROTORS as ROTORS
+from robot_sysid.model.tendons import CAN_HOLD_ROTORS
 from robot_sysid.results.rollout import torque_error
 from tests.support import arms
 from tests.support.core_fits import BASIC, datasets_of, fitted, fitter_of
@@ -170,6 +171,7 @@ def test_nonlinear_damping_is_given_to_the_joint_that_has_it(plant, robot):
 
 
 WRIST = np.array([0.0, 1.0, 1.0])
+holds_motors = pytest.mark.skipif(not CAN_HOLD_ROTORS, reason="MuJoCo before 3.2.7")
 
 
 def shared_motor(motion):
@@ -177,6 +179,7 @@ def shared_motor(motion):
     return np.outer(1.5 * np.sign(speed) + 0.4 * speed + 0.02 * acceleration, WRIST)
 
 
+@holds_motors
 def test_a_motor_that_turns_two_joints_is_in_the_file(plant, robot):
     motors = (coupling(robot, WRIST),)
     with_it = file_of(plant, robot, (GRAVITY,), shared_motor, motors)
@@ -192,6 +195,7 @@ def test_a_motor_that_turns_two_joints_is_in_the_file(plant, robot):
     assert not kept.choice.couplings
 
 
+@holds_motors
 def test_beside_the_mjcf_that_holds_such_a_motor_a_urdf_is_fitted_as_one(plant, robot):
     model = replace(robot, kind="urdf")
     found = file_of(plant, model, (GRAVITY,), shared_motor, (coupling(robot, WRIST),))
