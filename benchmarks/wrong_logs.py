@@ -9,6 +9,7 @@ import numpy as np
 
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.signals.resampling import part_of
 from tests.support.places import MODELS
 from tests.support.wrong_logs import Truth, truth_of
 
@@ -36,8 +37,10 @@ def _torque(truth: Truth, tau: np.ndarray) -> Measurement:
     return replace(truth.log, tau=tau)
 
 
-def _position(truth: Truth, q: np.ndarray, qd: np.ndarray) -> Measurement:
-    return replace(truth.log, q=q, qd=qd)
+def _position(truth: Truth, change: Callable[[np.ndarray], np.ndarray]) -> Measurement:
+    """Return the log with positions and, where it has them, velocities changed."""
+    qd = truth.log.qd
+    return replace(truth.log, q=change(truth.log.q), qd=None if qd is None else change(qd))
 
 
 def millinewtonmetres(truth):
@@ -86,41 +89,39 @@ def computed(truth):
 
 def torque_sign(truth):
     sign = np.ones(truth.robot.n_joints)
-    sign[_carrying(truth)] = -1.0
+    sign[carrying_joint(truth)] = -1.0
     return _torque(truth, sign * truth.log.tau)
 
 
 def position_sign(truth):
     sign = np.ones(truth.robot.n_joints)
-    sign[_carrying(truth)] = -1.0
-    return _position(truth, sign * truth.log.q, sign * truth.log.qd)
+    sign[carrying_joint(truth)] = -1.0
+    return _position(truth, lambda columns: sign * columns)
 
 
 def exchanged(truth):
     """Two joints' columns are exchanged, those of position, of torque, or all."""
     order = np.arange(truth.robot.n_joints)
-    first = _carrying(truth)
+    first = carrying_joint(truth)
     second = int(truth.rng.choice(np.delete(order, first)))
     order[[first, second]] = order[[second, first]]
     which = truth.rng.integers(3)
-    log = truth.log
-    q, qd = (log.q[:, order], log.qd[:, order]) if which != 1 else (log.q, log.qd)
-    tau = log.tau[:, order] if which != 0 else log.tau
-    return replace(log, q=q, qd=qd, tau=tau)
+    log = truth.log if which == 1 else _position(truth, lambda columns: columns[:, order])
+    return log if which == 0 else replace(log, tau=log.tau[:, order])
 
 
 def reversed_order(truth):
-    log = truth.log
-    return replace(log, q=log.q[:, ::-1], qd=log.qd[:, ::-1], tau=log.tau[:, ::-1])
+    log = _position(truth, lambda columns: columns[:, ::-1])
+    return replace(log, tau=log.tau[:, ::-1])
 
 
 def degrees_as_radians(truth):
-    return _position(truth, np.degrees(truth.log.q), np.degrees(truth.log.qd))
+    return _position(truth, np.degrees)
 
 
 def radians_as_degrees(truth):
     """Radians that were declared to be degrees."""
-    return _position(truth, np.radians(truth.log.q), np.radians(truth.log.qd))
+    return _position(truth, np.radians)
 
 
 def position_offset(truth):
@@ -129,7 +130,7 @@ def position_offset(truth):
     weight = np.sqrt(np.mean(truth.still**2, axis=0))
     joint = truth.rng.choice(np.flatnonzero(weight >= 0.2 * weight.max()))
     q[:, joint] += truth.rng.choice([-1.0, 1.0]) * truth.rng.uniform(0.08, 0.3)
-    return _position(truth, q, truth.log.qd)
+    return replace(truth.log, q=q)
 
 
 def dropped_samples(truth):
@@ -146,7 +147,7 @@ def milliseconds(truth):
 def saturated(truth):
     """A torque sensor that ends short of what the joint needs for a fifth of the time."""
     tau = truth.log.tau.copy()
-    joint = _carrying(truth)
+    joint = carrying_joint(truth)
     limit = float(np.quantile(np.abs(tau[:, joint]), 0.8))
     tau[:, joint] = np.clip(tau[:, joint], -limit, limit)
     return _torque(truth, tau)
@@ -155,7 +156,7 @@ def saturated(truth):
 def held(truth):
     """A torque channel that stands still for some seconds."""
     tau = truth.log.tau.copy()
-    joint, start = _carrying(truth), int(truth.rng.integers(500, 1200))
+    joint, start = carrying_joint(truth), int(truth.rng.integers(500, 1200))
     tau[start : start + 750, joint] = tau[start, joint]
     return _torque(truth, tau)
 
@@ -173,8 +174,8 @@ def collision(truth):
 def late_torque(truth):
     """Torque 20 ms and more behind position."""
     shift = int(truth.rng.integers(5, 15))
-    log = truth.log
-    return Measurement(log.time[shift:], log.q[shift:], log.qd[shift:], log.tau[:-shift])
+    late = part_of(truth.log, shift, len(truth.log))
+    return replace(late, tau=truth.log.tau[:-shift])
 
 
 def clock_jump(truth):
@@ -201,15 +202,16 @@ def one_joint_in_millinewtonmetres(truth):
 
 def late_joint(truth):
     """One joint's torque is 60 ms behind."""
-    shift, joint = 15, _carrying(truth)
-    log, tau = truth.log, truth.log.tau.copy()
+    shift = 15
+    joint = carrying_joint(truth)
+    tau = truth.log.tau.copy()
     tau[shift:, joint] = truth.log.tau[:-shift, joint]
-    return Measurement(log.time[shift:], log.q[shift:], log.qd[shift:], tau[shift:])
+    return part_of(_torque(truth, tau), shift, len(tau))
 
 
 def hum(truth):
     """A slow sine in one joint's torque, a twelfth of what it carries."""
-    tau, joint = truth.log.tau.copy(), _carrying(truth)
+    tau, joint = truth.log.tau.copy(), carrying_joint(truth)
     size = 0.12 * float(np.sqrt(np.mean(truth.rigid[:, joint] ** 2)))
     tau[:, joint] += size * np.sin(2.0 * np.pi * 0.47 * truth.log.time)
     return _torque(truth, tau)
@@ -237,8 +239,8 @@ def other_arm(truth):
     return truth_of(other, int(truth.rng.integers(2**31))).log
 
 
-def _carrying(truth: Truth) -> int:
-    """A joint, drawn from those that carry a fair part of what the strongest one carries."""
+def carrying_joint(truth: Truth) -> int:
+    """Return a joint, drawn from those that carry a fair part of what the strongest one carries."""
     usual = np.sqrt(np.mean(truth.rigid**2, axis=0))
     return int(truth.rng.choice(np.flatnonzero(usual >= 0.1 * usual.max())))
 

@@ -28,7 +28,6 @@ class Truth:
         log: a right log.
         still: (N, n) the torque at rest, by the truth [N m].
         rigid, friction: (N, n) the torque without friction and noise, and friction [N m].
-        model: (N, n) what the user's model says [N m].
         rng: for what goes wrong.
     """
 
@@ -38,7 +37,6 @@ class Truth:
     still: np.ndarray
     rigid: np.ndarray
     friction: np.ndarray
-    model: np.ndarray
     rng: np.random.Generator
 
 
@@ -61,8 +59,6 @@ def truth_of(robot: RobotModel, seed: int, wrong_links: float = 0.02) -> Truth:
     rigid = rigid + np.array(robot.mj_model.dof_armature)[robot.dof_index] * motion.qdd
     zero = np.zeros_like(motion.q)
     still = dynamics.motion(motion.q, zero, zero).torque(thetas)
-    links = robot.thetas
-    model = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(links)
     friction = _friction(rng, rigid, motion.qd)
     tau = rigid + friction
     noise = min(0.3, 0.02 * float(np.max(np.abs(rigid))))
@@ -70,7 +66,7 @@ def truth_of(robot: RobotModel, seed: int, wrong_links: float = 0.02) -> Truth:
     step = 2.0 * np.pi / 2**17
     q = np.round(motion.q / step) * step
     log = Measurement(time, q, motion.qd, tau)
-    return Truth(robot, thetas[-1], log, still, rigid, friction, model, rng)
+    return Truth(robot, thetas[-1], log, still, rigid, friction, rng)
 
 
 def _friction(rng, rigid, qd):
