@@ -68,7 +68,7 @@ class RealArm:
         thetas: (n, 10) the true links.
         coulomb, viscous, rotor: (n,) true friction and rotor inertia.
         scales: (n,) torque column over true torque.
-        motion_time: (N,) [s].
+        motion: what it did, exactly; its torque is that of the model.
         rigid: (N, n) torque of the links and rotors [N m].
         log: what was recorded.
     """
@@ -79,6 +79,7 @@ class RealArm:
     viscous: Array
     rotor: Array
     scales: Array
+    motion: Measurement
     rigid: Array
     log: Measurement
 
@@ -153,7 +154,7 @@ def draw_arm(
         tau = np.stack([np.interp(exact.time - lag, exact.time, c) for c in tau.T], axis=1)
     q = exact.q + 2e-3 * is_off * rng.standard_normal(len(peak))
     log = Measurement(exact.time, np.round(q / STEP) * STEP, None, tau)
-    return RealArm(robot, thetas, coulomb, viscous, rotor, scales, rigid, log)
+    return RealArm(robot, thetas, coulomb, viscous, rotor, scales, exact, rigid, log)
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...], white: bool) -> Array:

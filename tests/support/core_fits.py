@@ -17,6 +17,7 @@ from robot_sysid.estimation.unknowns import Choice, Question
 from robot_sysid.records import DataOrigin, Source
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.repetition import visits
+from robot_sysid.signals.resampling import pieces_of
 from tests.support.measured_logs import CUTOFF
 
 BASIC = CANDIDATES[0]
@@ -47,8 +48,12 @@ def fitted(robot, recordings, options=None, friction=BASIC, couplings=(), **ques
 
 
 def result_of_logs(robot, logs, options, kept=None):
-    """The result of logs of an arm alone; without a file unless some parts of it are kept."""
-    pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
+    """The result of logs of an arm alone, cut where they have gaps; without a file unless some
+    parts of it are kept.
+    """
+    pieces = []
+    for number, log in enumerate(logs):
+        pieces += [Piece(f"log{number}", piece) for piece in pieces_of(log)]
     datasets, _ = filtered(robot, pieces, options)
     return result_of(answer_link(robot, datasets, options, Progress(), kept), ORIGIN)
 
