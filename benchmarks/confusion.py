@@ -3,9 +3,10 @@
     python -m benchmarks.confusion MODELS_FOLDER [--arms ur5e iiwa14 ...] [--causes ripple ...]
         [--kinds real] [--seeds 3] [--first-seed 0] [--duration 20] [--no-answers]
 
-Each log is of an arm of its own, drawn as in ``benchmarks.real_arms``; the cause "right" leaves it
-as it is, and has logs of 6, 8, 15 and 60 s. Per cause, logs are counted by what the checks before
-an identification name, at any level:
+Arms are drawn as in ``benchmarks.real_arms``, one per model, kind and seed, the same for all causes
+and durations, so that rows can be compared. The cause "right" leaves a log as it is, and has logs
+of 6, 8, 15 and 60 s. Per cause, logs are counted by what the checks before an identification name,
+at any level:
 
 rightly     a finding has the right name
 tie         none has, but one says that several causes are not told apart
