@@ -235,7 +235,7 @@ def other_arm(truth):
     """The log is of another arm with as many joints."""
     rivals = {6: ("ur5e", "wxai"), 7: ("panda", "iiwa14", "xarm7", "gen3")}[truth.robot.n_joints]
     robots = (robot_of(name) for name in truth.rng.permutation(rivals))
-    other = next(r for r in robots if r.path != truth.robot.path)
+    other = next(r for r in robots if not r.path.samefile(truth.robot.path))
     return truth_of(other, int(truth.rng.integers(2**31))).log
 
 
