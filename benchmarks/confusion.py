@@ -61,6 +61,8 @@ SHOWN_TEXT = 110
 """Characters of a finding that are printed."""
 ALTERNATIVES = "; or "
 """What is between causes that a finding does not tell apart."""
+OTHER_ARM = "the model of another arm"
+"""What is said before the name of a mistake that would only make another arm less unlike."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,10 @@ class Outcome:
         if not self.findings:
             return "silent"
         ties = [f for f in self.findings if ALTERNATIVES in f.text]
-        if any(f.name in right_names for f in self.findings if f not in ties):
+        names = {f.name for f in self.findings if f not in ties}
+        if any(OTHER_ARM in f.text for f in self.findings):
+            names.add("model")
+        if not names.isdisjoint(right_names):
             return "rightly"
         if ties:
             return "tie"
@@ -256,7 +261,8 @@ def print_cause(cause: str, robots: dict[str, RobotModel], chosen: argparse.Name
 
 
 def print_share(what: str, part: int, count: int) -> None:
-    print(f"{what}: {part} of {count}, {100.0 * part / max(count, 1):.1f} %")
+    if count:
+        print(f"{what}: {part} of {count}, {100.0 * part / count:.1f} %")
 
 
 def main() -> int:
