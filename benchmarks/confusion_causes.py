@@ -17,7 +17,7 @@ from benchmarks.real_arms import SENSOR_ARMS, RealArm, draw_arm
 from benchmarks.wrong_logs import carrying_joint
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
+from robot_sysid.dynamics.nuisances import gravity, turned
 from robot_sysid.model.in_memory import compiled_in_memory
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import Array, Measurement, RobotModel
@@ -70,15 +70,22 @@ class Scene(Truth):
         return replace(self, log=replace(self.log, tau=self.log.tau * factor))
 
 
+def resting_torque(
+    robot: RobotModel, q: Array, thetas: Array, gravity_vector: Array | None = None
+) -> Array:
+    """Return the torque (N, n) of links (n, 10) at rest, under the model's or another gravity."""
+    still = np.zeros_like(q)
+    return LinkDynamics(robot, gravity_vector).motion(q, still, still).torque(thetas)
+
+
 def draw_scene(robot: RobotModel, arm_name: str, kind: str, duration: float, seed: int) -> Scene:
     """Return an arm with a right log of it; every other one has white noise."""
     arm = draw_arm(robot, kind, arm_name in SENSOR_ARMS, duration, seed % 2 == 0, seed)
-    still = np.zeros_like(arm.motion.q)
     return Scene(
         robot=robot,
         theta=arm.thetas[-1],
         log=arm.log,
-        still=LinkDynamics(robot).motion(arm.motion.q, still, still).torque(arm.thetas),
+        still=resting_torque(robot, arm.motion.q, arm.thetas),
         rigid=arm.rigid,
         friction=arm.log.tau - arm.rigid,
         rng=np.random.default_rng([seed, _CAUSE_STREAM]),
@@ -96,21 +103,25 @@ def payload_of(scene: Scene) -> Array:
     return spatial.theta_from_com(mass, np.array([0.02, 0.01, 0.06]), 0.002 * mass * np.eye(3))
 
 
-def torque_of_payload(scene: Scene, theta: Array) -> Array:
-    """Return the torque (N, n) of a body (10,) that moves with the last link [N m]."""
+def last_link_alone(scene: Scene, theta: Array) -> Array:
+    """Return links (n, 10) that have no mass but for the last one (10,)."""
     thetas = np.zeros_like(scene.robot.thetas)
     thetas[-1] = theta
+    return thetas
+
+
+def torque_of_payload(scene: Scene, theta: Array) -> Array:
+    """Return the torque (N, n) of a body (10,) that moves with the last link [N m]."""
     motion = scene.arm.motion
-    return LinkDynamics(scene.robot).motion(motion.q, motion.qd, motion.qdd).torque(thetas)
+    links = LinkDynamics(scene.robot).motion(motion.q, motion.qd, motion.qdd)
+    return links.torque(last_link_alone(scene, theta))
 
 
 def torque_of_force(scene: Scene, force: Array) -> Array:
     """Return the torque (N, n) that holds a force (3,) at the last link's origin [N, N m]."""
-    thetas = np.zeros_like(scene.robot.thetas)
-    thetas[-1, 0] = 1.0
-    q = scene.arm.motion.q
-    still = np.zeros_like(q)
-    return LinkDynamics(scene.robot, force).motion(q, still, still).torque(thetas)
+    unit_mass = np.eye(10)[0]
+    thetas = last_link_alone(scene, unit_mass)
+    return resting_torque(scene.robot, scene.arm.motion.q, thetas, force)
 
 
 def change_payload(scene: Scene, before: float, after: float, instant: float) -> Scene:
@@ -148,12 +159,9 @@ def glued_states(scene: Scene) -> Scene:
 def hand_carries(scene: Scene) -> Scene:
     """Return a log in which a hand carries 40 % of the last link with a payload."""
     loaded = change_payload(scene, 1.0, 1.0, 0.0)
-    thetas = np.zeros_like(scene.robot.thetas)
-    thetas[-1] = scene.theta + payload_of(scene)
-    q = scene.arm.motion.q
-    still = np.zeros_like(q)
-    held = LinkDynamics(scene.robot).motion(q, still, still).torque(thetas)
-    return loaded.with_more_torque(-0.4 * held)
+    carried = last_link_alone(scene, scene.theta + payload_of(scene))
+    weight_torque = resting_torque(scene.robot, scene.arm.motion.q, carried)
+    return loaded.with_more_torque(-0.4 * weight_torque)
 
 
 def push(scene: Scene) -> Scene:
@@ -188,10 +196,8 @@ def balancer(scene: Scene) -> Scene:
 def tilt(scene: Scene) -> Scene:
     """Return a log of an arm whose base is 3.6 degrees off."""
     angles = np.radians([3.0, -2.0])
-    tilted = with_gravity(scene.robot, turned(gravity(scene.robot), angles))
-    q = scene.arm.motion.q
-    still = np.zeros_like(q)
-    held = LinkDynamics(tilted).motion(q, still, still).torque(scene.arm.thetas)
+    tilted = turned(gravity(scene.robot), angles)
+    held = resting_torque(scene.robot, scene.arm.motion.q, scene.arm.thetas, tilted)
     return scene.with_more_torque(held - scene.still)
 
 
