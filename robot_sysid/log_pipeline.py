@@ -136,7 +136,7 @@ def checked(
     for done, log in enumerate(logs):
         progress.advance("Looking for what is wrong with the logs", done, len(logs), "")
         give_back()
-        look_at(robot, log, (*config.log.accept, *late), progress, config.estimation.cutoff)
+        look_at(robot, log, (*config.log.accept, *late), progress, config.estimation)
 
 
 def _filtered(

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.model_fit import ModelFit
 from robot_sysid.records import Array, Measurement
 from robot_sysid.signals.resampling import usual_period
 
@@ -38,24 +37,24 @@ def _length(pieces: Sequence[Measurement]) -> float:
     return sum(float(piece.time[-1] - piece.time[0]) for piece in pieces)
 
 
-def slow_findings(log: ModelFit) -> Iterator[Finding]:
-    """Yield a finding where no joint moves fast enough to be told from its friction."""
-    fastest = float(np.max(np.abs(log.sample.qd)))
+def slow_findings(qd: Array) -> Iterator[Finding]:
+    """Yield a finding where no joint's speed (K, n) is enough to be told from its friction."""
+    fastest = float(np.max(np.abs(qd)))
     if fastest < SLOWEST:
         text = f"no joint moves faster than {fastest:.2g} rad/s; record a faster motion"
         yield Finding("too-little", Level.REFUSE, text)
 
 
-def enough_findings(log: ModelFit) -> Iterator[Finding]:
-    """Yield what there is too little of."""
-    span = _length(log.pieces)
-    rows = int(2.0 * log.cutoff * span)
-    rate = 1.0 / usual_period(log.pieces[0].time)
+def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Finding]:
+    """Yield what there is too little of behind a low-pass [Hz]."""
+    span = _length(pieces)
+    rows = int(2.0 * cutoff * span)
+    rate = 1.0 / usual_period(pieces[0].time)
     if rate < SLOWEST_RATE:
         text = f"{rate:.3g} samples per second are too few; record at 100 or more"
         yield Finding("too-little", Level.REFUSE, text)
     if rows < ROWS:
-        text = f"{span:.3g} s behind a low-pass of {log.cutoff:.3g} Hz hold about {rows} "
+        text = f"{span:.3g} s behind a low-pass of {cutoff:.3g} Hz hold about {rows} "
         text += f"independent samples per joint, and {ROWS} are needed; record longer"
         yield Finding("too-little", Level.REFUSE, text)
 
@@ -90,7 +89,9 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     for what, share in odd.items():
         if share > FEW:
             text = f"{100.0 * share:.2g} % of the steps {what}; record the time of each sample"
-            yield Finding("clock", Level.REFUSE if share > MANY else Level.WARN, text)
+            # A low-pass takes out a repeated sample, not a time that was lost.
+            levels = (Level.WARN, Level.REFUSE) if "lost" in what else (Level.NOTE, Level.WARN)
+            yield Finding("clock", levels[share > MANY], text)
     if jumps:
         text = f"the clock jumps ahead {jumps} times without a sample missing; use the stamps of "
         yield Finding("clock", Level.WARN, f"{text}the controller's own clock")

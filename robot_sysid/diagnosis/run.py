@@ -1,33 +1,41 @@
-"""All checks of a log, in the order in which one finding explains another."""
+"""All checks of a log: what the recording shows by itself, then the contest of explanations."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
-from robot_sysid.diagnosis import Finding, Level, recording, torque
-from robot_sysid.diagnosis.model_fit import Fit, ModelFit
-from robot_sysid.diagnosis.offsets import joint_zeros, offset_findings, zero_findings
+import numpy as np
+
+from robot_sysid.diagnosis import Finding, Level, recording
+from robot_sysid.diagnosis.contest import Contest, findings
+from robot_sysid.diagnosis.relabelling import model_torque
+from robot_sysid.diagnosis.rows import low_pass, rms
 from robot_sysid.errors import InputError, SysidError, named
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records.figures import percent
 from robot_sysid.records.progress import Progress
+from robot_sysid.signals.process import ProcessedSignals
 
-OF_LINKS = ("torque-scale", "zero", "model", "contact", "clock")
+OF_LINKS = ("torque-scale", "zero", "tilt", "model", "unexplained", "clock", "gravity", "force")
 """Findings that other links than the model's would bring as well."""
+# What is left of a torque that follows from rigid bodies alone, its noise and friction, as parts.
+_EXACT, _QUIET, _FRICTIONLESS = 0.004, 5e-4, 0.002
 
 
 def check_against_model(
     robot: RobotModel,
     pieces: Sequence[Measurement],
-    cutoff: float | None = None,
+    options: EstimationOptions | None = None,
     links_known: bool = True,
     divided: Sequence[float] | Array | None = None,
 ) -> tuple[Finding, ...]:
     """Return what looks wrong with a log.
 
     Args:
-        cutoff: of the low-pass [Hz]; None chooses it from the data.
+        options: what the estimate allows for; None for what is usual.
         links_known: whether the model's links are right; where they are to be found, what wrong
             ones would bring as well is only told.
         divided: (n,) scale that torques were divided by already.
@@ -35,13 +43,19 @@ def check_against_model(
     Raises:
         InputError: the log is too short to be looked at.
     """
+    options = options or EstimationOptions()
     raw = [*recording.length_findings(pieces), *recording.clock_findings(pieces)]
     raw += recording.velocity_findings(pieces, robot.joint_names)
     raw += recording.sensor_findings(pieces, robot.joint_names)
     if any(each.level is Level.REFUSE for each in raw):
         return tuple(raw)
-    log = ModelFit(robot, pieces, cutoff, divided)
-    found = [*recording.enough_findings(log)] or _of_torque(log)
+    signals = low_pass(pieces, options.cutoff)
+    found = [*recording.enough_findings(pieces, signals[0].cutoff)]
+    if not found:
+        contest = Contest(robot, signals, options)
+        scales = np.ones(robot.n_joints) if divided is None else np.asarray(divided, dtype=float)
+        found = _computed_findings(contest) or findings(contest, scales)
+        found = found or [*recording.slow_findings(contest.log.motion.qd)]
     if not links_known:
         found = [replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found]
     return (*raw, *found)
@@ -52,12 +66,12 @@ def look_at(
     log: MeasurementLog,
     accepted: Collection[str],
     progress: Progress,
-    cutoff: float | None = None,
+    options: EstimationOptions | None = None,
     links_known: bool = True,
 ) -> None:
     """Tell what ``check_against_model`` finds wrong with a log, and ``require_acceptable``."""
     with named(str(log.path)):
-        found = check_against_model(robot, log.pieces, cutoff, links_known, log.torque_scale)
+        found = check_against_model(robot, log.pieces, options, links_known, log.torque_scale)
     for each in found:
         # What stops a log is told when it does.
         if each.level is Level.NOTE or (each.level is Level.WARN and each.name in accepted):
@@ -90,32 +104,27 @@ def require_acceptable(
         raise SysidError(f"{log}: {texts}; nothing was written (to go on all the same: {names})")
 
 
-def _of_torque(log: ModelFit) -> list[Finding]:
-    """Return what the torques say; the first mistake that explains them stands alone."""
-    base, explained = log.fit(), torque.explanations(log)
-    best = min((after.cost for after, _ in explained), default=base.cost)
-    found = [*torque.gravity_findings(log, best)]
-    if found or explained:
-        return found or _likelier(log, base, *explained[0])
-    found = [*torque.unit_findings(log)] or [*torque.scale_findings(log)]
-    found = found or [*torque.contact_findings(log, base), *torque.computed_findings(log, base)]
-    if found:
-        return found
-    found = offset_findings(log, base)
-    # What a model of another arm leaves may look like a hum.
-    if not found or found[0].name == "contact":
-        found = [*torque.model_findings(log)] or found
-    return found or [*recording.slow_findings(log)]
+def _computed_findings(contest: Contest) -> list[Finding]:
+    """Return a finding where the torque is the model's own, without noise and friction."""
+    log, found = contest.log, contest.found
+    model = model_torque(log)
+    loaded = model > 0.1 * float(np.max(model))
+    exact = rms(found.residual) < _EXACT * log.usual
+    quiet = _fast_torque(contest.signals) < _QUIET * log.usual
+    friction = contest.friction_share(found) < _FRICTIONLESS
+    if not np.all((exact & quiet & friction)[loaded]):
+        return []
+    text = (
+        f"the torque follows rigid-body dynamics to {percent(_EXACT)} and has no friction: it was "
+        "computed, or commanded, not measured; record the measured torque"
+    )
+    return [Finding("computed", Level.WARN, text)]
 
 
-def _likelier(log: ModelFit, base: Fit, after: Fit, mistake: Finding) -> list[Finding]:
-    """Return a scale or zeros where they explain a log better than a mistake does, else that."""
-    scales = [*torque.scale_findings(log)]
-    if scales:
-        undone = log.sample.with_torque(1.0 / torque.torque_scales(log)[0])
-        if log.fit(undone).cost < after.cost:
-            return scales
-    zeros = joint_zeros(log)
-    if zeros.after.cost < after.cost:
-        return [*zero_findings(log, base, zeros)] or [mistake]
-    return [mistake]
+def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
+    """Return (n,) the usual torque above the low-pass, noise where it was measured [N m]."""
+    parts = []
+    for each in signals:
+        half = each.low_pass.half_width
+        parts.append(each.tau[half : len(each) - half] - each.low_pass.filtered(each.tau))
+    return rms(np.concatenate(parts))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.diagnosis.model_fit import ModelFit
+from robot_sysid.diagnosis.contest import Contest
+from robot_sysid.diagnosis.rows import low_pass
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from tests.support import arms
 from tests.support.wrong_logs import truth_of
 
@@ -18,4 +20,4 @@ def truth():
 
 @pytest.fixture(scope="session")
 def right(truth):
-    return ModelFit(truth.robot, [truth.log])
+    return Contest(truth.robot, low_pass([truth.log], None), EstimationOptions())

@@ -1,0 +1,413 @@
+"""The contest of explanations: what a log's model lacks, named by the log evidence.
+
+The base model is what the estimate allows for. Each explanation is scored beside it with noise of
+its own. The winner is named where the log is likelier by ``MARGIN`` nats; what is as likely within
+``TIE`` nats is named with it, for the log cannot tell them apart. Then it joins the base model, and
+the others are scored again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.diagnosis import Finding, Level
+from robot_sysid.diagnosis.evidence import Hypotheses, Posterior
+from robot_sysid.diagnosis.explanations import Explanation, Fitted, explanations
+from robot_sysid.diagnosis.relabelling import (
+    Relabelled,
+    odd_unit_finding,
+    undone_motions,
+    undone_scales,
+    undone_torques,
+    usual_scale,
+)
+from robot_sysid.diagnosis.rows import LogRows, base_prior, log_rows, rms
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.figures import percent
+from robot_sysid.signals.process import ProcessedSignals
+
+MARGIN, TIE = 15.0, 6.0
+"""Nats by which an explanation has to make a log likelier, and within which two are as likely."""
+LEAST_SHARE, SURE = 0.015, 3.0
+"""Part of the torque that an explanation has to explain, and standard errors by which a coefficient
+of it has to be off."""
+MATTERS, HARMFUL_SHARE = 2.0, 0.05
+"""Standard errors of the last link that an explanation moves it by, or part of the torque that it
+makes, from which on a result that takes no notice of it is not right."""
+MOST_NAMES = 3
+"""How many explanations may come together: more are no explanation."""
+UNEXPLAINED, OTHER_ARM = 0.05, 0.3
+"""Parts of the torque that neither noise nor an explanation accounts for, from which on nothing is
+named, and from which on the model is of another arm: right logs have 0.03 at most."""
+GROSS, GROSS_JOINT = 0.05, 0.5
+"""Part of the torque, and of one joint's, that is left where relabelled columns are tried."""
+FAR, GROSS_FAR, ODD_SCALE = 100.0, 0.018, 1.4
+"""Strain of the base model and part of the torque that it leaves, from which on together the same
+is done; factor between usual torque and the model's from which on scales are tried."""
+HEAVIEST = 0.6
+"""Mass of a plausible last link, as a part of the arm's."""
+# Explanations that get noise of their own in the first round and later, and from which gain on.
+_REFITTED, _REFITTED_AGAIN, _WORTH = 8, 4, 3.0
+_MOST_ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class Score:
+    """An explanation beside the others.
+
+    Attributes:
+        gain: by how much likelier the log is [nats].
+        values, errors: (e,) its coefficients and their standard errors.
+        hypotheses, posterior: the model with it.
+    """
+
+    explanation: Explanation
+    gain: float
+    values: Array
+    errors: Array
+    hypotheses: Hypotheses
+    posterior: Posterior
+
+    @property
+    def text(self) -> str:
+        """What it is, and what to do."""
+        return self.explanation.words(self.values, self.errors)
+
+    @property
+    def torque(self) -> Array:
+        """Torque (K, n) that it makes, or (K, 1) at its joint [N m]."""
+        made = self.explanation.columns @ self.values
+        return made if made.ndim == 2 else made[:, None]
+
+
+class Contest:
+    """One log and its explanations.
+
+    Args:
+        signals: of the log, see ``rows.low_pass``.
+        options: what the estimate allows for.
+
+    Attributes:
+        log, prior, base, found: equations, what is known beforehand, the base model and its
+            posterior.
+    """
+
+    def __init__(
+        self, robot: RobotModel, signals: Sequence[ProcessedSignals], options: EstimationOptions
+    ) -> None:
+        self.signals, self.options = signals, options
+        self.log = log_rows(robot, signals)
+        self.prior = base_prior(self.log, options)
+        self.base = Hypotheses(self.log, self.prior)
+        self.found = self.base.posterior()
+
+    def last_mass(self, found: Posterior) -> tuple[float, float]:
+        """Return the last link's mass and its standard error [kg]."""
+        mass = self.prior.mean[0] + self.prior.spread[0] * found.values[0]
+        return float(mass), float(self.prior.spread[0] * np.sqrt(found.covariance[0, 0]))
+
+    def is_plausible(self, found: Posterior) -> bool:
+        """Return whether such a last link could hang on the arm."""
+        arm = float(np.sum(self.log.robot.thetas[:, 0]))
+        most = max(HEAVIEST * arm, self.log.robot.prior.mass + 0.3 * arm)
+        mass, error = self.last_mass(found)
+        return mass + 2.0 * error > 0.0 and mass - 2.0 * error < most
+
+    def friction_share(self, found: Posterior) -> Array:
+        """Return (n,) the least likely Coulomb friction, in parts of each joint's torque."""
+        names = [f"coulomb[{name}]" for name in self.log.robot.joint_names]
+        at = np.searchsorted(self.prior.kept, self.log.columns.at(names))
+        spread = self.prior.spread[at]
+        dry = self.prior.mean[self.prior.kept[at]] + spread * found.values[at]
+        error = spread * np.sqrt(np.diag(found.covariance)[at])
+        return np.asarray(np.maximum(np.abs(dry) - SURE * error, 0.0) / self.log.usual)
+
+    def strain(self) -> float:
+        """Return the sum of squares of prior standard deviations that the base model is off by."""
+        values = self.found.values
+        return float(min(values @ precision @ values for precision in self.prior.precisions))
+
+    def relabelled(self, divided: Array) -> list[Relabelled]:
+        """Return mistakes of columns, the most likely first.
+
+        Those that need new rows are tried where the base model does not fit, or is far from the
+        model's links.
+
+        Args:
+            divided: (n,) scale that torques were divided by already.
+        """
+        undone = undone_torques(self.log, self.signals, self.base, self.found)
+        by_joint = misfit_by_joint(self.log, self.found)
+        left = misfit(self.log, self.found)
+        is_gross = left > GROSS or float(np.max(by_joint)) > GROSS_JOINT
+        is_far = is_gross or (self.strain() > FAR and left > GROSS_FAR)
+        is_far = is_far or not self.is_plausible(self.found)
+        if is_far or abs(np.log(usual_scale(self.log))) > np.log(ODD_SCALE):
+            undone += undone_scales(self.log, self.found, self.options, divided)
+        if is_far:
+            undone += undone_motions(self.log, self.signals, self.found, self.options)
+        return sorted(undone, key=lambda each: -each.gain)
+
+    def rounds(self) -> list[list[Score]]:
+        """Return, per round, the winning explanation and those that are as likely."""
+        trusted = self.is_plausible(self.found)
+        fit = Fitted(self.log, self.signals, self.prior, self.found, trusted)
+        offered = explanations(fit)
+        columns = _transformed(self.base, offered)
+        winners: list[list[Score]] = []
+        model, found = self.base, self.found
+        while len(winners) < _MOST_ROUNDS:
+            count = _REFITTED if not winners else _REFITTED_AGAIN
+            ranked = self._ranked(model, found, offered, columns, count)
+            if not ranked or ranked[0].gain < MARGIN:
+                break
+            winners.append([each for each in ranked if each.gain > ranked[0].gain - TIE])
+            model, found = ranked[0].hypotheses, ranked[0].posterior
+        return winners
+
+    def _ranked(
+        self,
+        model: Hypotheses,
+        found: Posterior,
+        offered: Sequence[Explanation],
+        columns: Sequence[Sequence[Array | None]],
+        count: int,
+    ) -> list[Score]:
+        penalties = np.log([each.choices for each in offered])
+        gains = _screened(model, found, columns) - penalties
+        best_of_family: dict[object, int] = {}
+        for k in np.argsort(-gains):
+            if gains[k] > _WORTH:
+                best_of_family.setdefault(offered[k].family, int(k))
+        finalists = list(best_of_family.values())[:count]
+        scores = [self._score(model, found, offered[k], columns[k]) for k in finalists]
+        scores.sort(key=lambda score: -score.gain)
+        if scores and scores[0].gain > MARGIN:
+            scores[0] = self._refined(model, found, scores[0])
+        return scores
+
+    def _score(
+        self,
+        model: Hypotheses,
+        found: Posterior,
+        explanation: Explanation,
+        columns: Sequence[Array | None],
+    ) -> Score:
+        """Return an explanation's score beside a model, with noise of its own."""
+        width = len(explanation.spread)
+        nothing = np.zeros((len(model.right), width))
+        wider = model.with_columns([nothing if own is None else own for own in columns])
+        after = wider.posterior(found.noise)
+        gain = after.log_evidence - found.log_evidence - float(np.log(explanation.choices))
+        values = explanation.spread * after.values[-width:]
+        errors = explanation.spread * np.sqrt(np.diag(after.covariance)[-width:])
+        return Score(explanation, gain, values, errors, wider, after)
+
+    def _refined(self, model: Hypotheses, found: Posterior, score: Score) -> Score:
+        """Return the best of the explanations near a winner, or the winner."""
+        best = score
+        while nearby := best.explanation.nearby():
+            columns = _transformed(model, nearby)
+            # With the winner's noise: beside the model's own, all of them look alike.
+            with_winner = model.at_noise(best.posterior.noise)
+            k = int(np.argmax(_screened(model, with_winner, columns)))
+            candidate = self._score(model, found, nearby[k], columns[k])
+            if candidate.gain <= best.gain:
+                break
+            best = candidate
+        return best
+
+    def is_told(self, score: Score, before: Posterior) -> bool:
+        """Return whether an explanation is sure of itself, and makes a fair part of the torque or
+        another last link than a model without it.
+        """
+        explanation = score.explanation
+        is_sure = np.any(np.abs(score.values) > SURE * score.errors)
+        if not is_sure or not explanation.is_possible(score.values):
+            return False
+        # Small effects of a wrist move the last link as well, and are no fault of the log.
+        is_of_log = explanation.joint is None and explanation.level is Level.REFUSE
+        if is_of_log and self.moves_link(score, before):
+            return True
+        return self.torque_share(score) > LEAST_SHARE
+
+    def is_harmful(self, score: Score, before: Posterior) -> bool:
+        """Return whether a result that takes no notice of an explanation is not right."""
+        explanation = score.explanation
+        if explanation.always or explanation.level is Level.REFUSE:
+            return True
+        return self.torque_share(score) > HARMFUL_SHARE or self.moves_link(score, before)
+
+    def torque_share(self, score: Score) -> float:
+        """Return the varying torque that an explanation makes, as a part of all torque."""
+        made = np.linalg.norm(np.std(score.torque, axis=0))
+        return float(made / np.linalg.norm(rms(self.log.torque)))
+
+    def moves_link(self, score: Score, before: Posterior) -> bool:
+        """Return whether the last link is another one with an explanation than without."""
+        moved = score.posterior.values[:4] - before.values[:4]
+        errors = np.sqrt(np.diag(before.covariance)[:4])
+        return bool(np.any(np.abs(moved) > MATTERS * errors))
+
+
+def misfit_by_joint(log: LogRows, found: Posterior) -> Array:
+    """Return (n,) torque that neither the model nor white noise makes, in parts of each joint's
+    usual torque.
+
+    White noise is what is left in the upper half of the frequencies, in which links say little.
+    """
+    squares = found.residual**2
+    left = np.zeros(squares.shape[1])
+    for window in log.windows:
+        part = squares[window]
+        white = len(part) * np.mean(part[len(part) // 2 :], axis=0)
+        left += np.maximum(np.sum(part, axis=0) - white, 0.0)
+    counts = np.maximum(np.sum(log.used, axis=0), 1)
+    return np.asarray(np.sqrt(left / counts) / log.usual)
+
+
+def misfit(log: LogRows, found: Posterior) -> float:
+    """Return the same of all joints, as a part of all torque."""
+    left = misfit_by_joint(log, found) * log.usual
+    return float(np.linalg.norm(left) / np.linalg.norm(np.sqrt(np.mean(log.torque**2, axis=0))))
+
+
+def _transformed(model: Hypotheses, offered: Sequence[Explanation]) -> list[list[Array | None]]:
+    """Return per explanation and joint its columns (K, e), transformed, in units of its prior."""
+    transformed: list[list[Array | None]] = [[None] * len(model.rows) for _ in offered]
+    for joint in range(len(model.rows)):
+        columns = {k: each.of_joint(joint) for k, each in enumerate(offered)}
+        own = {k: rows for k, rows in columns.items() if rows is not None}
+        if not own:
+            continue
+        ends = np.cumsum([rows.shape[1] for rows in own.values()])[:-1]
+        whole = model.transform.of_joint(joint, np.hstack([*own.values()]))
+        for k, part in zip(own, np.split(whole, ends, axis=1)):
+            transformed[k][joint] = part
+    return transformed
+
+
+def _screened(
+    model: Hypotheses, found: Posterior, columns: Sequence[Sequence[Array | None]]
+) -> Array:
+    """Return by how much likelier each explanation makes the log, with the noise as it is [nats].
+
+    With E its columns, r what is left and C the posterior covariance, in units of noise and prior,
+    that is 1/2 v' (1 + M)^-1 v - 1/2 log |1 + M|, M = E'E - E'A C A'E and v = E'r.
+    """
+    widths = [next(own.shape[1] for own in each if own is not None) for each in columns]
+    ends = np.cumsum([0, *widths])
+    crossed = np.zeros((len(found.values), ends[-1]))
+    pull = np.zeros(ends[-1])
+    squares = [np.eye(width) for width in widths]
+    for joint in range(len(model.rows)):
+        places, rows = model.equations(joint)
+        offered = {k: each[joint] for k, each in enumerate(columns)}
+        own = {k: each for k, each in offered.items() if each is not None}
+        if not own:
+            continue
+        at = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in own])
+        weight = 1.0 / found.noise[:, joint, None]
+        whole = np.hstack([*own.values()])
+        crossed[np.ix_(places, at)] += (rows * weight).T @ whole
+        pull[at] += found.residual[:, joint] @ (whole * weight)
+        for k, each in own.items():
+            squares[k] += each.T @ (each * weight)
+    solved = found.covariance @ crossed
+    gains = []
+    for k, square in enumerate(squares):
+        part = slice(ends[k], ends[k + 1])
+        inside = square - crossed[:, part].T @ solved[:, part]
+        best = np.linalg.solve(inside, pull[part])
+        gains.append(0.5 * (float(pull[part] @ best) - np.linalg.slogdet(inside)[1]))
+    return np.array(gains)
+
+
+def findings(contest: Contest, divided: Array) -> list[Finding]:
+    """Return what a log's contest says of it, or that nothing explains what is left.
+
+    Args:
+        divided: (n,) scale that torques were divided by already.
+    """
+    odd_unit = odd_unit_finding(contest.log)
+    if odd_unit is not None:
+        return [odd_unit]
+    undone = contest.relabelled(divided)
+    rounds = contest.rounds()
+    best_gain = rounds[0][0].gain if rounds else 0.0
+    # Scales of all joints stand for those of single ones.
+    if rounds and undone and undone[0].name == rounds[0][0].explanation.name == "torque-scale":
+        best_gain = 0.0
+    if undone and undone[0].gain > max(MARGIN, best_gain - TIE):
+        winner = undone[0]
+        text = winner.text
+        if misfit(winner.log, winner.posterior) > UNEXPLAINED:
+            text = f"this looks like the model of another arm; if it is not, {text}"
+        return [Finding(winner.name, winner.level, text)]
+    told = _named(contest, rounds)
+    last = rounds[-1][0].posterior if rounds else contest.found
+    if misfit(contest.log, last) > UNEXPLAINED or len(told) > MOST_NAMES:
+        return [_unexplained(contest.log, last)]
+    if not told and not contest.is_plausible(contest.found):
+        return [_implausible(contest)]
+    return told
+
+
+def _named(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
+    """Return a finding per round whose winner is to be told, each explanation once."""
+    told: list[Finding] = []
+    before = contest.found
+    names_told: set[tuple[str, int | None]] = set()
+    for ranked in rounds:
+        scores: dict[str, Score] = {}
+        for score in ranked:
+            explanation = score.explanation
+            key = explanation.name, explanation.joint
+            if key not in names_told and contest.is_told(score, before):
+                scores.setdefault(explanation.name, score)
+                names_told.add(key)
+        if any(score is ranked[0] for score in scores.values()):
+            harmful = [s for s in scores.values() if contest.is_harmful(s, before)]
+            told.append(_finding([*scores.values()], harmful))
+        before = ranked[0].posterior
+    return told
+
+
+def _finding(scores: Sequence[Score], harmful: Sequence[Score]) -> Finding:
+    """Return the finding of explanations that are as likely, the first of which won."""
+    texts = dict.fromkeys(score.text for score in scores)
+    levels = {score.explanation.level for score in harmful}
+    order = (Level.REFUSE, Level.WARN, Level.NOTE)
+    level = next((level for level in order if level in levels), Level.NOTE)
+    return Finding(scores[0].explanation.name, level, "; or ".join(texts))
+
+
+def _unexplained(log: LogRows, found: Posterior) -> Finding:
+    """Return how much of the torque nothing explains, and at which joints."""
+    by_joint = misfit_by_joint(log, found)
+    share = misfit(log, found)
+    worst = np.argsort(-by_joint * log.usual)[:3]
+    listed = ", ".join(f"{log.robot.joint_names[j]} {percent(float(by_joint[j]))}" for j in worst)
+    text = (
+        f"{percent(share)} of the torque is explained by nothing that is looked for ({listed} of "
+        "its own): is the model of this arm, with what is fixed to its links, and did it carry "
+        "the same all the time with nothing touching it?"
+    )
+    return Finding("model" if share > OTHER_ARM else "unexplained", Level.WARN, text)
+
+
+def _implausible(contest: Contest) -> Finding:
+    """Return that the last link is none that this arm can have."""
+    mass, _ = contest.last_mass(contest.found)
+    arm = float(np.sum(contest.log.robot.thetas[:, 0]))
+    text = (
+        f"to fit this log, the terminal link would have {mass:.3g} kg on an arm of {arm:.3g} kg: "
+        "is the model of this arm, and its base mounted as the model says? Where torques are "
+        "currents of unknown scale, weigh a known mass with robot-sysid payload "
+        "--known-mass and pass its file as --torque-scale"
+    )
+    return Finding("model", Level.WARN, text)

@@ -1,0 +1,289 @@
+"""A log as linear equations, with the estimate's own columns and priors.
+
+Rows are those of ``estimation.columns`` around the model, of every friction term. Two more kinds of
+friction stand beside them, over which an estimate averages but which would pass for other faults
+here: friction that builds up over some way after a reversal, and dry friction that varies over a
+turn. Rows are uniform in time, so that a cosine transform makes noise with a memory independent:
+its variance is then a function of the frequency alone (``evidence``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.dynamics.nuisances import TILT_NAMES
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.choices import WITH_ALL
+from robot_sysid.estimation.columns import Columns
+from robot_sysid.estimation.couplings import neighbours
+from robot_sysid.estimation.dataset import Dataset
+from robot_sysid.estimation.unknowns import Choice, Question, unknowns
+from robot_sysid.records import DELAY_NAME, Array, Measurement, Motion, RobotModel
+from robot_sysid.signals.process import LogPiece, ProcessedSignals, process
+
+CUTOFF_HZ = 8.0
+"""Highest cut-off of the low-pass: faster motion says little of links."""
+WINDOW, MOST_WINDOWS = 16.0, 4
+"""Longest window [s], and how many of a long log are looked at, spread evenly."""
+LINK_SCALES = (1.0, 3.0)
+"""Factors of the other links' prior that are averaged over: real arms need the second."""
+PAYLOAD, REACH = 0.3, 0.15
+"""Standard deviation of the last link's mass as a part of the arm's, and its size as a part of the
+arm's reach."""
+FRICTION = {
+    **{"coulomb": 1.0, "viscous": 1.0, "offset": 0.3, "armature": 0.5},
+    **{"sqrt": 0.05, "stribeck": 0.05, "load": 0.04},
+}
+"""Standard deviation of each friction term, in parts of a joint's usual torque at its usual speed
+and acceleration; of a gear's loss as a share of its load."""
+BUILD_UP, BUILT_UP, UNEVEN = (0.004, 0.02), 0.15, 0.03
+"""Ways after a reversal over which friction builds up [rad], how much of it does, and dry friction
+that varies over a turn, in parts of the usual torque."""
+WIDE_TILT, WIDE_DELAY = 0.15, 0.04
+"""Standard deviations of what the estimate finds itself where it is asked to [rad, s]."""
+LEAST_TORQUE = 0.02
+"""Usual torque that a joint is taken to have at least, as a part of the strongest joint's."""
+# Share of its top speed below which a joint's friction has no sure direction.
+_SLOW = 0.01
+
+
+def rms(values: Array) -> Array:
+    """Return (n,) the root mean square over samples (K, n)."""
+    return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
+
+
+def low_pass(pieces: Sequence[Measurement], cutoff: float | None) -> list[ProcessedSignals]:
+    """Return the signals of a log, of evenly spread windows where it is long.
+
+    Args:
+        cutoff: of the low-pass [Hz]; None chooses it from the data.
+    """
+    signals = []
+    for piece in _spread_windows(pieces):
+        log_piece = LogPiece.of(piece)
+        cutoff_hz = min(cutoff or log_piece.choice[0], CUTOFF_HZ)
+        # Every row is used: those of a joint that is too slow are masked later.
+        signals.append(process(log_piece, (), cutoff_hz, 0.0))
+    return signals
+
+
+def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
+    """Return the pieces of a log, or as many windows of them as are looked at."""
+    total = sum(float(piece.time[-1] - piece.time[0]) for piece in pieces)
+    if total <= MOST_WINDOWS * WINDOW:
+        return list(pieces)
+    windows = []
+    for piece in pieces:
+        count = max(1, int((piece.time[-1] - piece.time[0]) / WINDOW))
+        windows += [_cut(piece, rows) for rows in np.array_split(np.arange(len(piece)), count)]
+    spread = np.linspace(0, len(windows) - 1, MOST_WINDOWS)
+    return [windows[k] for k in np.unique(spread.astype(int))]
+
+
+def _cut(piece: Measurement, rows: NDArray[np.int64]) -> Measurement:
+    arrays: dict[str, Any] = {
+        name: None if v is None else v[rows] for name, v in vars(piece).items()
+    }
+    return Measurement(**{name: arrays[name] for name in Measurement.__dataclass_fields__})
+
+
+@dataclass(frozen=True)
+class LogRows:
+    """Equations of all joints at K instants of a log.
+
+    Attributes:
+        columns: names and places of the estimate's parameters.
+        motion: (K, n) at the instants.
+        torque: (K, n) measured, low-passed [N m].
+        places: per joint (k,) which parameters its rows contain; those beyond the estimate's are
+            of friction that only stands here.
+        rows: per joint (K, k).
+        right: (K, n) right-hand sides [N m].
+        used: (K, n) whether a joint moves fast enough for its friction to have a direction.
+        windows: stretches of the rows without holes.
+        point_values: (p,) parameters around which the rows are made.
+    """
+
+    columns: Columns
+    motion: Motion
+    torque: Array
+    places: tuple[NDArray[np.int64], ...]
+    rows: tuple[Array, ...]
+    right: Array
+    used: NDArray[np.bool_]
+    windows: tuple[slice, ...]
+    point_values: Array
+
+    @property
+    def robot(self) -> RobotModel:
+        """The arm."""
+        return self.columns.robot
+
+    @cached_property
+    def usual(self) -> Array:
+        """Usual torque (n,) of each joint, of a light one a part of the strongest's [N m]."""
+        usual = rms(self.torque)
+        return np.maximum(usual, LEAST_TORQUE * float(np.max(usual)))
+
+    def with_torque(self, torque: Array) -> LogRows:
+        """Return the equations with other measured torques (K, n)."""
+        right = self.right + torque - self.torque
+        return replace(self, torque=torque, right=right)
+
+    def column(self, joint: int, name: str) -> Array:
+        """Return a parameter's column (K,) in a joint's rows; zero where it has none."""
+        at = np.flatnonzero(self.places[joint] == self.columns.place.get(name, -1))
+        return self.rows[joint][:, at[0]] if len(at) else np.zeros(len(self.torque))
+
+
+def log_rows(
+    robot: RobotModel,
+    signals: Sequence[ProcessedSignals],
+    used: NDArray[np.bool_] | None = None,
+    values: Array | None = None,
+) -> LogRows:
+    """Return the equations of a log.
+
+    Args:
+        used: (K, n) which rows to use; None for those in which the joint moves.
+        values: (p,) parameters around which the rows are made; None for the model's.
+    """
+    datasets = [Dataset("log", each) for each in signals]
+    columns = Columns(robot, datasets, couplings=tuple(neighbours(robot)))
+    start = columns.start()
+    point = start if values is None else replace(start, values=values)
+    samples = columns.samples(point)
+    motions = [each.motion for each in datasets]
+    motion = Motion(*map(np.concatenate, zip(*(vars(m).values() for m in motions))))
+    speed = np.abs(motion.qd)
+    if used is None:
+        used = speed > _SLOW * np.max(speed, axis=0)
+    torque = np.concatenate([np.stack(part.measured, axis=1) for part in samples])
+    right = np.concatenate([np.stack(part.tau, axis=1) for part in samples])
+    used = used & np.isfinite(right)
+    right = np.nan_to_num(right)
+
+    beside = np.concatenate([_friction_beside(each) for each in signals])
+    first = len(columns.names)
+    places, rows = [], []
+    for joint in range(robot.n_joints):
+        own_rows = np.concatenate([part.rows[joint] for part in samples])
+        rows.append(np.hstack((own_rows, beside[:, joint])))
+        beside_places = first + beside.shape[2] * joint + np.arange(beside.shape[2])
+        places.append(np.append(samples[0].columns[joint], beside_places))
+    windows = _windows([len(part) for part in samples], signals[0])
+    return LogRows(
+        columns, motion, torque, tuple(places), tuple(rows), right, used, windows, point.values
+    )
+
+
+def _windows(counts: Sequence[int], signals: ProcessedSignals) -> tuple[slice, ...]:
+    """Return the rows of each piece, in stretches that are not too long for one transform."""
+    most = int(WINDOW * signals.rate / signals.low_pass.step)
+    windows = []
+    start = 0
+    for count in counts:
+        parts = -(-count // most)
+        edges = start + np.linspace(0, count, parts + 1).astype(int)
+        windows += [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:])]
+        start += count
+    return tuple(windows)
+
+
+def _friction_beside(signals: ProcessedSignals) -> Array:
+    """Return (K, n, k) columns of friction that builds up after reversals, less dry friction, and
+    of dry friction that varies over a turn.
+    """
+    stride = signals.low_pass.stride
+    q = signals.q[::stride]
+    sign = np.sign(signals.qd[::stride])
+    decay = np.exp(-np.abs(np.diff(q, axis=0))[..., None] / np.array(BUILD_UP))
+    built = np.empty((*q.shape, len(BUILD_UP)))
+    state = built[0] = np.repeat(sign[0][:, None], len(BUILD_UP), axis=1)
+    for k, direction in enumerate(sign[1:, :, None]):
+        state = built[k + 1] = direction + decay[k] * (state - direction)
+    late = built - sign[..., None]
+    uneven = sign[..., None] * np.stack((np.sin(q), np.cos(q)), axis=-1)
+    low_pass = signals.low_pass.at_every(stride)
+    return low_pass.decimated(np.concatenate((late, uneven), axis=-1))
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the base model's parameters before the log.
+
+    Attributes:
+        kept: (k,) which parameters are sought.
+        mean: (p,) what they and the others are taken to be.
+        spread: (k,) standard deviations.
+        precisions: inverse covariances (k, k) in units of these, one per width of the links' prior.
+    """
+
+    kept: NDArray[np.int64]
+    mean: Array
+    spread: Array
+    precisions: tuple[Array, ...]
+
+
+def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
+    """Return the prior of a right log: the estimate's own, and wide friction."""
+    columns, robot = log.columns, log.robot
+    beside = 2 + len(BUILD_UP)
+    count = len(columns.names)
+    mean = np.append(columns.prior, np.zeros(beside * robot.n_joints))
+    spread = np.append(np.zeros(count), np.zeros(beside * robot.n_joints))
+    spread[: len(PARAMETER_NAMES)] = _last_link_spread(robot)
+    speed = np.maximum(rms(log.motion.qd), 1e-9)
+    turning = np.maximum(rms(log.motion.qdd), 1e-9)
+    units = {"viscous": speed, "armature": turning, "sqrt": np.sqrt(speed), "load": log.usual}
+    for term, share in FRICTION.items():
+        sizes = share * log.usual / units.get(term, np.ones_like(speed))
+        spread[columns.at([f"{term}[{joint}]" for joint in robot.joint_names])] = sizes
+    shares = np.array([BUILT_UP] * len(BUILD_UP) + [UNEVEN] * 2)
+    spread[count:] = np.outer(log.usual, shares).ravel()
+
+    question = Question(options)
+    model = friction_model(WITH_ALL)
+    shown = np.ones(count, dtype=bool)
+    factors = []
+    for scale in LINK_SCALES:
+        choice = Choice((model,) * robot.n_joints, prior_scale=scale)
+        sought = unknowns(columns, question, choice, log.usual, shown)
+        groups = sought.groups
+        for group in groups:
+            at = columns.at(group.names)
+            mean[at] = group.mean
+            spread[at] = np.maximum(spread[at], np.sqrt(np.sum(group.factor**2, axis=1)))
+        factors.append(groups)
+    wide = {**dict.fromkeys(TILT_NAMES, WIDE_TILT), DELAY_NAME: WIDE_DELAY}
+    for name in set(wide) & set(sought.settle):
+        spread[columns.place[name]] = wide[name]
+    kept = np.flatnonzero(spread)
+    place = np.zeros(len(spread), dtype=np.int64)
+    place[kept] = np.arange(len(kept))
+    precisions = []
+    for groups in factors:
+        precision = np.eye(len(kept))
+        for group in groups:
+            at = place[columns.at(group.names)]
+            scaled = group.factor / spread[kept[at], None]
+            precision[np.ix_(at, at)] = np.linalg.inv(scaled @ scaled.T)
+        precisions.append(precision)
+    return Prior(kept, mean, spread[kept], tuple(precisions))
+
+
+def _last_link_spread(robot: RobotModel) -> Array:
+    """Return (10,) how far the last link's parameters may be off: anything may hang on it."""
+    total = sum(max(float(link.theta[0]), 0.0) for link in robot.links)
+    reach = sum(float(np.linalg.norm(link.translation)) for link in robot.links)
+    own_size = characteristic_length(robot.prior.theta) if robot.prior.mass > 0.0 else 0.0
+    distance = float(np.linalg.norm(robot.prior.com))
+    return parameter_scale(PAYLOAD * total, max(REACH * reach, own_size, distance))
