@@ -18,7 +18,8 @@ File = Union[str, "os.PathLike[str]"]
 Numbers = Union[Sequence[float], NDArray[Any]]
 Accept = Literal[
     "torque-scale", "gravity", "computed", "sign", "order", "angle-unit", "zero", "model",
-    "clock", "delay", "saturated", "held", "contact", "too-little", "rollout"
+    "tilt", "clock", "delay", "saturated", "held", "contact", "force", "payload-step",
+    "ripple", "coupling", "crosstalk", "friction", "unexplained", "too-little", "rollout"
 ]  # fmt: skip
 Keep = Literal["friction", "rotors", "gravity", "links"]
 Interface = Literal[

@@ -176,7 +176,8 @@ def log_rows(
     places, rows = [], []
     for joint in range(robot.n_joints):
         own_rows = np.concatenate([part.rows[joint] for part in samples])
-        rows.append(np.hstack((own_rows, beside[:, joint])))
+        used[:, joint] &= np.all(np.isfinite(own_rows), axis=1)
+        rows.append(np.nan_to_num(np.hstack((own_rows, beside[:, joint]))))
         beside_places = first + beside.shape[2] * joint + np.arange(beside.shape[2])
         places.append(np.append(samples[0].columns[joint], beside_places))
     windows = _windows([len(part) for part in samples], signals[0])

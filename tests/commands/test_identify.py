@@ -113,8 +113,11 @@ def test_torques_that_do_not_follow_from_the_motion_change_nothing(
     table[:, columns] = 5.0 * np.random.default_rng(0).normal(size=(len(table), len(columns)))
     path = tmp_path / "noise.csv"
     np.savetxt(path, table, "%.9g", ",", header=titles, comments="")
-    message = command.refused("identify", arm_file(HEAVY), path, *QUICK, "--accept", "model")
-    assert "98 % of the torque unexplained" in message
+    words = ("identify", arm_file(HEAVY), path, *QUICK)
+    assert "% of the torque is explained by nothing" in command.refused(*words, code=1)
+    accepted = command.run(*words, "--accept", "model", "--output-dir", "out", code=1)
+    assert "no model was written" in accepted.err
+    assert not Path("out", "updated_model.xml").exists()
 
 
 def test_logs_of_an_earlier_run_count_again(command, heavy, logs, first):

@@ -171,7 +171,9 @@ def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
 )
 def test_logs_of_real_arms_draw_no_alarm(model, log):
     robot = load_robot_model(DATA / model)
-    assert check_against_model(robot, read_measurements(DATA / log, robot.joint_names).pieces) == ()
+    pieces = read_measurements(DATA / log, robot.joint_names).pieces
+    levels = {each.level for each in check_against_model(robot, pieces)}
+    assert levels <= {Level.NOTE}
 
 
 # ---- what stops an identification, and what does not
