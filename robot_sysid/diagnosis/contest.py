@@ -19,23 +19,25 @@ from robot_sysid.diagnosis.explanations import Explanation, Fitted, explanations
 from robot_sysid.diagnosis.relabelling import (
     Relabelled,
     odd_unit_finding,
-    undone_motions,
+    undone_columns,
     undone_scales,
     undone_torques,
     usual_scale,
 )
-from robot_sysid.diagnosis.rows import LogRows, base_prior, log_rows, rms
+from robot_sysid.diagnosis.rows import LogRows, Prior, base_prior, log_rows, rms
+from robot_sysid.dynamics.equations import link_names, other_links
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.figures import percent
+from robot_sysid.records.figures import percent, with_error
 from robot_sysid.signals.process import ProcessedSignals
 
-MARGIN, TIE = 15.0, 6.0
-"""Nats by which an explanation has to make a log likelier, and within which two are as likely."""
+MARGIN, RELABELLED_MARGIN, TIE = 15.0, 8.0, 6.0
+"""Nats by which an explanation has to make a log likelier, and columns that are taken for others,
+of which there are few; nats within which two explanations are as likely."""
 LEAST_SHARE, SURE = 0.015, 3.0
 """Part of the torque that an explanation has to explain, and standard errors by which a coefficient
 of it has to be off."""
-MATTERS, HARMFUL_SHARE = 2.0, 0.05
+MATTERS, HARMFUL_SHARE = 1.0, 0.05
 """Standard errors of the last link that an explanation moves it by, or part of the torque that it
 makes, from which on a result that takes no notice of it is not right."""
 MOST_NAMES = 3
@@ -45,9 +47,9 @@ UNEXPLAINED, OTHER_ARM = 0.05, 0.3
 named, and from which on the model is of another arm: right logs have 0.03 at most."""
 GROSS, GROSS_JOINT = 0.05, 0.5
 """Part of the torque, and of one joint's, that is left where relabelled columns are tried."""
-FAR, GROSS_FAR, ODD_SCALE = 100.0, 0.018, 1.4
-"""Strain of the base model and part of the torque that it leaves, from which on together the same
-is done; factor between usual torque and the model's from which on scales are tried."""
+USUAL_STRAIN, FAR, ODD_SCALE = 7.0, 40.0, 1.3
+"""Strain of links of usual arms, and one that none has whose model is its own; factor between usual
+torque and the model's from which on scales are tried."""
 HEAVIEST = 0.6
 """Mass of a plausible last link, as a part of the arm's."""
 # Explanations that get noise of their own in the first round and later, and from which gain on.
@@ -62,6 +64,7 @@ class Score:
     Attributes:
         gain: by how much likelier the log is [nats].
         values, errors: (e,) its coefficients and their standard errors.
+        sureness: how many standard errors the coefficients together are from nothing.
         hypotheses, posterior: the model with it.
     """
 
@@ -69,6 +72,7 @@ class Score:
     gain: float
     values: Array
     errors: Array
+    sureness: float
     hypotheses: Hypotheses
     posterior: Posterior
 
@@ -105,17 +109,19 @@ class Contest:
         self.base = Hypotheses(self.log, self.prior)
         self.found = self.base.posterior()
 
-    def last_mass(self, found: Posterior) -> tuple[float, float]:
+    def last_mass(self, found: Posterior, prior: Prior | None = None) -> tuple[float, float]:
         """Return the last link's mass and its standard error [kg]."""
-        mass = self.prior.mean[0] + self.prior.spread[0] * found.values[0]
-        return float(mass), float(self.prior.spread[0] * np.sqrt(found.covariance[0, 0]))
+        prior = prior or self.prior
+        mass = prior.mean[0] + prior.spread[0] * found.values[0]
+        return float(mass), float(prior.spread[0] * np.sqrt(found.covariance[0, 0]))
 
-    def is_plausible(self, found: Posterior) -> bool:
-        """Return whether such a last link could hang on the arm."""
+    def is_plausible(self, found: Posterior, prior: Prior | None = None) -> bool:
+        """Return whether such links could be those of the arm."""
         arm = float(np.sum(self.log.robot.thetas[:, 0]))
         most = max(HEAVIEST * arm, self.log.robot.prior.mass + 0.3 * arm)
-        mass, error = self.last_mass(found)
-        return mass + 2.0 * error > 0.0 and mass - 2.0 * error < most
+        mass, error = self.last_mass(found, prior)
+        possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < most
+        return possible and self.strain(found, prior) < FAR
 
     def friction_share(self, found: Posterior) -> Array:
         """Return (n,) the least likely Coulomb friction, in parts of each joint's torque."""
@@ -126,10 +132,16 @@ class Contest:
         error = spread * np.sqrt(np.diag(found.covariance)[at])
         return np.asarray(np.maximum(np.abs(dry) - SURE * error, 0.0) / self.log.usual)
 
-    def strain(self) -> float:
-        """Return the sum of squares of prior standard deviations that the base model is off by."""
-        values = self.found.values
-        return float(min(values @ precision @ values for precision in self.prior.precisions))
+    def strain(self, found: Posterior, prior: Prior | None = None) -> float:
+        """Return the sum of squares of prior standard deviations that the other links are off by,
+        with the widest of their priors.
+        """
+        prior = prior or self.prior
+        robot = self.log.robot
+        names = [name for link in other_links(robot) for name in link_names(robot, link)]
+        at = np.searchsorted(prior.kept, self.log.columns.at(names))
+        off = found.values[at]
+        return float(min(off @ each[np.ix_(at, at)] @ off for each in prior.precisions))
 
     def relabelled(self, divided: Array) -> list[Relabelled]:
         """Return mistakes of columns, the most likely first.
@@ -144,13 +156,13 @@ class Contest:
         by_joint = misfit_by_joint(self.log, self.found)
         left = misfit(self.log, self.found)
         is_gross = left > GROSS or float(np.max(by_joint)) > GROSS_JOINT
-        is_far = is_gross or (self.strain() > FAR and left > GROSS_FAR)
-        is_far = is_far or not self.is_plausible(self.found)
+        is_far = is_gross or not self.is_plausible(self.found)
         if is_far or abs(np.log(usual_scale(self.log))) > np.log(ODD_SCALE):
             undone += undone_scales(self.log, self.found, self.options, divided)
         if is_far:
-            undone += undone_motions(self.log, self.signals, self.found, self.options)
-        return sorted(undone, key=lambda each: -each.gain)
+            undone += undone_columns(self.log, self.signals, self.found, self.options)
+        plausible = [each for each in undone if self.is_plausible(each.posterior, each.prior)]
+        return sorted(plausible, key=lambda each: -each.gain)
 
     def rounds(self) -> list[list[Score]]:
         """Return, per round, the winning explanation and those that are as likely."""
@@ -203,9 +215,10 @@ class Contest:
         wider = model.with_columns([nothing if own is None else own for own in columns])
         after = wider.posterior(found.noise)
         gain = after.log_evidence - found.log_evidence - float(np.log(explanation.choices))
-        values = explanation.spread * after.values[-width:]
-        errors = explanation.spread * np.sqrt(np.diag(after.covariance)[-width:])
-        return Score(explanation, gain, values, errors, wider, after)
+        scaled, covariance = after.values[-width:], after.covariance[-width:, -width:]
+        sureness = float(np.sqrt(scaled @ np.linalg.solve(covariance, scaled)))
+        errors = explanation.spread * np.sqrt(np.diag(covariance))
+        return Score(explanation, gain, explanation.spread * scaled, errors, sureness, wider, after)
 
     def _refined(self, model: Hypotheses, found: Posterior, score: Score) -> Score:
         """Return the best of the explanations near a winner, or the winner."""
@@ -221,19 +234,14 @@ class Contest:
             best = candidate
         return best
 
-    def is_told(self, score: Score, before: Posterior) -> bool:
-        """Return whether an explanation is sure of itself, and makes a fair part of the torque or
-        another last link than a model without it.
+    def is_told(self, score: Score) -> bool:
+        """Return whether an explanation is sure of itself, and of the whole arm or a fair part of
+        the torque: small effects of one joint are no fault of the log.
         """
         explanation = score.explanation
-        is_sure = np.any(np.abs(score.values) > SURE * score.errors)
-        if not is_sure or not explanation.is_possible(score.values):
+        if score.sureness < SURE or not explanation.is_possible(score.values, score.errors):
             return False
-        # Small effects of a wrist move the last link as well, and are no fault of the log.
-        is_of_log = explanation.joint is None and explanation.level is Level.REFUSE
-        if is_of_log and self.moves_link(score, before):
-            return True
-        return self.torque_share(score) > LEAST_SHARE
+        return explanation.joint is None or self.torque_share(score) > LEAST_SHARE
 
     def is_harmful(self, score: Score, before: Posterior) -> bool:
         """Return whether a result that takes no notice of an explanation is not right."""
@@ -249,8 +257,8 @@ class Contest:
 
     def moves_link(self, score: Score, before: Posterior) -> bool:
         """Return whether the last link is another one with an explanation than without."""
-        moved = score.posterior.values[:4] - before.values[:4]
-        errors = np.sqrt(np.diag(before.covariance)[:4])
+        moved = score.posterior.values[:10] - before.values[:10]
+        errors = np.sqrt(np.diag(before.covariance)[:10])
         return bool(np.any(np.abs(moved) > MATTERS * errors))
 
 
@@ -333,16 +341,16 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     Args:
         divided: (n,) scale that torques were divided by already.
     """
-    odd_unit = odd_unit_finding(contest.log)
-    if odd_unit is not None:
-        return [odd_unit]
     undone = contest.relabelled(divided)
+    odd_unit = odd_unit_finding(contest.log)
+    if odd_unit is not None and not (undone and undone[0].name == "order"):
+        return [odd_unit]
     rounds = contest.rounds()
     best_gain = rounds[0][0].gain if rounds else 0.0
-    # Scales of all joints stand for those of single ones.
-    if rounds and undone and undone[0].name == rounds[0][0].explanation.name == "torque-scale":
+    # Undone in all joints and all of it stands for a part of it, or one joint.
+    if rounds and undone and undone[0].name == rounds[0][0].explanation.name:
         best_gain = 0.0
-    if undone and undone[0].gain > max(MARGIN, best_gain - TIE):
+    if undone and undone[0].gain > max(RELABELLED_MARGIN, best_gain - TIE):
         winner = undone[0]
         text = winner.text
         if misfit(winner.log, winner.posterior) > UNEXPLAINED:
@@ -350,10 +358,12 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
         return [Finding(winner.name, winner.level, text)]
     told = _named(contest, rounds)
     last = rounds[-1][0].posterior if rounds else contest.found
-    if misfit(contest.log, last) > UNEXPLAINED or len(told) > MOST_NAMES:
+    if misfit(contest.log, last) > UNEXPLAINED:
         return [_unexplained(contest.log, last)]
-    if not told and not contest.is_plausible(contest.found):
-        return [_implausible(contest)]
+    if not contest.is_plausible(last):
+        return [_implausible(contest, last)]
+    if len(told) > MOST_NAMES:
+        return [_many(contest, told)]
     return told
 
 
@@ -367,7 +377,7 @@ def _named(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Finding]
         for score in ranked:
             explanation = score.explanation
             key = explanation.name, explanation.joint
-            if key not in names_told and contest.is_told(score, before):
+            if key not in names_told and contest.is_told(score):
                 scores.setdefault(explanation.name, score)
                 names_told.add(key)
         if any(score is ranked[0] for score in scores.values()):
@@ -400,14 +410,25 @@ def _unexplained(log: LogRows, found: Posterior) -> Finding:
     return Finding("model" if share > OTHER_ARM else "unexplained", Level.WARN, text)
 
 
-def _implausible(contest: Contest) -> Finding:
-    """Return that the last link is none that this arm can have."""
-    mass, _ = contest.last_mass(contest.found)
+def _many(contest: Contest, named: Sequence[Finding]) -> Finding:
+    """Return that it takes more causes at once to explain a log than are likely."""
+    text = (
+        f"{percent(misfit(contest.log, contest.found))} of the torque is explained by no single "
+        f"cause: it would take {len(named)} at once ({', '.join(each.name for each in named)}); is "
+        "the model of this arm, with what is fixed to its links?"
+    )
+    return Finding("unexplained", Level.WARN, text)
+
+
+def _implausible(contest: Contest, found: Posterior) -> Finding:
+    """Return that links are none that this arm can have."""
+    mass, error = contest.last_mass(found)
     arm = float(np.sum(contest.log.robot.thetas[:, 0]))
     text = (
-        f"to fit this log, the terminal link would have {mass:.3g} kg on an arm of {arm:.3g} kg: "
-        "is the model of this arm, and its base mounted as the model says? Where torques are "
-        "currents of unknown scale, weigh a known mass with robot-sysid payload "
-        "--known-mass and pass its file as --torque-scale"
+        f"to fit this log, the terminal link would have {with_error(mass, error, 'kg')} on an arm "
+        f"of {arm:.3g} kg, and the other links {np.sqrt(contest.strain(found) / USUAL_STRAIN):.1f} "
+        "times the usual differences from the model: is the model of this arm, and its base "
+        "mounted as the model says? Where torques are currents of unknown scale, weigh a known "
+        "mass with robot-sysid payload --known-mass and pass its file as --torque-scale"
     )
     return Finding("model", Level.WARN, text)

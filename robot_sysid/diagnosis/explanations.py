@@ -49,7 +49,8 @@ class Explanation:
         words: what it is and what to do.
         joint: the only one that feels it.
         choices: out of how many alike it is the best.
-        is_possible: whether coefficients (e,) are what the words say; else they have no name.
+        is_possible: whether coefficients (e,) with standard errors (e,) are what the words say;
+            else they have no name.
         nearby: makes others of the kind, among which a winner is refined.
         always: whether its level holds even where the last link comes out as it would without.
     """
@@ -61,7 +62,7 @@ class Explanation:
     words: Words
     joint: int | None = None
     choices: int = 1
-    is_possible: Callable[[Array], bool] = lambda values: True
+    is_possible: Callable[[Array, Array], bool] = lambda values, errors: True
     nearby: Callable[[], list[Explanation]] = list
     always: bool = False
 
@@ -88,7 +89,8 @@ class Fitted:
         time: (K,) from -1 at the first row to 1 at the last.
         rigid: (K, n) torque of the links, other links as in the model [N m].
         weight: (K, n) the part of it that gravity makes.
-        tip_force: (K, n, 3) torque per newton at the last link, along the world's axes [m].
+        tip_force: (K, n, 12) torque per newton at the last link's origin [m], and per newton metre
+            of the same force's offset along the link's axes, for each of the world's axes.
         last_weight: (K, n, 4) weight of the last link per unit of its mass and first moment.
         left: (K, n) torque that the base model leaves [N m].
     """
@@ -110,13 +112,10 @@ class Fitted:
         explained = [rows @ self.values[at] for rows, at in zip(log.rows, log.places)]
         self.left = (log.right - np.column_stack(explained)) * log.used
 
-        bodies = np.zeros_like(self.values)
-        links = np.concatenate([*log.columns.bodies().values()])
-        bodies[links] = prior.mean[links]
+        bodies = prior.mean.copy()
         if trusted:
             bodies[:10] = self.values[:10]
-        rigid = [rows @ bodies[at] for rows, at in zip(log.rows, log.places)]
-        self.rigid = np.column_stack(rigid)
+        self.rigid = log.links_torque(bodies)
         self._thetas = log.columns.thetas(bodies[: len(log.columns.names)])
         parts = [each.passed(self._of_positions, smooth=True) for each in signals]
         self.weight, self.tip_force, self.last_weight = map(np.concatenate, zip(*parts))
@@ -124,14 +123,13 @@ class Fitted:
     def _of_positions(self, motion: Motion) -> tuple[Array, Array, Array]:
         """Return what follows from positions alone, see the attributes."""
         still = np.zeros_like(motion.q)
-        tip = np.zeros_like(self._thetas)
-        tip[-1, :4] = 1.0, *self.robot.prior.com
+        last = self.robot.n_joints - 1
         # A mass of one kilogram under an acceleration of one: the torque that holds it.
         pulls = [LinkDynamics(self.robot, axis) for axis in np.eye(3)]
-        forces = [-each.motion(motion.q, still, still).torque(tip) for each in pulls]
+        forces = [-each.motion(motion.q, still, still).columns([last])[:, :, :4] for each in pulls]
         resting = LinkDynamics(self.robot).motion(motion.q, still, still)
-        columns = resting.columns([self.robot.n_joints - 1])[:, :, :4]
-        return resting.torque(self._thetas), np.stack(forces, axis=-1), columns
+        columns = resting.columns([last])[:, :, :4]
+        return resting.torque(self._thetas), np.concatenate(forces, axis=-1), columns
 
     @cached_property
     def inertial(self) -> Array:
@@ -242,9 +240,9 @@ def time_base(fit: Fitted) -> Iterator[Explanation]:
             f"first, {_too_long(v[0] + v[1])} at the end; {advice}"
         )
 
-    yield Explanation("clock", Level.WARN, slope, np.array([0.1]), stretched)
+    yield Explanation("clock", Level.WARN, slope, np.array([0.1]), stretched, always=True)
     both = np.concatenate((slope, slope * fit.time[:, None, None]), axis=-1)
-    yield Explanation("clock", Level.WARN, both, np.full(2, 0.1), drifting)
+    yield Explanation("clock", Level.WARN, both, np.full(2, 0.1), drifting, always=True)
 
 
 def _too_long(share: float) -> str:
@@ -276,7 +274,7 @@ def weight_share(fit: Fitted) -> Iterator[Explanation]:
         np.concatenate((fit.weight[:, :, None], fit.last_weight), axis=-1),
         np.append(0.5, parameter_scale(0.1 * total, 0.1)[:4]),
         _says(f"{text}the command", -100.0, "%"),
-        is_possible=lambda v: bool(v[0] < -0.05),
+        is_possible=lambda v, e: bool(v[0] < -0.05),
     )
 
 
@@ -327,12 +325,22 @@ def forces(fit: Fitted) -> Iterator[Explanation]:
     total = float(np.sum(fit.robot.thetas[:, 0]))
     down = float(np.linalg.norm(gravity(fit.robot))) or 9.81
     text = "a constant force of {} acts on the last link, as of a hand, a cable or a spring; take "
-    words = _size_says(f"{text}it away, and record again", 1.0, "N")
-    yield Explanation("force", Level.REFUSE, fit.tip_force, np.full(3, 0.1 * total * down), words)
+    size_says = _size_says(f"{text}it away, and record again", 1.0, "N")
+    spread = np.outer(np.full(3, 0.1 * total * down), (1.0, 0.1, 0.1, 0.1)).ravel()
+    force = slice(None, None, 4)
+
+    def words(v: Array, e: Array) -> str:
+        return size_says(v[force], e[force])
+
+    def is_sure(v: Array, e: Array) -> bool:
+        return bool(np.linalg.norm(v[force]) > 3.0 * np.max(e[force]))
+
+    columns = fit.tip_force
+    yield Explanation("force", Level.REFUSE, columns, spread, words, is_possible=is_sure)
     text = "the last link weighs {} more than its inertia says: something holds a part of it, or "
-    words = _says(f"{text}pulls, as a hand or a hose does; take it away, record again", 1.0, "kg")
+    carried = _says(f"{text}pulls, as a hand or a hose does; take it away, record again", 1.0, "kg")
     spread = parameter_scale(0.1 * total, 0.1)[:4]
-    yield Explanation("force", Level.REFUSE, fit.last_weight, spread, words)
+    yield Explanation("force", Level.REFUSE, fit.last_weight, spread, carried)
 
 
 def springs(fit: Fitted) -> Iterator[Explanation]:
@@ -427,7 +435,9 @@ def couplings(fit: Fitted) -> Iterator[Explanation]:
         columns = _columns(fit, [f"{term}[{motor.name}]" for term in terms])
         usual = 0.3 * float(np.min(fit.log.usual[motor.ratios != 0.0]))
         words = _says(f"one motor turns with joints {motor.name}")
-        yield Explanation("coupling", Level.NOTE, columns, usual / units, words)
+        # The estimate tells of motors, for it knows on which side of the gears sensors are.
+        coupling = Explanation("coupling", Level.NOTE, columns, usual / units, words)
+        yield replace(coupling, is_possible=lambda v, e: False)
     text = "the torque of joint {} holds {{}} of that of joint {}; calibrate its sensor"
     for one, other in itertools.permutations(range(len(names)), 2):
         if abs(one - other) == 1:

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.evidence import Hypotheses, Posterior
-from robot_sysid.diagnosis.rows import LogRows, base_prior, log_rows, rms
+from robot_sysid.diagnosis.rows import LogRows, Prior, base_prior, log_rows, rms
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.records import Array, Motion, RobotModel
@@ -36,14 +38,16 @@ SHORT = 6.0
 _SAME, _CLOSE = 1.35, 1.25
 # Torque at the joint per ampere of its motor, at least and at most [N m/A]: a UR10e's is 10 to 12.
 _PER_AMPERE = (2.0, 25.0)
-# Width of the prior of the logarithm of a scale; rounds in which it is found, and how far it may be
-# from where a round begins, as a share.
-_LOG_RANGE, _ROUNDS, _FAR = 20.0, 5, 0.7
+# Standard deviations of the logarithm of a scale that all joints have and of each joint's own;
+# rounds in which scales are found, and how far they may be from where a round begins, as a share.
+_COMMON_RANGE, _OWN_RANGE, _ROUNDS, _FAR = 4.0, 0.4, 5, 0.7
 # Scales of any unit and gear lie between; relative error of a scale beyond which the other joints'
-# is taken; part of the strongest joint's load below which a joint's scale is not asked.
+# is taken; part of the strongest joint's load from which on usual torques say a scale.
 _LEAST, _MOST, _KNOWN, _LOADED = 1e-4, 1e5, 0.3, 0.1
 # The same part below which a joint's torque is mostly friction.
 _LEAST_LOAD = 0.03
+# Factor by which a scale may differ from the ratio of usual torques.
+_FARTHEST = 3.0
 # Best relabellings of a stretch that are scored on the whole log.
 _FINALISTS = 3
 
@@ -136,6 +140,7 @@ class Relabelled:
     text: str
     gain: float
     posterior: Posterior
+    prior: Prior
     log: LogRows
 
 
@@ -157,7 +162,7 @@ def undone_torques(
         if screened_gain > 0.0:
             posterior = base.with_right(right).posterior(found.noise)
             gain = posterior.log_evidence - found.log_evidence
-            undone.append(_relabelled(mistake, gain, posterior, right))
+            undone.append(_relabelled(mistake, gain, posterior, base.prior, right))
     return undone
 
 
@@ -189,33 +194,32 @@ def _without_links(log: LogRows, signals: Sequence[ProcessedSignals]) -> Iterato
     )
 
 
-def undone_motions(
+def undone_columns(
     log: LogRows, signals: Sequence[ProcessedSignals], found: Posterior, options: EstimationOptions
 ) -> list[Relabelled]:
-    """Return mistakes of positions, those that a short stretch finds most likely."""
+    """Return mistakes of columns, those that a short stretch finds most likely."""
     stretch = [_busiest(signals)]
     short = log_rows(log.robot, stretch)
-    prior = base_prior(short, options)
     candidates = []
     for mistake in relabellings(log.robot):
-        if mistake.motion is not None:
-            rows = log_rows(log.robot, mistake.undone(stretch), short.used)
-            posterior = Hypotheses(rows, prior).posterior()
-            candidates.append((posterior.log_evidence, mistake))
+        rows = log_rows(log.robot, mistake.undone(stretch), short.used)
+        posterior = Hypotheses(rows, base_prior(rows, options)).posterior()
+        candidates.append((posterior.log_evidence, mistake))
     candidates.sort(key=lambda candidate: -candidate[0])
     undone = []
     for _, mistake in candidates[:_FINALISTS]:
         rows = log_rows(log.robot, mistake.undone(signals), log.used)
-        posterior = Hypotheses(rows, base_prior(rows, options)).posterior()
+        prior = base_prior(rows, options)
+        posterior = Hypotheses(rows, prior).posterior()
         gain = posterior.log_evidence - found.log_evidence
-        undone.append(_relabelled(mistake, gain, posterior, rows))
+        undone.append(_relabelled(mistake, gain, posterior, prior, rows))
     return undone
 
 
 def _relabelled(
-    mistake: Relabelling, gain: float, posterior: Posterior, log: LogRows
+    mistake: Relabelling, gain: float, posterior: Posterior, prior: Prior, log: LogRows
 ) -> Relabelled:
-    return Relabelled(mistake.name, Level.REFUSE, mistake.text, float(gain), posterior, log)
+    return Relabelled(mistake.name, Level.REFUSE, mistake.text, float(gain), posterior, prior, log)
 
 
 def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
@@ -232,6 +236,46 @@ def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
     return replace(best, **{name: getattr(best, name)[part] for name in names})
 
 
+@dataclass(frozen=True)
+class TorqueScales:
+    """Torque columns over true torques.
+
+    Attributes:
+        scale: (n,) of each joint; the others' usual one where links hardly load it.
+        known: (k,) joints whose own is known.
+        covariance: (k, k) of the logarithms of theirs.
+    """
+
+    scale: Array
+    known: NDArray[np.int64]
+    covariance: Array
+
+    @cached_property
+    def common(self) -> tuple[float, float]:
+        """The scale that all have together and the standard error of its logarithm."""
+        precision = np.linalg.inv(self.covariance)
+        weight = np.sum(precision, axis=0) / np.sum(precision)
+        mean = float(weight @ np.log(self.scale[self.known]))
+        return float(np.exp(mean)), float(np.sum(precision) ** -0.5)
+
+    @property
+    def spread(self) -> float:
+        """The largest over the smallest."""
+        scale = self.scale[self.known]
+        return float(np.max(scale) / np.min(scale))
+
+    @property
+    def penalty(self) -> float:
+        """Nats that scales cost, which may be anything together and less each of its own."""
+        logarithm, covariance = np.log(self.scale[self.known]), self.covariance
+        if self.spread < _SAME:
+            typical, error = self.common
+            logarithm, covariance = np.log([typical]), np.array([[error**2]])
+        prior = _COMMON_RANGE**2 + _OWN_RANGE**2 * np.eye(len(logarithm))
+        narrowed = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(covariance)[1]
+        return float(0.5 * (narrowed + logarithm @ np.linalg.solve(prior, logarithm)))
+
+
 def undone_scales(
     log: LogRows, found: Posterior, options: EstimationOptions, divided: Array
 ) -> list[Relabelled]:
@@ -240,37 +284,27 @@ def undone_scales(
     Args:
         divided: (n,) scale that torques were divided by already.
     """
-    scale, error = torque_scales(log, options)
-    known = np.flatnonzero(np.isfinite(error))
-    if not len(known):
+    scales = torque_scales(log, options)
+    if not len(scales.known):
         return []
-    weight = 1.0 / error[known] ** 2
-    typical = float(np.exp(np.average(np.log(scale[known]), weights=weight)))
-    spread = float(np.max(scale[known]) / np.min(scale[known]))
-    common_error = float(np.sum(weight) ** -0.5)
-    if spread < _SAME:
+    typical, common_error = scales.common
+    scale = scales.scale
+    if scales.spread < _SAME:
         scale = np.full(len(scale), _unit_near(typical, common_error) or typical)
-        penalty = _log_prior_width(common_error)
-    else:
-        penalty = sum(_log_prior_width(float(each)) for each in error[known])
     undone = log.with_torque(log.torque / scale)
-    posterior = Hypotheses(undone, base_prior(undone, options)).posterior()
+    prior = base_prior(undone, options)
+    posterior = Hypotheses(undone, prior).posterior()
     density = float(np.sum(np.maximum(np.sum(log.used, axis=0), 1) * np.log(scale)))
-    gain = posterior.log_evidence - density - found.log_evidence - penalty
-    listed = ", ".join(f"{log.robot.joint_names[j]} {scale[j]:.3g}" for j in known)
+    gain = posterior.log_evidence - density - found.log_evidence - scales.penalty
+    listed = ", ".join(f"{log.robot.joint_names[j]} {scale[j]:.3g}" for j in scales.known)
     text = (
         f"torque reads {typical:.3g} times what the model takes ({listed}): "
-        f"{_meaning(typical, spread, common_error, divided)}"
+        f"{_meaning(typical, scales.spread, common_error, divided)}"
     )
-    off = float(np.max(np.abs(np.log(scale[known]))))
+    off = float(np.max(np.abs(np.log(scale[scales.known]))))
     level = Level.REFUSE if off > np.log(REFUSED) else Level.WARN
     level = level if off > np.log(WARNED) else Level.NOTE
-    return [Relabelled("torque-scale", level, text, gain, posterior, undone)]
-
-
-def _log_prior_width(error: float) -> float:
-    """Return the nats that a scale costs which may be anything and is known this well."""
-    return float(np.log(_LOG_RANGE / (np.sqrt(2.0 * np.pi) * max(error, 1e-3))))
+    return [Relabelled("torque-scale", level, text, gain, posterior, prior, undone)]
 
 
 def usual_scale(log: LogRows) -> float:
@@ -306,42 +340,41 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
     return Finding("torque-scale", Level.REFUSE, text)
 
 
-def torque_scales(log: LogRows, options: EstimationOptions) -> tuple[Array, Array]:
-    """Return (scale (n,), relative standard error (n,)): torque column over true torque.
+def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
+    """Return by what each joint's torque was multiplied, from the ratio of usual torques on.
 
-    It begins with the ratio of usual torques. In each round the torque of the links that are known
-    is one more column in each joint's equation. A joint that they hardly load has the others' usual
-    scale and an infinite error.
+    In each round the torque of the links as they are found is one more column in each joint's
+    equation: a step of Gauss and Newton.
     """
-    robot, motion = log.robot, log.motion
-    thetas = robot.thetas
-    moves = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd)
-    model = rms(moves.torque(thetas))
-    thetas[-1] = 0.0
-    known = moves.torque(thetas)
-    loaded = rms(known) > _LOADED * float(np.max(rms(known)))
+    model = model_torque(log)
+    loaded = model > _LOADED * float(np.max(model))
     scale = np.clip(rms(log.torque) / np.maximum(model, 1e-6 * np.max(model)), _LEAST, _MOST)
-    error = np.full(len(scale), np.inf)
+    scale = np.where(loaded, scale, np.median(scale[loaded]))
+    least, most = scale / _FARTHEST, scale * _FARTHEST
+    covariance = np.eye(len(scale))
+    values: Array | None = None
     for _ in range(_ROUNDS):
-        if np.any(loaded):
-            scale = np.where(loaded, scale, np.median(scale[loaded]))
         undone = log.with_torque(log.torque / scale)
-        base = Hypotheses(undone, base_prior(undone, options))
-        width = len(scale)
-        own = []
-        for joint in range(width):
-            columns = np.zeros((len(known), width))
-            columns[:, joint] = _FAR * loaded[joint] * known[:, joint]
-            own.append(base.transform.of_joint(joint, columns))
-        found = base.with_columns(own).posterior()
-        share = np.clip(1.0 + _FAR * found.values[-width:], 0.2, 5.0)
-        error = _FAR * np.sqrt(np.diag(found.covariance)[-width:]) / share
-        error = np.where(loaded & (error < _KNOWN), error, np.inf)
-        scale = np.clip(np.where(np.isfinite(error), scale * share, scale), _LEAST, _MOST)
-    sure = np.isfinite(error)
-    if np.any(sure):
-        scale = np.where(sure, scale, np.median(scale[sure]))
-    return scale, error
+        prior = base_prior(undone, options)
+        base = Hypotheses(undone, prior)
+        rigid = undone.links_torque(prior.mean if values is None else values)
+        columns = []
+        for joint, own_column in enumerate(np.eye(len(scale))):
+            of_joint = _FAR * rigid[:, joint, None] * own_column
+            columns.append(base.transform.of_joint(joint, of_joint))
+        found = base.with_columns(columns).posterior()
+        sought = slice(len(prior.kept), None)
+        change = np.clip(1.0 + _FAR * found.values[sought], 0.2, 5.0)
+        covariance = _FAR**2 * found.covariance[sought, sought] / np.outer(change, change)
+        scale = np.clip(scale * change, least, most)
+        values = prior.mean.copy()
+        values[prior.kept] += prior.spread * found.values[: len(prior.kept)]
+    is_sure = np.sqrt(np.diag(covariance)) < _KNOWN
+    # Torque that has nothing of a heavy link is not that of other units.
+    sure = np.flatnonzero(is_sure & np.all(is_sure[loaded]))
+    if len(sure):
+        scale = np.where(is_sure, scale, np.median(scale[sure]))
+    return TorqueScales(scale, sure, covariance[np.ix_(sure, sure)])
 
 
 def _unit_near(typical: float, error: float) -> float | None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
+from robot_sysid.estimation.algebra.link_scales import EXPECTED
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.choices import WITH_ALL
 from robot_sysid.estimation.columns import Columns
@@ -33,8 +34,8 @@ CUTOFF_HZ = 8.0
 """Highest cut-off of the low-pass: faster motion says little of links."""
 WINDOW, MOST_WINDOWS = 16.0, 4
 """Longest window [s], and how many of a long log are looked at, spread evenly."""
-LINK_SCALES = (1.0, 3.0)
-"""Factors of the other links' prior that are averaged over: real arms need the second."""
+LINK_SCALES = tuple(replace(EXPECTED, mass=scale) for scale in (2.0, 6.0))
+"""How far the other links may be off, which is averaged over."""
 PAYLOAD, REACH = 0.3, 0.15
 """Standard deviation of the last link's mass as a part of the arm's, and its size as a part of the
 arm's reach."""
@@ -49,6 +50,8 @@ BUILD_UP, BUILT_UP, UNEVEN = (0.004, 0.02), 0.15, 0.03
 that varies over a turn, in parts of the usual torque."""
 WIDE_TILT, WIDE_DELAY = 0.15, 0.04
 """Standard deviations of what the estimate finds itself where it is asked to [rad, s]."""
+WORTH_A_WORD = 2.0
+"""Standard deviation of a delay of which nothing is said [ms]."""
 LEAST_TORQUE = 0.02
 """Usual torque that a joint is taken to have at least, as a part of the strongest joint's."""
 # Share of its top speed below which a joint's friction has no sure direction.
@@ -137,6 +140,14 @@ class LogRows:
         """Return the equations with other measured torques (K, n)."""
         right = self.right + torque - self.torque
         return replace(self, torque=torque, right=right)
+
+    def links_torque(self, values: Array) -> Array:
+        """Return the torque (K, n) of links alone, of whose parameters (p,) others are ignored."""
+        bodies = np.zeros_like(values)
+        links = np.concatenate([*self.columns.bodies().values()])
+        bodies[links] = values[links]
+        torques = [rows @ bodies[at] for rows, at in zip(self.rows, self.places)]
+        return np.column_stack(torques)
 
     def column(self, joint: int, name: str) -> Array:
         """Return a parameter's column (K,) in a joint's rows; zero where it has none."""
@@ -251,12 +262,14 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     shares = np.array([BUILT_UP] * len(BUILD_UP) + [UNEVEN] * 2)
     spread[count:] = np.outer(log.usual, shares).ravel()
 
-    question = Question(options)
+    # A lag that the estimate allows for is worth a word all the same.
+    late = min(options.delay_uncertainty, WORTH_A_WORD)
+    question = Question(replace(options, delay_uncertainty=late))
     model = friction_model(WITH_ALL)
     shown = np.ones(count, dtype=bool)
     factors = []
-    for scale in LINK_SCALES:
-        choice = Choice((model,) * robot.n_joints, prior_scale=scale)
+    for link_scales in LINK_SCALES:
+        choice = Choice((model,) * robot.n_joints, link_scales=link_scales)
         sought = unknowns(columns, question, choice, log.usual, shown)
         groups = sought.groups
         for group in groups:

@@ -77,8 +77,17 @@ def test_every_relabelling_of_torque_is_undone_by_making_it_again(truth, right):
 
 def test_scaling_all_torques_scales_what_is_found(right):
     scaled = right.log.with_torque(300.0 * right.log.torque)
-    (one, _), (other, _) = (torque_scales(log, OPTIONS) for log in (right.log, scaled))
-    np.testing.assert_allclose(other, 300.0 * one, rtol=0.02)
+    one, other = (torque_scales(log, OPTIONS) for log in (right.log, scaled))
+    np.testing.assert_allclose(other.scale, 300.0 * one.scale, rtol=0.02)
+
+
+def test_scales_of_single_joints_are_found_within_their_errors(truth, right):
+    true = np.array([1.3, 1.9, 1.5, 1.7, 1.2])
+    spoilt = right.log.with_torque(true * right.log.torque)
+    scales = torque_scales(spoilt, OPTIONS)
+    off = np.log(scales.scale / true)[scales.known]
+    assert len(off) > 2
+    assert off @ np.linalg.solve(scales.covariance, off) < 3.0 * len(off)
 
 
 def second_half(truth):
