@@ -176,7 +176,7 @@ def _identified(
 def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> Result:
     """Return the result with the written file's own error on other logs, by inverse dynamics."""
     result = found.result
-    if result.file is None or not found.tests or not result.verdict.is_trustworthy:
+    if result.file is None or not found.tests or not result.verdict.writes_model:
         return result
     pairs = []
     with temporary_folder() as folder:

@@ -269,7 +269,7 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
         as_body, scales = config.payload.as_body, config.payload.save_torque_scale
     elif isinstance(config, SysidConfig):
         motor_file = None if found.plan is None else motor_writer(config, robot, found.plan)
-        if config.log.verify_rollout and result.file is not None and result.verdict.is_trustworthy:
+        if config.log.verify_rollout and result.file is not None and result.verdict.writes_model:
             from robot_sysid.log_pipeline import played
             from robot_sysid.results.rollout import refusal
 

@@ -50,6 +50,8 @@ GROSS, GROSS_JOINT = 0.05, 0.5
 USUAL_STRAIN, FAR, ODD_SCALE = 7.0, 40.0, 1.3
 """Strain of links of usual arms, and one that none has whose model is its own; factor between usual
 torque and the model's from which on scales are tried."""
+STRETCHES, CONCENTRATED = 8, 0.4
+"""Stretches of a log, and the part of all that is left from which on it is of one of them."""
 HEAVIEST = 0.6
 """Mass of a plausible last link, as a part of the arm's."""
 # Explanations that get noise of their own in the first round and later, and from which gain on.
@@ -359,7 +361,7 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     told = _named(contest, rounds)
     last = rounds[-1][0].posterior if rounds else contest.found
     if misfit(contest.log, last) > UNEXPLAINED:
-        return [_unexplained(contest.log, last)]
+        return [_unexplained(contest, last)]
     if not contest.is_plausible(last):
         return [_implausible(contest, last)]
     if len(told) > MOST_NAMES:
@@ -396,18 +398,32 @@ def _finding(scores: Sequence[Score], harmful: Sequence[Score]) -> Finding:
     return Finding(scores[0].explanation.name, level, "; or ".join(texts))
 
 
-def _unexplained(log: LogRows, found: Posterior) -> Finding:
-    """Return how much of the torque nothing explains, and at which joints."""
+def _unexplained(contest: Contest, found: Posterior) -> Finding:
+    """Return how much of the torque nothing explains, at which joints and when."""
+    log = contest.log
     by_joint = misfit_by_joint(log, found)
     share = misfit(log, found)
     worst = np.argsort(-by_joint * log.usual)[:3]
     listed = ", ".join(f"{log.robot.joint_names[j]} {percent(float(by_joint[j]))}" for j in worst)
     text = (
         f"{percent(share)} of the torque is explained by nothing that is looked for ({listed} of "
-        "its own): is the model of this arm, with what is fixed to its links, and did it carry "
-        "the same all the time with nothing touching it?"
+        f"its own{_when(contest, found)}): is the model of this arm, with what is fixed to its "
+        "links, and did it carry the same all the time with nothing touching it?"
     )
     return Finding("model" if share > OTHER_ARM else "unexplained", Level.WARN, text)
+
+
+def _when(contest: Contest, found: Posterior) -> str:
+    """Return in which stretch of the log much more than elsewhere is left; "" where in none."""
+    left = contest.base.transform.undone(found.residual) / contest.log.usual
+    squares = np.sum(left**2, axis=1)
+    parts = np.array_split(np.arange(len(squares)), STRETCHES)
+    sums = [float(np.sum(squares[part])) for part in parts]
+    worst = int(np.argmax(sums))
+    if sums[worst] < CONCENTRATED * sum(sums):
+        return ""
+    time = contest.log.motion.time[parts[worst]]
+    return f", most of it from {time[0]:.3g} s to {time[-1]:.3g} s"
 
 
 def _many(contest: Contest, named: Sequence[Finding]) -> Finding:

@@ -76,6 +76,11 @@ class Transform:
         parts = [self._bases[w.stop - w.start] @ used[w] for w in self._windows]
         return np.concatenate(parts)
 
+    def undone(self, transformed: Array) -> Array:
+        """Return the rows (K, n) of all joints of which some are the transform."""
+        parts = [self._bases[w.stop - w.start].T @ transformed[w] for w in self._windows]
+        return np.concatenate(parts)
+
 
 class Hypotheses:
     """The base model of a log, to which explanations are added.

@@ -22,6 +22,8 @@ from robot_sysid.estimation.answer import (
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.recordings import contradiction, each_recording
 from robot_sysid.estimation.verdict import (
+    UNEXPLAINED,
+    UNUSUAL,
     Judged,
     first,
     implausible_joints,
@@ -32,6 +34,7 @@ from robot_sysid.estimation.verdict import (
     of_known_mass,
     of_payload,
     unexplained,
+    unexplained_share,
     wrong_links,
 )
 from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, WrongLink
@@ -61,7 +64,10 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
     fit, robot, file = answer.fit, answer.robot, None
     links, tests, notes = tuple(answer.links()), (answer.validation, *answer.tests), answer.notes
     common, coarse = _common(answer, data), answer.acceleration_error
-    findings = [*unexplained(fit, tests, coarse, common.estimate.independent_share)]
+    apart = common.estimate.independent_share
+    findings = [*unexplained(fit, tests, coarse, apart)]
+    share, sentence = unexplained_share(fit, apart)
+    notes += (sentence,) if share > UNUSUAL else ()
     findings += implausible_link(robot, links[-1])
     findings += implausible_joints(robot, common.joints, fit.evidence.torque)
     seen = common.estimate.identifiability
@@ -74,6 +80,10 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
         findings += [] if judged[0].is_trustworthy else [judged]
         ended = judged[0]
     status, reasons = first(findings, ended)
+    if share > UNEXPLAINED:
+        better = status is Verdict.BETTER
+        status = Verdict.TORQUES_ONLY if better else first(findings, Verdict.UNEXPLAINED)[0]
+        reasons = (*reasons, sentence)
     wrong = tuple(wrong_links(links[:-1]))
     notes += tuple(map(_wrong_link_line, wrong))
     return replace(

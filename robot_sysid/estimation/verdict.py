@@ -25,6 +25,9 @@ NOISE_EXPLAINS = 3.0
 """Held-out error over noise up to which noise, and not a wrong model, may be its cause."""
 HARMLESS = 0.02
 """Held-out error, as a part of the torque, that is no reason to doubt whatever the noise is."""
+UNUSUAL, UNEXPLAINED = 0.035, 0.05
+"""Part of all torque that neither the model nor noise accounts for, from which on it is
+told, and from which on numbers are not believed: logs of right models have 0.4 to 3 %."""
 ODD_JOINT, ODD_NOISE = 10.0, 0.3
 """A joint is odd whose noise, as a part of its torque, is so many times the others' and large."""
 MEMORY = 0.5
@@ -125,6 +128,28 @@ def unexplained(
                 f"{percent(share)} of the torque of {joint} is unexplained, of the other "
                 f"joints' {percent(float(np.median(others)))}",
             )
+
+
+def unexplained_share(fit: Fit, apart: Mapping[str, float]) -> tuple[float, str]:
+    """Return the part of all torque that neither model nor noise accounts for, and that by joint
+    in words.
+
+    Noise changes from one sample to the next; ``apart`` says how much of a joint's residuals
+    does.
+    """
+    torque = dict(zip(fit.columns.robot.joint_names, fit.evidence.torque.tolist()))
+    slow = {
+        joint: noise * np.sqrt(max(1.0 - apart.get(joint, 0.0), 0.0))
+        for joint, noise in fit.noise_per_joint.items()
+        if torque.get(joint)
+    }
+    whole = np.linalg.norm([torque[joint] for joint in slow])
+    share = float(np.linalg.norm([*slow.values()]) / whole) if slow else 0.0
+    largest = sorted(slow, key=lambda joint: -slow[joint])[:3]
+    by_joint = ", ".join(f"{percent(slow[joint] / torque[joint])} of {joint}" for joint in largest)
+    return share, (
+        f"{percent(share)} of the torque is explained by neither the model nor noise ({by_joint})"
+    )
 
 
 def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judged]:

@@ -31,6 +31,11 @@ class Verdict(Enum):
         "that mass stands in its place (joints that swing the payload faster and wider show it)"
     )
     BETTER = "the written model predicts torques that were not fitted clearly better than before"
+    TORQUES_ONLY = (
+        "the written model predicts torques that were not fitted clearly better than before, but a "
+        "part of the torque follows from nothing that it has: use it for torques of motions like "
+        "the log's, not for its numbers"
+    )
     AS_GOOD = (
         "the model predicted torques that were not fitted about as well as noise allows before, "
         "and so does the written one"
@@ -74,6 +79,11 @@ class Verdict(Enum):
         """Whether the result may go into a model or a controller."""
         whole = Verdict.OK, Verdict.BETTER, Verdict.AS_GOOD
         return self in (*whole, Verdict.PARTLY_FROM_MODEL, Verdict.INERTIA_NOT_KNOWN)
+
+    @property
+    def writes_model(self) -> bool:
+        """Whether a model file is written, if only for the torques that it predicts."""
+        return self.is_trustworthy or self is Verdict.TORQUES_ONLY
 
 
 class Figure(NamedTuple):
@@ -309,6 +319,6 @@ class Result:
     @property
     def failure(self) -> str | None:
         """Why the result must not be used, or None."""
-        if self.verdict.is_trustworthy:
+        if self.verdict.writes_model:
             return None
         return "; ".join((*self.reasons, self.verdict.value))

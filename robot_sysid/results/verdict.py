@@ -59,6 +59,7 @@ _REMEDIES = {
 }
 """Cause of error to what makes it smaller."""
 _USES = {
+    Verdict.TORQUES_ONLY: "Only for torques of motions like the log's, not for its numbers",
     Verdict.AS_GOOD: "Usable, but the model was about as good before",
     Verdict.PARTLY_FROM_MODEL: "Usable (not seen, so kept from the model: {unseen})",
     Verdict.INERTIA_NOT_KNOWN: "Usable for mass and centre of mass (the inertia is not known)",

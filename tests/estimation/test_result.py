@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from robot_sysid.diagnosis.rows import rms
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -55,6 +56,26 @@ def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
         assert {f"scale[{name}]", f"zero[{name}]", f"load[{name}]"} <= set(result.sensors)
     own = result.validation[0]
     assert own.rmse < 1.5 * result.estimate.rmse and result.cutoff == 8.0
+
+
+@pytest.mark.parametrize(
+    ("share", "verdict", "is_told"),
+    [
+        (0.01, Verdict.BETTER, False),
+        (0.05, Verdict.BETTER, True),
+        (0.2, Verdict.TORQUES_ONLY, True),
+    ],
+)
+def test_torque_that_nothing_explains_is_said(robot, noisy, share, verdict, is_told):
+    """A slow torque that no motion makes: the file may still predict better, its numbers not."""
+    wave = np.sqrt(2.0) * np.sin(2.0 * np.pi * 0.37 * noisy.time)
+    made = np.outer(wave, share * rms(noisy.tau))
+    found = of_link(robot, replace(noisy, tau=noisy.tau + made))
+    assert found.verdict is verdict and found.failure is None
+    assert found.verdict.is_trustworthy == (verdict is Verdict.BETTER)
+    said = [note for note in found.notes if "explained by neither the model nor noise" in note]
+    assert len(said) == is_told
+    assert found.reasons == (tuple(said) if verdict is Verdict.TORQUES_ONLY else ())
 
 
 def test_the_estimate_leads_with_the_link_and_its_errors_add_up(result):
