@@ -237,13 +237,14 @@ class Contest:
         return best
 
     def is_told(self, score: Score) -> bool:
-        """Return whether an explanation is sure of itself, and of the whole arm or a fair part of
-        the torque: small effects of one joint are no fault of the log.
+        """Return whether an explanation is sure of itself, and a fault of the whole log or a fair
+        part of the torque: small effects of one joint are neither.
         """
         explanation = score.explanation
         if score.sureness < SURE or not explanation.is_possible(score.values, score.errors):
             return False
-        return explanation.joint is None or self.torque_share(score) > LEAST_SHARE
+        is_of_log = explanation.joint is None and explanation.level is not Level.NOTE
+        return is_of_log or self.torque_share(score) > LEAST_SHARE
 
     def is_harmful(self, score: Score, before: Posterior) -> bool:
         """Return whether a result that takes no notice of an explanation is not right."""
