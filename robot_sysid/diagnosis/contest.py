@@ -170,7 +170,7 @@ class Contest:
         """Return, per round, the winning explanation and those that are as likely."""
         trusted = self.is_plausible(self.found)
         fit = Fitted(self.log, self.signals, self.prior, self.found, trusted)
-        offered = explanations(fit)
+        offered = [each for each in explanations(fit) if not self.is_sought(each)]
         columns = _transformed(self.base, offered)
         winners: list[list[Score]] = []
         model, found = self.base, self.found
@@ -179,9 +179,17 @@ class Contest:
             ranked = self._ranked(model, found, offered, columns, count)
             if not ranked or ranked[0].gain < MARGIN:
                 break
-            winners.append([each for each in ranked if each.gain > ranked[0].gain - TIE])
-            model, found = ranked[0].hypotheses, ranked[0].posterior
+            alike = [each for each in ranked if each.gain > ranked[0].gain - TIE]
+            # Of what is as likely, that which is what its words say.
+            alike.sort(key=lambda score: not self.is_told(score))
+            winners.append(alike)
+            model, found = alike[0].hypotheses, alike[0].posterior
         return winners
+
+    def is_sought(self, explanation: Explanation) -> bool:
+        """Return whether the estimate finds it itself."""
+        sought = {"delay": self.options.delay, "tilt": self.options.tilt}
+        return explanation.joint is None and sought.get(explanation.name) == "auto"
 
     def _ranked(
         self,

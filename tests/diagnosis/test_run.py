@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.run import check_against_model, look_at, require_acceptable
 from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import CHECKS
@@ -58,7 +59,51 @@ def hum(truth, joint):
     return np.outer(size * np.sin(3.8 * truth.log.time), np.arange(4) == joint)
 
 
+def rested(truth, axes):
+    """Torque (K, n) of the true links at rest, gravity turned by some radians about x and y."""
+    down = turned(gravity(ROBOT), np.array(axes))
+    links = np.array([*(link.theta for link in ROBOT.links[:-1]), truth.theta])
+    still = np.zeros_like(truth.log.q)
+    arm = with_gravity(ROBOT, down)
+    return LinkDynamics(arm).motion(truth.log.q, still, still).torque(links)
+
+
+def pulled(truth, newtons):
+    """Torque (K, n) of a force at the last link's origin."""
+    point = np.zeros((4, 10))
+    point[-1, 0] = 1.0
+    still = np.zeros_like(truth.log.q)
+    return LinkDynamics(ROBOT, np.array(newtons)).motion(truth.log.q, still, still).torque(point)
+
+
+def sprung(truth, joint):
+    """A spring at one joint."""
+    stiffness = 0.5 * np.std(truth.rigid[:, joint]) / np.std(truth.log.q[:, joint])
+    return stiffness * (truth.log.q[:, [joint]] - 0.4) * (np.arange(4) == joint)
+
+
+def carried(truth, share):
+    """Torque (K, n) of a part of the last link, which comes on halfway."""
+    body = np.zeros((4, 10))
+    body[-1] = share * truth.theta
+    log = truth.log
+    speed, acceleration = (np.gradient(values, log.time, axis=0) for values in (log.q, log.qd))
+    torque = LinkDynamics(ROBOT).motion(log.q, speed, acceleration).torque(body)
+    return torque * (log.time > 6.3)[:, None]
+
+
 WRONG = {
+    "tilt": lambda t: {"tau": t.log.tau + rested(t, (0.07, -0.05)) - t.still},
+    "payload-step: the last link carries": lambda t: {"tau": t.log.tau + carried(t, 0.8)},
+    "force: a constant force of": lambda t: {"tau": t.log.tau + pulled(t, (4.0, 3.0, 0.0))},
+    "force: at joint joint1 a torque follows": lambda t: {"tau": t.log.tau + sprung(t, 1)},
+    "gravity: of the links' weight is missing": lambda t: {"tau": t.log.tau - 0.6 * t.still},
+    "torque-scale: changes its scale by": lambda t: {
+        "tau": t.log.tau * (1.0 + 0.03 * t.log.time)[:, None]
+    },
+    "crosstalk: the torque of joint joint2 holds": lambda t: {
+        "tau": t.log.tau + 0.3 * t.rigid[:, [1]] * [0.0, 0.0, 1.0, 0.0]
+    },
     "torque-scale": lambda t: {"tau": t.log.tau / 101.0},
     "gravity": lambda t: {"tau": t.log.tau - t.still},
     "computed": lambda t: {"tau": t.rigid},
@@ -89,6 +134,41 @@ def test_a_wrong_log_is_called_by_its_name(four, name, way):
     found = check_against_model(ROBOT, [replace(four.log, **way(four))])
     kind, _, said = name.partition(": ")
     assert any(each.name == kind and said in each.text for each in found), found
+
+
+def read_again(log, text):
+    """What the columns file that a text names makes of a log."""
+    scale = re.search(r"time = ([0-9.]+) \* TITLE", text)
+    if scale:
+        return replace(log, time=float(scale[1]) * log.time)
+    signs = np.where([f"torque.joint{j} = -TITLE" in text for j in range(4)], -1.0, 1.0)
+    return replace(log, tau=log.tau * signs)
+
+
+REMEDIES = {
+    "clock": lambda log, text: (read_again(log, text), EstimationOptions()),
+    "sign": lambda log, text: (read_again(log, text), EstimationOptions()),
+    "tilt": lambda log, text: (log, EstimationOptions(tilt="auto")),
+    "delay": lambda log, text: (log, EstimationOptions(delay="auto")),
+    "angle-unit": lambda log, text: (
+        replace(log, q=np.radians(log.q), qd=np.radians(log.qd)),
+        EstimationOptions(),
+    ),
+    "torque-scale": lambda log, text: (
+        replace(log, tau=log.tau / float(re.search("reads ([0-9.e-]+) times", text)[1])),
+        EstimationOptions(),
+    ),
+}
+"""Name of a check to what its words advise: the log and the options then."""
+
+
+@pytest.mark.parametrize("name", REMEDIES)
+def test_what_is_advised_puts_the_log_right(four, name):
+    spoils = {"clock": {"time": 1.3 * four.log.time, "qd": None}}
+    wrong = replace(four.log, **(spoils.get(name) or WRONG[name](four)))
+    text = next(each.text for each in check_against_model(ROBOT, [wrong]) if each.name == name)
+    log, options = REMEDIES[name](wrong, text)
+    assert check_against_model(ROBOT, [log], options) == ()
 
 
 @pytest.mark.parametrize(("seed", "scales", "pull"), [(5, 0.12, 0.0), (1, 0.0, 0.5)])
