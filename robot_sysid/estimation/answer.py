@@ -27,6 +27,7 @@ from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.errors import FitErrors
 from robot_sysid.estimation.file_fit import FileFit
 from robot_sysid.estimation.fit import Fit
+from robot_sysid.estimation.recordings import FrictionOfLogs
 from robot_sysid.estimation.unknowns import FILE_FRICTION, LINKS
 from robot_sysid.estimation.unknowns import FRICTION as LACKING
 from robot_sysid.estimation.verdict import HARMLESS
@@ -68,6 +69,7 @@ class Answer:
         candidates: how well friction models that were tried predict what was not fitted.
         acceleration_error: expected error of the acceleration, as a part of it.
         notes: one sentence each.
+        friction_of_logs: where there are several.
     """
 
     fit: Fit
@@ -78,6 +80,7 @@ class Answer:
     candidates: Errors = field(default_factory=dict)
     acceleration_error: float = 0.0
     notes: tuple[str, ...] = ()
+    friction_of_logs: FrictionOfLogs | None = None
 
     @property
     def robot(self) -> RobotModel:
@@ -151,6 +154,8 @@ class Answer:
                     candidates=self.candidates.get(joint, {}) if terms else {},
                     noise=noise.get(joint, float("nan")),
                     two_ways=self._two_ways(joint, terms),
+                    logs=self._friction_by_log(joint),
+                    another_day=self._another_day(joint),
                 ),
             )
         for motor in self.fit.choice.couplings:
@@ -158,6 +163,34 @@ class Answer:
             of_model = zip(motor.terms, motor.model.tolist())
             before = {} if motor.tendon is None else dict(of_model)
             yield motor.name, JointEstimate("-".join(terms) or "none", terms, before)
+
+    def _friction_by_log(self, owner: str) -> dict[str, dict[str, Figure]]:
+        """Return log to the friction terms of a joint according to it; empty for a single log."""
+        friction = self.friction_of_logs
+        if friction is None:
+            return {}
+        terms = friction.terms_of(owner)
+        values = friction.between.values
+        errors = friction.between.errors
+        return {
+            log: {
+                term: Figure(float(values[row, place]), float(errors[row, place]))
+                for term, place in terms.items()
+            }
+            for row, log in enumerate(friction.logs)
+        }
+
+    def _another_day(self, owner: str) -> dict[str, Figure]:
+        """Return friction term of a joint as it is in another log than those of the fit."""
+        friction = self.friction_of_logs
+        if friction is None:
+            return {}
+        figures = [self.figure(name) for name in friction.names]
+        errors = friction.between.next_log(np.array([figure.error for figure in figures]))
+        return {
+            term: Figure(figures[place].value, float(errors[place]))
+            for term, place in friction.terms_of(owner).items()
+        }
 
     def _own_terms(self) -> dict[str, list[str]]:
         """Return joint or motor to the friction terms that were sought of it."""

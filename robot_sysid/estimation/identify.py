@@ -116,7 +116,7 @@ def answer_link(
     progress.stage("Solving for parameters...")
     fit = fitter.fit(question, choice, start)
     errors = fit_errors(fit)
-    said, apart = logs_compared(fit, [each.name for each in datasets])
+    logs = logs_compared(fit, [each.name for each in datasets])
     file, validation = None, parts_compared(fit)
     if kept is not None:
         progress.stage(Detail("Fitting the model file..."))
@@ -130,7 +130,10 @@ def answer_link(
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
         notes += [note for each in signals for note in each.one_way_joints(robot.joint_names)]
     others = tuple(tested(fit, errors, each, name) for name, each in (tests or {}).items())
-    return replace(answer, notes=tuple(dict.fromkeys((*notes, *said))), tests=(*others, *apart))
+    notes = list(dict.fromkeys((*notes, *logs.notes)))
+    return replace(
+        answer, notes=tuple(notes), tests=(*others, *logs.tests), friction_of_logs=logs.friction
+    )
 
 
 def answer_payload(

@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import N_INERTIAL
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.autocorrelation import memory
+from robot_sysid.estimation.algebra.between_logs import BetweenLogs, compare_logs
 from robot_sysid.estimation.algebra.identifiability import visible_space
-from robot_sysid.estimation.algebra.information import combined, sample_counts
+from robot_sysid.estimation.algebra.information import (
+    combined,
+    normal_matrix,
+    restricted,
+    sample_counts,
+)
 from robot_sysid.estimation.algebra.least_squares import solver, weighted
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.choices import HeldOut, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
-from robot_sysid.estimation.unknowns import WEIGHT, Unknowns, independent
+from robot_sysid.estimation.unknowns import FRICTION, WEIGHT, Unknowns, independent
 from robot_sysid.estimation.verdict import speaks
-from robot_sysid.records import Array, Flange, Validation
+from robot_sysid.records import Array, Flange, SquareRootInformation, Validation
+from robot_sysid.records.figures import percent
 from robot_sysid.records.results import validation_of
 from robot_sysid.results.record import OneRecording
 
@@ -33,6 +43,13 @@ LEAST_MASS, LEAST_PLACE, LEAST_GYRATION = 0.03, 0.01, 0.05
 """By how much recordings of one kind differ at least where that is refused: root mean square in
 standard errors; a share of the payload's mass; of that mass, its place and its radius of gyration
 [m]. Of 60 simulated right sets none exceeds 1.9 errors, of a real arm with elastic joints 3.3."""
+MOST_NAMED = 2
+"""Joints whose friction differs between logs that are named; ``params.json`` has all."""
+LEAST_DIFFERENCE = 0.02
+"""Share of a joint's friction torque below which a difference between logs is not worth a word."""
+NOISE_FLOOR, SIZE_FLOOR = 0.01, 1e-6
+"""Part of the fit's noise that a log has at least beside friction of its own, and of the largest
+size of a friction term that the others have at least."""
 UNSEEN = 100.0
 """Standard deviation of a body's parameters that keeps those in bounds that nothing shows [SI]."""
 
@@ -86,15 +103,62 @@ def parts_compared(fit: Fit) -> Validation:
     return replace(judge.validation(wrong), told_enough=told)
 
 
-def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[Validation, ...]]:
-    """Return (sentences on the logs' own masses, each log predicted from the others).
+@dataclass(frozen=True)
+class FrictionOfLogs:
+    """Friction of each log, and how much it differs between them.
+
+    Attributes:
+        logs: (L,) their names.
+        names: (f,) friction terms, such as "coulomb[joint_1]".
+        between: what the logs say of them.
+        differences: joint, or motor that turns several, whose friction differs by more than its
+            errors, to by how much at most, as a share of its friction torque; the largest first.
+    """
+
+    logs: tuple[str, ...]
+    names: tuple[str, ...]
+    between: BetweenLogs
+    differences: Mapping[str, float]
+
+    def terms_of(self, owner: str) -> dict[str, int]:
+        """Return friction term of a joint, or of a motor, to its place among all of them."""
+        split = [name.partition("[") for name in self.names]
+        return {term: k for k, (term, _, rest) in enumerate(split) if rest == f"{owner}]"}
+
+    @property
+    def note(self) -> tuple[str, ...]:
+        """A sentence on the joints whose friction differs; none where there are none."""
+        if not self.differences:
+            return ()
+        worst = list(self.differences.items())
+        listed = ", ".join(f"{joint} by {percent(share)}" for joint, share in worst[:MOST_NAMED])
+        more = f" and {len(worst) - MOST_NAMED} more" if len(worst) > MOST_NAMED else ""
+        return (
+            f"friction differs between the logs by more than its errors: {listed}{more}; "
+            "params.json has the friction of each log, and its error on another day",
+        )
+
+
+@dataclass(frozen=True)
+class LogComparison:
+    """How several logs of an arm compare: sentences, each log predicted from the others, friction;
+    nothing of a single log.
+    """
+
+    notes: tuple[str, ...] = ()
+    tests: tuple[Validation, ...] = ()
+    friction: FrictionOfLogs | None = None
+
+
+def logs_compared(fit: Fit, names: Sequence[str]) -> LogComparison:
+    """Return how the logs of a fit compare.
 
     Each dataset is of the log that ``names`` says. A log of which the others do not tell enough, as
     of joints that move in it alone, is no test of them.
     """
     logs = {name: [s for s, n in zip(fit.samples, names) if n == name] for name in names}
     if len(logs) < 2:
-        return (), ()
+        return LogComparison()
     data = evidence_of(logs.values(), fit.evidence.torque)
     parts, squares = data.blocks, data.squared_torque
     judge = HeldOut(data, 1.0 / fit.weights, fit.unknowns)
@@ -112,15 +176,108 @@ def logs_compared(fit: Fit, names: Sequence[str]) -> tuple[tuple[str, ...], tupl
         for k, (name, part, error, square) in enumerate(zip(logs, parts, wrong, squares))
         if told(k)
     )
-    masses, sought = {}, fit.unknowns
-    for name, own in logs.items():
-        given = sought.groups, fit.columns.prior[sought.kept], fit.noise
-        values, _, whole = alone([within(part, sought) for part in own], *given)
+    sought = fit.unknowns
+    own_rows = {name: [within(part, sought) for part in log] for name, log in logs.items()}
+    friction = friction_of_logs(fit, own_rows, parts)
+    masses = {}
+    for name, log in own_rows.items():
+        values, _, whole = alone(log, sought.groups, fit.columns.prior[sought.kept], fit.noise)
         masses[name] = float(values[0]), float(np.sqrt(whole[0, 0]))
-    return tuple(_agreement(masses)), tests
+    note = () if friction is None else friction.note
+    return LogComparison((*_agreement(masses, not note), *note), tests, friction)
 
 
-def _agreement(masses: Mapping[str, tuple[float, float]]) -> Iterator[str]:
+def friction_of_logs(
+    fit: Fit,
+    logs: Mapping[str, Sequence[DecimatedSamples]],
+    blocks: Sequence[SquareRootInformation],
+) -> FrictionOfLogs | None:
+    """Return friction of each log, links and all else in common; None where none is sought.
+
+    Args:
+        logs: rows of each log in what the fit has sought.
+        blocks: what each log says of all parameters.
+    """
+    sought = fit.unknowns
+    names = _friction_names(sought)
+    if not names:
+        return None
+    places = np.array([sought.kept_names.index(name) for name in names])
+    values = fit.values[sought.kept[places]]
+    plain = [restricted(block, sought.kept_names, sought.held) for block in blocks]
+    ones = np.ones(len(fit.weights))
+    squares = sum(normal_matrix(one, ones)[np.ix_(places, places)] for one in plain)
+    owners = np.array([name.partition("[")[2][:-1] for name in names])
+    has_same_owner = owners[:, None] == owners
+    # A term counts by its share of the usual friction torque of its joint, so that one that is next
+    # to nothing may differ as much as the others.
+    diagonal = np.diag(squares)
+    sizes = np.sqrt(has_same_owner @ (values**2 * diagonal) / diagonal)
+    sizes = np.maximum(sizes, SIZE_FLOOR * max(float(np.max(sizes)), SIZE_FLOOR))
+    terms = np.array([name.partition("[")[0] for name in names])
+    weights = [_weights_beside_friction(fit, log, places) for log in logs.values()]
+    normals = [normal_matrix(*pair) for pair in zip(plain, weights)]
+    prior = np.zeros_like(normals[0])
+    for group in sought.groups:
+        rows = group.rows(sought.kept_names)
+        prior += rows.T @ rows
+    kinds = np.unique(terms, return_inverse=True)[1]
+    between = compare_logs(normals, prior, places, values, sizes, kinds)
+
+    joints = dict.fromkeys(owners.tolist())
+    rubbing = {joint: np.flatnonzero((owners == joint) & (terms != "offset")) for joint in joints}
+    differences = {}
+    for joint, own in rubbing.items():
+        if len(own) and between.differ(own, len(joints)):
+            share = _largest_difference(between.values[:, own], squares[own][:, own])
+            if share > LEAST_DIFFERENCE:
+                differences[joint] = share
+    ordered = sorted(differences.items(), key=lambda item: -item[1])
+    return FrictionOfLogs(tuple(logs), tuple(names), between, dict(ordered))
+
+
+def _friction_names(sought: Unknowns) -> list[str]:
+    """Return the friction terms that are sought, without rotors, which stay as they are, and what
+    friction is only allowed for.
+    """
+    allowed = {name for group in sought.groups if group.cause == FRICTION for name in group.names}
+    terms = TERMS.keys() - {"armature"}
+    return [n for n in sought.kept_names if n not in allowed and n.partition("[")[0] in terms]
+
+
+def _weights_beside_friction(
+    fit: Fit, log: Sequence[DecimatedSamples], places: NDArray[np.int64]
+) -> Array:
+    """Return by which weights (joints,) a log counts [1/(N m)]: one over the noise that the fit
+    leaves in it beside friction of its own, with the noise's memory.
+    """
+    values = fit.values[fit.unknowns.kept]
+    weights = np.zeros(len(log[0].columns))
+    for joint, columns in enumerate(log[0].columns):
+        rows, tau = (np.concatenate(parts) for parts in zip(*[p.in_use(joint) for p in log]))
+        if not len(tau):
+            continue
+        residual = tau - rows @ values[columns]
+        own = rows[:, np.isin(columns, places)]
+        residual -= own @ np.linalg.lstsq(own, residual, rcond=None)[0]
+        slow = memory(residual)
+        floor = NOISE_FLOOR * fit.noise[joint]
+        weights[joint] = 1.0 / (max(float(np.std(residual)), floor) * np.sqrt(slow))
+    return weights
+
+
+def _largest_difference(values: Array, squares: Array) -> float:
+    """Return by how much a joint's friction (L, m) differs at most between two logs, as a share of
+    its friction torque, whose squares are (m, m).
+    """
+    mean = np.mean(values, axis=0)
+    pairs = itertools.combinations(values, 2)
+    squared = max(float((a - b) @ squares @ (a - b)) for a, b in pairs)
+    torque = float(mean @ squares @ mean)
+    return math.sqrt(squared / torque) if torque > 0.0 else math.inf
+
+
+def _agreement(masses: Mapping[str, tuple[float, float]], has_same_friction: bool) -> Iterator[str]:
     """Yield what the masses of logs and their errors [kg] say of each other."""
     known = {name: pair for name, pair in masses.items() if 0.0 < pair[1] < np.inf}
     said = [
@@ -142,8 +299,10 @@ def _agreement(masses: Mapping[str, tuple[float, float]]) -> Iterator[str]:
             f"the logs do not agree: {scatter}; did the arm carry the same, and were all recorded "
             "in the same way?"
         )
-    else:
+    elif has_same_friction:
         yield f"the logs agree: {scatter}"
+    else:
+        yield f"the logs agree on the mass, not on friction: {scatter}"
 
 
 def each_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:

@@ -253,10 +253,21 @@ class Run:
         return bool(self.content["valid"]["all_identified"]) or not self.is_payload
 
     def friction(self, kind: str = "terms") -> dict[tuple[str, str], Figure]:
-        """Return (joint, term) to its figure; ``kind`` "in_the_file" is for the written model's."""
+        """Return (joint, term) to its figure; ``kind`` "in_the_file" is for the written model's,
+        "another_day" for another log than those of the run.
+        """
         owners = {**self.content["joints"], **self.content["couplings"]}
         terms = [(owner, entry.get(kind, {})) for owner, entry in owners.items()]
         return {(owner, name): each for owner, found in terms for name, each in found.items()}
+
+    def friction_of_logs(self) -> dict[str, dict[tuple[str, str], Figure]]:
+        """Return "joint in LOG" to (joint, term) to its figure, where there are several logs."""
+        tables: dict[str, dict[tuple[str, str], Figure]] = {}
+        for joint, entry in self.content["joints"].items():
+            for log, terms in entry.get("logs", {}).items():
+                own = tables.setdefault(f"joint in {log}", {})
+                own.update({(joint, term): figure for term, figure in terms.items()})
+        return tables
 
 
 def number(value: Any) -> float:

@@ -20,7 +20,7 @@ from robot_sysid.records import DELAY_NAME, Array, RolloutTest, Validation
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.records.progress import Detail
 from robot_sysid.results.cards import INERTIA, NOT_KNOWN, load_errors
-from robot_sysid.results.record import BaseParameters, BodyEstimate, Payload, Result
+from robot_sysid.results.record import BaseParameters, BodyEstimate, Figure, Payload, Result
 from robot_sysid.results.verdict import limitations, verdict_lines
 
 if TYPE_CHECKING:
@@ -165,9 +165,16 @@ def _joint_lines(result: Result) -> Iterator[str]:
             slides = name in result.robot.slides
             terms = ", ".join(
                 friction_text(term, joint.before.get(term), *found, term_unit(term, slides))
+                + _another_day(joint.another_day.get(term))
                 for term, found in joint.terms.items()
             )
             yield f"  {name}: {terms or 'not shown by these logs'}"
+
+
+def _another_day(term: Figure | None) -> str:
+    if term is None or not math.isfinite(term.error):
+        return ""
+    return f" (on another day ± {figure(term.error, term.error)})"
 
 
 def _sensor_lines(result: Result) -> Iterator[str]:

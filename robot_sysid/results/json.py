@@ -210,6 +210,8 @@ def _joint(result: Result, name: str, joint: JointEstimate) -> dict[str, Any]:
         "in_the_file": written,
         "held_out_rmse_by_friction_model": joint.candidates,
         "two_ways": ways and dict(zip(("forward", "backward"), ways)),
+        "logs": joint.logs,
+        "another_day": joint.another_day,
         "torque_noise": joint.noise,
         "bam": _bam(joint, written),
     }

@@ -143,6 +143,9 @@ class JointEstimate:
         candidates: friction model to its held-out root mean square error [N m]; empty if given.
         noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.
         two_ways: Coulomb friction forward and backward, which differ by twice the offset.
+        logs: of several logs, each one's name to its friction terms, with what they have in common
+            left out of the errors.
+        another_day: of several logs, friction term as it is in another log than these.
     """
 
     friction_model: str
@@ -151,6 +154,8 @@ class JointEstimate:
     candidates: Mapping[str, float] = field(default_factory=dict)
     noise: float = float("nan")
     two_ways: tuple[Figure, Figure] | None = None
+    logs: Mapping[str, Mapping[str, Figure]] = field(default_factory=dict)
+    another_day: Mapping[str, Figure] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

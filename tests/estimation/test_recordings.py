@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.recordings import (
     bodies_apart,
     contradiction,
@@ -22,6 +23,8 @@ from tests.support.core_fits import datasets_of, fitted
 from tests.support.measured_logs import JOINT, log_of, plan_of
 from tests.support.payload_logs import PAYLOAD, TrueArm, four_joint_arm
 
+WITHIN = 3.5
+"""Standard errors that the worst of some numbers may be off."""
 FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 
@@ -94,17 +97,24 @@ def test_clear_differences_of_a_kind_are_named(place, change, what):
 # ---- logs of the arm alone
 
 
+def logs_of_days(plant, plants, seed=0):
+    """One log of each arm; the motions differ."""
+    sensors = {"noise_torque": 0.1, "encoder_resolution": 1e-4}
+    plans = [plan_of(plant, 1 + seed + k) for k in range(len(plants))]
+    return [log_of(*pair, seed + k, **sensors) for k, pair in enumerate(zip(plants, plans))]
+
+
 def compared(plant, robot, *plants):
-    logs = [
-        log_of(each, plan_of(plant, 1 + k), k, noise_torque=0.1, encoder_resolution=1e-4)
-        for k, each in enumerate(plants)
-    ]
+    logs = logs_of_days(plant, plants)
     datasets, options = datasets_of(robot, *logs, link_uncertainty=2.0)
     return logs_compared(fitted(robot, datasets, options), [d.name for d in datasets])
 
 
 def test_logs_that_agree_are_said_to(plant, robot):
-    (masses, said), tests = compared(plant, robot, plant, plant)
+    comparison = compared(plant, robot, plant, plant)
+    masses, said = comparison.notes
+    tests = comparison.tests
+    assert comparison.friction.differences == {}
     assert masses.startswith("mass of each log alone: log0 ") and "; log1 0." in masses
     assert said.startswith("the logs agree")
     names = [f"log{k}, predicted from the other logs" for k in range(2)]
@@ -119,7 +129,7 @@ def test_a_log_of_joints_that_move_in_it_alone_is_no_test_of_the_others(plant, r
     used = np.ones(datasets[0].motion.q.shape, dtype=bool)
     used[:, list(alone)] = False
     first = replace(datasets[0], used=used)
-    tests = logs_compared(fitted(robot, [first, datasets[1]], options), ["a", "b"])[1]
+    tests = logs_compared(fitted(robot, [first, datasets[1]], options), ["a", "b"]).tests
     assert [each.source[0] for each in tests] == (["a"] if alone else ["a", "b"])
 
 
@@ -127,6 +137,71 @@ def test_logs_that_do_not_agree_are_called_so(plant, robot):
     lighter = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT).replace(
         'mass=".8"', 'mass=".5"'
     )
-    (_, said), tests = compared(plant, robot, plant, arms.robot_of(lighter))
-    assert said.startswith("the logs do not agree")
-    assert max(each.relative_error for each in tests) > 0.1
+    comparison = compared(plant, robot, plant, arms.robot_of(lighter))
+    assert comparison.notes[1].startswith("the logs do not agree")
+    assert max(each.relative_error for each in comparison.tests) > 0.1
+
+
+def warmer(plant, rng, share):
+    """The same arm on another day: friction differs by a share, of each joint and term anew."""
+    factors = 1.0 + share * rng.standard_normal((2, plant.n_joints))
+    friction = plant.friction
+    changed = replace(
+        friction, coulomb=factors[0] * friction.coulomb, viscous=factors[1] * friction.viscous
+    )
+    return replace(plant, friction=changed)
+
+
+def true_friction(plant, names):
+    """Coulomb and viscous friction by name."""
+    terms = {"coulomb": plant.friction.coulomb, "viscous": plant.friction.viscous}
+    split = [name[:-1].split("[") for name in names]
+    return np.array([terms[term][plant.joint_names.index(joint)] for term, joint in split])
+
+
+def test_friction_that_differs_between_logs_is_said_and_their_masses_agree(plant, robot):
+    one_joint = np.array([1.0, 1.3, 1.0])
+    friction = replace(plant.friction, coulomb=one_joint * plant.friction.coulomb)
+    comparison = compared(plant, robot, plant, replace(plant, friction=friction))
+    (joint,) = comparison.friction.differences
+    assert joint == plant.joint_names[1]
+    assert comparison.friction.differences[joint] == pytest.approx(0.2, abs=0.05)
+    assert comparison.notes[1].startswith("the logs agree on the mass, not on friction")
+    assert (
+        f"friction differs between the logs by more than its errors: {joint} by"
+        in (comparison.notes[2])
+    )
+    place = comparison.friction.terms_of(joint)["coulomb"]
+    between = comparison.friction.between
+    off = between.values[:, place] - true_friction(plant, [f"coulomb[{joint}]"]) * [1.0, 1.3]
+    assert np.all(np.abs(off) < WITHIN * between.errors[:, place])
+
+
+@pytest.mark.parametrize("share", [0.0, pytest.param(0.2, marks=pytest.mark.slow)])
+def test_the_error_on_another_day_covers_the_friction_of_a_third_log(plant, robot, share):
+    """Friction of all logs is drawn from one distribution; two of them are identified."""
+    ratios = []
+    excess = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        *plants, third = (warmer(plant, rng, share) for _ in range(3))
+        datasets, options = datasets_of(robot, *logs_of_days(plant, plants, 10 * seed))
+        fit = fitted(robot, datasets, options)
+        friction = logs_compared(fit, [d.name for d in datasets]).friction
+        names = [name for name in friction.names if not name.startswith("offset")]
+        kept = [fit.unknowns.kept_names.index(name) for name in names]
+        own = [friction.names.index(name) for name in names]
+        errors = np.zeros(len(friction.names))
+        errors[own] = fit_errors(fit).whole.standard_errors[kept]
+        another_day = friction.between.next_log(errors)[own]
+        off = fit.values[fit.unknowns.kept[kept]] - true_friction(third, names)
+        ratios += (off / another_day).tolist()
+        excess += (another_day / errors[own]).tolist()
+        assert bool(friction.differences) == (share > 0.0)
+    coverage = np.mean(np.abs(ratios) < 1.96)
+    assert coverage >= 0.93
+    if share:
+        assert coverage < 1.0
+        assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.15
+    else:
+        assert np.median(excess) < 1.6

@@ -113,6 +113,8 @@ def test_links_joints_and_the_file_stand_beside_the_models():
     assert (low, high) == pytest.approx((0.5 - 1.96 * 5e-4, 0.5 + 1.96 * 5e-4))
     assert [joint["two_ways"][way]["value"] for way in ("forward", "backward")] == [0.6, 0.4]
     assert joint["in_the_file"]["viscous"]["value"] == 0.25
+    assert joint["another_day"]["coulomb"]["standard_error"] == 0.08
+    assert [log["coulomb"]["value"] for log in joint["logs"].values()] == [0.45, 0.55]
     assert content["couplings"]["j5+j6"]["terms"]["viscous"]["value"] == 0.05
     assert list(content["base_parameters"][1].values()) == ["hx(link6)", 0.02, 0.03, False]
     massless = made.model_file(thetas=np.array([np.zeros(10), made.THETA]), after=None)

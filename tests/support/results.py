@@ -213,6 +213,8 @@ def whole(**changes) -> Result:
         joint_of(estimate(), "j5"),
         candidates={"coulomb-viscous": 0.03, "none": 0.4},
         two_ways=(Figure(0.6, 0.01), Figure(0.4, 0.02)),
+        logs={"a.csv": {"coulomb": Figure(0.45, 0.01)}, "b.csv": {"coulomb": Figure(0.55, 0.01)}},
+        another_day={"coulomb": Figure(0.5, 0.08)},
     )
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     errors = RolloutError(OPEN, 0.2, 5, np.array([0.2, 0.1]), np.array([0.02, 0.11]), (1, 0))

@@ -20,6 +20,8 @@ from robot_sysid.records import Array, JointInformation, SquareRootInformation
 
 # Joints whose equations are squared together: of many joints they share most columns.
 _TOGETHER = 8
+# Lifts equations of what nothing shows off zero.
+_RIDGE = 1e-12
 
 
 class InformationAccumulator:
@@ -79,6 +81,20 @@ def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
         for own, there in stretches(at):
             found[there] += gram[own]
     return found
+
+
+def eliminate_others(normal: Array, places: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return the normal equations (k, k), (k,) of some places of [A b]' [A b] (p + 1, p + 1)."""
+    others = np.setdiff1d(np.arange(len(normal) - 1), places)
+    wanted = np.append(places, len(normal) - 1)
+    diagonal = np.diag(normal)[others]
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    scaled = scale[:, None] * normal[np.ix_(others, others)] * scale
+    scaled[np.diag_indices_from(scaled)] += _RIDGE
+    crossed = scale[:, None] * normal[np.ix_(others, wanted)]
+    solved = crossed.T @ np.linalg.solve(scaled, crossed)
+    left = normal[np.ix_(wanted, wanted)] - solved
+    return 0.5 * (left + left.T)[:-1, :-1], left[:-1, -1]
 
 
 def stretches(at: NDArray[np.int64]) -> list[tuple[Any, Any]]:

@@ -25,7 +25,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.estimation.algebra.information import normal_matrix
+from robot_sysid.estimation.algebra.information import eliminate_others, normal_matrix
 from robot_sysid.estimation.algebra.nuisances import LinkScales, NuisanceGroup
 from robot_sysid.records import Array, SquareRootInformation
 
@@ -38,8 +38,6 @@ USUAL_COM_SCALE, USUAL_INERTIA_SCALE = 1.5, 2.0
 EXPECTED = LinkScales(4.0, USUAL_COM_SCALE, USUAL_INERTIA_SCALE)
 """Scales that are expected where there is no recording yet."""
 LINK_KINDS = ("mass", "centre_of_mass", "inertia")
-# Lifts equations of what nothing shows off zero.
-_RIDGE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -91,24 +89,10 @@ def link_evidence(
     normal += rows.T @ rows
     stated = np.repeat(is_stated, 10)
     places = np.array(links.places(information.names))[stated]
-    curvature, pull = _eliminate_others(normal, places)
+    curvature, pull = eliminate_others(normal, places)
     pull = pull - curvature @ links.mean[stated]
     count = int(np.count_nonzero(is_stated))
     return LinkEvidence(count, directions.T @ curvature @ directions, directions.T @ pull)
-
-
-def _eliminate_others(normal: Array, places: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the normal equations (k, k), (k,) of some places of [A b]' [A b] (p + 1, p + 1)."""
-    others = np.setdiff1d(np.arange(len(normal) - 1), places)
-    wanted = np.append(places, len(normal) - 1)
-    diagonal = np.diag(normal)[others]
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    scaled = scale[:, None] * normal[np.ix_(others, others)] * scale
-    scaled[np.diag_indices_from(scaled)] += _RIDGE
-    crossed = scale[:, None] * normal[np.ix_(others, wanted)]
-    solved = crossed.T @ np.linalg.solve(scaled, crossed)
-    left = normal[np.ix_(wanted, wanted)] - solved
-    return 0.5 * (left + left.T)[:-1, :-1], left[:-1, -1]
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:

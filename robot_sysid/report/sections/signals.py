@@ -152,7 +152,12 @@ def friction(run: Run) -> Section:
     """Return friction coefficients, what the written model holds of them, and curves."""
     data = run.data
     slides = {} if data is None else dict(zip(data.joints, data.is_slide))
-    kinds = {"joint": run.friction(), "joint in the written model": run.friction("in_the_file")}
+    kinds = {
+        "joint": run.friction(),
+        "joint on another day": run.friction("another_day"),
+        **run.friction_of_logs(),
+        "joint in the written model": run.friction("in_the_file"),
+    }
     tables = tuple(_coefficients(what, found, slides) for what, found in kinds.items() if found)
     words = (
         "Dots: what is left of the measured torque when all but friction is taken off. Circles: "
