@@ -16,17 +16,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import N_INERTIAL, Equations
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.newton_euler import in_parts
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
 from robot_sysid.estimation.algebra.information import normal_matrix, restricted, sample_counts
-from robot_sysid.estimation.algebra.nuisances import WithPriors, misfits
+from robot_sysid.estimation.algebra.nuisances import SURE, WithPriors, largest_by_chance, misfits
 from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
-from robot_sysid.estimation.fit import ChosenRows, Fit, give_back
+from robot_sysid.estimation.fit import ChosenRows, Fit, give_back, squared_effect
 from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,
@@ -130,15 +131,29 @@ def fit_errors(
         at, usual = fit.unknowns.bodies[fit.columns.robot.body_name]
         places = np.searchsorted(fit.unknowns.kept, at)
         whole, causes = once_possible(whole, causes, places, fit.values[at], usual)
-    # The best possible body is the edge of what is possible, and the truth is inside: it may be as
-    # far off as it was moved.
-    moved = (fit.values - fit.free)[None, fit.unknowns.kept]
-    if np.any(moved):
+    moved = _unlikely_move(fit)
+    if len(moved):
         causes[BODIES] = np.vstack((causes.get(BODIES, moved[:0]), moved))
         whole = whole.with_part(moved.T @ moved)
     counts = tuple(n / d for n, d in zip(whole.effective, fit.inflation.tolist()))
     whole = replace(whole, effective=counts)
     return FitErrors(whole, causes, _common(fit), found)
+
+
+def _unlikely_move(fit: Fit) -> Array:
+    """Return what the estimate was moved by to be possible beyond chance, rows (0 or 1, k).
+
+    The cost of the move, in units of noise and priors, is at most chi-square of the bodies' numbers
+    if the truth is possible: errors that allow for noise and priors then allow for the move, too.
+    What it costs beyond that has another cause, which may make the estimate as far off as it was
+    moved.
+    """
+    moved = (fit.values - fit.free)[None, fit.unknowns.kept]
+    cost = squared_effect(fit, fit.values - fit.free)
+    bodies = [fit.free[at] for at, _ in fit.unknowns.bodies.values()]
+    impossible = sum(not spatial.is_consistent(theta) for theta in bodies)
+    chance = largest_by_chance(float(N_INERTIAL * max(impossible, 1)), 1.0 - SURE)
+    return np.sqrt(1.0 - chance / cost) * moved if cost > chance else moved[:0]
 
 
 def _of_noise(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:

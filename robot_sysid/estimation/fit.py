@@ -302,21 +302,31 @@ class Fitter:
         return fit
 
 
+def squared_effect(fit: Fit, change: Array) -> float:
+    """Return by how much a change (p,) of what is sought moves predicted torques and priors.
+
+    That is the sum of squares, in standard deviations of noise and of priors.
+    """
+    pairs = zip(fit.evidence.whole.joints, fit.weights)
+    effects = [w * (joint.triangle[:, :-1] @ change[joint.columns]) for joint, w in pairs]
+    kept = fit.unknowns.kept
+    names = fit.unknowns.kept_names
+    effects += [group.rows(names)[:, :-1] @ change[kept] for group in fit.unknowns.groups]
+    return float(sum(map(np.vdot, effects, effects)))
+
+
 def _rests(fit: Fit, after: Point) -> bool:
     """Tell whether the prediction, delay, tilt and speeds hardly move any more."""
     before, kept = fit.point, fit.unknowns.kept
     steady = [k for k in kept if fit.columns.names[k] not in fit.unknowns.settle]
     moved = np.zeros(len(fit.values))
     moved[steady] = (after.values - before.values)[steady]
-    pairs, names = zip(fit.evidence.whole.joints, fit.weights), fit.unknowns.kept_names
-    effect = [w * (joint.triangle[:, :-1] @ moved[joint.columns]) for joint, w in pairs]
-    effect += [group.rows(names)[:, :-1] @ moved[kept] for group in fit.unknowns.groups]
     turn = float(np.linalg.norm(np.cross(after.gravity, before.gravity)))
     turn /= float(after.gravity @ after.gravity) or 1.0
     speeds = zip((after.speed or {}).values(), (before.speed or {}).values())
     faster = max((float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0)
     late = abs(after.delay - before.delay)
-    small = float(sum(map(np.vdot, effect, effect))) < _SETTLED**2 and late < _SETTLED_DELAY
+    small = squared_effect(fit, moved) < _SETTLED**2 and late < _SETTLED_DELAY
     return small and turn < _SETTLED_ANGLE and faster < _SPEED_SETTLED
 
 

@@ -240,7 +240,7 @@ def _sentences(result: Result) -> Iterator[str]:
     if estimate.constrained:
         yield Detail(
             "the plain estimate was no possible rigid body, so the best possible one was taken; "
-            "the errors allow for how far it was moved"
+            "the errors allow for that"
         )
 
 

@@ -40,7 +40,7 @@ def test_errors_are_the_spread_of_many_recordings(noise):
     """Noise is all that is not known; what has a memory counts by its memory."""
     arm, off, stated = TrueArm(SMALL, 1, wrong=0.0), [], []
     exact = arm.recording(wide_motion(3, 3), False)
-    for run in range(24):
+    for run in range(48):
         drawn = noise(exact.torque.shape, np.random.default_rng(run))
         fit = fitted(SMALL, [with_torque(exact, drawn)], EstimationOptions(**KNOWN))
         off.append((fit.values - arm.values(fit.columns))[fit.unknowns.kept])
@@ -154,13 +154,17 @@ def test_squares_of_the_causes_and_of_noise_add_up(payload_fit, errors, change):
     np.testing.assert_allclose(np.diag(covariance), total, rtol=1e-6)
 
 
-def test_what_a_possible_body_was_moved_by_is_an_error(payload_fit, errors):
+@pytest.mark.parametrize(("moved", "share"), [(0.3, 1.0), (2e-4, 0.0)])
+def test_what_a_possible_body_was_moved_by_beyond_chance_is_an_error(
+    payload_fit, errors, moved, share
+):
     free = payload_fit.free.copy()
     place = payload_fit.columns.at(PAYLOAD_NAMES[:1])[0]
-    free[place] = payload_fit.values[place] - 0.3
+    free[place] = payload_fit.values[place] - moved
     kept = int(np.searchsorted(payload_fit.unknowns.kept, place))
-    moved = fit_errors(replace(payload_fit, free=free)).whole.standard_errors[kept]
-    assert moved == pytest.approx(np.hypot(0.3, errors.whole.standard_errors[kept]), rel=0.05)
+    stated = fit_errors(replace(payload_fit, free=free)).whole.standard_errors[kept]
+    before = errors.whole.standard_errors[kept]
+    assert stated == pytest.approx(np.hypot(share * moved, before), rel=0.05)
 
 
 def test_a_scale_of_all_joints_is_an_error_in_proportion(errors, change):

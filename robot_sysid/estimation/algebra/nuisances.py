@@ -314,9 +314,14 @@ def misfits(
 
 def is_no_chance(squared: float, freedom: float, chance: float) -> bool:
     """Tell whether chi-square is as large with less than a chance."""
+    return squared > largest_by_chance(freedom, chance)
+
+
+def largest_by_chance(freedom: float, chance: float) -> float:
+    """Return what chi-square exceeds with a chance."""
     from scipy.special import chdtri
 
-    return bool(squared > chdtri(freedom, chance))
+    return float(chdtri(freedom, chance))
 
 
 def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
