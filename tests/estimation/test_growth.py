@@ -17,10 +17,7 @@ from robot_sysid.estimation import errors
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.possible_errors import once_possible
 from robot_sysid.estimation.choices import choose
-from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.dataset import mean_torque
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.fit import Fitter
 from robot_sysid.estimation.identify import Piece, filtered
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.logs.options import LogOptions
@@ -28,7 +25,7 @@ from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress
-from robot_sysid.signals.repetition import visits
+from tests.support.core_fits import fitter_of
 from tests.support.places import DATA, MODELS
 
 GROWTH = 1.05
@@ -88,10 +85,7 @@ CASES = [
 def fitter_of_logs(robot, logs):
     """What fits some logs."""
     pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
-    datasets, _ = filtered(robot, pieces, QUESTION.options)
-    columns = Columns(robot, datasets, QUESTION.options.torques)
-    again = visits([dataset.motion for dataset in datasets])
-    return Fitter(columns, mean_torque(datasets), again)
+    return fitter_of(robot, filtered(robot, pieces, QUESTION.options)[0])
 
 
 def choice_and_start(fitter):
