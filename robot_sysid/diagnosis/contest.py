@@ -84,6 +84,11 @@ class Score:
         return self.explanation.words(self.values, self.errors)
 
     @property
+    def is_possible(self) -> bool:
+        """Whether it is what its words say."""
+        return self.explanation.is_possible(self.values, self.errors)
+
+    @property
     def torque(self) -> Array:
         """Torque (K, n) that it makes, or (K, 1) at its joint [N m]."""
         made = self.explanation.columns @ self.values
@@ -181,7 +186,7 @@ class Contest:
                 break
             alike = [each for each in ranked if each.gain > ranked[0].gain - TIE]
             # Of what is as likely, that which is what its words say.
-            alike.sort(key=lambda score: not self.is_told(score))
+            alike.sort(key=lambda score: not score.is_possible)
             winners.append(alike)
             model, found = alike[0].hypotheses, alike[0].posterior
         return winners
@@ -249,7 +254,7 @@ class Contest:
         part of the torque: small effects of one joint are neither.
         """
         explanation = score.explanation
-        if score.sureness < SURE or not explanation.is_possible(score.values, score.errors):
+        if score.sureness < SURE or not score.is_possible:
             return False
         is_of_log = explanation.joint is None and explanation.level is not Level.NOTE
         return is_of_log or self.torque_share(score) > LEAST_SHARE

@@ -262,9 +262,11 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     shares = np.array([BUILT_UP] * len(BUILD_UP) + [UNEVEN] * 2)
     spread[count:] = np.outer(log.usual, shares).ravel()
 
-    # A lag that the estimate allows for is worth a word all the same.
+    # Whether a log is right does not depend on how sure somebody says to be of the links; a lag
+    # that the estimate allows for is worth a word all the same.
+    links = max(options.link_uncertainty, EstimationOptions().link_uncertainty)
     late = min(options.delay_uncertainty, WORTH_A_WORD)
-    question = Question(replace(options, delay_uncertainty=late))
+    question = Question(replace(options, link_uncertainty=links, delay_uncertainty=late))
     model = friction_model(WITH_ALL)
     shown = np.ones(count, dtype=bool)
     factors = []

@@ -54,8 +54,9 @@ def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, noisy)
 )
 def test_every_option_gives_a_possible_result(robot, noisy, options):
     result = result_of(answered(robot, noisy, kept=(), **options), ORIGIN)
-    assert result.verdict.is_trustworthy and result.failure is None, result.reasons
-    assert result.estimate.inertial.is_consistent
+    # Friction that may not be found is torque that nothing explains.
+    assert result.verdict.is_trustworthy != bool(options.get("no_friction")), result.reasons
+    assert result.failure is None and result.estimate.inertial.is_consistent
     if options.get("torques") != "terminal" and not options.get("no_friction"):
         assert result.estimate.inertial.mass == pytest.approx(0.8, abs=0.15)
     assert result.file.after.relative_error < result.file.before.relative_error

@@ -88,7 +88,14 @@ def test_it_says_whether_to_use_it_what_limits_it_and_what_next(result, said, th
     assert verdict_lines(result) == (said, then)
 
 
-@pytest.mark.parametrize("verdict", [v for v in Verdict if not v.is_trustworthy])
+def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
+    result = made.found(verdict=Verdict.TORQUES_ONLY, reasons=("because",))
+    use, then = verdict_lines(result)
+    assert use.startswith("Only for torques of motions like the log's, not for its numbers: ")
+    assert then.startswith("Next: ") and result.failure is None
+
+
+@pytest.mark.parametrize("verdict", [v for v in Verdict if not v.writes_model])
 def test_what_is_not_usable_says_so_why_and_nothing_else(verdict):
     for result in (
         made.found(verdict=verdict, reasons=("because",)),
