@@ -11,7 +11,7 @@ import sys
 from types import ModuleType
 
 __version__ = "0.1.0"
-_CALLS = ("identify", "identify_arm", "identify_from", "information", "payload", "plan", "read_log")
+_CALLS = ("identify", "identify_from", "information", "payload", "plan", "read_log")
 FACE = {
     **dict.fromkeys(_CALLS, "api.calls"),
     **{"load_robot_model": "parser", "regressor": "api.equations"},

@@ -1,6 +1,5 @@
 from robot_sysid.api import motors as motors
 from robot_sysid.api.calls import identify as identify
-from robot_sysid.api.calls import identify_arm as identify_arm
 from robot_sysid.api.calls import identify_from as identify_from
 from robot_sysid.api.calls import information as information
 from robot_sysid.api.calls import payload as payload

@@ -159,22 +159,6 @@ def identify(
     return _answered(SysidConfig.of(path_of(model), **values))
 
 
-@with_keywords()
-def identify_arm(
-    model: Model,
-    logs: Log | Sequence[Log],
-    *,
-    validation: Log | None = None,
-    **options: Unpack[types.IdentifyKeywords],
-) -> Identified:
-    """Identify an arm, and print every link of it: ``identify(..., links=True)``.
-
-    Arguments and errors are those of ``identify``.
-    """
-    options["links"] = True
-    return identify(model, logs, validation=validation, **options)
-
-
 @with_keywords(**PLANNED)
 def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     """Design a trajectory, or check one that was saved, and say what it promises.

@@ -67,9 +67,8 @@ _MOTORS = (
     *(BusAddress, BusTiming, PlaySettings, Permissions),
     *(RecordingOptions, ModelOptions, SecondArm),
 )
-_IDENTIFY = tuple(each for each in _ARM if each.__name__ != "PoseOptions")
 RECORDS: Mapping[str, Sequence[Any]] = {
-    "identify": _IDENTIFY,
+    "identify": tuple(each for each in _ARM if each.__name__ != "PoseOptions"),
     "plan": tuple(each for each in _ARM if each.__name__ not in ("LogOptions", "OutputOptions")),
     "payload": _PAYLOAD,
     "read_log": (LogOptions,),
@@ -78,7 +77,6 @@ RECORDS: Mapping[str, Sequence[Any]] = {
     "regressor": (ModelOptions,),
     "play": (*_MOTORS, LimitOptions),
     "hold": _MOTORS,
-    "identify_arm": _IDENTIFY,
 }
 """Function to the records whose options are its keywords; ``play`` and ``hold`` are of motors."""
 _COMMAND = "plays models; it needs the command robot-sysid identify"

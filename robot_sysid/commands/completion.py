@@ -46,5 +46,5 @@ def _parser(done: Sequence[str]) -> tuple[argparse.ArgumentParser, int, Sequence
         choice = argparse.ArgumentParser()
         choice.add_argument("command", choices=module.COMMANDS)
         return choice, 2, ()
-    asked = ("identify" if name == "arm" else name,) if kind == "run" else ()
+    asked = (name,) if kind == "run" else ()
     return module.build_parser(*asked), 2 if name else 1, () if done else tuple(COMMANDS)

@@ -77,7 +77,7 @@ ALONE = Question(
         "Damiao motors": (MotorOptions,),
     },
     only={"excitation": _EXCITATION},
-    epilog="Commands: robot-sysid plan, identify, payload, arm, log, report, motors and "
+    epilog="Commands: robot-sysid plan, identify, payload, log, report, motors and "
     "example; each has its own --help. A model file that is called like a command is "
     "reached as ./plan.",
 )
@@ -172,17 +172,12 @@ def build_parser(command: str = "", full: bool = True) -> Parser:
 
 
 def main(arguments: Sequence[str], command: str = "") -> int:
-    """Run a command and return its exit code; ``arm`` is an older name of identify --links."""
-    asked = "identify" if command == "arm" else command
-    values, console = parsed(partial(build_parser, asked), arguments)
-    if command == "arm":
-        console.note("arm is identify --links now; both do the same")
-        # Where no torque was measured, links are not sought.
-        values["links"] = "torque_from" not in values
+    """Run a command and return its exit code."""
+    values, console = parsed(partial(build_parser, command), arguments)
     preview = record_from(PreviewOptions, values)
     require_preview(preview)
     own = {key: value for key, value in values.items() if key not in keys_of(PreviewOptions)}
-    return carry_out(QUESTIONS[asked].config(**own), console, preview)
+    return carry_out(QUESTIONS[command].config(**own), console, preview)
 
 
 def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:

@@ -192,7 +192,7 @@ def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(
 
 @pytest.mark.slow
 def test_every_link_has_its_numbers(workshop, result):
-    found = rs.identify_arm(workshop / "arm.xml", workshop / "log.csv")
+    found = rs.identify(workshop / "arm.xml", workshop / "log.csv", links=True)
     assert found.to_dict() == result.to_dict()
     assert list(found.links) == ["link0", "link1", "link2", "link3"]
     for link in found.to_dict()["links"]:
@@ -226,7 +226,7 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
         ),
         (lambda m: rs.identify(m, plan_only=True), "call plan instead"),
         (lambda m: rs.identify(m, "a.csv", verify_rollout=True), "needs the command"),
-        (lambda m: rs.identify_arm(m, "a.csv", torque_from="position-error"), "needs the command"),
+        (lambda m: rs.identify(m, "a.csv", torque_from="position-error"), "needs the command"),
     ],
 )
 def test_what_cannot_be_used_is_one_clear_error(call, words, workshop):

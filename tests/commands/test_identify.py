@@ -227,5 +227,5 @@ def test_what_cannot_be_used_is_said_in_one_line(command, arm_file, recorded, se
     assert "at rest" in command.refused("identify", path, still, *SERVOS)
     one = servo_logs.write(tmp_path / "one.csv", time, q, asked)
     one.write_text(one.read_text().replace("action joint1.pos", "remark"))
-    said = command.run("arm", path, one, *SERVOS, code=2).err
+    said = command.run("identify", path, one, *SERVOS, code=2).err
     assert "one command column for each" in said and "joint1" in said

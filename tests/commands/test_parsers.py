@@ -57,11 +57,9 @@ def test_a_command_says_what_it_does_with_the_options(asked):
     assert asked("identify", "arm.xml", "a.csv", "b.csv") == SysidConfig.of(
         "arm.xml", measurements=logs
     )
-    assert asked("arm", "arm.xml", "a.csv") == SysidConfig.of(
+    assert asked("identify", "arm.xml", "a.csv", "--links") == SysidConfig.of(
         "arm.xml", measurements=logs[:1], links=True
     )
-    torque = asked("arm", "arm.xml", "a.csv", "--torque-from", "position-error")
-    assert torque.estimation.torque_from and not torque.output.links
     assert asked("plan", "arm.xml") == SysidConfig.of(
         "arm.xml", plan_only=True, excitation="optimal"
     )
@@ -106,7 +104,7 @@ ASKED = {
     "motors ch": {"check "},
     "motors play t.csv --rec": {"--record "},
     "arm.xml --motor-t": {"--motor-type "},
-    "arm": {"arm "},
+    "re": {"report "},
     "identify arm.xml lo": {"log.csv "},
 }
 

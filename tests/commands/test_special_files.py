@@ -32,7 +32,6 @@ BASES = {
     "": "arm.xml --output-dir out",
     "plan": "arm.xml --excitation sines --output-dir out",
     "identify": "arm.xml log.csv --output-dir out",
-    "arm": "arm.xml log.csv --output-dir out",
     "payload": "arm.xml --empty log.csv --loaded log.csv --output-dir out",
     "log": "log.csv arm.xml",
     "report": "out",

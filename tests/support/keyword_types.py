@@ -86,8 +86,7 @@ def text() -> str:
             for record, attribute, option in named
             if option.key not in refused
         }
-        if function != "identify_arm":  # the same as of identify
-            takers[name] = lines
+        takers[name] = lines
     order = sorted(takers, key=lambda name: len(takers[name]))
     bases, own = {name: list[str]() for name in order}, {**takers}
     for k, name in enumerate(order):
