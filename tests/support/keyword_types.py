@@ -2,7 +2,7 @@
 
     python -m tests.support.keyword_types
 
-writes ``robot_sysid/api/keyword_types.py`` anew.
+writes ``robot_sysid/api/keyword_types.pyi`` anew.
 """
 
 from __future__ import annotations
@@ -15,25 +15,22 @@ from robot_sysid.api.keywords import RECORDS, refused_by
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 
-PATH = ROOT / "robot_sysid" / "api" / "keyword_types.py"
-HEAD = '''"""Types of the keywords, for type checkers and editors; no run imports this.
+PATH = ROOT / "robot_sysid" / "api" / "keyword_types.pyi"
+HEAD = '''"""Types of the keywords, a stub for type checkers and editors: there is no such module.
 
 Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
 A class holds the keywords of the function in its name; one with an underscore those that the
 functions in its name, and what builds on them, have alike.
 """
-# ruff: noqa: D101
-
-from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any, Literal, TypedDict, Union
+from typing import Any, Literal, TypedDict
 
 from numpy.typing import NDArray
 
-File = Union[str, "os.PathLike[str]"]
-Numbers = Union[Sequence[float], NDArray[Any]]
+File = str | os.PathLike[str]
+Numbers = Sequence[float] | NDArray[Any]
 '''
 _TYPES = {
     "float": "float", "int": "int", "whole_number": "int", "str": "str", "Path": "File",
@@ -104,7 +101,7 @@ def text() -> str:
             for name in names:
                 bases[name].append(f"_{''.join(names)}")
     every = ((f"{n}Keywords", bases[n] or ["TypedDict"], homes.get((n,), [])) for n in order)
-    return "\n\n".join([*parts, *(_class(*each) for each in every)])
+    return "\n".join([*parts, *(_class(*each) for each in every)])
 
 
 def _class(name: str, bases: Sequence[str], lines: Sequence[str]) -> str:

@@ -1,21 +1,18 @@
-"""Types of the keywords, for type checkers and editors; no run imports this.
+"""Types of the keywords, a stub for type checkers and editors: there is no such module.
 
 Made from the option records by ``python -m tests.support.keyword_types``; a test holds them equal.
 A class holds the keywords of the function in its name; one with an underscore those that the
 functions in its name, and what builds on them, have alike.
 """
-# ruff: noqa: D101
-
-from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any, Literal, TypedDict, Union
+from typing import Any, Literal, TypedDict
 
 from numpy.typing import NDArray
 
-File = Union[str, "os.PathLike[str]"]
-Numbers = Union[Sequence[float], NDArray[Any]]
+File = str | os.PathLike[str]
+Numbers = Sequence[float] | NDArray[Any]
 Accept = Literal[
     "torque-scale", "gravity", "computed", "sign", "order", "angle-unit", "zero", "model",
     "tilt", "clock", "delay", "saturated", "held", "contact", "force", "payload-step",
@@ -26,7 +23,6 @@ Interface = Literal[
     "socketcan", "slcan", "gs_usb", "pcan", "kvaser", "vector", "ixxat", "canalystii",
     "cantact", "seeedstudio", "damiao", "virtual"
 ]  # fmt: skip
-
 
 class _PlanPayloadIdentify(TypedDict, total=False):
     below_base: bool
@@ -40,14 +36,12 @@ class _PlanPayloadIdentify(TypedDict, total=False):
     seed: int | None
     trajectory: File | None
 
-
 class _PlanIdentify(TypedDict, total=False):
     can_id: int | Sequence[int]
     export_damiao: bool
     master_id: int | Sequence[int]
     motor_type: str | Sequence[str]
     save_trajectory: File | None
-
 
 class _PlanPlayPayloadIdentify(TypedDict, total=False):
     clearance: float
@@ -56,7 +50,6 @@ class _PlanPlayPayloadIdentify(TypedDict, total=False):
     max_torque: float | Numbers | None
     max_velocity: float | Numbers
     workspace: Numbers | None
-
 
 class _InformationPlan(TypedDict, total=False):
     delay_uncertainty: float
@@ -67,7 +60,6 @@ class _InformationPlan(TypedDict, total=False):
     torques: Literal["chain", "terminal"]
     zero_uncertainty: float
 
-
 class _PayloadIdentify(TypedDict, total=False):
     encoder_resolution: float
     keep: Keep | Sequence[Keep]
@@ -75,23 +67,18 @@ class _PayloadIdentify(TypedDict, total=False):
     simulation: Literal["inverse", "forward"]
     torque_delay: float
 
-
 class _HoldPlanPayloadIdentify(TypedDict, total=False):
     speed: float
 
-
 class _PlanPayload(TypedDict, total=False):
     static: bool
-
 
 class IdentifyFromKeywords(TypedDict, total=False):
     joint: str | None
     keyframe: str | None
     mesh_dir: File | None
 
-
 class RegressorKeywords(IdentifyFromKeywords, total=False): ...
-
 
 class ReadLogKeywords(TypedDict, total=False):
     columns: File | None
@@ -100,7 +87,6 @@ class ReadLogKeywords(TypedDict, total=False):
     torque_constants: float | Numbers | File | None
     torque_scale: float | Numbers | File | None
     units: str | None
-
 
 class InformationKeywords(ReadLogKeywords, IdentifyFromKeywords, _InformationPlan, total=False):
     accept: Accept | Sequence[Accept]
@@ -111,7 +97,6 @@ class InformationKeywords(ReadLogKeywords, IdentifyFromKeywords, _InformationPla
     no_friction: bool
     tilt: Literal["off", "auto"]
     velocity_deadband: float | Numbers | None
-
 
 class HoldKeywords(IdentifyFromKeywords, _HoldPlanPayloadIdentify, total=False):
     accept_directions: bool
@@ -139,17 +124,14 @@ class HoldKeywords(IdentifyFromKeywords, _HoldPlanPayloadIdentify, total=False):
     set_watchdog: float | None
     start_tolerance: float
 
-
 class PlanKeywords(
     IdentifyFromKeywords, _PlanPayloadIdentify, _PlanIdentify, _PlanPlayPayloadIdentify,
     _InformationPlan, _HoldPlanPayloadIdentify, _PlanPayload, total=False
 ):  # fmt: skip
     for_: Literal["link", "payload", "friction", "arm", "weight"]
 
-
 class PlayKeywords(HoldKeywords, _PlanPlayPayloadIdentify, total=False):
     also: File | None
-
 
 class PayloadKeywords(
     InformationKeywords, _PlanPayloadIdentify, _PlanPlayPayloadIdentify, _PayloadIdentify,
@@ -162,7 +144,6 @@ class PayloadKeywords(
     loaded_model: File | None
     order: str | None
     save_torque_scale: File | None
-
 
 class IdentifyKeywords(
     InformationKeywords, _PlanPayloadIdentify, _PlanIdentify, _PlanPlayPayloadIdentify,
