@@ -24,7 +24,7 @@ from mujoco import rollout
 
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.closed_loop import quantised
+from robot_sysid.simulation.plant import quantised
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms

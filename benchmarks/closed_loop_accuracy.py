@@ -19,9 +19,10 @@ from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
-from robot_sysid.simulation.closed_loop import ClosedLoop, Sensors
 from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation.plant import Sensors
 from robot_sysid.solver import identify_parameters
+from tests.support.closed_loop import ClosedLoop
 from tests.support.closed_loop_proof import (
     TERMS,
     differentiated,

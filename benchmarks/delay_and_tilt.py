@@ -19,8 +19,8 @@ from robot_sysid.estimation.identify import Piece, answer_link, filtered
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import DELAY_NAME
 from robot_sysid.records.progress import Progress
-from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation.plant import PlantSimulation
 from tests.support.core_fits import BASIC
 
 PAIRS = ((0.0, 0.0), (1e-3, 0.25), (3.7e-3, 0.5), (5e-3, 0.75), (10e-3, 1.0))

@@ -29,7 +29,7 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.static import design_sweeps
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.closed_loop import quantised
+from robot_sysid.simulation.plant import quantised
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.core_fits import result_of_logs
 from tests.support.places import MODELS

@@ -41,7 +41,7 @@ def line(study, words, noise) -> str:
     text = f"  {words:>10} N m, memory {1e3 * noise.memory:3.0f} ms: "
     if noise.memory == 0.0:
         ratio = outcome.over_bound(bound)
-        still = study.errors(study.identified(study.samples, "off"))
+        still = study.errors(study.identified(study.samples)[0])
         worst = outcome.names[int(np.argmax(ratio))]
         text += f"error / bound median {np.median(ratio):.3f}, worst {ratio.max():.3f} ({worst}); "
         text += f"encoder {np.max(np.abs(still) / bound):.2f}; "

@@ -15,10 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.example_study import Noise, NoiseStudy, friction_errors
+from benchmarks.example_study import Noise, NoiseStudy, friction_errors, noise_study
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.signals.process import LARGEST_SLOW_SHARE
+from robot_sysid.logs.reader import join_measurements
+from robot_sysid.signals.process import LARGEST_SLOW_SHARE, process
+from robot_sysid.simulation.plant import quantised
+from tests.support.closed_loop import ClosedLoop
 
 SEEDS = range(61, 73)
 SHARES = (0.2, 0.1, LARGEST_SLOW_SHARE, 0.035, 0.02)
@@ -27,8 +30,8 @@ DRAWS = 20
 
 def main() -> None:
     """Print one table per simulation."""
-    for simulation in ("forward", "inverse"):
-        studies = [UnmaskedStudy(seed, simulation) for seed in SEEDS]
+    for simulation, kind in (("closed loop", ClosedLoopStudy), ("inverse dynamics", NoiseStudy)):
+        studies = [UnmaskedStudy(kind(seed=seed)) for seed in SEEDS]
         print(f"{simulation}: mass %, Coulomb %, viscous %, each median and worst; rows used")
         for name, rule in rules().items():
             print(
@@ -44,11 +47,26 @@ def rules():
     return found
 
 
+class ClosedLoopStudy(NoiseStudy):
+    """The motion of an arm under a controller, with MuJoCo's own dry friction.
+
+    Speeds at which that friction is not complete count as standing still.
+    """
+
+    def recorded(self):
+        loop = ClosedLoop(self.plant, self.plan, noise_study.SAMPLE_RATE)
+        log = join_measurements(loop.run())
+        log = replace(log, q=quantised(log.q, noise_study.ENCODER_STEP), qd=None, qdd=None)
+        signals = process(log, self.robot.joint_names)
+        slow = np.maximum(signals.deadband, 1.005 * loop.ramp_use.ramp_speed)
+        return replace(signals, deadband=slow)
+
+
 class UnmaskedStudy:
     """One trajectory with all its rows, and what is needed to mask them."""
 
-    def __init__(self, seed, simulation) -> None:
-        self.study = study = NoiseStudy(seed=seed, simulation=simulation)
+    def __init__(self, study) -> None:
+        self.study = study
         signals = study.signals
         every = replace(signals, deadband=np.zeros_like(signals.deadband))
         columns = Columns(study.robot, [Dataset("log", every)])
@@ -63,9 +81,9 @@ class UnmaskedStudy:
         study, whole = self.study, self.study.samples
         tau = tuple(np.where(keep, t, np.nan) for keep, t in zip(used.T, whole.tau))
         study.samples = replace(whole, tau=tau)
-        clean = friction_errors(study, study.identified(study.samples, "off"))
+        clean = friction_errors(study, study.identified(study.samples)[0])
         draws = [study.noisy(Noise(0.1), np.random.default_rng(k)) for k in range(DRAWS)]
-        noisy = [friction_errors(study, study.identified(draw, "off")) for draw in draws]
+        noisy = [friction_errors(study, study.identified(draw)[0]) for draw in draws]
         study.samples = whole
         return clean, np.sqrt(np.mean(np.square(noisy), axis=0)), np.mean(used)
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from robot_sysid.simulation.closed_loop import ClosedLoop
 from tests.support import arms
+from tests.support.closed_loop import ClosedLoop
 from tests.support.closed_loop_proof import excitation, plant_from, recorded
 
 

@@ -30,7 +30,7 @@ from tests.support.command_line import files_in
 
 JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2" actuatorfrcrange="-60 60"'
 HEAVY = '<inertial pos=".02 .03 .08" mass="1.3" fullinertia=".008 .009 .004 .0004 -.0003 .0005"/>'
-LOGGED = "--plant-model plant.xml --simulation forward --duration 8 --sample-rate 150"
+LOGGED = "--plant-model plant.xml --duration 8 --sample-rate 150"
 NOISE = "--noise-torque 0.05 --encoder-resolution 1e-4"
 SHORT = "--duration 4 --sample-rate 100"
 MOTORS = "--export-damiao" + 3 * " --motor-type DM4340"

@@ -12,7 +12,6 @@ import numpy as np
 
 from robot_sysid.config import SysidConfig
 from robot_sysid.diagnosis.run import look_at
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import traces_of
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import give_back
@@ -37,7 +36,7 @@ from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
 from robot_sysid.results.record import Result
 from robot_sysid.results.rollout import LAST_FIFTH, fitted_rows, play, split_time, torque_error
 from robot_sysid.signals.resampling import MOST_KEPT, bounded
-from robot_sysid.simulation.closed_loop import PlantSimulation, load_plant
+from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import CHUNK, sample_count
 
 _NOISE_STREAM = 1
@@ -93,14 +92,13 @@ def of_plant(
     count = sample_count(plan.duration, rate)
     label, chunks = "Collecting measurements", math.ceil(count / CHUNK)
     parts, cut = bounded(progress.track(iter(simulation), label, chunks), count)
-    least, ramp = _past_the_ramp(config.estimation, simulation)
     if arm.save_measurements is not None:
         whole = simulation if count > MOST_KEPT else parts
-        write_measurement_csv(arm.save_measurements, robot.joint_names, whole, ramp)
-    notes = (*plant.notes, *simulation.notes(), *ramp, *cut)
-    detail = f"{arm.plant_model}, {arm.simulation}"
-    origin = DataOrigin(Source.SIMULATED_ARM, detail, plan.duration, rate, seed)
-    pieces = [Piece(str(arm.plant_model), part, least_deadband=least) for part in parts]
+        write_measurement_csv(arm.save_measurements, robot.joint_names, whole)
+    notes = (*plant.notes, *cut)
+    name = str(arm.plant_model)
+    origin = DataOrigin(Source.SIMULATED_ARM, name, plan.duration, rate, seed)
+    pieces = [Piece(name, part) for part in parts]
     recorded = _filtered(config, robot, pieces, origin, notes)
     del parts, pieces  # what was measured itself is needed no more
     found = _identified(config, robot, recorded, progress)
@@ -110,22 +108,6 @@ def of_plant(
 
 def _with_truth(traces: Callable[[], Traces], truth: InertialParameters) -> Traces:
     return replace(traces(), truth=truth)
-
-
-def _past_the_ramp(
-    options: EstimationOptions, simulation: PlantSimulation
-) -> tuple[tuple[float, ...], tuple[str, ...]]:
-    """Return (speeds (n,) below which MuJoCo's dry friction is a ramp, a sentence); () if none."""
-    # A little above the ramp, so that three digits say all.
-    speeds = tuple(float(f"{1.005 * speed:.3g}") for speed in simulation.least_deadband())
-    if not any(speeds) or options.velocity_deadband is not None:
-        return (), ()
-    listed = ",".join(f"{speed:g}" for speed in speeds)
-    return speeds, (
-        "MuJoCo's dry friction builds up over a range of speeds; moments in which a joint is "
-        "still in that range are left out. With the saved log --velocity-deadband "
-        f"{listed} does the same",
-    )
 
 
 def checked(

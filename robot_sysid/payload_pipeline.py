@@ -23,7 +23,7 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.results.record import Figure, Payload, Result
 from robot_sysid.signals.poses import resting_poses
-from robot_sysid.simulation.closed_loop import PlantSimulation, load_plant
+from robot_sysid.simulation.plant import PlantSimulation, load_plant
 
 SIMULATED_ORDER = "ABBA"
 _NOISE_STREAM = 1
@@ -105,7 +105,7 @@ def _datasets(
     for each, where in zip(raw, place.tolist()):
         for number, samples in enumerate(each.pieces, start=1):
             name = f"{each.name} (part {number})" if len(each.pieces) > 1 else each.name
-            pieces.append(Piece(name, samples, each.is_loaded, where, each.least_deadband))
+            pieces.append(Piece(name, samples, each.is_loaded, where))
     datasets, said = filtered(robot, pieces, config.estimation)
     return datasets, (*shared_notes({each.name: each.notes for each in raw}), *said)
 
@@ -155,9 +155,8 @@ def _simulated(config: PayloadConfig, robot: RobotModel, progress: Progress) -> 
         sensors = config.arm, config.trajectory.sample_rate, rng
         simulation = PlantSimulation(load_plant(robot, path), made.plan, *sensors)
         samples = join_measurements(simulation)
-        least = tuple(1.005 * speed for speed in simulation.least_deadband())
         whole = f"{path} ({number + 1})", samples, is_loaded
-        found.append(RawRecording(*whole, least_deadband=least, pieces=(samples,)))
+        found.append(RawRecording(*whole, pieces=(samples,)))
     return sorted(found, key=lambda each: each.is_loaded)
 
 

@@ -74,17 +74,17 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
 
 def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tuple[CheckedPlan, int]:
     """Return the motion that was asked for, checked, and the seed it was drawn with."""
-    arm, seed = config.arm, config.seeded().trajectory.seed or 0
-    played = config.motors.export_damiao or arm.simulation == "forward"
+    seed = config.seeded().trajectory.seed or 0
     limits = _within_motors(config.limits, config.motors, robot.n_joints)
     options = config.trajectory, config.excitation, limits, config.estimation.torques
+    played = config.motors.export_damiao
     told: tuple[Any, ...] = ()
     if config.excitation.kind == "optimal":
         from robot_sysid.expected import known_of, outlook
 
         how = config.trajectory.sample_rate, config.estimation, config.poses.asked
         told = partial(known_of, options=how[1], asked=how[2]), partial(outlook, how=how)
-    request = MotionRequest(*options, arm.noise_torque, played, config.poses, *told)
+    request = MotionRequest(*options, config.arm.noise_torque, played, config.poses, *told)
     request = replace(request, link_uncertainty=config.estimation.link_uncertainty)
     return make_plan(request, robot, seed, progress), seed
 

@@ -72,7 +72,6 @@ def test_every_option_is_accepted_in_some_run_and_kept():
         ({**FILE, **PLANT, "seed": 7}, "--seed has nothing to draw"),
         ({**FILE, **PLAN, "noise_torque": 0.1, "seed": 7}, "--seed has nothing to draw"),
         ({**PLAN, "for_": "friction", "seed": 7}, "--seed has nothing to draw"),
-        ({**OPTIMAL, "simulation": "forward"}, "--simulation belongs to a simulated plant"),
         ({**PLAN, "encoder_resolution": 0.1}, "--encoder-resolution belongs to a simulated plant"),
         ({**PLAN, **PLANT}, "--plant-model is about an estimate; a plan stops before it"),
         ({**PLAN, "no_friction": True}, "--no-friction is about an estimate"),

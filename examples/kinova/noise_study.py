@@ -29,10 +29,10 @@ from robot_sysid.estimation.fit import evidence, solved
 from robot_sysid.estimation.unknowns import Choice, Question
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Estimate, MotionPlan, RobotModel, SquareRootInformation
+from robot_sysid.records import Estimate, MotionPlan, RobotModel, SquareRootInformation, Validation
 from robot_sysid.signals.process import ProcessedSignals, process
-from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation.plant import PlantSimulation
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
@@ -105,29 +105,26 @@ class NoiseStudy:
     Args:
         plan: the trajectory; None draws one.
         seed: of that trajectory.
-        simulation: "inverse" or "forward", how the true arm is simulated.
     """
 
-    def __init__(
-        self, plan: MotionPlan | None = None, seed: int = 1, simulation: str = "inverse"
-    ) -> None:
+    def __init__(self, plan: MotionPlan | None = None, seed: int = 1) -> None:
         self.plant = load_robot_model(MODELS / "kinova_fullinertia.xml")
         guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml").prior
         self.robot = replace(self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess)
         self.plan = plan or random_plan(self.robot, seed)
-        self.signals = self._recorded(simulation)
+        self.signals = self.recorded()
         self.friction = (friction_model(DEFAULT_MEASURED),) * self.robot.n_joints
         self.columns = Columns(self.robot, [Dataset("log", self.signals)])
         (self.samples,) = self.columns.samples(self.columns.start())
         self.names = self._equations().names
         self.truth = self._true_values()
 
-    def _recorded(self, simulation: str) -> ProcessedSignals:
-        how = SimulatedArmOptions(simulation=simulation, encoder_resolution=ENCODER_STEP)
+    def recorded(self) -> ProcessedSignals:
+        """Return what the true arm's sensors report of the motion."""
+        how = SimulatedArmOptions(encoder_resolution=ENCODER_STEP)
         rng = np.random.default_rng(0)
         run = PlantSimulation(self.plant, self.plan, how, SAMPLE_RATE, rng)
-        log = join_measurements(run)
-        return process(log, self.robot.joint_names, least_deadband=run.least_deadband())
+        return process(join_measurements(run), self.robot.joint_names)
 
     @property
     def cutoff(self) -> float:
@@ -167,7 +164,8 @@ class NoiseStudy:
         data = evidence((samples,), mean_torque(self.columns.datasets))
         fit = solved(self.columns, question, choice, start, data, (samples,))
         fits, errors = (fit, replace(fit, values=fit.free)), fit_errors(fit)
-        possible, plain = (estimate_of(Answer(each, None, errors)) for each in fits)
+        untested = Validation("nothing", 0, np.nan, None, {}, {})
+        possible, plain = (estimate_of(Answer(each, None, errors, untested)) for each in fits)
         return possible, plain
 
     def run(self, noise: Noise, draws: int, seed: int = 0) -> Outcome:

@@ -64,7 +64,6 @@ class _PayloadIdentify(TypedDict, total=False):
     encoder_resolution: float
     keep: Keep | Sequence[Keep]
     noise_position: float | Numbers
-    simulation: Literal["inverse", "forward"]
     torque_delay: float
 
 class _HoldPlanPayloadIdentify(TypedDict, total=False):

@@ -41,15 +41,13 @@ _PASSES = 18
 @dataclass(frozen=True)
 class Piece:
     """A stretch of a recording without long holes, as it was measured: the recording's name in
-    messages, whether it carries the payload, its place as in ``Dataset``, and (n,) the least
-    deadband of ``signals.process.process``.
+    messages, whether it carries the payload, and its place as in ``Dataset``.
     """
 
     name: str
     samples: Measurement
     is_loaded: bool = False
     place: float = 0.0
-    least_deadband: tuple[float, ...] = ()
 
 
 def filtered(
@@ -70,9 +68,9 @@ def filtered(
         cutoff, by = options.cutoff, "as given"
         if own > min(cutoffs):
             cutoff, by = min(cutoffs), "as another recording asks for"
-        still = options.velocity_deadband, piece.least_deadband
         with named(piece.name):
-            pairs.append((piece, process(part, robot.joint_names, cutoff, *still, by)))
+            signals = process(part, robot.joint_names, cutoff, options.velocity_deadband, by)
+            pairs.append((piece, signals))
     found = []
     for piece, each in pairs:
         dataset = Dataset(piece.name, each, piece.is_loaded, piece.place)

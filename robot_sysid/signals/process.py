@@ -253,7 +253,6 @@ def process(
     joint_names: Sequence[str] = (),
     cutoff: float | None = None,
     deadband: PerJoint | None = None,
-    least_deadband: Sequence[float] = (),
     chosen_by: str = "as given",
 ) -> ProcessedSignals:
     """Turn a log into signals, or raise InputError where the cut-off does not fit it.
@@ -263,7 +262,6 @@ def process(
         deadband: speed below which a joint's friction has no sure direction [rad/s], one number or
             one per joint; None takes 0.5 % of the joint's peak speed, zero uses all rows. Where one
             is given, no joint is ``turning``.
-        least_deadband: (n,) where the deadband is taken from the data, it is at least this [rad/s].
         chosen_by: where a cut-off that is not chosen here comes from, in words.
     """
     uniform, expected = resampled(measurement), 0.0
@@ -289,8 +287,7 @@ def process(
     bridged = holes[2 * lost + 1 :] > holes[: len(holes) - 2 * lost - 1]
     qd = first_derivative(q, uniform.rate, reach)
     qdd = second_derivative(q, uniform.rate, reach)
-    usual = np.maximum(USUAL_DEADBAND * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
-    slow = np.maximum(usual, np.asarray(least_deadband or 0.0))
+    slow = np.maximum(USUAL_DEADBAND * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
     turning = np.zeros(qd.shape, dtype=bool)
     if deadband is not None:
         slow = per_joint(deadband, qd.shape[1], "--velocity-deadband")

@@ -1,23 +1,13 @@
 """Arms that move: MuJoCo's forward dynamics of the chain, everything else held still.
 
-What acts: rigid-body dynamics, armature, springs, damping and MuJoCo's own ``frictionloss``. What
-does not: contacts, joint stops and equalities (an excitation trajectory touches none of them), the
-model's actuators (the torque comes from outside), gravity compensation and drag.
+What acts: rigid-body dynamics, armature, springs, damping and friction. What does not: contacts,
+joint stops and equalities (an excitation trajectory touches none of them), the model's actuators
+(the torque comes from outside), gravity compensation and drag.
 
 Joints outside the chain (fingers, a second arm, loose objects) get so much armature that nothing
 moves them. None of them carries the chain, so the chain feels a rigid load and nothing else.
 
-A plant's integrator is the explicit Runge-Kutta method of fourth order. MuJoCo's implicit ones add
-an apparent armature h (kv + damping) to the torque, and its Euler method evaluates damping half a
-step late, an apparent armature of h damping / 2: on a wrist of 5e-4 kg m^2 both spoil the result.
-
-MuJoCo's ``frictionloss`` is not Coulomb's law but a ramp in velocity and acceleration that ends at
-the Coulomb level: torque = clip(D (qdd + b qd), -fc, +fc). D and b follow from the constraint
-settings and the inertia the joint had when the model was compiled. On a joint without armature the
-ramp can be so wide that a slow motion never leaves it; the torque is then viscous friction D b and
-inertia D, and no data can give fc. ``RampUse`` counts how often each joint was past its ramp.
-
-What a simulated set of motors drives is stepped otherwise (``ArmStepper``): with Coulomb's law
+An arm that motors drive is stepped (``ArmStepper``) with Coulomb's law
 tau_f = fc sign(qd) + fv qd, and implicit in damping and dry friction, so that stiff motor damping,
 shorted windings and dry friction are stable with any step h: find v and the mean velocity with
 
@@ -32,23 +22,17 @@ move by the mean velocity. So damping adds no apparent armature to the mean torq
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_sysid.dynamics.kinematics import analysis_copy, inverse_dynamics, posed
+from robot_sysid.dynamics.kinematics import analysis_copy, posed
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Array, RobotModel
 
 HELD_ARMATURE = 1e9
 """Armature that holds joints outside the chain still [kg m^2]."""
-STIFFEST_STEP = 1.0
-"""Largest step times fastest decay rate; Runge-Kutta becomes unstable at 2.78."""
-SHORTEST_STEP = 2e-6
-"""Step below which a plant is refused [s]."""
 DEFAULT_TIMESTEP = 5e-4
 """Step of an arm that motors drive [s]."""
 
@@ -60,9 +44,8 @@ def forward_copy(plant: RobotModel) -> Any:
     for name in ("EQUALITY", "LIMIT", "ACTUATION"):
         flags |= int(getattr(disable, f"mjDSBL_{name}"))
     model.opt.disableflags = flags & ~int(disable.mjDSBL_CONSTRAINT)
-    model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
     model.opt.solver = int(mujoco.mjtSolver.mjSOL_NEWTON)
-    model.opt.tolerance, model.opt.iterations = 1e-12, 100
+    model.opt.iterations = 100
     chain = plant.dof_index
     model.dof_damping[chain] = plant.mj_model.dof_damping[chain]
     held = np.setdiff1d(np.arange(model.nv), chain)
@@ -76,201 +59,6 @@ def placed(plant: RobotModel, model: Any, data: Any, q: Array, qd: Array) -> Non
     mujoco.mj_resetData(model, data)
     data.qpos[:] = plant.reference_qpos
     data.qpos[plant.qpos_index], data.qvel[plant.dof_index] = q, qd
-
-
-class ForwardPlant:
-    """The chain as a system with torques in and motion out.
-
-    Args:
-        period: time for which a torque is held [s]; cut into shorter integration steps where the
-            plant's damping asks for it.
-        configurations: (K, n) chain positions it will pass through, to judge that.
-
-    Raises:
-        SimulationError: the plant is too stiff or has impossible inertias; names the joint.
-    """
-
-    def __init__(self, plant: RobotModel, period: float, configurations: Array) -> None:
-        self._plant = plant
-        self.model = forward_copy(plant)
-        self.data = mujoco.MjData(self.model)
-        self._others = np.setdiff1d(np.arange(self.model.nq), plant.qpos_index)
-        self._other_dofs = np.setdiff1d(np.arange(self.model.nv), plant.dof_index)
-        self.substeps = self._substeps(period, configurations)
-        self.model.opt.timestep = period / self.substeps
-        self._has_friction = self.model.dof_frictionloss[plant.dof_index] > 0.0
-        self._rows, self.ramp = self._read_friction()
-
-    def reset(self, q: Array, qd: Array) -> None:
-        """Forget the past and put the chain at positions and velocities (n,)."""
-        placed(self._plant, self.model, self.data, q, qd)
-        mujoco.mj_forward(self.model, self.data)
-
-    def state(self) -> tuple[Array, Array]:
-        """Return copies of the chain's positions and velocities (n,)."""
-        q, qd = self.data.qpos[self._plant.qpos_index], self.data.qvel[self._plant.dof_index]
-        return np.array(q), np.array(qd)
-
-    def has_diverged(self) -> bool:
-        """Tell whether MuJoCo met values it could not go on with."""
-        warning = mujoco.mjtWarning
-        kinds = (warning.mjWARN_BADQPOS, warning.mjWARN_BADQVEL, warning.mjWARN_BADQACC)
-        return any(self.data.warning[int(kind)].number for kind in kinds)
-
-    def times_mass(self, acceleration: Array) -> Array:
-        """Return the mass matrix, as of the last step, times accelerations (n,)."""
-        wanted, product = np.zeros(self.model.nv), np.empty(self.model.nv)
-        wanted[self._plant.dof_index] = acceleration
-        mujoco.mj_mulM(self.model, self.data, product, wanted)
-        return product[self._plant.dof_index]
-
-    def acceleration(self, tau: Array) -> Array:
-        """Return the chain's accelerations (n,) at the present state under torques (n,)."""
-        self.data.qfrc_applied[self._plant.dof_index] = tau
-        mujoco.mj_forward(self.model, self.data)
-        return np.array(self.data.qacc[self._plant.dof_index])
-
-    def step(self, tau: Array) -> None:
-        """Advance by one period under constant torques (n,)."""
-        self.data.qfrc_applied[self._plant.dof_index] = tau
-        mujoco.mj_step(self.model, self.data, self.substeps)
-        if len(self._other_dofs):
-            self.data.qpos[self._others] = self._plant.reference_qpos[self._others]
-            self.data.qvel[self._other_dofs] = 0.0
-
-    def dry_friction(self) -> Array:
-        """Return the resisting dry friction torques (n,), as of the last ``acceleration``."""
-        torque = np.zeros(self._plant.n_joints)
-        torque[self._has_friction] = -self.data.efc_force[self._rows]
-        return torque
-
-    def inverse(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the torques (N, n) of a motion (N, n), MuJoCo's dry friction included."""
-        data = posed(self.model, self._plant.reference_qpos)
-        chain = self._plant.qpos_index, self._plant.dof_index
-        return inverse_dynamics(self.model, data, chain, q, qd, qdd)
-
-    def _read_friction(self) -> tuple[NDArray[np.int64], FrictionRamp]:
-        """Return which constraint rows are dry friction, they never change, and the ramps."""
-        # Read off MuJoCo's own constraint at unit velocities.
-        self.reset(self._plant.reference, np.ones(self._plant.n_joints))
-        kind = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
-        # Nothing outside the chain has any, and MuJoCo goes from the base outwards as the chain.
-        rows = np.flatnonzero(self.data.efc_type == kind)
-        inertia, rate = np.zeros(self._plant.n_joints), np.zeros(self._plant.n_joints)
-        inertia[self._has_friction] = self.data.efc_D[rows]
-        rate[self._has_friction] = -self.data.efc_aref[rows]
-        coulomb = self.model.dof_frictionloss[self._plant.dof_index]
-        return rows, FrictionRamp(coulomb, inertia, rate)
-
-    def _substeps(self, period: float, configurations: Array) -> int:
-        rate, joint = self._fastest_decay(configurations)
-        substeps = max(1, math.ceil(period * rate / STIFFEST_STEP))
-        if period / substeps < SHORTEST_STEP:
-            raise SimulationError(
-                f"joint {self._plant.joint_names[joint]} of the plant is too stiff to be "
-                f"simulated: its damping stops it within {1e6 / rate:.2g} microseconds; lower its "
-                "damping, or give it armature"
-            )
-        return substeps
-
-    def _fastest_decay(self, configurations: Array) -> tuple[float, int]:
-        """Return the fastest rate [1/s] at which damping stops the chain, and which joint."""
-        # The largest eigenvalue of M^-1 B over the configurations (K, n), M the mass matrix and B
-        # the damping, and the joint that moves most in its eigenvector.
-        units, passive, rates = np.eye(self._plant.n_joints), [], []
-        for qd in (0.0 * units[0], *units):
-            self.reset(self._plant.reference, qd)
-            passive.append(np.array(self.data.qfrc_passive[self._plant.dof_index]))
-        damping = np.column_stack([passive[0] - torque for torque in passive[1:]])
-        for q in configurations:
-            self.reset(q, np.zeros_like(q))
-            mass = np.column_stack([self.times_mass(unit) for unit in units])
-            self._require_positive(mass)
-            values, vectors = np.linalg.eig(np.linalg.solve(mass, damping))
-            fastest = int(np.argmax(values.real))
-            joint = int(np.argmax(np.abs(vectors[:, fastest])))
-            rates.append((float(values.real[fastest]), joint))
-        return max(rates)
-
-    def _require_positive(self, mass: Array) -> None:
-        """Raise SimulationError unless every motion of the chain has a positive kinetic energy."""
-        values, vectors = np.linalg.eigh(0.5 * (mass + mass.T))
-        if not values[0] > 0.0:
-            joint = self._plant.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
-            raise SimulationError(
-                f"the plant cannot move: a motion of joint {joint} has no positive kinetic energy, "
-                "so a link it carries has an impossible mass or inertia; check the plant model's "
-                "<inertial> elements"
-            )
-
-
-STANDSTILL = 1e-6
-"""Highest speed of a joint that is taken not to move at all [rad/s]."""
-# MuJoCo's solver reaches the Coulomb level to about this share.
-_FULL = 1e-6
-
-
-@dataclass(frozen=True)
-class FrictionRamp:
-    """The ramps of all joints.
-
-    Attributes:
-        coulomb: (n,) level at which each ramp ends, fc [N m]; 0 for a joint without dry friction.
-        inertia: (n,) slope in acceleration, D [kg m^2].
-        rate: (n,) b, so that D b is the slope in velocity [1/s].
-    """
-
-    coulomb: Array
-    inertia: Array
-    rate: Array
-
-
-class RampUse:
-    """Counts, joint by joint (n,), the samples whose dry friction has its full size.
-
-    Attributes:
-        ramp_speed: (n,) highest speed at which dry friction was not complete [rad/s]. Leaving out
-            all slower samples makes Coulomb's law exact for the rest.
-    """
-
-    def __init__(self, joints: tuple[str, ...], ramp: FrictionRamp) -> None:
-        self._joints, self._ramp = joints, ramp
-        self._was_full = np.zeros(len(joints), dtype=bool)
-        self._speed = np.zeros(len(joints))
-        self.ramp_speed: Array = np.zeros(len(joints))
-
-    def add(self, qd: Array, dry: Array) -> None:
-        """Count a chunk: velocities (N, n) and resisting dry friction torques (N, n) [N m]."""
-        full = dry * np.sign(qd) >= (1.0 - _FULL) * self._ramp.coulomb
-        speed = np.abs(qd)
-        self._was_full |= np.any(full, axis=0)
-        self._speed = np.maximum(self._speed, np.max(speed, axis=0))
-        self.ramp_speed = np.maximum(self.ramp_speed, np.max(np.where(full, 0.0, speed), axis=0))
-
-    @property
-    def never_full(self) -> tuple[str, ...]:
-        """Names of the joints whose dry friction never reaches its full size."""
-        never = (self._ramp.coulomb > 0.0) & ~self._was_full
-        return tuple(self._joints[j] for j in np.flatnonzero(never))
-
-    def sentences(self) -> tuple[str, ...]:
-        """Return what the user should know, one sentence each."""
-        found, viscous = [], self._ramp.inertia * self._ramp.rate
-        for j in np.flatnonzero(self._ramp.coulomb > 0.0).tolist():
-            name, coulomb, speed = self._joints[j], self._ramp.coulomb[j], self._speed[j]
-            if speed < STANDSTILL:
-                found.append(f"{name} does not move, so its friction does not show in the data")
-            elif name in self.never_full:
-                found.append(
-                    f"the frictionloss of {name} ({coulomb:.3g} N m) is never reached: in MuJoCo "
-                    "it builds up with speed and is complete only above about "
-                    f"{coulomb / viscous[j]:.2g} rad/s, and this motion stays below {speed:.2g} "
-                    f"rad/s. It acts as {viscous[j]:.2g} N m s/rad of extra viscous friction, so "
-                    "its Coulomb coefficient cannot be identified; give the joint armature in the "
-                    "plant model or let it move faster"
-                )
-        return tuple(found)
 
 
 class ArmStepper:

@@ -9,7 +9,6 @@ from robot_sysid.records.options import OptionRecord, PerJoint, not_negative, op
 
 LONGEST_DELAY = 1.0
 """Longest torque delay that is accepted [s]; more is surely a slip of the unit."""
-SIMULATIONS = ("inverse", "forward")
 
 
 def _plausible_delay(value: float) -> str | None:
@@ -20,19 +19,10 @@ def _plausible_delay(value: float) -> str | None:
 
 @dataclass(frozen=True)
 class SimulatedArmOptions(OptionRecord):
-    """The model that plays the real arm, how it is moved, and how good its sensors are.
-
-    "inverse" computes the torques of the exact trajectory with Coulomb's law; "forward" lets a
-    controller follow it in MuJoCo's forward dynamics with MuJoCo's own dry friction.
-    """
+    """The model that plays the real arm, and how good its sensors are."""
 
     plant_model: Path | None = option(
         None, "model that plays the real arm and makes the torques", "TRUTH.xml"
-    )
-    simulation: str = option(
-        "inverse",
-        "torques by inverse dynamics, or a controlled arm stepped forward in time",
-        choices=SIMULATIONS,
     )
     noise_torque: PerJoint = option(
         0.0, "standard deviation of the torque noise, one number or one per joint", "S [N·m] >= 0"

@@ -30,7 +30,7 @@ from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.options import processors
 from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.simulation.forward_dynamics import ForwardPlant, forward_copy, placed
+from robot_sysid.simulation.forward_dynamics import forward_copy, placed
 
 _FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
@@ -167,11 +167,15 @@ def stated_servo(robots: Sequence[RobotModel], pieces: Sequence[Measurement]) ->
     q = np.concatenate([piece.q[:: max(1, len(piece.q) // 10)] for piece in pieces])
     largest = np.zeros(q.shape[1])
     for robot in robots:
-        plant = ForwardPlant(robot, STEP, q[:1])
-        for each in q:
-            plant.reset(each, np.zeros_like(each))
-            mass = np.array([plant.times_mass(unit) @ unit for unit in np.eye(len(each))])
-            largest = np.maximum(largest, mass)
+        model = forward_copy(robot)
+        data = mujoco.MjData(model)
+        mass_column = np.empty(model.nv)
+        for positions in q:
+            placed(robot, model, data, positions, np.zeros_like(positions))
+            mujoco.mj_forward(model, data)
+            for joint, dof in enumerate(robot.dof_index):
+                mujoco.mj_mulM(model, data, mass_column, np.eye(model.nv)[dof])
+                largest[joint] = max(largest[joint], mass_column[dof])
     rate = 2.0 * np.pi * SERVO_RATE
     return Servo(largest * rate**2, 2.0 * largest * rate)
 

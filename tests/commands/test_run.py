@@ -11,7 +11,6 @@ import pytest
 from robot_sysid.cli import main
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.trajectories import load_trajectory
-from robot_sysid.simulation.forward_dynamics import ForwardPlant
 from tests.support import arms, witness
 from tests.support.excitation_arms import TUBES
 
@@ -37,10 +36,9 @@ def arm(arm_file, planned):
     return path
 
 
-# A motion that is played, kept or bound by a limit, in each way there is.
+# A motion that is exported, kept or bound by a limit, in each way there is.
 CHECKED = {
     "exported": (*SHORT, *EXPORT),
-    "simulated forward": (*SHORT, "--plant-model", "arm.xml", "--simulation", "forward"),
     "saved": (*SHORT, "--save-trajectory", "other.json"),
     "file, exported": ("--trajectory", "plan.json", *RATE, *EXPORT),
     "designed": (*SHORT, "--excitation", "optimal", "--excitation-time-budget", "0.01"),
@@ -50,15 +48,8 @@ CHECKED = {
 
 @pytest.mark.usefixtures("unpredicted")
 @pytest.mark.parametrize("case", CHECKED)
-def test_where_a_limit_is_broken_nothing_is_played_written_or_called_good(
-    case, command, arm, monkeypatch
-):
+def test_where_a_limit_is_broken_nothing_is_written_or_called_good(case, command, arm, monkeypatch):
     monkeypatch.setattr(LimitCheck, "failure", property(lambda check: "it breaks the law"))
-
-    def played(*_):
-        raise AssertionError("simulated although it breaks a limit")
-
-    monkeypatch.setattr(ForwardPlant, "step", played)
     asked, code = (("plan", arm), 1) if case.startswith("planned") else ((arm,), 2)
     assert "it breaks the law" in command.refused(*asked, *CHECKED[case], code=code)
 
@@ -115,15 +106,6 @@ def test_more_samples_than_anybody_can_wait_for_are_refused_at_once(command, arm
         message = command.refused(arm, *words)
         assert "samples, more than the 1e+09 a run can take" in message
     assert time.monotonic() - started < 5.0
-
-
-def test_an_arm_without_dry_friction_can_be_simulated_forward(command, arm_file):
-    path = arm_file(arms.serial_arm((arms.Z, arms.Y, arms.X), joint='range="-2 2" damping=".1"'))
-    forward = ("--plant-model", path, "--simulation", "forward")
-    known = [f"--{cause}-uncertainty=0" for cause in ("link", "scale", "zero", "gravity")]
-    printed = command.run(path, *forward, *known, "--duration", "3", "--seed", "1")
-    assert "Mass: 0.800 kg" in printed.out
-    assert "frictionloss" not in printed.err
 
 
 def test_lists_that_do_not_fit_the_joints_are_refused(command, arm):

@@ -83,11 +83,8 @@ def test_the_deadband_is_a_part_of_the_peak_speed_unless_another_is_given():
     log = Swing().measured(seconds(10.0, 200.0))
     usual = process(log, cutoff=8.0)
     np.testing.assert_array_equal(usual.deadband, 0.005 * np.max(np.abs(usual.qd), axis=0))
-    least = np.array([0.5, 2.0, 0.1]) * usual.deadband
-    raised = process(log, cutoff=8.0, least_deadband=tuple(least)).deadband
-    np.testing.assert_array_equal(raised, np.maximum(usual.deadband, least))
     np.testing.assert_array_equal(process(log, cutoff=8.0, deadband=0.1).deadband, [0.1] * 3)
-    each = process(log, cutoff=8.0, deadband=(0.1, 0.2, 0.0), least_deadband=(1.0, 1.0, 1.0))
+    each = process(log, cutoff=8.0, deadband=(0.1, 0.2, 0.0))
     np.testing.assert_array_equal(each.deadband, [0.1, 0.2, 0.0])
     with pytest.raises(InputError, match="--velocity-deadband takes one number, or one for each"):
         process(log, cutoff=8.0, deadband=(0.1, 0.2))

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Motion
-from robot_sysid.simulation.forward_dynamics import ArmStepper, ForwardPlant, FrictionRamp, RampUse
+from robot_sysid.simulation.forward_dynamics import ArmStepper
 from robot_sysid.simulator import simulate_inverse
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
+from tests.support.closed_loop import ForwardPlant, FrictionRamp, RampUse
 from tests.support.closed_loop_proof import ramp_torque
 
 PERIOD = 1e-3
@@ -102,33 +103,15 @@ def test_a_loaded_spring_is_not_taken_for_damping():
     assert loaded.substeps == plain.substeps
 
 
-def test_a_plant_too_stiff_to_simulate_is_refused_by_joint():
-    robot = robot_of(arms.serial_arm((arms.Z, arms.Y), joint='damping=".1"'))
-    model = copy.copy(robot.mj_model)
-    model.dof_damping[1] = 1e5
-    model.body_mass[2], model.body_inertia[2] = 1e-6, 1e-10
-    with pytest.raises(SimulationError, match="joint1 of the plant is too stiff"):
-        forward(robot_of(model))
-
-
-JOINTS = ("shoulder", "elbow", "wrist")
-
-
 def ramp(coulomb=(0.4, 0.0, 1.0), inertia=(0.9, 0.0, 5e-3), rate=(105.0, 0.0, 105.0)):
     """A joint with armature, one without dry friction, a light one."""
     return FrictionRamp(np.array(coulomb), np.array(inertia), np.array(rate))
 
 
-def sine(speed, samples=2000):
-    """Velocities and accelerations (N, 3) of a 0.5 Hz sine of this peak speed."""
-    angle = np.pi * np.arange(samples)[:, None] / 1000.0 + np.zeros(3)
-    return speed * np.sin(angle), speed * np.pi * np.cos(angle)
-
-
 def use_of(qd, qdd, which=None):
     """RampUse of one motion by the formula."""
     ramps = which or ramp()
-    use = RampUse(JOINTS, ramps)
+    use = RampUse(ramps)
     use.add(qd, ramp_torque(ramps, qd, qdd))
     return use
 
@@ -142,16 +125,6 @@ def test_above_the_ramp_speed_coulombs_law_is_exact(seed, scale):
     faster = np.abs(qd) > use.ramp_speed
     law, found = ramps.coulomb * np.sign(qd), ramp_torque(ramps, qd, qdd)
     np.testing.assert_allclose(found[faster], law[faster], rtol=1e-5, atol=0.0)
-
-
-def test_a_slow_light_joint_is_the_one_that_never_gets_there():
-    use = use_of(*sine(1.0))
-    assert use.never_full == ("wrist",)
-    (sentence,) = use.sentences()
-    # 1 N m over 5e-3 kg m^2 times 105 1/s is 1.9 rad/s and 0.53 N m s/rad.
-    assert "wrist (1 N m) is never reached" in sentence
-    assert "above about 1.9 rad/s" in sentence and "below 1 rad/s" in sentence
-    assert "0.53 N m s/rad" in sentence
 
 
 HINGE = (

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.closed_loop import Sensors, quantised
 from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation.plant import Sensors, quantised
 from tests.support.arms import SEEDS
 
 RATE = 1000.0

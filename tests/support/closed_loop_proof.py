@@ -19,10 +19,10 @@ from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.records import InertialParameters, JointFriction, Measurement
-from robot_sysid.simulation.closed_loop import ClosedLoop
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory
+from tests.support.closed_loop import ClosedLoop
 
 TERMS = ("coulomb", "viscous", "offset", "armature")
 # Central differences over nine samples, exact for polynomials of degree eight (Fornberg 1988).

@@ -10,8 +10,8 @@ from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import InertialParameters
-from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation.plant import PlantSimulation
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
@@ -44,9 +44,9 @@ def plan_of(robot, seed=1, duration=DURATION):
     return plan.scaled(np.array([3.0, 3.0, 1.0]))
 
 
-def log_of(plant, plan=None, seed=1, simulation="inverse", rate=RATE, **sensors):
+def log_of(plant, plan=None, seed=1, rate=RATE, **sensors):
     """What the sensors of an arm report along a trajectory."""
-    options = SimulatedArmOptions(simulation=simulation, **sensors)
+    options = SimulatedArmOptions(**sensors)
     rng = np.random.default_rng(seed)
     return join_measurements(PlantSimulation(plant, plan or plan_of(plant), options, rate, rng))
 

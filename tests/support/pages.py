@@ -18,8 +18,8 @@ from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress
-from robot_sysid.simulation.closed_loop import PlantSimulation, load_plant
 from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, recorded
 from tests.support.places import ROOT

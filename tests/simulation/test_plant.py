@@ -1,29 +1,25 @@
-"""The closed loop reports effective torques, follows any arm's trajectory, and says why it cannot.
+"""A plant's measurements, sensors on top, and which model may be one.
 
-Of the plant's measurements: both simulations, sensors on top, readable as often as wanted; of the
-plant itself: which one is accepted.
+Beside them a closed loop in MuJoCo with its own friction, which reports effective torques: what is
+identified from them is a proof of the whole way from positions and torques.
 """
 
 from __future__ import annotations
-
-import copy
 
 import numpy as np
 import pytest
 
 from robot_sysid.dynamics.kinematics import ArmDynamics
-from robot_sysid.errors import InputError, SimulationError
+from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
-from robot_sysid.simulation.closed_loop import ClosedLoop, PlantSimulation, load_plant
-from robot_sysid.simulation.forward_dynamics import ForwardPlant
 from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms
 from tests.support import closed_loop_proof as proof
 from tests.support.arms import FREE_OBJECT_BESIDE, SEVEN, THREE, X, Y, Z, robot_of, serial_arm
-
-# The heaviest, one of two arms, the lightest with stiff damping.
+from tests.support.closed_loop import ClosedLoop, ForwardPlant
 
 
 def swing(robot, speed=1.0, duration=4.0, frequency=0.5):
@@ -75,58 +71,6 @@ def test_the_control_period_divides_the_sample_period_and_is_at_most_the_models_
     assert ClosedLoop(robot, swing(robot), rate).period == pytest.approx(period, rel=1e-12)
 
 
-def with_torque_limit(robot, limit):
-    """The robot with this actuator force range on every joint."""
-    model = copy.copy(robot.mj_model)
-    model.jnt_actfrclimited[:] = 1
-    model.jnt_actfrcrange[:] = [-limit, limit]
-    return robot_of(model)
-
-
-def test_torque_limits_are_obeyed_and_reported():
-    robot = robot_of(arms.THREE)
-    plan = swing(robot, speed=2.0)
-    free = proof.recorded(ClosedLoop(robot, plan, 200.0))
-    peak = np.max(np.abs(free.tau))
-    loop = ClosedLoop(with_torque_limit(robot, 0.98 * peak), plan, 200.0)
-    log = proof.recorded(loop)
-    assert np.max(np.abs(log.tau)) <= 0.98 * peak
-    (note,) = loop.notes()
-    assert "was at its torque limit of" in note
-
-
-def test_an_arm_too_weak_for_the_motion_stops_the_run_with_time_joint_and_cause():
-    robot = robot_of(arms.THREE)
-    peak = np.max(np.abs(proof.recorded(ClosedLoop(robot, swing(robot, 2.0), 200.0)).tau))
-    weak = with_torque_limit(robot, 0.3 * peak)
-    words = r"joint joint\d is .* rad off its trajectory at \d\.\d+ s: the torque limit of joint"
-    with pytest.raises(SimulationError, match=words):
-        proof.recorded(ClosedLoop(weak, swing(weak, 2.0), 200.0))
-
-
-@pytest.mark.parametrize(
-    ("stiffness", "words"),
-    [
-        ("1e6", r"joint joint\d is .* off its trajectory at 0\.0\d\d s.*likely cause is a spring"),
-        ("1e12", r"the simulated plant diverged at 0\.0\d\d s \(joint joint\d\): the likely cause"),
-    ],
-)
-def test_a_plant_that_runs_away_stops_the_run_quietly(stiffness, words, capfd):
-    stiff = robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=f'stiffness="{stiffness}"'))
-    with pytest.raises(SimulationError, match=words):
-        proof.recorded(ClosedLoop(stiff, swing(stiff), 200.0))
-    assert capfd.readouterr().err == ""
-
-
-def test_impossible_inertias_are_refused_before_the_run(capfd):
-    robot = robot_of(arms.THREE)
-    model = copy.copy(robot.mj_model)
-    model.body_mass[2] = -50.0
-    with pytest.raises(SimulationError, match="joint1 has no positive kinetic energy"):
-        ClosedLoop(robot_of(model), swing(robot), 200.0)
-    assert capfd.readouterr().err == ""
-
-
 @pytest.fixture(scope="module")
 def arm():
     """The seven-joint arm without friction of its own, as the engineer believes it to be."""
@@ -146,10 +90,9 @@ def test_mass_and_friction_come_back_from_positions_and_torques(proven):
 
 
 def test_without_leaving_out_the_ramp_friction_would_be_wrong(arm, proven):
-    _, log, loop = proven
+    _, log, _ = proven
     plant = proof.plant_from(arm)
     assert proof.errors_of(proof.identified(arm, log, 0.0), plant).viscous > 0.2
-    assert loop.ramp_use.never_full == () == loop.notes()
 
 
 RATE = 200.0
@@ -168,15 +111,15 @@ def plan(plant):
     return proof.excitation(plant, duration=5.0)
 
 
-def run(plant, plan, simulation, **sensors):
+def run(plant, plan, **sensors):
     """One simulation with these sensors."""
-    options = SimulatedArmOptions(simulation=simulation, **sensors)
+    options = SimulatedArmOptions(**sensors)
     return PlantSimulation(plant, plan, options, RATE, np.random.default_rng(5))
 
 
 def test_forward_and_inverse_agree_where_friction_is_complete(plant, plan):
-    simulation = run(plant, plan, "forward")
-    forward, inverse = join_measurements(simulation), join_measurements(run(plant, plan, "inverse"))
+    forward = proof.recorded(ClosedLoop(plant, plan, RATE))
+    inverse = join_measurements(run(plant, plan))
     np.testing.assert_array_equal(forward.time, inverse.time)
     fast = np.abs(inverse.qd) > 0.1
     # The loop follows within 1e-4 rad and 1e-2 rad/s^2 of its trajectory away from reversals.
@@ -184,9 +127,8 @@ def test_forward_and_inverse_agree_where_friction_is_complete(plant, plan):
     assert np.median(difference) < 1e-3 and np.max(difference) < 0.1
 
 
-@pytest.mark.parametrize("simulation", ["inverse", "forward"])
-def test_reading_twice_gives_the_same_measurements(plant, plan, simulation):
-    measurements = run(plant, plan, simulation, noise_torque=0.1, encoder_resolution=1e-4)
+def test_reading_twice_gives_the_same_measurements(plant, plan):
+    measurements = run(plant, plan, noise_torque=0.1, encoder_resolution=1e-4)
     first, second = join_measurements(measurements), join_measurements(measurements)
     np.testing.assert_array_equal(first.tau, second.tau)
     np.testing.assert_array_equal(first.q, second.q)
@@ -196,12 +138,12 @@ def test_noise_levels_and_trajectory_must_fit_the_plant(plant, plan):
     with pytest.raises(
         InputError, match="--noise-torque takes one number, or one for each of the 3 joints"
     ):
-        run(plant, plan, "inverse", noise_torque=(0.1, 0.2))
+        run(plant, plan, noise_torque=(0.1, 0.2))
     with pytest.raises(InputError, match="--noise-position takes one number, or one for each"):
-        run(plant, plan, "inverse", noise_position=(0.1, 0.2))
+        run(plant, plan, noise_position=(0.1, 0.2))
     other = robot_of(arms.SEVEN)
     with pytest.raises(InputError, match="moves 3 joints, the plant has 7"):
-        run(other, plan, "inverse")
+        run(other, plan)
 
 
 @pytest.fixture
