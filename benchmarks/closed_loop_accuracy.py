@@ -10,6 +10,8 @@ parameters; the friction columns show the worst joint.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from robot_sysid.dynamics.equations import Equations
@@ -41,7 +43,8 @@ SEEDS = (1, 2, 3)
 
 def identified_from_log(robot, log, deadband, terms=TERMS):
     """The same from positions and torques by way of low-pass, derivatives and decimation."""
-    signals = process(log, robot.joint_names, deadband=deadband)
+    signals = process(log, robot.joint_names)
+    signals = replace(signals, deadband=np.full_like(signals.deadband, deadband))
     equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
     rows_of_joint = InformationAccumulator(equations.names, equations.joints, equations.columns)
     motion = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
@@ -91,7 +94,7 @@ def proof_table(robot) -> None:
 
 def sensor_table(robot) -> None:
     """The whole signal path, with encoder steps and torque noise."""
-    print("Low-pass, derivatives and decimation; --velocity-deadband 0.1")
+    print("Low-pass, derivatives and decimation; rows slower than 0.1 rad/s left out")
     sensors = (
         SimulatedArmOptions(),
         SimulatedArmOptions(encoder_resolution=1e-4),

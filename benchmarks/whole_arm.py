@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +111,9 @@ def rank_of_log(robot, seconds: float = 15.0, rate: float = 200.0) -> int:
     plan = generate_excitation_trajectory(robot, rng, seconds, ArmTorque(robot))[0]
     q = np.vstack([motion.q for motion in motion_chunks(plan, rate)])
     log = Measurement(np.arange(len(q)) / rate, q, None, rng.normal(size=q.shape))
-    columns = Columns(robot, [Dataset("log", process(log, robot.joint_names, 8.0, 0.0))])
+    signals = process(log, robot.joint_names, 8.0)
+    signals = replace(signals, deadband=np.zeros_like(signals.deadband))
+    columns = Columns(robot, [Dataset("log", signals)])
     (samples,) = columns.samples(columns.start())
     matrix, _ = samples.information().stacked()
     places = [at for name, at in columns.bodies().items() if name != "payload"]

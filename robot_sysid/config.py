@@ -377,7 +377,7 @@ class PayloadConfig(Config):
         yield logs, "describes logs; give --empty and --loaded", _given(self.log)
         file = _given(self.output, only=("bundle", "keep"))
         yield asked.known_mass is None, "is about a written model; --known-mass writes none", file
-        moving = _given(self.estimation, only=("cutoff", "velocity_deadband", "friction_model"))
+        moving = _given(self.estimation, only=("cutoff", "friction_model"))
         yield not asked.static, "is about motion; --static uses poses at rest", moving
         yield from super()._groups()
 

@@ -112,9 +112,6 @@ def analysed(config: Config, robot: RobotModel, progress: Progress) -> Analysis:
         motion = answer.fit.columns.datasets[-1].motion
         return Analysis(result, motion, partial(traces_of, answer), answer)
     assert isinstance(config, SysidConfig)
-    band = config.estimation.velocity_deadband
-    if band is not None:
-        per_joint(band, robot.n_joints, "--velocity-deadband")
     if config.log.measurements:
         from robot_sysid.log_pipeline import of_logs
 

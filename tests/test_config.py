@@ -191,7 +191,6 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
         ({"max_velocity": float("inf")}, "--max-velocity must be positive"),
         ({"speed": 1e-12}, "a trajectory of 1.5e+13 s with --sample-rate"),
         ({**LOG, "cutoff": 0.0}, "--cutoff must be positive (got 0)"),
-        ({**LOG, "velocity_deadband": (0.1, -1.0)}, "--velocity-deadband must be a number"),
         ({**LOG, "friction_model": "glue"}, "unknown friction term 'glue'"),
         ({**PLANT, "encoder_resolution": -1.0}, "--encoder-resolution must be a number"),
         ({**PLANT, "torque_delay": 2.0}, "--torque-delay is given in seconds and may be at most 1"),

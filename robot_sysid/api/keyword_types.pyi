@@ -95,7 +95,6 @@ class InformationKeywords(ReadLogKeywords, IdentifyFromKeywords, _InformationPla
     friction_model: str | None
     no_friction: bool
     tilt: Literal["off", "auto"]
-    velocity_deadband: float | Numbers | None
 
 class HoldKeywords(IdentifyFromKeywords, _HoldPlanPayloadIdentify, total=False):
     accept_directions: bool

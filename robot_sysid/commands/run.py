@@ -144,7 +144,7 @@ PAYLOAD = Question(
     },
     only={
         "estimation": (
-            *("cutoff", "velocity_deadband", "friction_model", "link_uncertainty"),
+            *("cutoff", "friction_model", "link_uncertainty"),
             *("scale_uncertainty", "zero_uncertainty", "gravity_uncertainty"),
             "delay_uncertainty",
         ),

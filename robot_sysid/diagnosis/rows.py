@@ -74,7 +74,9 @@ def low_pass(pieces: Sequence[Measurement], cutoff: float | None) -> list[Proces
         log_piece = LogPiece.of(piece)
         cutoff_hz = min(cutoff or log_piece.choice[0], CUTOFF_HZ)
         # Every row is used: those of a joint that is too slow are masked later.
-        signals.append(process(log_piece, (), cutoff_hz, 0.0))
+        found = process(log_piece, (), cutoff_hz)
+        sure = np.zeros_like(found.turning)
+        signals.append(replace(found, deadband=np.zeros_like(found.deadband), turning=sure))
     return signals
 
 

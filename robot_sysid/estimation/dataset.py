@@ -184,7 +184,7 @@ def decimated_equations(equations: Equations, signals: ProcessedSignals) -> Deci
     if not np.any(usable):
         raise InputError(
             f"none of the joints {', '.join(equations.joints)} moves faster than its velocity "
-            "deadband; move faster, or give identify or payload a lower --velocity-deadband"
+            "deadband for long enough; move faster, and turn round less often"
         )
     tau = signals.low_pass.decimated(signals.tau)[:, list(equations.rows_of)].T
     pairs = map(joined, bodies, friction, tau)

@@ -69,7 +69,7 @@ def filtered(
         if own > min(cutoffs):
             cutoff, by = min(cutoffs), "as another recording asks for"
         with named(piece.name):
-            signals = process(part, robot.joint_names, cutoff, options.velocity_deadband, by)
+            signals = process(part, robot.joint_names, cutoff, by)
             pairs.append((piece, signals))
     found = []
     for piece, each in pairs:

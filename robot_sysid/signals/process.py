@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
-from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.records.progress import Detail
 from robot_sysid.signals.cutoff import (
     Spectra,
@@ -252,16 +251,12 @@ def process(
     measurement: Measurement,
     joint_names: Sequence[str] = (),
     cutoff: float | None = None,
-    deadband: PerJoint | None = None,
     chosen_by: str = "as given",
 ) -> ProcessedSignals:
     """Turn a log into signals, or raise InputError where the cut-off does not fit it.
 
     Args:
         cutoff: of the low-pass [Hz]; None chooses it from the data.
-        deadband: speed below which a joint's friction has no sure direction [rad/s], one number or
-            one per joint; None takes 0.5 % of the joint's peak speed, zero uses all rows. Where one
-            is given, no joint is ``turning``.
         chosen_by: where a cut-off that is not chosen here comes from, in words.
     """
     uniform, expected = resampled(measurement), 0.0
@@ -289,9 +284,7 @@ def process(
     qdd = second_derivative(q, uniform.rate, reach)
     slow = np.maximum(USUAL_DEADBAND * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
     turning = np.zeros(qd.shape, dtype=bool)
-    if deadband is not None:
-        slow = per_joint(deadband, qd.shape[1], "--velocity-deadband")
-    elif corners is None and piece.spectra is not None:
+    if corners is None and piece.spectra is not None:
         # Of positions without noise any speed has a sign.
         turning = turning_samples(uniform.q[lost:-lost], qd, piece.spectra.position_noise)
     time = uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate

@@ -105,7 +105,6 @@ def test_what_is_sent_does_not_grow_and_survives_the_way(robot, parts, found):
         ({"cutoff": 7.0}, r"cutoff \(8.0 and 7.0\)"),
         ({"friction_model": "coulomb"}, "friction_model"),
         ({"link_uncertainty": 0.0}, "link_uncertainty"),
-        ({"velocity_deadband": 0.1}, "velocity_deadband"),
     ],
 )
 def test_what_was_settled_differently_does_not_add(robot, logs, first, changed, words):

@@ -49,13 +49,6 @@ class EstimationOptions(OptionRecord):
         "HZ [Hz] > 0",
         usual="from the data",
     )
-    velocity_deadband: PerJoint | None = option(
-        None,
-        "leave out rows with moments in which a joint is slower than this, one number or one per "
-        "joint",
-        "V [rad/s] >= 0",
-        usual="0.5 % of its peak speed",
-    )
     delay: str = option(
         "off", "estimate how much the torque lags behind the position", choices=("off", "auto")
     )
