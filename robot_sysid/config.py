@@ -183,7 +183,7 @@ class Config:
 
 
 OF_TORQUE = (
-    *("report", "plots", "keep", "links", "torque_scale", "torque_constants", "append"),
+    *("report", "plots", "keep", "links", "torque_scale", "torque_constants"),
     "save_measurements",
 )
 """Keys of options that mean nothing where no torque was measured."""
@@ -397,5 +397,5 @@ class PayloadConfig(Config):
         yield from super()._written()
 
 
-NOT_OF_A_PAYLOAD = ("links", "append", "save_trajectory", "plant_model", "save_measurements")
+NOT_OF_A_PAYLOAD = ("links", "save_trajectory", "plant_model", "save_measurements")
 """Keys of options that mean nothing for a payload."""

@@ -18,13 +18,7 @@ from robot_sysid.estimation.fit import give_back
 from robot_sysid.estimation.identify import Piece, answer_link, filtered, refit, shared_notes
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
-from robot_sysid.logs.reader import (
-    MeasurementLog,
-    earlier_logs,
-    open_log,
-    origin_of,
-    write_measurement_csv,
-)
+from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of, write_measurement_csv
 from robot_sysid.outcome import Analysis
 from robot_sysid.records import DataOrigin, MotionPlan, RobotModel, Source
 from robot_sysid.records.arm import InertialParameters
@@ -61,9 +55,8 @@ def of_logs(config: SysidConfig, robot: RobotModel, progress: Progress) -> Analy
 
 def _read(config: SysidConfig, robot: RobotModel, progress: Progress) -> _Recorded:
     options, tests = config.log, []
-    earlier = () if options.append is None else earlier_logs(options.append, robot)
     logs = []
-    for path in (*earlier, *options.measurements):
+    for path in options.measurements:
         progress.stage(f"Reading measurements from {path}...")
         logs.append(open_log(robot, path, options, progress))
     if config.arm.save_measurements is not None:

@@ -14,11 +14,10 @@ import matplotlib.font_manager  # noqa: F401 - makes its folders when it is firs
 
 from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged, damaged_json
-from robot_sysid.logs.reader import earlier_logs
 from robot_sysid.records.atomic_files import PARAMS_NAME
 from robot_sysid.report.page import html, save_data, sections_of
 from robot_sysid.report.runs import DATA_NAME, fingerprint, load_run
-from tests.support import arms, reports
+from tests.support import reports
 
 DATA_SHARE = 0.1
 PAGE_SHARE = 0.001
@@ -40,7 +39,6 @@ def _runs() -> tuple[tuple[Mapping[str, bytes], Any], ...]:
         other = reports.saved(folder / "payload", reports.payload_result(model))
         payload = json.loads((other / PARAMS_NAME).read_bytes())
     content = json.loads(link[PARAMS_NAME])
-    content["logs"], content["model"]["sha256"] = ["."], _robot().sha256
     return (link, content), ({}, payload)
 
 
@@ -55,15 +53,9 @@ def case(random: Random) -> Case:
 
 
 def use(case: Case, folder: Path) -> None:
-    """Read the folder as a report does, and as a run that adds to it."""
+    """Read the folder as a report does."""
     place = written(case, folder)
     run = load_run(place)
     if "page" in case:
         html("a page", sections_of([run]))
         html("a comparison", sections_of([run, run]))
-    earlier_logs(place / PARAMS_NAME, _robot())
-
-
-@functools.cache
-def _robot() -> Any:
-    return arms.robot_of(arms.serial_arm((arms.Z, arms.Y)))

@@ -24,7 +24,7 @@ Interface = Literal[
     "cantact", "seeedstudio", "damiao", "virtual"
 ]  # fmt: skip
 
-class _PlanPayloadIdentify(TypedDict, total=False):
+class _PlanIdentifyPayload(TypedDict, total=False):
     below_base: bool
     duration: float
     excitation: Literal["sines", "optimal"]
@@ -43,7 +43,7 @@ class _PlanIdentify(TypedDict, total=False):
     motor_type: str | Sequence[str]
     save_trajectory: File | None
 
-class _PlanPlayPayloadIdentify(TypedDict, total=False):
+class _PlanPlayIdentifyPayload(TypedDict, total=False):
     clearance: float
     keep_out: Numbers | Sequence[Numbers]
     max_acceleration: float | None
@@ -60,13 +60,13 @@ class _InformationPlan(TypedDict, total=False):
     torques: Literal["chain", "terminal"]
     zero_uncertainty: float
 
-class _PayloadIdentify(TypedDict, total=False):
+class _IdentifyPayload(TypedDict, total=False):
     encoder_resolution: float
     keep: Keep | Sequence[Keep]
     noise_position: float | Numbers
     torque_delay: float
 
-class _HoldPlanPayloadIdentify(TypedDict, total=False):
+class _HoldPlanIdentifyPayload(TypedDict, total=False):
     speed: float
 
 class _PlanPayload(TypedDict, total=False):
@@ -96,7 +96,7 @@ class InformationKeywords(ReadLogKeywords, IdentifyFromKeywords, _InformationPla
     no_friction: bool
     tilt: Literal["off", "auto"]
 
-class HoldKeywords(IdentifyFromKeywords, _HoldPlanPayloadIdentify, total=False):
+class HoldKeywords(IdentifyFromKeywords, _HoldPlanIdentifyPayload, total=False):
     accept_directions: bool
     accept_register_limits: bool
     also_joint: str | None
@@ -123,17 +123,25 @@ class HoldKeywords(IdentifyFromKeywords, _HoldPlanPayloadIdentify, total=False):
     start_tolerance: float
 
 class PlanKeywords(
-    IdentifyFromKeywords, _PlanPayloadIdentify, _PlanIdentify, _PlanPlayPayloadIdentify,
-    _InformationPlan, _HoldPlanPayloadIdentify, _PlanPayload, total=False
+    IdentifyFromKeywords, _PlanIdentifyPayload, _PlanIdentify, _PlanPlayIdentifyPayload,
+    _InformationPlan, _HoldPlanIdentifyPayload, _PlanPayload, total=False
 ):  # fmt: skip
     for_: Literal["link", "payload", "friction", "arm", "weight"]
 
-class PlayKeywords(HoldKeywords, _PlanPlayPayloadIdentify, total=False):
+class PlayKeywords(HoldKeywords, _PlanPlayIdentifyPayload, total=False):
     also: File | None
 
+class IdentifyKeywords(
+    InformationKeywords, _PlanIdentifyPayload, _PlanIdentify, _PlanPlayIdentifyPayload,
+    _IdentifyPayload, _HoldPlanIdentifyPayload, total=False
+):  # fmt: skip
+    links: bool
+    plant_model: File | None
+    save_measurements: File | None
+
 class PayloadKeywords(
-    InformationKeywords, _PlanPayloadIdentify, _PlanPlayPayloadIdentify, _PayloadIdentify,
-    _HoldPlanPayloadIdentify, _PlanPayload, total=False
+    InformationKeywords, _PlanIdentifyPayload, _PlanPlayIdentifyPayload, _IdentifyPayload,
+    _HoldPlanIdentifyPayload, _PlanPayload, total=False
 ):  # fmt: skip
     as_body: str | None
     empty_model: File | None
@@ -142,12 +150,3 @@ class PayloadKeywords(
     loaded_model: File | None
     order: str | None
     save_torque_scale: File | None
-
-class IdentifyKeywords(
-    InformationKeywords, _PlanPayloadIdentify, _PlanIdentify, _PlanPlayPayloadIdentify,
-    _PayloadIdentify, _HoldPlanPayloadIdentify, total=False
-):  # fmt: skip
-    append: File | None
-    links: bool
-    plant_model: File | None
-    save_measurements: File | None

@@ -94,10 +94,9 @@ _ESTIMATED = keys_of(EstimationOptions, SimulatedArmOptions) - {*PREDICTED}
 _USELESS: Mapping[str, Mapping[str, str]] = {
     "plan": dict.fromkeys(_ESTIMATED, "is about an estimate; a plan stops before it"),
     "payload": dict.fromkeys(NOT_OF_A_PAYLOAD, "means nothing for a payload; leave it out"),
-    "read_log": dict.fromkeys(("append", "accept"), "is about an estimate; reading makes none"),
+    "read_log": {"accept": "is about an estimate; reading makes none"},
     "play": dict.fromkeys(keys_of(LimitOptions) - {*LIMITS}, "is for designing a motion; see plan"),
     "hold": {"also": "is a motion; an arm that is held has none"},
-    "information": {"append": "is not for information, which holds one log or several alike"},
 }
 _NAMED = {"measurements": "log", "validation_measurements": "validation"}
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from robot_sysid.records import Measurement, RobotModel
 
 INTERRUPTED = "interrupted; nothing was written"
-LEFT_OUT = ("measurements", "append", "validation_measurements", "verify_rollout")
+LEFT_OUT = ("measurements", "validation_measurements", "verify_rollout")
 
 READ_ALONE = ("topic", "episode")
 """Keys of options that count without a model."""

@@ -43,7 +43,6 @@ class LogOptions(OptionRecord):
     measurements: tuple[Path, ...] = option(
         (), "identify from this log of the real arm; may be repeated", "LOG.csv", repeats=True
     )
-    append: Path | None = option(None, "also use the logs of an earlier run", "PARAMS.json")
     columns: Path | None = option(
         None, "file that says which column is what", "FILE", usual="recognised"
     )

@@ -23,7 +23,6 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.json_files import read_json
 from robot_sysid.logs import column_map
 from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.columns import joint_kind, read_title
@@ -230,26 +229,6 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
             "bag, a LeRobot data set, HDF5, Parquet, Feather, NumPy .npz or MATLAB .mat"
         )
     return read(Asked(path, start, joint_names, options))
-
-
-def earlier_logs(params: Path, robot: RobotModel) -> tuple[Path, ...]:
-    """Return the logs that an earlier run used, read off its params.json, or raise InputError
-    where it is none from logs, was made with another model, or a log is no longer there.
-    """
-    content = read_json(params, "give the params.json of an earlier run")
-    content = content if isinstance(content, dict) else {}
-    logs, model = content.get("logs"), content.get("model")
-    if not isinstance(logs, list) or not logs or not all(isinstance(log, str) for log in logs):
-        raise InputError(f"{params} is of no identification from logs; give one that is")
-    if not isinstance(model, dict) or model.get("sha256") != robot.sha256:
-        remedy = "give the same model file, or all logs at once"
-        raise InputError(f"{params} was made with another model than {robot.path}; {remedy}")
-    if str(STANDARD_INPUT) in logs:
-        raise InputError(f"{params}: a log of it was piped in; give all its logs again, as files")
-    missing = [log for log in logs if not os.path.exists(log)]
-    if missing:
-        raise InputError(f"{params}: its log {missing[0]} is no longer there; put it back")
-    return tuple(Path(log) for log in logs)
 
 
 def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[str]:

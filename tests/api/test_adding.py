@@ -79,7 +79,6 @@ def test_a_cluster_finds_the_numbers_of_one_process(model, logs):
     ("options", "words"),
     [
         ({}, "give cutoff=HZ"),
-        ({"cutoff": 8.0, "append": "params.json"}, "append is not for information"),
         ({"cutoff": 8.0, "sped": 1}, "unknown option 'sped'; valid: "),
         ({"cutoff": 8.0, "delay": "auto"}, "delay='auto' depends on all logs"),
         ({"cutoff": 8.0, "joint": "elbow"}, "elbow"),

@@ -120,15 +120,6 @@ def test_torques_that_do_not_follow_from_the_motion_change_nothing(
     assert not Path("out", "updated_model.xml").exists()
 
 
-def test_logs_of_an_earlier_run_count_again(command, heavy, logs, first):
-    earlier = ("--append", first / "params.json", "--output-dir", "both")
-    command.run("identify", heavy, logs[1], *QUICK, *earlier)
-    one, both = result_in(first), result_in(Path("both"))
-    assert both["logs"] == [str(log) for log in logs]
-    assert both["duration"] == pytest.approx(2.0 * one["duration"])
-    assert both["standard_errors"]["m"] < one["standard_errors"]["m"]
-
-
 @pytest.mark.slow
 def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(
     command, arm_file, logs, monkeypatch

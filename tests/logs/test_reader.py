@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import sys
 from dataclasses import replace
@@ -18,10 +17,9 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.logs import reader
 from robot_sysid.logs.formats import text as formats_text
-from robot_sysid.logs.reader import earlier_logs, write_measurement_csv
+from robot_sysid.logs.reader import write_measurement_csv
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS, TITLES, motion, read_measurements, table, write
-from tests.support.measured_logs import true_arm
 
 QUANTITIES = ("time", "q", "qd", "tau", "qdd", "joint_time")
 
@@ -235,27 +233,3 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scal
     np.testing.assert_array_equal(log.torque_scale, scale)
     notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
     assert "'tau1', 'tau2', 'tau3' (each x 0.5)" in notes
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({}, None),
-        ({"logs": []}, "no identification from logs"),
-        ({"logs": [__file__, "-"]}, "a log of it was piped in; give all its logs again"),
-        ({"logs": ["/nowhere/log.csv"]}, "/nowhere/log.csv is no longer there"),
-        ({"model": {"sha256": "00"}}, "was made with another model"),
-        (None, "no identification from logs"),
-    ],
-)
-def test_a_run_is_continued_with_the_logs_it_names(tmp_path, change, words):
-    robot = true_arm()
-    log, params = tmp_path / "log.csv", tmp_path / "params.json"
-    log.touch()
-    good = {"logs": [str(log)], "model": {"sha256": robot.sha256}}
-    params.write_text(json.dumps([] if change is None else {**good, **change}))
-    if words is None:
-        assert earlier_logs(params, robot) == (log,)
-    else:
-        with pytest.raises(InputError, match=words):
-            earlier_logs(params, robot)
