@@ -167,7 +167,7 @@ def test_no_file_is_written_over_another_one(values):
 def test_an_unknown_key_names_the_nearest_or_lists_the_known_ones():
     assert refused(cutof=0.5) == "unknown option 'cutof'; did you mean 'cutoff'?"
     assert refused(zzz=0.5).startswith(
-        "unknown option 'zzz'; valid: accept, append, below_base, bundle, "
+        "unknown option 'zzz'; valid: accept, below_base, bundle, "
     )
 
 
