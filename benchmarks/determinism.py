@@ -37,8 +37,7 @@ def functions(folder: Path, workers: int) -> None:
     # The other links are guessed so badly that the encoders look wrong.
     rs.identify(GUESS, logs[0], accept=("zero",)).save("identify")
     rs.identify(GUESS, logs, accept=("zero",), links=True).save("links")
-    models = {"empty_model": GUESS, "loaded_model": TRUTH}
-    rs.payload(GUESS, **models, seed=1, noise_torque=0.1, **RATE).save("payload")
+    rs.payload(GUESS, logs[:1], logs[1:], accept=("zero",)).save("payload")
     rs.plan(GUESS, seed=1, excitation="sines", **RATE).save("plan/plan.json")
     _search(Path("plan/search.json"), workers)
 
@@ -69,7 +68,7 @@ def commands(folder: Path, workers: int) -> None:
         f"--export-damiao{7 * ' --motor-type DM10010L'} --output-dir itself",
         f"{GUESS} --measurements {folder}/1.csv --accept zero --report --output-dir identify",
         f"identify {GUESS} {both} --accept zero --links --output-dir links",
-        f"payload {GUESS} --empty-model {GUESS} --loaded-model {TRUTH} {WORDS} "
+        f"payload {GUESS} --empty {folder}/1.csv --loaded {folder}/2.csv --accept zero "
         "--output-dir payload",
         f"plan {GUESS} {WORDS} --excitation sines --output-dir plan",
     )

@@ -6,6 +6,7 @@ variants whose results differ, so that old files and new ones can be told apart.
 
 from __future__ import annotations
 
+import itertools
 import multiprocessing
 import os
 import shutil
@@ -30,7 +31,7 @@ from tests.support.command_line import files_in
 
 JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2" actuatorfrcrange="-60 60"'
 HEAVY = '<inertial pos=".02 .03 .08" mass="1.3" fullinertia=".008 .009 .004 .0004 -.0003 .0005"/>'
-LOGGED = "--plant-model plant.xml --duration 8 --sample-rate 150"
+LOGGED = "--duration 8 --sample-rate 150"
 NOISE = "--noise-torque 0.05 --encoder-resolution 1e-4"
 SHORT = "--duration 4 --sample-rate 100"
 MOTORS = "--export-damiao" + 3 * " --motor-type DM4340"
@@ -44,8 +45,7 @@ COMMANDS = {
     "plan": f"{PLAN} --excitation sines",
     # Ends when time is up, so that its results are other ones each time.
     SEARCH: f"{PLAN} --excitation-time-budget 2",
-    "payload": "payload arm.xml --empty-model arm.xml --loaded-model plant.xml --seed {k} "
-    f"--duration 4 --sample-rate 100 {INTO}",
+    "payload": f"payload arm.xml --empty empty{{k}}.csv --loaded log{{k}}.csv {INTO}",
     "report": f"report {OUT}",
     "log": "log log{k}.csv arm.xml",
     EXAMPLE: f"example kinova {INTO}/kinova",
@@ -103,8 +103,10 @@ class Workshop:
         axes = (Z, Y, X)
         (self.folder / "arm.xml").write_text(serial_arm(axes, joint=JOINT))
         (self.folder / "plant.xml").write_text(serial_arm(axes, joint=JOINT, tip_inertial=HEAVY))
-        for k in (1, 2):
-            words = f"arm.xml {LOGGED} {NOISE} --seed {k} --save-measurements log{k}.csv"
+        plants = {"empty": "arm.xml", "log": "plant.xml"}
+        for k, (name, plant) in itertools.product((1, 2), plants.items()):
+            log = f"--save-measurements {name}{k}.csv"
+            words = f"arm.xml --plant-model {plant} {LOGGED} {NOISE} --seed {k} {log}"
             # A short motion may leave a result that is not trusted; its log serves all the same.
             assert self.start([*words.split(), "--output-dir", OUT]).code in (0, 1)
 

@@ -92,14 +92,10 @@ class Config:
     log: LogOptions = LogOptions()
     estimation: EstimationOptions = EstimationOptions()
     output: OutputOptions = OutputOptions()
-    trajectory: TrajectoryOptions = TrajectoryOptions()
-    excitation: ExcitationOptions = ExcitationOptions()
-    limits: LimitOptions = LimitOptions()
-    arm: SimulatedArmOptions = SimulatedArmOptions()
 
     @classmethod
     def of(cls: type[AnyConfig], path: Path, **values: Any) -> AnyConfig:
-        """Return the configuration of a run on a model file: ``max_velocity=1.0`` for an option.
+        """Return the configuration of a run on a model file: ``cutoff=8.0`` for an option.
 
         InputError where one is unknown, its value cannot be used, or it does not go with another.
         """
@@ -119,17 +115,11 @@ class Config:
 
     def _pairs(self) -> Iterator[tuple[bool, str, str]]:
         """Yield (whether both were given, one option, another that excludes it)."""
-        plan = self.trajectory
-        if plan.file is not None:
-            yield self.excitation.kind == "optimal", "--trajectory", "--excitation optimal"
-            yield plan.duration != TrajectoryOptions.duration, "--trajectory", "--duration"
+        yield from ()
 
     def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
         """Yield (whether this run uses a group, why it does not, what was given of the group)."""
-        designed = self.excitation.kind == "optimal"
-        yield designed, "is about a design; add --excitation optimal", _given(self.excitation)
-        fixed = "has nothing to draw: the motion is given, and no noise is simulated"
-        yield self._is_drawn(), fixed, _given(self.trajectory, only=("seed",))
+        yield from ()
 
     def calibrated(self: AnyConfig, joint_names: Sequence[str]) -> AnyConfig:
         """Return the configuration with torque scales as sure as the file that they come from says.
@@ -145,34 +135,12 @@ class Config:
             return self
         return replace(self, estimation=replace(self.estimation, scale_uncertainty=own))
 
-    @property
-    def words(self) -> tuple[list[str], list[str]]:
-        """Words of a command line: which arm it is, and limits that its motors have to keep."""
-        from robot_sysid.damiao.trajectory import LIMITS
-
-        model, limits = self.model, self.limits
-        given = {each.key for each in options.given_options(limits)}.intersection(LIMITS)
-        kept = options.command_words({key: getattr(limits, key) for key in given}, limits)
-        return [str(model.path), *options.command_words(vars(model), model)], kept
-
-    def seeded(self: AnyConfig) -> AnyConfig:
-        """Return the configuration with a seed, where something is random."""
-        if self.trajectory.seed is not None or not self._is_drawn():
-            return self
-        import secrets
-
-        return replace(self, trajectory=replace(self.trajectory, seed=secrets.randbelow(2**31)))
-
-    def _is_drawn(self) -> bool:
-        """Tell whether anything of the run is random."""
-        return self.trajectory.file is None or self.arm.is_noisy
-
     def read_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over."""
         log = self.log
         factors = (log.torque_scale, log.torque_constants)
         files = (each for each in factors if isinstance(each, Path))
-        models = (self.output.config, self.model.path, self.arm.plant_model, self.trajectory.file)
+        models = (self.output.config, self.model.path)
         return (*models, *log.measurements, log.validation_measurements, log.columns, *files)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
@@ -200,6 +168,10 @@ PLANNED = {"excitation": "optimal", "plan_only": True}
 class SysidConfig(Config):
     """Options of one identification; defaults are those of the command line."""
 
+    trajectory: TrajectoryOptions = TrajectoryOptions()
+    excitation: ExcitationOptions = ExcitationOptions()
+    limits: LimitOptions = LimitOptions()
+    arm: SimulatedArmOptions = SimulatedArmOptions()
     motors: MotorOptions = MotorOptions()
     poses: PoseOptions = PoseOptions()
 
@@ -221,21 +193,42 @@ class SysidConfig(Config):
         usual = self.output.output_dir / atomic_files.PLAN_NAME
         return self.trajectory.save or (usual if self.trajectory.plan_only else None)
 
+    @property
+    def words(self) -> tuple[list[str], list[str]]:
+        """Words of a command line: which arm it is, and limits that its motors have to keep."""
+        from robot_sysid.damiao.trajectory import LIMITS
+
+        model, limits = self.model, self.limits
+        given = {each.key for each in options.given_options(limits)}.intersection(LIMITS)
+        kept = options.command_words({key: getattr(limits, key) for key in given}, limits)
+        return [str(model.path), *options.command_words(vars(model), model)], kept
+
+    def seeded(self) -> SysidConfig:
+        """Return the configuration with a seed, where something is random."""
+        if self.trajectory.seed is not None or not self._is_drawn():
+            return self
+        import secrets
+
+        return replace(self, trajectory=replace(self.trajectory, seed=secrets.randbelow(2**31)))
+
     def _pairs(self) -> Iterator[tuple[bool, str, str]]:
         plan, logs, torques = self.trajectory, self.log.measurements, self.estimation.torques
         has_plant, copied = self.arm.plant_model is not None, self.arm.save_measurements is not None
         yield bool(logs) and has_plant, "--measurements", "--plant-model"
         optimal = self.excitation.kind == "optimal"
-        timed = plan.file is not None or plan.duration != TrajectoryOptions.duration or optimal
+        is_from_file = plan.file is not None
+        has_duration = plan.duration != TrajectoryOptions.duration
         poses = "--static" if self.poses.static else "--for friction"
         fixed = "--trajectory, --duration and --excitation optimal"
+        timed = is_from_file or has_duration or optimal
         yield self.poses.sets_its_time and timed, poses, fixed
         played = self.log.verify_rollout and bool(logs)
         yield played and torques == "terminal", "--verify-rollout", "--torques terminal"
         yield copied and len(logs) > 1, "--save-measurements", "several --measurements"
         kept, unsought = "friction" in self.output.keep, self.estimation.no_friction
         yield kept and unsought, "--keep friction", "--no-friction"
-        yield from super()._pairs()
+        yield is_from_file and optimal, "--trajectory", "--excitation optimal"
+        yield is_from_file and has_duration, "--trajectory", "--duration"
 
     def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
         log, plan = bool(self.log.measurements), self.trajectory.plan_only
@@ -268,12 +261,20 @@ class SysidConfig(Config):
         yield resting, rests, _given(self.poses, but=("for_",))
         motors = "is only used together with --export-damiao; add it"
         yield self.motors.export_damiao, motors, _given(self.motors)
-        yield from super()._groups()
+        designed = self.excitation.kind == "optimal"
+        yield designed, "is about a design; add --excitation optimal", _given(self.excitation)
+        fixed = "has nothing to draw: the motion is given, and no noise is simulated"
+        yield self._is_drawn(), fixed, _given(self.trajectory, only=("seed",))
 
     def _is_drawn(self) -> bool:
+        """Tell whether anything of the run is random."""
         fixed = self.trajectory.file is not None or self.poses.purpose == "friction"
         noisy = self.arm.plant_model is not None and self.arm.is_noisy
         return not self.log.measurements and (noisy or not fixed)
+
+    def read_files(self) -> tuple[Path | None, ...]:
+        """Return the files that a run reads and must not write over."""
+        return (*super().read_files(), self.arm.plant_model, self.trajectory.file)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         if self.arm.save_measurements is not None:
@@ -287,17 +288,12 @@ class SysidConfig(Config):
             yield from super()._written()
 
 
-_PLAYS = "instead of logs: model that plays the arm"
-
-
 @dataclass(frozen=True)
 class PayloadOptions(OptionRecord):
     """Which recordings are empty and which are loaded, and what is wanted of the payload."""
 
     empty: tuple[Path, ...] = option((), "logs of the arm without the payload", "LOG", several=True)
     loaded: tuple[Path, ...] = option((), "logs of the arm with the payload", "LOG", several=True)
-    empty_model: Path | None = option(None, f"{_PLAYS} without the payload", "XML")
-    loaded_model: Path | None = option(None, f"{_PLAYS} with the payload", "XML")
     order: str | None = option(
         None,
         "order in which the logs were recorded, A for the next empty one and B for the next "
@@ -331,20 +327,11 @@ class PayloadOptions(OptionRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        logs = bool(self.empty or self.loaded)
-        models = self.empty_model is not None or self.loaded_model is not None
-        if logs and models:
-            raise InputError("logs and --empty-model, --loaded-model exclude each other")
-        if logs and not (self.empty and self.loaded):
-            missing = "--empty" if self.loaded else "--loaded"
+        if not (self.empty and self.loaded):
+            missing = "--loaded LOG..." if self.empty else "--empty LOG..."
             raise InputError(
                 f"{missing} is missing: a payload is found from the difference between logs "
                 "without and with it"
-            )
-        if not logs and (self.empty_model is None or self.loaded_model is None):
-            raise InputError(
-                "give --empty LOG... and --loaded LOG..., or --empty-model and --loaded-model "
-                "to simulate both"
             )
         wanted = EMPTY * len(self.empty) + LOADED * len(self.loaded)
         if self.order is not None and sorted(self.order) != sorted(wanted):
@@ -367,35 +354,19 @@ class PayloadConfig(Config):
     def _pairs(self) -> Iterator[tuple[bool, str, str]]:
         exact = self.estimation.scale_uncertainty in (0.0, (0.0,))
         yield self.payload.known_mass is not None and exact, "--known-mass", "--scale-uncertainty 0"
-        yield from super()._pairs()
 
     def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        logs, asked = bool(self.payload.empty), self.payload
-        motion = (self.trajectory, self.excitation, self.limits, self.arm)
-        models = "is about a simulation; it needs --empty-model and --loaded-model"
-        yield not logs, f"{models}, logs bring their own motion", _given(*motion)
-        yield logs, "describes logs; give --empty and --loaded", _given(self.log)
-        file = _given(self.output, only=("bundle", "keep"))
-        yield asked.known_mass is None, "is about a written model; --known-mass writes none", file
+        file = "is about a written model; --known-mass writes none"
+        yield self.payload.known_mass is None, file, _given(self.output, only=("bundle", "keep"))
         moving = _given(self.estimation, only=("cutoff", "friction_model"))
-        yield not asked.static, "is about motion; --static uses poses at rest", moving
-        yield from super()._groups()
-
-    def _is_drawn(self) -> bool:
-        return not self.payload.empty and super()._is_drawn()
+        yield not self.payload.static, "is about motion; --static uses poses at rest", moving
 
     def read_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over."""
-        given = self.payload
-        models = (given.empty_model, given.loaded_model)
-        return (*super().read_files(), *given.empty, *given.loaded, *models)
+        return (*super().read_files(), *self.payload.empty, *self.payload.loaded)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         yield "--output-dir", self.output.output_dir / atomic_files.CARD_NAME
         if self.payload.save_torque_scale is not None:
             yield "--save-torque-scale", self.payload.save_torque_scale
         yield from super()._written()
-
-
-NOT_OF_A_PAYLOAD = ("links", "save_trajectory", "plant_model", "save_measurements")
-"""Keys of options that mean nothing for a payload."""

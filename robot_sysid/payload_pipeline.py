@@ -1,4 +1,4 @@
-"""The stage between arm and files of ``robot-sysid payload``: record or read, identify."""
+"""The stage between arm and files of ``robot-sysid payload``: read, identify."""
 
 from __future__ import annotations
 
@@ -15,18 +15,14 @@ from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import Piece, answer_payload, filtered, shared_notes
 from robot_sysid.estimation.result import payload_of
 from robot_sysid.estimation.unknowns import SCALES, Question, Unknowns
-from robot_sysid.logs.reader import join_measurements, open_log
+from robot_sysid.logs.reader import open_log
 from robot_sysid.model.flange import find_flange
-from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.results.record import Figure, Payload, Result
 from robot_sysid.signals.poses import resting_poses
-from robot_sysid.simulation.plant import PlantSimulation, load_plant
 
-SIMULATED_ORDER = "ABBA"
-_NOISE_STREAM = 1
 LEAST_WITHIN = 0.15
 """Share of the spread of places within one kind of recording below which a drift and the payload
 cannot be told apart: 0 for A B, 0.2 for A A B B at equal distances, 1 for A B B A."""
@@ -34,7 +30,7 @@ cannot be told apart: 0 for A B, 0.2 for A A B B at equal distances, 1 for A B B
 
 @dataclass(frozen=True)
 class RawRecording(Piece):
-    """A whole log as it was read or simulated, its place not looked for yet; the same cut at long
+    """A whole log as it was read, its place not looked for yet; the same cut at long
     holes, and what reading it had to say, one sentence each.
     """
 
@@ -49,7 +45,7 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
     if flange.note:
         progress.note(flange.note)
     raw = _recordings(config, robot, progress)
-    at = places(raw, options.order if options.empty else SIMULATED_ORDER)
+    at = places(raw, options.order)
     drifts = not options.static and at is not None and drift_shows(raw, at)
     datasets, notes = _datasets(config, robot, raw, at)
     if not drifts and not options.static:
@@ -125,8 +121,6 @@ def _no_drift(raw: Sequence[RawRecording], known: bool) -> str:
 def _recordings(config: PayloadConfig, robot: RobotModel, progress: Progress) -> list[RawRecording]:
     """Return all recordings, empty ones first."""
     options, found = config.payload, []
-    if not options.empty:
-        return _simulated(config, robot, progress)
     kinds = [(path, False) for path in options.empty] + [(path, True) for path in options.loaded]
     for path, is_loaded in kinds:
         progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
@@ -136,28 +130,6 @@ def _recordings(config: PayloadConfig, robot: RobotModel, progress: Progress) ->
         whole = str(path), log.samples, is_loaded
         found.append(RawRecording(*whole, pieces=log.pieces, notes=log.notes))
     return found
-
-
-def _simulated(config: PayloadConfig, robot: RobotModel, progress: Progress) -> list[RawRecording]:
-    """Let two models play the arm without and with the payload, in the order ABBA."""
-    models, seed = config.payload, config.seeded().trajectory.seed or 0
-    request = MotionRequest(config.trajectory, config.excitation, config.limits)
-    made = make_plan(request, robot, seed, progress)
-    if made.failure:
-        raise InputError(f"{made.failure}; relax that limit, or try another --seed")
-    found = []
-    for number, letter in enumerate(SIMULATED_ORDER):
-        is_loaded = letter == LOADED
-        path = models.loaded_model if is_loaded else models.empty_model
-        assert path is not None
-        progress.stage(f"Running MuJoCo simulation of {path}...")
-        rng = np.random.default_rng([seed, _NOISE_STREAM, number])
-        sensors = config.arm, config.trajectory.sample_rate, rng
-        simulation = PlantSimulation(load_plant(robot, path), made.plan, *sensors)
-        samples = join_measurements(simulation)
-        whole = f"{path} ({number + 1})", samples, is_loaded
-        found.append(RawRecording(*whole, pieces=(samples,)))
-    return sorted(found, key=lambda each: each.is_loaded)
 
 
 def places(recordings: Sequence[RawRecording], order: str | None) -> Array | None:

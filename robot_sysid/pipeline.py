@@ -20,6 +20,7 @@ from robot_sysid.estimation.itself import identify_itself
 from robot_sysid.export import MotorFile, locked_folder, save
 from robot_sysid.interrupts import only_the_first
 from robot_sysid.model.compilation import meshes_not_kept
+from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.outcome import Analysis, Outcome
 from robot_sysid.parser import load_robot_model
@@ -38,7 +39,6 @@ from robot_sysid.trajectory import motion_chunks
 if TYPE_CHECKING:
     from robot_sysid.config import MotorOptions
     from robot_sysid.damiao.trajectory import DamiaoExportReport, MotionChunk
-    from robot_sysid.motion.options import LimitOptions
     from robot_sysid.motion.prediction import Prediction
 
 # Speed at which dry friction has turned round by three quarters [rad/s]. Wider is gentler, but an
@@ -135,8 +135,10 @@ def load(config: Config, progress: Progress) -> RobotModel:
     """Load the model, find its terminal joint and tell of it."""
     model = config.model
     progress.stage(f"Loading robot model from {model.path}...")
-    speed = config.limits.max_velocity
-    robot = load_robot_model(model.path, model.mesh_dir, model.joint, speed, model.keyframe)
+    limits = config.limits if isinstance(config, SysidConfig) else LimitOptions()
+    robot = load_robot_model(
+        model.path, model.mesh_dir, model.joint, limits.max_velocity, model.keyframe
+    )
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     progress.note(*robot.notes)
     progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))

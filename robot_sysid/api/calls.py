@@ -183,8 +183,8 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
 @with_keywords()
 def payload(
     model: Model,
-    empty: Log | Sequence[Log] | None = None,
-    loaded: Log | Sequence[Log] | None = None,
+    empty: Log | Sequence[Log],
+    loaded: Log | Sequence[Log],
     **options: Unpack[types.PayloadKeywords],
 ) -> Identified:
     """Identify a payload from the difference between recordings without and with it.
@@ -194,7 +194,7 @@ def payload(
         empty: one recording without the payload or several, see ``api.calls.Log``.
         loaded: one with it or several.
         options: every option of ``robot-sysid payload``, such as ``order="ABBA"`` or
-            ``flange="tool0"``; ``empty_model`` and ``loaded_model`` simulate the recordings.
+            ``flange="tool0"``.
 
     Raises:
         InputError: an option, the model or a recording cannot be used.

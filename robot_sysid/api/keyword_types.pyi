@@ -24,26 +24,24 @@ Interface = Literal[
     "cantact", "seeedstudio", "damiao", "virtual"
 ]  # fmt: skip
 
-class _PlanIdentifyPayload(TypedDict, total=False):
+class _PlanIdentify(TypedDict, total=False):
     below_base: bool
+    can_id: int | Sequence[int]
     duration: float
     excitation: Literal["sines", "optimal"]
     excitation_time_budget: float | None
+    export_damiao: bool
+    master_id: int | Sequence[int]
     max_tool_speed: float | None
+    motor_type: str | Sequence[str]
     noise_torque: float | Numbers
     payload_reserve: float
     sample_rate: float
+    save_trajectory: File | None
     seed: int | None
     trajectory: File | None
 
-class _PlanIdentify(TypedDict, total=False):
-    can_id: int | Sequence[int]
-    export_damiao: bool
-    master_id: int | Sequence[int]
-    motor_type: str | Sequence[str]
-    save_trajectory: File | None
-
-class _PlanPlayIdentifyPayload(TypedDict, total=False):
+class _PlanPlayIdentify(TypedDict, total=False):
     clearance: float
     keep_out: Numbers | Sequence[Numbers]
     max_acceleration: float | None
@@ -60,16 +58,13 @@ class _InformationPlan(TypedDict, total=False):
     torques: Literal["chain", "terminal"]
     zero_uncertainty: float
 
-class _IdentifyPayload(TypedDict, total=False):
-    encoder_resolution: float
+class _PayloadIdentify(TypedDict, total=False):
     keep: Keep | Sequence[Keep]
-    noise_position: float | Numbers
-    torque_delay: float
 
-class _HoldPlanIdentifyPayload(TypedDict, total=False):
+class _HoldPlanIdentify(TypedDict, total=False):
     speed: float
 
-class _PlanPayload(TypedDict, total=False):
+class _PayloadPlan(TypedDict, total=False):
     static: bool
 
 class IdentifyFromKeywords(TypedDict, total=False):
@@ -96,7 +91,7 @@ class InformationKeywords(ReadLogKeywords, IdentifyFromKeywords, _InformationPla
     no_friction: bool
     tilt: Literal["off", "auto"]
 
-class HoldKeywords(IdentifyFromKeywords, _HoldPlanIdentifyPayload, total=False):
+class HoldKeywords(IdentifyFromKeywords, _HoldPlanIdentify, total=False):
     accept_directions: bool
     accept_register_limits: bool
     also_joint: str | None
@@ -122,31 +117,29 @@ class HoldKeywords(IdentifyFromKeywords, _HoldPlanIdentifyPayload, total=False):
     set_watchdog: float | None
     start_tolerance: float
 
+class PayloadKeywords(InformationKeywords, _PayloadIdentify, _PayloadPlan, total=False):
+    as_body: str | None
+    flange: str | None
+    known_mass: float | None
+    order: str | None
+    save_torque_scale: File | None
+
 class PlanKeywords(
-    IdentifyFromKeywords, _PlanIdentifyPayload, _PlanIdentify, _PlanPlayIdentifyPayload,
-    _InformationPlan, _HoldPlanIdentifyPayload, _PlanPayload, total=False
+    IdentifyFromKeywords, _PlanIdentify, _PlanPlayIdentify, _InformationPlan,
+    _HoldPlanIdentify, _PayloadPlan, total=False
 ):  # fmt: skip
     for_: Literal["link", "payload", "friction", "arm", "weight"]
 
-class PlayKeywords(HoldKeywords, _PlanPlayIdentifyPayload, total=False):
+class PlayKeywords(HoldKeywords, _PlanPlayIdentify, total=False):
     also: File | None
 
 class IdentifyKeywords(
-    InformationKeywords, _PlanIdentifyPayload, _PlanIdentify, _PlanPlayIdentifyPayload,
-    _IdentifyPayload, _HoldPlanIdentifyPayload, total=False
+    InformationKeywords, _PlanIdentify, _PlanPlayIdentify, _PayloadIdentify,
+    _HoldPlanIdentify, total=False
 ):  # fmt: skip
+    encoder_resolution: float
     links: bool
+    noise_position: float | Numbers
     plant_model: File | None
     save_measurements: File | None
-
-class PayloadKeywords(
-    InformationKeywords, _PlanIdentifyPayload, _PlanPlayIdentifyPayload, _IdentifyPayload,
-    _HoldPlanIdentifyPayload, _PlanPayload, total=False
-):  # fmt: skip
-    as_body: str | None
-    empty_model: File | None
-    flange: str | None
-    known_mass: float | None
-    loaded_model: File | None
-    order: str | None
-    save_torque_scale: File | None
+    torque_delay: float

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_type_hints
 
-from robot_sysid.config import NOT_OF_A_PAYLOAD, PREDICTED, PayloadConfig, SysidConfig
+from robot_sysid.config import PREDICTED, PayloadConfig, SysidConfig
 from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.preflight import Permissions
 from robot_sysid.damiao.protocol.frames import BusTiming
@@ -93,7 +93,7 @@ ELSEWHERE = {
 _ESTIMATED = keys_of(EstimationOptions, SimulatedArmOptions) - {*PREDICTED}
 _USELESS: Mapping[str, Mapping[str, str]] = {
     "plan": dict.fromkeys(_ESTIMATED, "is about an estimate; a plan stops before it"),
-    "payload": dict.fromkeys(NOT_OF_A_PAYLOAD, "means nothing for a payload; leave it out"),
+    "payload": {"links": "means nothing for a payload; leave it out"},
     "read_log": {"accept": "is about an estimate; reading makes none"},
     "play": dict.fromkeys(keys_of(LimitOptions) - {*LIMITS}, "is for designing a motion; see plan"),
     "hold": {"also": "is a motion; an arm that is held has none"},

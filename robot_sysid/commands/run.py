@@ -16,7 +16,6 @@ from robot_sysid.commands.console import Console
 from robot_sysid.commands.preview import PreviewOptions, require_preview, show_plan
 from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import (
-    NOT_OF_A_PAYLOAD,
     PLANNED,
     PREDICTED,
     Config,
@@ -55,8 +54,6 @@ class Question(NamedTuple):
     epilog: str = ""
 
 
-_EXCITATION = ("excitation", "excitation_time_budget")
-"""Keys of the excitation's options where a motion is made on the way; ``plan`` has all."""
 ALONE = Question(
     SysidConfig.of,
     "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml",
@@ -76,7 +73,7 @@ ALONE = Question(
         "estimation": (EstimationOptions,),
         "Damiao motors": (MotorOptions,),
     },
-    only={"excitation": _EXCITATION},
+    only={"excitation": ("excitation", "excitation_time_budget")},
     epilog="Commands: robot-sysid plan, identify, payload, log, report, motors and "
     "example; each has its own --help. A model file that is called like a command is "
     "reached as ./plan.",
@@ -129,7 +126,7 @@ PAYLOAD = Question(
     "write a model that carries it and a card for controllers.",
     (
         *("mesh_dir", "joint", "output_dir", "empty", "loaded", "order", "flange", "as_body"),
-        *("known_mass", "save_torque_scale", "static", "empty_model", "loaded_model"),
+        *("known_mass", "save_torque_scale", "static"),
         *("columns", "units", "torque_scale", "scale_uncertainty"),
     ),
     {
@@ -137,20 +134,15 @@ PAYLOAD = Question(
         "model and output": (ModelOptions, OutputOptions),
         "logs": (LogOptions,),
         "estimation": (EstimationOptions,),
-        "trajectory of a simulation": (TrajectoryOptions,),
-        "excitation": (ExcitationOptions,),
-        "limits": (LimitOptions,),
-        "sensors of a simulation": (SimulatedArmOptions,),
     },
     only={
         "estimation": (
             *("cutoff", "friction_model", "link_uncertainty"),
             *("scale_uncertainty", "zero_uncertainty", "gravity_uncertainty"),
             "delay_uncertainty",
-        ),
-        "excitation": _EXCITATION,
+        )
     },
-    left_out=(*NOT_OF_A_PAYLOAD, *("measurements", "validation_measurements", "verify_rollout")),
+    left_out=("links", "measurements", "validation_measurements", "verify_rollout"),
 )
 QUESTIONS = {"": ALONE, "plan": PLAN, "identify": IDENTIFY, "payload": PAYLOAD}
 """By the command's name; "" is the program with a model alone."""
@@ -189,7 +181,9 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline import run
 
-    config = replace(config.seeded(), output=replace(config.output, config=console.config))
+    config = replace(config, output=replace(config.output, config=console.config))
+    if isinstance(config, SysidConfig):
+        config = config.seeded()
     with warnings_as_notes(console):
         outcome = run(config, console)
     show_plan(outcome, preview, console)

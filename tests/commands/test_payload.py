@@ -1,4 +1,4 @@
-"""``robot-sysid payload MODEL``: from two models that play the arm to a model with the payload."""
+"""``robot-sysid payload MODEL``: from logs without and with it to a model with the payload."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ import re
 import numpy as np
 import pytest
 
+from robot_sysid.logs.reader import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta
+from robot_sysid.parser import load_robot_model
+from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation.plant import PlantSimulation
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms, schemas
 from tests.support.payload_logs import PAYLOAD
 
@@ -19,7 +25,8 @@ TOOL = (
     '<body name="tool"><inertial pos=".03 -.02 .08" mass="1.2" '
     'fullinertia=".006 .007 .004 .001 .0005 -.0004"/></body>'
 )
-SIMULATED = ("--seed", "1", "--sample-rate", "100", "--noise-torque", "0.02")
+RATE = 100.0
+SENSORS = SimulatedArmOptions(noise_torque=0.02)
 
 
 @pytest.fixture
@@ -30,14 +37,25 @@ def models(arm_file):
     return empty, loaded
 
 
-def simulated(models, swapped=False):
-    empty, loaded = models[::-1] if swapped else models
-    return (models[0], "--empty-model", empty, "--loaded-model", loaded, *SIMULATED)
+def recorded(models, swapped=False):
+    """The words that ask for the payload in logs of both arms, recorded in the order ABBA."""
+    empty, loaded = (load_robot_model(path) for path in (models[::-1] if swapped else models))
+    plan = generate_excitation_trajectory(empty, np.random.default_rng(1), 15.0, ArmTorque(empty))[
+        0
+    ]
+    paths = []
+    for number, plant in enumerate((empty, loaded, loaded, empty)):
+        rng = np.random.default_rng([1, number])
+        samples = PlantSimulation(plant, plan, SENSORS, RATE, rng)
+        paths.append(models[0].with_name(f"log{number}.csv"))
+        write_measurement_csv(paths[-1], plant.joint_names, samples)
+    logs = ("--empty", paths[0], paths[3], "--loaded", paths[1], paths[2])
+    return (models[0], *logs, "--order", "ABBA")
 
 
 @pytest.mark.slow
 def test_a_payload_is_found_and_written_into_the_model(command, models):
-    printed = command.run("payload", *simulated(models))
+    printed = command.run("payload", *recorded(models))
     folder = models[0].parent / "sysid_output"
     schemas.check(folder / "params.json")
     found = json.loads((folder / "params.json").read_text())
@@ -61,7 +79,7 @@ def test_a_payload_is_found_and_written_into_the_model(command, models):
 
 @pytest.mark.slow
 def test_a_payload_can_be_a_body_of_its_own(command, models):
-    command.run("payload", *simulated(models), "--as-body", "gripper")
+    command.run("payload", *recorded(models), "--as-body", "gripper")
     folder = models[0].parent / "sysid_output"
     found = json.loads((folder / "params.json").read_text())
     body = compile_model(folder / "updated_model.xml").mj_model.body("gripper")
@@ -70,7 +88,7 @@ def test_a_payload_can_be_a_body_of_its_own(command, models):
 
 @pytest.mark.slow
 def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_good(command, models):
-    printed = command.run("payload", *simulated(models, swapped=True), code=1)
+    printed = command.run("payload", *recorded(models, swapped=True), code=1)
     assert "look swapped" in printed.err
     folder = models[0].parent / "sysid_output"
     left = sorted(path.name for path in folder.iterdir())
@@ -83,7 +101,7 @@ def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_goo
 @pytest.mark.slow
 def test_a_known_mass_gives_a_file_of_torque_scales(command, models):
     given = ("--known-mass", "1.2", "--save-torque-scale", "scale.json")
-    printed = command.run("payload", *simulated(models), *given)
+    printed = command.run("payload", *recorded(models), *given)
     scales = json.loads((models[0].parent / "scale.json").read_text())["torque_scale"]
     assert list(scales) == ["joint0", "joint1", "joint2", "joint3"]
     # The third joint lifts the weight all the time.

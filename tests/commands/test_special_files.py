@@ -46,9 +46,6 @@ BASES = {
 }
 """Command to words with which it gets as far as its files."""
 BESIDE = {
-    ("payload", "--trajectory"): "arm.xml --empty-model arm.xml --loaded-model arm.xml",
-    ("payload", "--empty-model"): "arm.xml --loaded-model arm.xml",
-    ("payload", "--loaded-model"): "arm.xml --empty-model arm.xml",
     ("log", "--trajectory"): "log.csv arm.xml --video film.gif",
     ("motors hold", "--park"): "--model two.xml --joint-map map.csv --channel can0 --yes",
 }

@@ -110,7 +110,8 @@ def make_models(folder: Path) -> None:
     load = f'<body pos="0 0 .1"><inertial pos="0 .02 .03" mass="{WEIGHT}" '
     load += 'diaginertia=".004 .005 .003"/></body>'
     truth = arms.serial_arm(AXES, **ARM)
-    texts = {"truth.xml": truth, "loaded.xml": arms.serial_arm(AXES, tip=load, **ARM)}
+    loaded = arms.serial_arm(AXES, tip=load, **ARM)
+    texts = {"truth.xml": truth, "loaded.xml": loaded, "arm_with_tool.xml": loaded}
     model = arms.serial_arm(AXES, **MODEL)
     names = ("my_arm.xml", "arm.xml", "guess.xml", "MODEL.xml")
     texts.update(dict.fromkeys(names, model))
