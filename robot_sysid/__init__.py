@@ -14,12 +14,19 @@ __version__ = "0.1.0"
 _CALLS = ("identify", "identify_from", "information", "payload", "plan", "read_log")
 FACE = {
     **dict.fromkeys(_CALLS, "api.calls"),
-    **{"load_robot_model": "parser", "regressor": "api.equations"},
+    "load_robot_model": "parser",
+    "regressor": "api.equations",
 }
 """The functions for Python programs, and the module each is in; typed in ``__init__.pyi``."""
 ERRORS = (
-    *("SysidError", "InputError", "ColumnsError", "ModelError", "AmbiguousJointError"),
-    *("SimulationError", "ExportError", "HardwareAbort"),
+    "SysidError",
+    "InputError",
+    "ColumnsError",
+    "ModelError",
+    "AmbiguousJointError",
+    "SimulationError",
+    "ExportError",
+    "HardwareAbort",
 )
 """What they raise, in ``robot_sysid.errors``."""
 

@@ -151,13 +151,24 @@ class Config:
 
 
 OF_TORQUE = (
-    *("report", "plots", "keep", "links", "torque_scale", "torque_constants"),
+    "report",
+    "plots",
+    "keep",
+    "links",
+    "torque_scale",
+    "torque_constants",
     "save_measurements",
 )
 """Keys of options that mean nothing where no torque was measured."""
 PREDICTED = (
-    *("torques", "noise_torque", "link_uncertainty", "scale_uncertainty", "zero_uncertainty"),
-    *("gravity_uncertainty", "delay_uncertainty", "friction_uncertainty"),
+    "torques",
+    "noise_torque",
+    "link_uncertainty",
+    "scale_uncertainty",
+    "zero_uncertainty",
+    "gravity_uncertainty",
+    "delay_uncertainty",
+    "friction_uncertainty",
 )
 """Keys of the estimate's options from which a plan says what it promises."""
 PLANNED = {"excitation": "optimal", "plan_only": True}

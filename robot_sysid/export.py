@@ -34,9 +34,14 @@ if TYPE_CHECKING:
 _BESIDE = ("report_data.npz", atomic_files.RUN_NAME)
 """What a command writes once the results are in their places."""
 RESULT_NAMES = (
-    *(atomic_files.PARAMS_NAME, "arm.json", "friction.json", atomic_files.SERVO_NAME),
+    atomic_files.PARAMS_NAME,
+    "arm.json",
+    "friction.json",
+    atomic_files.SERVO_NAME,
     *atomic_files.MODEL_NAMES.values(),
-    *(atomic_files.CARD_NAME, atomic_files.DAMIAO_NAME, "report.html"),
+    atomic_files.CARD_NAME,
+    atomic_files.DAMIAO_NAME,
+    "report.html",
 )
 """What a run leaves, whichever command and release it was; a planned motion is no result."""
 MotorFile = Callable[[TextIO], "DamiaoExportReport"]

@@ -64,8 +64,13 @@ def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
 Function = TypeVar("Function", bound=Callable[..., Any])
 _ARM, _PAYLOAD = (tuple(get_type_hints(kind).values()) for kind in (SysidConfig, PayloadConfig))
 _MOTORS = (
-    *(BusAddress, BusTiming, PlaySettings, Permissions),
-    *(RecordingOptions, ModelOptions, SecondArm),
+    BusAddress,
+    BusTiming,
+    PlaySettings,
+    Permissions,
+    RecordingOptions,
+    ModelOptions,
+    SecondArm,
 )
 RECORDS: Mapping[str, Sequence[Any]] = {
     "identify": tuple(each for each in _ARM if each.__name__ != "PoseOptions"),

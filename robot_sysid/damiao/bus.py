@@ -114,8 +114,18 @@ class GuardedLink:
 
 # Adapters on this computer only: nothing here may put motor commands on a network.
 INTERFACES = (
-    *("socketcan", "slcan", "gs_usb", "pcan", "kvaser", "vector", "ixxat", "canalystii"),
-    *("cantact", "seeedstudio", "damiao", "virtual"),
+    "socketcan",
+    "slcan",
+    "gs_usb",
+    "pcan",
+    "kvaser",
+    "vector",
+    "ixxat",
+    "canalystii",
+    "cantact",
+    "seeedstudio",
+    "damiao",
+    "virtual",
 )
 
 

@@ -54,9 +54,17 @@ def has_only_armature(mj_model: Any) -> bool:
     dynamics; without them a cheaper formula gives the same torque.
     """
     fields = (
-        *("jnt_stiffness", "jnt_stiffnesspoly", "dof_dampingpoly", "tendon_stiffness"),
-        *("tendon_stiffnesspoly", "tendon_damping", "tendon_dampingpoly", "tendon_armature"),
-        *("actuator_armature", "actuator_damping", "actuator_dampingpoly"),
+        "jnt_stiffness",
+        "jnt_stiffnesspoly",
+        "dof_dampingpoly",
+        "tendon_stiffness",
+        "tendon_stiffnesspoly",
+        "tendon_damping",
+        "tendon_dampingpoly",
+        "tendon_armature",
+        "actuator_armature",
+        "actuator_damping",
+        "actuator_dampingpoly",
     )
     return not any(np.any(getattr(mj_model, name, 0.0)) for name in fields)
 

@@ -34,8 +34,18 @@ FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
 _LINE = re.compile(r"line(?: =)? (\d+)")
 _MUST_BE_FINITE = (
-    *("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat", "jnt_pos"),
-    *("jnt_axis", "qpos0", "dof_damping", "dof_armature", "dof_frictionloss"),
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "body_pos",
+    "body_quat",
+    "jnt_pos",
+    "jnt_axis",
+    "qpos0",
+    "dof_damping",
+    "dof_armature",
+    "dof_frictionloss",
 )
 
 

@@ -22,8 +22,17 @@ _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
 _WRITTEN: WeakKeyDictionary[Any, tuple[Path, Any]] = WeakKeyDictionary()
 """Model to its file, and to what MuJoCo makes of that."""
 _COMPARED = (
-    *("body_mass", "body_ipos", "body_inertia", "body_pos", "qpos0", "jnt_axis", "jnt_range"),
-    *("dof_damping", "dof_armature", "dof_frictionloss", "body_jntadr"),
+    "body_mass",
+    "body_ipos",
+    "body_inertia",
+    "body_pos",
+    "qpos0",
+    "jnt_axis",
+    "jnt_range",
+    "dof_damping",
+    "dof_armature",
+    "dof_frictionloss",
+    "body_jntadr",
 )
 # MuJoCo writes six digits.
 _SAME = 1e-4

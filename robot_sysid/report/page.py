@@ -38,9 +38,18 @@ def sections_of(
     InputError where a result file holds something odd.
     """
     alone: tuple[Callable[[Run], Section | None], ...] = (
-        *(verdict.verdict, card, scatter, parameters, visibility),
-        *(signals.torques, signals.residuals, signals.friction, signals.excitation),
-        *(signals.errors, signals.rollout, partial(picture, mesh_dir=mesh_dir)),
+        verdict.verdict,
+        card,
+        scatter,
+        parameters,
+        visibility,
+        signals.torques,
+        signals.residuals,
+        signals.friction,
+        signals.excitation,
+        signals.errors,
+        signals.rollout,
+        partial(picture, mesh_dir=mesh_dir),
     )
     found: list[Section | None] = []
     try:

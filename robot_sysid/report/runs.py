@@ -121,8 +121,10 @@ def load_data(path: Path) -> ReportData:
     """Return what was saved; InputError where there is nothing, or nothing of this program."""
     kinds: dict[str, Callable[[Array], Any]] = {
         **{each.name: lambda a: np.asarray(a, dtype=float) for each in fields(ReportData)},
-        **{"n_samples": int, "result": str},
-        **{"joints": lambda a: tuple(map(str, a)), "is_slide": lambda a: tuple(map(bool, a))},
+        "n_samples": int,
+        "result": str,
+        "joints": lambda a: tuple(map(str, a)),
+        "is_slide": lambda a: tuple(map(bool, a)),
     }
     try:
         if not path.exists():

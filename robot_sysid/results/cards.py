@@ -308,14 +308,20 @@ def _groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
     full = spatial.fullinertia_from_symmetric(inertia)
     return inertia, {
         # As they are: Ixx Iyy Izz Ixy Ixz Iyz and Ixx Ixy Ixz Iyy Iyz Izz about the centre of mass.
-        **{"mass": payload.mass, "com": payload.com.tolist(), "full": full.tolist()},
+        "mass": payload.mass,
+        "com": payload.com.tolist(),
+        "full": full.tolist(),
         "upper": spatial.six_from_symmetric(inertia).tolist(),
         # With the digits of a card; nine: column by column, no_turn: a 4x4 identity.
         "kg": rounded([mass])[0],
-        **{"com_m": rounded(com), "com_mm": rounded(1e3 * com)},
-        **{"six": rounded(full), "nine": rounded(inertia.T.ravel()), "moments": rounded(moments)},
+        "com_m": rounded(com),
+        "com_mm": rounded(1e3 * com),
+        "six": rounded(full),
+        "nine": rounded(inertia.T.ravel()),
+        "moments": rounded(moments),
         "yaw_pitch_roll": rounded(np.degrees(spatial.roll_pitch_yaw(axes)[::-1])),
-        **{"turn": rounded(spatial.quaternion(axes)), "no_turn": np.eye(4).ravel().tolist()},
+        "turn": rounded(spatial.quaternion(axes)),
+        "no_turn": np.eye(4).ravel().tolist(),
     }
 
 
@@ -402,10 +408,15 @@ def _error_texts(body: BodyEstimate) -> dict[str, str]:
         elements, principal = f"inertia {named} kg m^2", f"moments {_listed(moments, 'kg m^2')}"
         axes = f"turn about the axes X, Y, Z {_listed(turns, 'degrees')}"
     return {
-        **{"kg": mass, "mass": mass, "com_m": place, "com": place},
+        "kg": mass,
+        "mass": mass,
+        "com_m": place,
+        "com": place,
         "com_mm": f"centre of mass {_listed(1e3 * com, 'mm')}",
         **dict.fromkeys(("six", "nine", "upper", "full"), elements),
-        **{"moments": principal, "yaw_pitch_roll": axes, "turn": axes},
+        "moments": principal,
+        "yaw_pitch_roll": axes,
+        "turn": axes,
     }
 
 

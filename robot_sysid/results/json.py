@@ -161,8 +161,10 @@ def _payload(found: Payload | None, cards: Sequence[Card]) -> dict[str, Any] | N
     flange = found.flange
     return {
         "flange": {
-            **{"name": flange.name, "in_body": flange.terminal},
-            **{"translation": flange.translation, "rotation": flange.rotation},
+            "name": flange.name,
+            "in_body": flange.terminal,
+            "translation": flange.translation,
+            "rotation": flange.rotation,
         },
         **{name: _body(getattr(found, name)) for name in ("body", "link", "total")},
         **{name: getattr(found, name) for name in _OF_PAYLOAD},
@@ -233,8 +235,10 @@ def _bam(joint: JointEstimate, written: Mapping[str, Figure]) -> dict[str, Any] 
     number = 1 + ("stribeck" in terms) + 2 * ("load" in terms)
     known = {n: share * figures[t].value for t, (n, share) in _IN_BAM.items() if t in figures}
     return {
-        **{"model": f"m{number}", "friction_base": figures["coulomb"].value},
-        **{"friction_viscous": 0.0, **known},
+        "model": f"m{number}",
+        "friction_base": figures["coulomb"].value,
+        "friction_viscous": 0.0,
+        **known,
         **({"alpha": 2.0} if "stribeck" in terms else {}),
         **({"load_friction_stribeck": 0.0} if number == 4 else {}),
     }

@@ -39,26 +39,49 @@ ACCURATE = 1e-12
 BODY_FIELDS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe")
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
-    *("body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0", "dof_length"),
-    *("tendon_invweight0", "actuator_acc0"),
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_M0",
+    "dof_invweight0",
+    "dof_length",
+    "tendon_invweight0",
+    "actuator_acc0",
     # Room for what actuators and sensors remember; how much that is is compared.
-    *("nhistory", "actuator_historyadr", "sensor_historyadr"),
+    "nhistory",
+    "actuator_historyadr",
+    "sensor_historyadr",
     # Found by simulating the actuator's movement, so masses enter.
     "actuator_lengthrange",
     # Whether a body's inertia is diagonal in its joint's axes, or a geom or site coincides with its
     # body's inertial frame: shortcuts for the engine.
-    *("body_simple", "dof_simplenum", "geom_sameframe", "site_sameframe"),
+    "body_simple",
+    "dof_simplenum",
+    "geom_sameframe",
+    "site_sameframe",
     # Camera and light positions relative to the subtree's centre of mass.
-    *("cam_poscom0", "light_poscom0"),
+    "cam_poscom0",
+    "light_poscom0",
     # Collision bounding boxes are kept in the inertial frame of their body.
-    *("bvh_aabb", "bvh_child", "bvh_depth", "bvh_nodeid"),
+    "bvh_aabb",
+    "bvh_child",
+    "bvh_depth",
+    "bvh_nodeid",
     # Scene size and mean mass, for drawing and for scaling contacts.
-    *("stat.center", "stat.extent", "stat.meaninertia", "stat.meanmass", "stat.meansize"),
+    "stat.center",
+    "stat.extent",
+    "stat.meaninertia",
+    "stat.meanmass",
+    "stat.meansize",
 }
 # Where asset files are, and the sizes that follow from the length of these names.
 PATHS = {
-    *("paths", "npaths", "nbuffer"),
-    *("mesh_pathadr", "skin_pathadr", "hfield_pathadr", "tex_pathadr"),
+    "paths",
+    "npaths",
+    "nbuffer",
+    "mesh_pathadr",
+    "skin_pathadr",
+    "hfield_pathadr",
+    "tex_pathadr",
     # A hash of sizes and kinds, which are compared themselves; MuJoCo loses it when it pickles.
     "signature",
 }
@@ -299,7 +322,7 @@ PLACE = 1e-12
 """Largest deviation of the new body's place [m] and axes: some roundings of a quaternion."""
 _NAMES = ("nnames", "nnames_map", "names", "names_map")
 # Names and their places, and tables that list each body or number the pairs of them.
-_BOOKKEEPING = {*("nbody", "nB", *_NAMES), *("tree_bodynum", "exclude_signature", "pair_signature")}
+_BOOKKEEPING = {"nbody", "nB", *_NAMES, "tree_bodynum", "exclude_signature", "pair_signature"}
 _OF_NAMES = ("name_", "B_")
 
 

@@ -208,8 +208,20 @@ COMMANDS: Mapping[str, _Command] = {
     ),
 }
 _MAIN = (
-    *("interface", "channel", "fd", "speed", "rate", "kp", "park", "record", "dry_run", "yes"),
-    *("play", "joint_map", "accept_register_limits", "set_watchdog"),
+    "interface",
+    "channel",
+    "fd",
+    "speed",
+    "rate",
+    "kp",
+    "park",
+    "record",
+    "dry_run",
+    "yes",
+    "play",
+    "joint_map",
+    "accept_register_limits",
+    "set_watchdog",
 )
 
 

@@ -100,7 +100,17 @@ class Asked(MotorRun):
 
 
 _HEADINGS: tuple[str, ...] = (
-    *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear", "degC", "state"),
+    "id",
+    "reply",
+    "mode",
+    "PMAX",
+    "VMAX",
+    "TMAX",
+    "type",
+    "watchdog",
+    "gear",
+    "degC",
+    "state",
 )
 _MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
 

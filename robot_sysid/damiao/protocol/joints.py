@@ -197,7 +197,14 @@ class JointSpace:
 
 
 _COLUMNS = (
-    *("joint", "bus", "can_id", "master_id", "direction", "offset", "torque_ratio", "verified"),
+    "joint",
+    "bus",
+    "can_id",
+    "master_id",
+    "direction",
+    "offset",
+    "torque_ratio",
+    "verified",
 )
 _NEEDED = ("joint", "can_id", "direction")
 
