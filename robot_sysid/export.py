@@ -35,8 +35,6 @@ _BESIDE = ("report_data.npz", atomic_files.RUN_NAME)
 """What a command writes once the results are in their places."""
 RESULT_NAMES = (
     atomic_files.PARAMS_NAME,
-    "arm.json",
-    "friction.json",
     atomic_files.SERVO_NAME,
     *atomic_files.MODEL_NAMES.values(),
     atomic_files.CARD_NAME,

@@ -142,15 +142,15 @@ def test_an_old_model_goes_also_where_this_run_writes_none(robot, out, case):
 
 def test_what_this_run_reads_stays_whatever_it_is_called(robot, out):
     log = "report_data.npz"
-    text = '<mujoco><include file="friction.json"/><worldbody/></mujoco>'
+    text = '<mujoco><include file="servo.json"/><worldbody/></mujoco>'
     write_files(
-        out, {"updated_model.xml": text, "friction.json": ARM, log: "a log", "arm.json": ""}
+        out, {"updated_model.xml": text, "servo.json": ARM, log: "a log", "payload_card.txt": ""}
     )
     own = load_robot_model(out / "updated_model.xml", joint="j2")
     (out / "link").symlink_to(out, target_is_directory=True)
     found = saved(own, heavier(own), out / "link", refused="no", inputs=[out / log])
-    kept = ["friction.json", "link", "params.json", log, "updated_model.xml"]
-    assert names_in(out) == kept and len(found.notes) == 1 and "arm.json" in found.notes[0]
+    kept = ["link", "params.json", log, "servo.json", "updated_model.xml"]
+    assert names_in(out) == kept and len(found.notes) == 1 and "payload_card.txt" in found.notes[0]
 
 
 def test_a_run_that_ends_with_an_error_leaves_the_old_set(robot, out, monkeypatch):

@@ -139,7 +139,6 @@ class IdentifyKeywords(
 ):  # fmt: skip
     encoder_resolution: float
     links: bool
-    noise_position: float | Numbers
     plant_model: File | None
     save_measurements: File | None
     torque_delay: float

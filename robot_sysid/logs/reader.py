@@ -144,17 +144,13 @@ _WRITTEN["time"] = "joint_time"
 
 
 def write_measurement_csv(
-    path: Path,
-    joint_names: Sequence[str],
-    chunks: Iterable[Measurement],
-    header_comments: Sequence[str] = (),
+    path: Path, joint_names: Sequence[str], chunks: Iterable[Measurement]
 ) -> None:
     """Write samples in the form ``open_log`` reads, with every digit; the file appears whole.
 
-    Columns are called ``<joint>_position`` and so on; the comments, each after a "#", come first.
+    Columns are called ``<joint>_position`` and so on.
     """
     with whole_file(path) as stream:
-        stream.writelines(f"# {' '.join(comment.splitlines())}\n" for comment in header_comments)
         writer = csv.writer(stream, lineterminator="\n")
         there: dict[str, str] = {}
         for chunk in chunks:

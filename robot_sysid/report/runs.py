@@ -291,7 +291,7 @@ def load_run(folder: Path) -> Run:
     if not path.is_file():
         raise InputError(
             f"{folder} holds no result: there is no {PARAMS_NAME}; give the folder that a run "
-            f"wrote to, or {_REMEDY} where an earlier version wrote arm.json"
+            "wrote to"
         )
     content = read_json(path, _REMEDY)
     if not isinstance(content, dict):

@@ -27,9 +27,6 @@ class SimulatedArmOptions(OptionRecord):
     noise_torque: PerJoint = option(
         0.0, "standard deviation of the torque noise, one number or one per joint", "S [N·m] >= 0"
     )
-    noise_position: PerJoint = option(
-        0.0, "standard deviation of the position noise, one number or one per joint", "S [rad] >= 0"
-    )
     encoder_resolution: float = option(0.0, "step of the encoders", "R [rad] >= 0")
     torque_delay: float = option(
         0.0, "how much the measured torque lags", "S [s]", check=_plausible_delay
@@ -39,15 +36,7 @@ class SimulatedArmOptions(OptionRecord):
     )
 
     @property
-    def exact_positions(self) -> bool:
-        """Whether positions come through unchanged."""
-        return not _any(self.noise_position) and self.encoder_resolution == 0.0
-
-    @property
     def is_noisy(self) -> bool:
         """Whether anything of what the sensors report is drawn at random."""
-        return _any(self.noise_torque) or _any(self.noise_position)
-
-
-def _any(noise: PerJoint) -> bool:
-    return any(noise) if isinstance(noise, tuple) else noise != 0.0
+        noise = self.noise_torque
+        return any(noise) if isinstance(noise, tuple) else noise != 0.0

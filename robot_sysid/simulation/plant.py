@@ -22,7 +22,7 @@ from robot_sysid.model.chain import is_hinge_or_slide, joint_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import robot_from_compiled
 from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
-from robot_sysid.records.options import PerJoint, per_joint
+from robot_sysid.records.options import per_joint
 from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
@@ -52,7 +52,6 @@ class PlantSimulation:
         rng: np.random.Generator,
     ) -> None:
         per_joint(options.noise_torque, plant.n_joints, "--noise-torque")
-        per_joint(options.noise_position, plant.n_joints, "--noise-position")
         moved = plan.evaluate(np.zeros(1)).q.shape[1]
         if moved != plant.n_joints:
             raise InputError(f"the trajectory moves {moved} joints, the plant has {plant.n_joints}")
@@ -147,39 +146,32 @@ class Sensors:
 
     Args:
         sample_rate: of the measurements, evenly spaced [Hz].
-        rng: source of randomness. Each channel gets a generator of its own from it, so that the
-            readings do not depend on how the stream is cut into chunks.
+        rng: source of randomness, drawn from once, so that every reading has the same noise.
     """
 
     def __init__(
         self, options: SimulatedArmOptions, sample_rate: float, rng: np.random.Generator
     ) -> None:
         self._options, self._sample_rate = options, sample_rate
-        self._seeds = rng.integers(2**63, size=(2, 4))
+        self._seed = rng.integers(2**63, size=4)
 
     def read(self, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
         """Yield what the sensors report; the same stream gives the same readings each time."""
         options = self._options
-        torque, position = (np.random.default_rng(seed) for seed in self._seeds)
+        rng = np.random.default_rng(self._seed)
         delay = TorqueDelay(options.torque_delay * self._sample_rate)
         for exact in measurements:
-            tau = _noisy(delay.apply(exact.tau), options.noise_torque, torque)
-            spoiled = replace(exact, tau=tau)
-            if not options.exact_positions:
-                q = _noisy(exact.q, options.noise_position, position)
-                q = quantised(q, options.encoder_resolution)
+            noise = np.asarray(options.noise_torque) * rng.standard_normal(exact.tau.shape)
+            spoiled = replace(exact, tau=delay.apply(exact.tau) + noise)
+            if options.encoder_resolution > 0.0:
+                q = quantised(exact.q, options.encoder_resolution)
                 spoiled = replace(spoiled, q=q, qd=None, qdd=None)
             yield spoiled
 
 
-def _noisy(values: Array, sigma: PerJoint, rng: np.random.Generator) -> Array:
-    """Return values (N, n) plus white noise; the generator advances whatever sigma is."""
-    return values + np.asarray(sigma) * rng.standard_normal(values.shape)
-
-
 def quantised(values: Array, step: float) -> Array:
-    """Return the nearest multiples of ``step``; values unchanged where it is 0."""
-    return values if step == 0.0 else np.round(values / step) * step
+    """Return the nearest multiples of ``step``."""
+    return np.round(values / step) * step
 
 
 class TorqueDelay:

@@ -61,7 +61,7 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path, names, optional, c
     written = Measurement(time=time, q=q, tau=rng.normal(size=q.shape) * 1e3, **kept)
     edges = [0, *sorted(cuts), len(time)]
     chunks = [part(written, a, b) for a, b in zip(edges, edges[1:])]
-    write_measurement_csv(tmp_path / "log.csv", names, chunks, ["two\nlines", "more"])
+    write_measurement_csv(tmp_path / "log.csv", names, chunks)
     assert_same(replace(written, qdd=None), read_measurements(tmp_path / "log.csv", names).samples)
 
 

@@ -139,8 +139,6 @@ def test_noise_levels_and_trajectory_must_fit_the_plant(plant, plan):
         InputError, match="--noise-torque takes one number, or one for each of the 3 joints"
     ):
         run(plant, plan, noise_torque=(0.1, 0.2))
-    with pytest.raises(InputError, match="--noise-position takes one number, or one for each"):
-        run(plant, plan, noise_position=(0.1, 0.2))
     other = robot_of(arms.SEVEN)
     with pytest.raises(InputError, match="moves 3 joints, the plant has 7"):
         run(other, plan)
