@@ -21,8 +21,7 @@ from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
-from robot_sysid.simulation.options import SimulatedArmOptions
-from robot_sysid.simulation.plant import Sensors
+from robot_sysid.simulation.plant import quantised
 from robot_sysid.solver import identify_parameters
 from tests.support.closed_loop import ClosedLoop
 from tests.support.closed_loop_proof import (
@@ -95,19 +94,14 @@ def proof_table(robot) -> None:
 def sensor_table(robot) -> None:
     """The whole signal path, with encoder steps and torque noise."""
     print("Low-pass, derivatives and decimation; rows slower than 0.1 rad/s left out")
-    sensors = (
-        SimulatedArmOptions(),
-        SimulatedArmOptions(encoder_resolution=1e-4),
-        SimulatedArmOptions(encoder_resolution=1e-4, noise_torque=0.1),
-    )
     for seed in SEEDS:
         plant = plant_from(robot)
         exact = recorded(ClosedLoop(plant, excitation(robot, seed), RATE))
-        for options in sensors:
-            (seen,) = Sensors(options, RATE, np.random.default_rng(seed)).read([exact])
-            log = Measurement(seen.time, seen.q, None, seen.tau, None)
+        for steps, noise in ((0.0, 0.0), (1e-4, 0.0), (1e-4, 0.1)):
+            q = quantised(exact.q, steps) if steps else exact.q
+            draws = np.random.default_rng(seed).standard_normal(exact.tau.shape)
+            log = Measurement(exact.time, q, None, exact.tau + noise * draws)
             estimate = identified_from_log(robot, log, deadband=0.1)
-            steps, noise = options.encoder_resolution, options.noise_torque
             print(f"  seed {seed}, encoder {steps:g} rad, torque noise {noise:g} N m:")
             print(f"    {words(errors_of(estimate, plant))}")
 

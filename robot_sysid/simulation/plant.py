@@ -8,8 +8,7 @@ be spoiled while the motion stays exactly known.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,11 +20,11 @@ from robot_sysid.errors import InputError
 from robot_sysid.model.chain import is_hinge_or_slide, joint_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import robot_from_compiled
-from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
+from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import per_joint
 from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
-from robot_sysid.trajectory import motion_chunks
+from robot_sysid.trajectory import motion_chunks, sample_times
 
 
 class PlantSimulation:
@@ -57,13 +56,29 @@ class PlantSimulation:
             raise InputError(f"the trajectory moves {moved} joints, the plant has {plant.n_joints}")
         self._plant = plant
         self._plan = plan
+        self._options = options
         self._sample_rate = sample_rate
-        self._sensors = Sensors(options, sample_rate, rng)
+        self._seed = rng.integers(2**63, size=4)
 
     def __iter__(self) -> Iterator[Measurement]:
         """Yield what the sensors report, chunk by chunk in constant memory."""
+        options = self._options
         motions = motion_chunks(self._plan, self._sample_rate)
-        return self._sensors.read(simulate_inverse(self._plant, motions))
+        delayed = simulate_inverse(self._plant, self._earlier_motions())
+        rng = np.random.default_rng(self._seed)
+        for motion, late in zip(motions, delayed):
+            noise = np.asarray(options.noise_torque) * rng.standard_normal(late.tau.shape)
+            tau = late.tau + noise
+            measured = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
+            if options.encoder_resolution > 0.0:
+                q = quantised(motion.q, options.encoder_resolution)
+                measured = replace(measured, q=q, qd=None, qdd=None)
+            yield measured
+
+    def _earlier_motions(self) -> Iterator[Motion]:
+        """Yield the motion whose torque is measured, that before the delay; at first the start."""
+        for time in sample_times(self._plan.duration, self._sample_rate):
+            yield self._plan.evaluate(np.maximum(time - self._options.torque_delay, 0.0))
 
 
 GEOMETRY_TOLERANCE = 1e-6
@@ -138,72 +153,6 @@ def _geometry_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
     )
 
 
-_WHOLE = 1e-9
-
-
-class Sensors:
-    """Reads exact measurements the way imperfect sensors would, chunk by chunk.
-
-    Args:
-        sample_rate: of the measurements, evenly spaced [Hz].
-        rng: source of randomness, drawn from once, so that every reading has the same noise.
-    """
-
-    def __init__(
-        self, options: SimulatedArmOptions, sample_rate: float, rng: np.random.Generator
-    ) -> None:
-        self._options, self._sample_rate = options, sample_rate
-        self._seed = rng.integers(2**63, size=4)
-
-    def read(self, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
-        """Yield what the sensors report; the same stream gives the same readings each time."""
-        options = self._options
-        rng = np.random.default_rng(self._seed)
-        delay = TorqueDelay(options.torque_delay * self._sample_rate)
-        for exact in measurements:
-            noise = np.asarray(options.noise_torque) * rng.standard_normal(exact.tau.shape)
-            spoiled = replace(exact, tau=delay.apply(exact.tau) + noise)
-            if options.encoder_resolution > 0.0:
-                q = quantised(exact.q, options.encoder_resolution)
-                spoiled = replace(spoiled, q=q, qd=None, qdd=None)
-            yield spoiled
-
-
 def quantised(values: Array, step: float) -> Array:
     """Return the nearest multiples of ``step``."""
     return np.round(values / step) * step
-
-
-class TorqueDelay:
-    """Delays a stream of evenly spaced samples by any number of sample periods.
-
-    Whole periods are exact. In between stands the cubic through four neighbouring samples
-    (Lagrange), whose error is at most 3/128 h^4 max|tau''''| for delays above one period h and
-    1/24 h^4 max|tau''''| below, where only older samples are at hand: 1e-7 N m for a torque of
-    10 N m at 2 Hz, sampled at 1 kHz. A jump, such as that of dry friction where a joint reverses,
-    is spread over the four samples around it. Before its first sample the torque is taken to have
-    been constant.
-    """
-
-    def __init__(self, periods: float) -> None:
-        nearest = round(periods)
-        is_whole = abs(periods - nearest) < _WHOLE
-        first = max(math.floor(periods) - 1, 0)
-        self._taps = np.array([nearest]) if is_whole else first + np.arange(4)
-        others = [np.delete(self._taps, i) for i in range(len(self._taps))]
-        pairs = zip(self._taps, others)
-        self._weights = [float(np.prod((periods - o) / (tap - o))) for tap, o in pairs]
-        self._history: Array | None = None
-
-    def apply(self, values: Array) -> Array:
-        """Return the delayed samples (N, n) of the next chunk (N, n)."""
-        longest = int(self._taps[-1])
-        if self._history is None:
-            self._history = np.repeat(values[:1], longest, axis=0)
-        stream = np.concatenate((self._history, values))
-        size = len(values)
-        self._history = stream[size:]
-        delayed = np.zeros(values.shape)
-        for tap, weight in zip(self._taps, self._weights):
-            delayed += weight * stream[longest - tap : longest - tap + size]
-        return delayed
