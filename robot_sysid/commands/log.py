@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
@@ -14,11 +14,6 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.options import CHECKS, LogOptions
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.records.options import given_options, record_from
-from robot_sysid.records.sampling import TrajectoryOptions
-
-if TYPE_CHECKING:
-    from robot_sysid.preview.film import Shown
-    from robot_sysid.records import Measurement, RobotModel
 
 INTERRUPTED = "interrupted; nothing was written"
 LEFT_OUT = ("measurements", "validation_measurements", "verify_rollout")
@@ -41,7 +36,6 @@ def build_parser(full: bool = True) -> Parser:
     parser.add("model", ModelOptions)
     parser.add("log", LogOptions, leave_out=LEFT_OUT)
     parser.add("preview", PreviewOptions)
-    parser.add("motion that the log should have followed", TrajectoryOptions, only=("trajectory",))
     return parser.with_console()
 
 
@@ -53,8 +47,8 @@ def main(arguments: Sequence[str]) -> int:
     require_preview(preview)
     if values.get("path") is not None:
         return _checked(values, log, preview, console)
-    others = (record_from(record, values) for record in (ModelOptions, TrajectoryOptions))
-    for each in (given for record in (preview, log, *others) for given in given_options(record)):
+    records = preview, log, record_from(ModelOptions, values)
+    for each in (given for record in records for given in given_options(record)):
         if each.key not in READ_ALONE:
             raise InputError(f"{each.flag} needs the MODEL after the log")
     from robot_sysid.logs.reader import content_lines
@@ -81,7 +75,9 @@ def _checked(
     found = check_against_model(robot, log.pieces, divided=log.torque_scale)
     console.stage(*(each.line() for each in found))
     if preview.view or preview.video:
-        show_preview(robot, _shown(robot, log.samples, values.get("trajectory")), preview, console)
+        from robot_sysid.preview.film import shown_log
+
+        show_preview(robot, shown_log(robot, log.samples), preview, console)
     named = [{**vars(each), "level": each.level.value} for each in found]
     about = {"samples": len(log.samples), "duration": log.duration, "sample_rate": rate}
     console.result({"log": str(log.path), **about, "notes": log.notes, "findings": named})
@@ -89,19 +85,3 @@ def _checked(
     console.stage("Usable: nothing that stops an identification was found")
     console.stage(f"Next: robot-sysid identify {quote(str(path))} {quote(str(log.path))}")
     return 0
-
-
-def _shown(robot: RobotModel, samples: Measurement, trajectory: Path | None) -> Shown:
-    """Return the motion of a log, beside the one it should have followed where that is given."""
-    from robot_sysid.preview.film import shown_log, shown_plan
-
-    if trajectory is None:
-        return shown_log(robot, samples)
-    from robot_sysid.motion.options import LimitOptions
-    from robot_sysid.motion.problem import build_problem
-    from robot_sysid.motion.trajectories import load_trajectory
-
-    saved = load_trajectory(trajectory)
-    saved.require_fits(robot.joint_names)
-    problem = build_problem(robot, LimitOptions(below_base=True), top_frequency_hz=None)
-    return shown_plan(problem, saved.plan, samples)

@@ -53,7 +53,6 @@ def show_preview(robot: RobotModel, shown: Shown, wanted: PreviewOptions, consol
     """Render and play a motion."""
     from robot_sysid.preview.film import view, write_film
 
-    console.note(*shown.notes)
     if wanted.video:
         console.stage(f"Rendering {len(shown.time)} pictures...")
         write_film(robot, shown, wanted.video, console)

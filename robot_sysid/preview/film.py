@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.preview.studio import NO_RENDERER, Colour, Picture, Studio, add_ghost, backend
-from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
+from robot_sysid.preview.studio import NO_RENDERER, Picture, Studio, backend
+from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.simulation.playback import interpolated
@@ -27,8 +27,6 @@ RATE = 20.0
 """Pictures per second."""
 _FARTHEST = 0.3
 """Clearance above which it is all the same [m]: thirty times the least that a plan keeps."""
-_STEP = 0.02
-"""By which a log is shifted along its plan to find where it fits [s]: under half a picture."""
 
 
 @dataclass(frozen=True)
@@ -42,23 +40,15 @@ class Strip:
 
 @dataclass(frozen=True)
 class Shown:
-    """What is shown of a motion, T pictures.
-
-    Attributes:
-        ghost: (T, n) measured positions beside those shown; NaN before and after the log.
-    """
+    """What is shown of a motion: T pictures of positions (T, n), and what is drawn over time."""
 
     time: Array
     q: Array
     strips: tuple[Strip, ...]
-    ghost: Array | None = None
-    notes: tuple[str, ...] = ()
 
 
-def shown_plan(
-    problem: ExcitationProblem, plan: MotionPlan, log: Measurement | None = None
-) -> Shown:
-    """Return a planned motion with its limits, and a log of the arm that played it as ghost."""
+def shown_plan(problem: ExcitationProblem, plan: MotionPlan) -> Shown:
+    """Return a planned motion with its limits."""
     motion = plan.evaluate(np.linspace(0.0, plan.duration, _count(plan.duration)))
     limits, largest = problem.limits, problem.limits.largest
     torque = problem.torque(motion)
@@ -67,10 +57,7 @@ def shown_plan(
     known = near if np.isfinite(clearances.closest(motion.q[0]).distance) else near * np.nan
     shares = _shares((motion.q - limits.center, motion.qd, torque), largest[[0, 1, 3]])
     strips = (*shares, Strip("clearance [mm]", 1000.0 * known, 0.0))
-    if log is None:
-        return Shown(motion.time, motion.q, strips)
-    ghost, note = _beside(motion, log, problem.joint_names)
-    return Shown(motion.time, motion.q, strips, ghost, (note,))
+    return Shown(motion.time, motion.q, strips)
 
 
 def shown_log(robot: RobotModel, log: Measurement) -> Shown:
@@ -98,31 +85,10 @@ def _shares(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Strip
         yield Strip(title, shares if np.any(np.isfinite(limit)) else shares * np.nan, 100.0)
 
 
-def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[Array, str]:
-    """Return (a log's positions beside a motion, at the shift that fits best; how they fit)."""
-    time = log.time - log.time[0]
-    longest, played = float(time[-1]), float(motion.time[-1])
-    overlap = 0.5 * min(longest, played)
-    shifts = np.arange(overlap - played, longest - overlap + _STEP, _STEP)
-    thin = slice(None, None, max(1, len(motion.time) // 200))
-    planned, when = motion.q[thin], motion.time[thin]
-    off_by = (planned - interpolated(when + shift, time, log.q, np.nan) for shift in shifts)
-    shift = float(shifts[int(np.argmin([np.nanmean(off**2) for off in off_by]))])
-    ghost = interpolated(motion.time + shift, time, log.q, np.nan)
-    off = np.nanmax(np.abs(ghost - motion.q), axis=0)
-    worst = int(np.argmax(off))
-    note = (
-        f"the plan begins {shift:.2f} s into the log; measured positions are up to "
-        f"{off[worst]:.3g} rad off it, at {joints[worst]}"
-    )
-    return ghost, note
-
-
 # Multiples of sixteen, which every player can show.
 _SIZE, _PANEL = (640, 480), 400
 _GIF_STEP = 2
 """Every which picture goes into a .gif: half of them, for it packs each one for itself."""
-GHOST: Colour = (0.90, 0.45, 0.05, 0.45)
 NO_DISPLAY = "--view needs a display and there is none here; --video FILE.mp4 renders without one"
 _PAUSE = 1.0
 """Rest before the viewer plays the motion again [s]."""
@@ -153,15 +119,12 @@ def write_film(robot: RobotModel, shown: Shown, path: Path, progress: Progress) 
     if is_gif:
         options = {"mode": "I", "duration": 1000.0 * step / RATE, "loop": 0}
     frames, (strips, columns) = range(0, len(shown.time), step), _strips(shown)
-    no_ghost = np.full_like(shown.q[0], np.nan)
     with whole_files() as files, Studio(robot, *_SIZE) as studio:
         studio.look_at_arm(shown.q[:: max(1, len(shown.q) // 50)])
         writer: Any
         with imageio.get_writer(files.draft(path), **options) as writer:
             for done, k in enumerate(frames, start=1):
                 studio.pose(shown.q[k])
-                ghost = no_ghost if shown.ghost is None else shown.ghost[k]
-                add_ghost(studio.robot, ghost, GHOST, studio.scene)
                 beside = strips.copy()
                 beside[:, columns[k]] = _CURSOR
                 writer.append_data(np.hstack((studio.picture(), beside)))
@@ -226,8 +189,5 @@ def _play_once(robot: RobotModel, shown: Shown, data: Any, window: Any) -> None:
         with window.lock():
             data.qpos[robot.qpos_index] = q
             mujoco.mj_forward(robot.mj_model, data)
-            if shown.ghost is not None and window.user_scn is not None:
-                window.user_scn.ngeom = 0
-                add_ghost(robot, interpolated(now, shown.time, shown.ghost), GHOST, window.user_scn)
         window.sync()
         time.sleep(0.01)

@@ -168,19 +168,3 @@ class Studio:
     def picture(self) -> Picture:
         """Return the picture (height, width, 3)."""
         return self._renderer.render()
-
-
-def add_ghost(robot: RobotModel, q: Array, colour: Colour, scene: Any) -> None:
-    """Add the arm at chain positions (n,) [rad] to a scene, in one colour; nothing where NaN."""
-    if not np.all(np.isfinite(q)):
-        return
-    ghost = mujoco.MjData(robot.mj_model)
-    ghost.qpos[:] = robot.reference_qpos
-    ghost.qpos[robot.qpos_index] = q
-    mujoco.mj_kinematics(robot.mj_model, ghost)
-    first, options, nothing = scene.ngeom, mujoco.MjvOption(), mujoco.MjvPerturb()
-    moving = mujoco.mjtCatBit.mjCAT_DYNAMIC
-    mujoco.mjv_addGeoms(robot.mj_model, ghost, options, nothing, moving, scene)
-    for geom in scene.geoms[first : scene.ngeom]:
-        geom.rgba[:] = colour
-        geom.matid = -1

@@ -45,10 +45,7 @@ BASES = {
     "motors map": "--channel can0 --model two.xml",
 }
 """Command to words with which it gets as far as its files."""
-BESIDE = {
-    ("log", "--trajectory"): "log.csv arm.xml --video film.gif",
-    ("motors hold", "--park"): "--model two.xml --joint-map map.csv --channel can0 --yes",
-}
+BESIDE = {("motors hold", "--park"): "--model two.xml --joint-map map.csv --channel can0 --yes"}
 """Words in place of a command's own, for options that do not go with these."""
 
 
