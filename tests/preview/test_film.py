@@ -44,7 +44,7 @@ def test_without_a_display_there_is_one_line_before_the_search(command, arm, mon
 
 
 def test_a_log_needs_its_model_to_be_shown(command, arm):
-    for option in (("--trajectory", "plan.json"), ("--units", "deg"), ("--joint", "joint0")):
+    for option in (("--units", "deg"), ("--joint", "joint0")):
         said = command.run("log", arm.parent / "log.csv", *option, code=2).err
         assert f"{option[0]} needs the MODEL" in said
 
