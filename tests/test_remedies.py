@@ -72,8 +72,13 @@ NEVER = {
     + others("PLAN"),
     "identify": places("pipeline", "analysed", "designed", "motor_writer")
     + (*OF_PLANS, *USUAL, *EXPORT, *others("IDENTIFY", *SHOWN)),
-    "payload": (*places("pipeline", "_of_itself"), *others("PAYLOAD", *SHOWN))
-    + (*OF_PLANS, *EXPORT, *places("results.record", "Verdict.PARTLY_FROM_MODEL")),
+    "payload": (*places("pipeline", "_of_itself", "analysed", "designed", "motor_writer"), *USUAL)
+    + (
+        *others("PAYLOAD", *SHOWN),
+        *OF_PLANS,
+        *EXPORT,
+        *places("results.record", "Verdict.PARTLY_FROM_MODEL"),
+    ),
     "log": CHOSEN + USUAL + LIFTED,
     # A page names the joint that the run found.
     "report": places("model.chain", "_require_end")

@@ -19,9 +19,11 @@ from robot_sysid.records.options import OptionRecord, folder, option, record_fro
 EXAMPLES = ("kinova",)
 MAIN = ("output_dir",)
 GUESS, TRUTH = "kinova_fullinertia_guess.xml", "kinova_fullinertia.xml"
-LOG = "true_arm.csv"
-RECORDING = {"duration": 15.0, "sample_rate": 200.0, "noise_torque": 0.1, "seed": 1}
-"""How it is recorded: small enough to open in a spreadsheet."""
+LOG, EMPTY_LOG = "true_arm.csv", "empty_arm.csv"
+PLAYED = {LOG: TRUTH, EMPTY_LOG: "kinova_empty_gripper.xml"}
+"""Log to the model that plays in it."""
+RECORDING = {"duration": 15.0, "sample_rate": 200.0, "noise_torque": 0.1}
+"""How they are recorded: small enough to open in a spreadsheet."""
 NEXT = {
     "1. Self-test: the model's own numbers have to come back from its own simulation": (
         f"robot-sysid {{model}}/{GUESS}"
@@ -30,8 +32,7 @@ NEXT = {
         f"robot-sysid identify {{model}}/{GUESS} {{log}} --output-dir found"
     ),
     "3. Weigh a payload: the true arm without and with a steel block of 0.306 kg": (
-        f"robot-sysid payload {{model}}/{GUESS} --empty-model {{model}}/kinova_empty_gripper.xml "
-        f"--loaded-model {{model}}/{TRUTH} --noise-torque 0.1 --sample-rate 200 --seed 1 "
+        f"robot-sysid payload {{model}}/{GUESS} --empty {{empty}} --loaded {{log}} "
         "--output-dir weighed"
     ),
 }
@@ -51,7 +52,7 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "example",
         "robot-sysid example kinova",
-        "Copy an example out of the package, with a log of its true arm, and print "
+        "Copy an example out of the package, with two logs of its true arm, and print "
         "the commands that walk through it.",
         None if full else MAIN,
         codes=(0, 2, 130),
@@ -69,7 +70,8 @@ def main(arguments: Sequence[str]) -> int:
         raise InputError(f"{place} exists; choose another folder with --output-dir DIR")
     _copy(_home(values["name"]), place)
     console.stage(f"Example copied to {place}. What to do with it:")
-    named = {"model": quote(str(place / "model")), "log": quote(str(place / LOG))}
+    files = {"model": "model", "log": LOG, "empty": EMPTY_LOG}
+    named = {key: quote(str(place / name)) for key, name in files.items()}
     commands = [line.format(**named) for line in NEXT.values()]
     for words, line in zip(NEXT, commands):
         console.stage("", f"# {words}", line)
@@ -84,7 +86,7 @@ def _copy(home: Path, place: Path) -> None:
         place.parent.mkdir(parents=True, exist_ok=True)
         with draft_folder(place) as draft:
             shutil.copytree(home, draft, ignore=ignored, dirs_exist_ok=True)
-            _record(draft / "model", draft / LOG)
+            _record(draft / "model", draft)
             os.rename(draft, place)
     except OSError as error:
         raise InputError(f"cannot copy the example to {place}: {words_of(error)}") from None
@@ -99,10 +101,11 @@ def _home(name: str) -> Path:
     raise InputError(f"the example {name} is not in this installation; install it again")
 
 
-def _record(model: Path, log: Path) -> None:
-    """Let the true arm of the example play a trajectory and write what its sensors say."""
+def _record(model: Path, place: Path) -> None:
+    """Let the true arm of the example play trajectories and write what its sensors say."""
     from robot_sysid.pipeline import run
 
-    arm = {"plant_model": model / TRUTH, "save_measurements": log}
-    with temporary_folder() as nowhere:
-        run(SysidConfig.of(model / GUESS, **RECORDING, **arm, output_dir=nowhere))
+    for seed, (log, played) in enumerate(PLAYED.items(), start=1):
+        arm = {"plant_model": model / played, "save_measurements": place / log, "seed": seed}
+        with temporary_folder() as nowhere:
+            run(SysidConfig.of(model / GUESS, **RECORDING, **arm, output_dir=nowhere))

@@ -15,8 +15,13 @@ from tests.support.places import EXAMPLE, ROOT
 
 @pytest.fixture
 def unrecorded(monkeypatch):
-    """The log of the true arm takes a second to simulate."""
-    monkeypatch.setattr(example, "_record", lambda model, log: log.write_text("time\n"))
+    """The logs of the true arm take a second each to simulate."""
+
+    def record(model, place):
+        for log in example.PLAYED:
+            (place / log).write_text("time\n")
+
+    monkeypatch.setattr(example, "_record", record)
 
 
 def printed_commands(out: str) -> list[list[str]]:
@@ -36,7 +41,7 @@ def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path)
 
 
 def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
-    def fail(model, log):
+    def fail(model, place):
         assert model.is_dir() and not (tmp_path / "kinova").exists()
         raise KeyboardInterrupt
 
