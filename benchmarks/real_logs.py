@@ -30,6 +30,7 @@ from robot_sysid.api.calls import identify, payload
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.algebra.information import restricted
+from robot_sysid.estimation.choices import without_standing
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import evidence_of
@@ -135,7 +136,9 @@ def column(case: Case, folder: Path) -> dict[str, str]:
         found = identified(case, model)
         fit = found.analysis.answer.fit
         own = fit.columns.datasets[0].signals
-        test = signals(case.other, found.robot.joint_names, own.cutoff)
+        # Rows over turns at which a joint stands count in no judge of robot-sysid's own.
+        judged = Dataset("", signals(case.other, found.robot.joint_names, own.cutoff))
+        test = without_standing(found.robot, judged, fit.question.options).signals
         suffix = {"mjcf": ".xml", "urdf": ".urdf"}[kind]
         written = [path for path in found.save(folder / kind) if path.suffix == suffix]
         error = [percent(file_error(path, found.robot, test)) for path in written[:1]]
