@@ -103,7 +103,7 @@ class Contest:
         options: what the estimate allows for.
 
     Attributes:
-        log, prior, base, found: equations, what is known beforehand, the base model and its
+        log, prior, base, posterior: equations, priors, the base model and its
             posterior.
     """
 
@@ -114,32 +114,32 @@ class Contest:
         self.log = log_rows(robot, signals)
         self.prior = base_prior(self.log, options)
         self.base = Hypotheses(self.log, self.prior)
-        self.found = self.base.posterior()
+        self.posterior = self.base.posterior()
 
-    def last_mass(self, found: Posterior, prior: Prior | None = None) -> tuple[float, float]:
+    def last_mass(self, posterior: Posterior, prior: Prior | None = None) -> tuple[float, float]:
         """Return the last link's mass and its standard error [kg]."""
         prior = prior or self.prior
-        mass = prior.mean[0] + prior.spread[0] * found.values[0]
-        return float(mass), float(prior.spread[0] * np.sqrt(found.covariance[0, 0]))
+        mass = prior.mean[0] + prior.spread[0] * posterior.values[0]
+        return float(mass), float(prior.spread[0] * np.sqrt(posterior.covariance[0, 0]))
 
-    def is_plausible(self, found: Posterior, prior: Prior | None = None) -> bool:
+    def is_plausible(self, posterior: Posterior, prior: Prior | None = None) -> bool:
         """Return whether such links could be those of the arm."""
         arm = float(np.sum(self.log.robot.thetas[:, 0]))
         most = max(HEAVIEST * arm, self.log.robot.prior.mass + 0.3 * arm)
-        mass, error = self.last_mass(found, prior)
+        mass, error = self.last_mass(posterior, prior)
         possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < most
-        return possible and self.strain(found, prior) < FAR
+        return possible and self.strain(posterior, prior) < FAR
 
-    def friction_share(self, found: Posterior) -> Array:
+    def friction_share(self, posterior: Posterior) -> Array:
         """Return (n,) the least likely Coulomb friction, in parts of each joint's torque."""
         names = [f"coulomb[{name}]" for name in self.log.robot.joint_names]
         at = np.searchsorted(self.prior.kept, self.log.columns.at(names))
         spread = self.prior.spread[at]
-        dry = self.prior.mean[self.prior.kept[at]] + spread * found.values[at]
-        error = spread * np.sqrt(np.diag(found.covariance)[at])
+        dry = self.prior.mean[self.prior.kept[at]] + spread * posterior.values[at]
+        error = spread * np.sqrt(np.diag(posterior.covariance)[at])
         return np.asarray(np.maximum(np.abs(dry) - SURE * error, 0.0) / self.log.usual)
 
-    def strain(self, found: Posterior, prior: Prior | None = None) -> float:
+    def strain(self, posterior: Posterior, prior: Prior | None = None) -> float:
         """Return the sum of squares of prior standard deviations that the other links are off by,
         with the widest of their priors.
         """
@@ -147,8 +147,9 @@ class Contest:
         robot = self.log.robot
         names = [name for link in other_links(robot) for name in link_names(robot, link)]
         at = np.searchsorted(prior.kept, self.log.columns.at(names))
-        off = found.values[at]
-        return float(min(off @ each[np.ix_(at, at)] @ off for each in prior.precisions))
+        off = posterior.values[at]
+        quadratic_forms = [off @ p[np.ix_(at, at)] @ off for p in prior.precisions]
+        return float(min(quadratic_forms))
 
     def relabelled(self, divided: Array) -> list[Relabelled]:
         """Return mistakes of columns, the most likely first.
@@ -159,36 +160,36 @@ class Contest:
         Args:
             divided: (n,) scale that torques were divided by already.
         """
-        undone = undone_torques(self.log, self.signals, self.base, self.found)
-        by_joint = misfit_by_joint(self.log, self.found)
-        left = misfit(self.log, self.found)
-        is_gross = left > GROSS or float(np.max(by_joint)) > GROSS_JOINT
-        is_far = is_gross or not self.is_plausible(self.found)
+        undone = undone_torques(self.log, self.signals, self.base, self.posterior)
+        by_joint = misfit_by_joint(self.log, self.posterior)
+        share = misfit(self.log, self.posterior)
+        is_gross = share > GROSS or float(np.max(by_joint)) > GROSS_JOINT
+        is_far = is_gross or not self.is_plausible(self.posterior)
         if is_far or abs(np.log(usual_scale(self.log))) > np.log(ODD_SCALE):
-            undone += undone_scales(self.log, self.found, self.options, divided)
+            undone += undone_scales(self.log, self.posterior, self.options, divided)
         if is_far:
-            undone += undone_columns(self.log, self.signals, self.found, self.options)
-        plausible = [each for each in undone if self.is_plausible(each.posterior, each.prior)]
-        return sorted(plausible, key=lambda each: -each.gain)
+            undone += undone_columns(self.log, self.signals, self.posterior, self.options)
+        plausible = [m for m in undone if self.is_plausible(m.posterior, m.prior)]
+        return sorted(plausible, key=lambda mistake: -mistake.gain)
 
     def rounds(self) -> list[list[Score]]:
         """Return, per round, the winning explanation and those that are as likely."""
-        trusted = self.is_plausible(self.found)
-        fit = Fitted(self.log, self.signals, self.prior, self.found, trusted)
-        offered = [each for each in explanations(fit) if not self.is_sought(each)]
-        columns = _transformed(self.base, offered)
+        trusted = self.is_plausible(self.posterior)
+        fit = Fitted(self.log, self.signals, self.prior, self.posterior, trusted)
+        offered = [e for e in explanations(fit) if not self.is_sought(e)]
+        columns = transform_columns(self.base, offered)
         winners: list[list[Score]] = []
-        model, found = self.base, self.found
+        model, posterior = self.base, self.posterior
         while len(winners) < _MOST_ROUNDS:
             count = _REFITTED if not winners else _REFITTED_AGAIN
-            ranked = self._ranked(model, found, offered, columns, count)
+            ranked = self._ranked(model, posterior, offered, columns, count)
             if not ranked or ranked[0].gain < MARGIN:
                 break
-            alike = [each for each in ranked if each.gain > ranked[0].gain - TIE]
+            alike = [score for score in ranked if score.gain > ranked[0].gain - TIE]
             # Of what is as likely, that which is what its words say.
             alike.sort(key=lambda score: not score.is_possible)
             winners.append(alike)
-            model, found = alike[0].hypotheses, alike[0].posterior
+            model, posterior = alike[0].hypotheses, alike[0].posterior
         return winners
 
     def is_sought(self, explanation: Explanation) -> bool:
@@ -199,51 +200,52 @@ class Contest:
     def _ranked(
         self,
         model: Hypotheses,
-        found: Posterior,
+        posterior: Posterior,
         offered: Sequence[Explanation],
         columns: Sequence[Sequence[Array | None]],
         count: int,
     ) -> list[Score]:
-        penalties = np.log([each.choices for each in offered])
-        gains = _screened(model, found, columns) - penalties
+        penalties = np.log([explanation.choices for explanation in offered])
+        gains = screen_gains(model, posterior, columns) - penalties
         best_of_family: dict[object, int] = {}
         for k in np.argsort(-gains):
             if gains[k] > _WORTH:
                 best_of_family.setdefault(offered[k].family, int(k))
         finalists = list(best_of_family.values())[:count]
-        scores = [self._score(model, found, offered[k], columns[k]) for k in finalists]
+        scores = [self._score(model, posterior, offered[k], columns[k]) for k in finalists]
         scores.sort(key=lambda score: -score.gain)
         if scores and scores[0].gain > MARGIN:
-            scores[0] = self._refined(model, found, scores[0])
+            scores[0] = self._refined(model, posterior, scores[0])
         return scores
 
     def _score(
         self,
         model: Hypotheses,
-        found: Posterior,
+        posterior: Posterior,
         explanation: Explanation,
         columns: Sequence[Array | None],
     ) -> Score:
         """Return an explanation's score beside a model, with noise of its own."""
         width = len(explanation.spread)
         nothing = np.zeros((len(model.right), width))
-        wider = model.with_columns([nothing if own is None else own for own in columns])
-        after = wider.posterior(found.noise)
-        gain = after.log_evidence - found.log_evidence - float(np.log(explanation.choices))
-        scaled, covariance = after.values[-width:], after.covariance[-width:, -width:]
+        wider = model.with_columns([nothing if column is None else column for column in columns])
+        after = wider.posterior(posterior.noise)
+        gain = after.log_evidence - posterior.log_evidence - float(np.log(explanation.choices))
+        scaled = after.values[-width:]
+        covariance = after.covariance[-width:, -width:]
         sureness = float(np.sqrt(scaled @ np.linalg.solve(covariance, scaled)))
         errors = explanation.spread * np.sqrt(np.diag(covariance))
         return Score(explanation, gain, explanation.spread * scaled, errors, sureness, wider, after)
 
-    def _refined(self, model: Hypotheses, found: Posterior, score: Score) -> Score:
+    def _refined(self, model: Hypotheses, posterior: Posterior, score: Score) -> Score:
         """Return the best of the explanations near a winner, or the winner."""
         best = score
         while nearby := best.explanation.nearby():
-            columns = _transformed(model, nearby)
+            columns = transform_columns(model, nearby)
             # With the winner's noise: beside the model's own, all of them look alike.
             with_winner = model.at_noise(best.posterior.noise)
-            k = int(np.argmax(_screened(model, with_winner, columns)))
-            candidate = self._score(model, found, nearby[k], columns[k])
+            k = int(np.argmax(screen_gains(model, with_winner, columns)))
+            candidate = self._score(model, posterior, nearby[k], columns[k])
             if candidate.gain <= best.gain:
                 break
             best = candidate
@@ -278,76 +280,78 @@ class Contest:
         return bool(np.any(np.abs(moved) > MATTERS * errors))
 
 
-def misfit_by_joint(log: LogRows, found: Posterior) -> Array:
+def misfit_by_joint(log: LogRows, posterior: Posterior) -> Array:
     """Return (n,) torque that neither the model nor white noise makes, in parts of each joint's
     usual torque.
 
     White noise is what is left in the upper half of the frequencies, in which links say little.
     """
-    squares = found.residual**2
-    left = np.zeros(squares.shape[1])
+    squares = posterior.residual**2
+    slow = np.zeros(squares.shape[1])
     for window in log.windows:
-        part = squares[window]
-        white = len(part) * np.mean(part[len(part) // 2 :], axis=0)
-        left += np.maximum(np.sum(part, axis=0) - white, 0.0)
+        spectrum = squares[window]
+        white = len(spectrum) * np.mean(spectrum[len(spectrum) // 2 :], axis=0)
+        slow += np.maximum(np.sum(spectrum, axis=0) - white, 0.0)
     counts = np.maximum(np.sum(log.used, axis=0), 1)
-    return np.asarray(np.sqrt(left / counts) / log.usual)
+    return np.asarray(np.sqrt(slow / counts) / log.usual)
 
 
-def misfit(log: LogRows, found: Posterior) -> float:
+def misfit(log: LogRows, posterior: Posterior) -> float:
     """Return the same of all joints, as a part of all torque."""
-    left = misfit_by_joint(log, found) * log.usual
-    return float(np.linalg.norm(left) / np.linalg.norm(np.sqrt(np.mean(log.torque**2, axis=0))))
+    slow = misfit_by_joint(log, posterior) * log.usual
+    return float(np.linalg.norm(slow) / np.linalg.norm(np.sqrt(np.mean(log.torque**2, axis=0))))
 
 
-def _transformed(model: Hypotheses, offered: Sequence[Explanation]) -> list[list[Array | None]]:
+def transform_columns(
+    model: Hypotheses, offered: Sequence[Explanation]
+) -> list[list[Array | None]]:
     """Return per explanation and joint its columns (K, e), transformed, in units of its prior."""
     transformed: list[list[Array | None]] = [[None] * len(model.rows) for _ in offered]
     for joint in range(len(model.rows)):
-        columns = {k: each.of_joint(joint) for k, each in enumerate(offered)}
-        own = {k: rows for k, rows in columns.items() if rows is not None}
-        if not own:
+        of_joint = {k: explanation.of_joint(joint) for k, explanation in enumerate(offered)}
+        columns = {k: column for k, column in of_joint.items() if column is not None}
+        if not columns:
             continue
-        ends = np.cumsum([rows.shape[1] for rows in own.values()])[:-1]
-        whole = model.transform.of_joint(joint, np.hstack([*own.values()]))
-        for k, part in zip(own, np.split(whole, ends, axis=1)):
-            transformed[k][joint] = part
+        ends = np.cumsum([column.shape[1] for column in columns.values()])[:-1]
+        stacked = model.transform.of_joint(joint, np.hstack([*columns.values()]))
+        for k, block in zip(columns, np.split(stacked, ends, axis=1)):
+            transformed[k][joint] = block
     return transformed
 
 
-def _screened(
-    model: Hypotheses, found: Posterior, columns: Sequence[Sequence[Array | None]]
+def screen_gains(
+    model: Hypotheses, posterior: Posterior, columns: Sequence[Sequence[Array | None]]
 ) -> Array:
     """Return by how much likelier each explanation makes the log, with the noise as it is [nats].
 
-    With E its columns, r what is left and C the posterior covariance, in units of noise and prior,
+    With E its columns, r the residual and C the posterior covariance, in units of noise and prior,
     that is 1/2 v' (1 + M)^-1 v - 1/2 log |1 + M|, M = E'E - E'A C A'E and v = E'r.
     """
-    widths = [next(own.shape[1] for own in each if own is not None) for each in columns]
+    widths = [next(c.shape[1] for c in of_joints if c is not None) for of_joints in columns]
     ends = np.cumsum([0, *widths])
-    crossed = np.zeros((len(found.values), ends[-1]))
+    crossed = np.zeros((len(posterior.values), ends[-1]))
     pull = np.zeros(ends[-1])
     squares = [np.eye(width) for width in widths]
     for joint in range(len(model.rows)):
         places, rows = model.equations(joint)
-        offered = {k: each[joint] for k, each in enumerate(columns)}
-        own = {k: each for k, each in offered.items() if each is not None}
-        if not own:
+        all_columns = {k: of_joints[joint] for k, of_joints in enumerate(columns)}
+        of_joint = {k: block for k, block in all_columns.items() if block is not None}
+        if not of_joint:
             continue
-        at = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in own])
-        weight = 1.0 / found.noise[:, joint, None]
-        whole = np.hstack([*own.values()])
-        crossed[np.ix_(places, at)] += (rows * weight).T @ whole
-        pull[at] += found.residual[:, joint] @ (whole * weight)
-        for k, each in own.items():
-            squares[k] += each.T @ (each * weight)
-    solved = found.covariance @ crossed
+        at = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in of_joint])
+        weight = 1.0 / posterior.noise[:, joint, None]
+        stacked = np.hstack([*of_joint.values()])
+        crossed[np.ix_(places, at)] += (rows * weight).T @ stacked
+        pull[at] += posterior.residual[:, joint] @ (stacked * weight)
+        for k, block in of_joint.items():
+            squares[k] += block.T @ (block * weight)
+    solved = posterior.covariance @ crossed
     gains = []
     for k, square in enumerate(squares):
-        part = slice(ends[k], ends[k + 1])
-        inside = square - crossed[:, part].T @ solved[:, part]
-        best = np.linalg.solve(inside, pull[part])
-        gains.append(0.5 * (float(pull[part] @ best) - np.linalg.slogdet(inside)[1]))
+        of_explanation = slice(ends[k], ends[k + 1])
+        inside = square - crossed[:, of_explanation].T @ solved[:, of_explanation]
+        best = np.linalg.solve(inside, pull[of_explanation])
+        gains.append(0.5 * (float(pull[of_explanation] @ best) - np.linalg.slogdet(inside)[1]))
     return np.array(gains)
 
 
@@ -372,35 +376,35 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
         if misfit(winner.log, winner.posterior) > UNEXPLAINED:
             text = f"this looks like the model of another arm; if it is not, {text}"
         return [Finding(winner.name, winner.level, text)]
-    told = _named(contest, rounds)
-    last = rounds[-1][0].posterior if rounds else contest.found
+    named = name_causes(contest, rounds)
+    last = rounds[-1][0].posterior if rounds else contest.posterior
     if misfit(contest.log, last) > UNEXPLAINED:
-        return [_unexplained(contest, last)]
+        return [unexplained_torque(contest, last)]
     if not contest.is_plausible(last):
-        return [_implausible(contest, last)]
-    if len(told) > MOST_NAMES:
-        return [_many(contest, told)]
-    return told
+        return [implausible_links(contest, last)]
+    if len(named) > MOST_NAMES:
+        return [too_many_causes(contest, named)]
+    return named
 
 
-def _named(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
+def name_causes(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
     """Return a finding per round whose winner is to be told, each explanation once."""
-    told: list[Finding] = []
-    before = contest.found
-    names_told: set[tuple[str, int | None]] = set()
+    named: list[Finding] = []
+    before = contest.posterior
+    names_said: set[tuple[str, int | None]] = set()
     for ranked in rounds:
         scores: dict[str, Score] = {}
         for score in ranked:
             explanation = score.explanation
             key = explanation.name, explanation.joint
-            if key not in names_told and contest.is_told(score):
+            if key not in names_said and contest.is_told(score):
                 scores.setdefault(explanation.name, score)
-                names_told.add(key)
+                names_said.add(key)
         if any(score is ranked[0] for score in scores.values()):
             harmful = [s for s in scores.values() if contest.is_harmful(s, before)]
-            told.append(_finding([*scores.values()], harmful))
+            named.append(_finding([*scores.values()], harmful))
         before = ranked[0].posterior
-    return told
+    return named
 
 
 def _finding(scores: Sequence[Score], harmful: Sequence[Score]) -> Finding:
@@ -412,53 +416,56 @@ def _finding(scores: Sequence[Score], harmful: Sequence[Score]) -> Finding:
     return Finding(scores[0].explanation.name, level, "; or ".join(texts))
 
 
-def _unexplained(contest: Contest, found: Posterior) -> Finding:
+def unexplained_torque(contest: Contest, posterior: Posterior) -> Finding:
     """Return how much of the torque nothing explains, at which joints and when."""
     log = contest.log
-    by_joint = misfit_by_joint(log, found)
-    share = misfit(log, found)
+    by_joint = misfit_by_joint(log, posterior)
+    share = misfit(log, posterior)
     worst = np.argsort(-by_joint * log.usual)[:3]
     listed = ", ".join(f"{log.robot.joint_names[j]} {percent(float(by_joint[j]))}" for j in worst)
     text = (
         f"{percent(share)} of the torque is explained by nothing that is looked for ({listed} of "
-        f"its own{_when(contest, found)}): is the model of this arm, with what is fixed to its "
-        "links, and did it carry the same all the time with nothing touching it?"
+        f"its own{stretch_of_misfit(contest, posterior)}): is the model of this arm, with what is "
+        "fixed to its links, and did it carry the same all the time with nothing touching it?"
     )
     return Finding("model" if share > OTHER_ARM else "unexplained", Level.WARN, text)
 
 
-def _when(contest: Contest, found: Posterior) -> str:
+def stretch_of_misfit(contest: Contest, posterior: Posterior) -> str:
     """Return in which stretch of the log much more than elsewhere is left; "" where in none."""
-    left = contest.base.transform.undone(found.residual) / contest.log.usual
-    squares = np.sum(left**2, axis=1)
-    parts = np.array_split(np.arange(len(squares)), STRETCHES)
-    sums = [float(np.sum(squares[part])) for part in parts]
+    residual = contest.base.transform.undone(posterior.residual) / contest.log.usual
+    squares = np.sum(residual**2, axis=1)
+    stretches = np.array_split(np.arange(len(squares)), STRETCHES)
+    sums = [float(np.sum(squares[rows])) for rows in stretches]
     worst = int(np.argmax(sums))
     if sums[worst] < CONCENTRATED * sum(sums):
         return ""
-    time = contest.log.motion.time[parts[worst]]
+    time = contest.log.motion.time[stretches[worst]]
     return f", most of it from {time[0]:.3g} s to {time[-1]:.3g} s"
 
 
-def _many(contest: Contest, named: Sequence[Finding]) -> Finding:
+def too_many_causes(contest: Contest, named: Sequence[Finding]) -> Finding:
     """Return that it takes more causes at once to explain a log than are likely."""
+    share = percent(misfit(contest.log, contest.posterior))
+    count = len(named)
+    names = ", ".join(cause.name for cause in named)
     text = (
-        f"{percent(misfit(contest.log, contest.found))} of the torque is explained by no single "
-        f"cause: it would take {len(named)} at once ({', '.join(each.name for each in named)}); is "
-        "the model of this arm, with what is fixed to its links?"
+        f"{share} of the torque is explained by no single cause: it would take {count} at once "
+        f"({names}); is the model of this arm, with what is fixed to its links?"
     )
     return Finding("unexplained", Level.WARN, text)
 
 
-def _implausible(contest: Contest, found: Posterior) -> Finding:
+def implausible_links(contest: Contest, posterior: Posterior) -> Finding:
     """Return that links are none that this arm can have."""
-    mass, error = contest.last_mass(found)
+    mass, error = contest.last_mass(posterior)
     arm = float(np.sum(contest.log.robot.thetas[:, 0]))
+    differences = np.sqrt(contest.strain(posterior) / USUAL_STRAIN)
     text = (
         f"to fit this log, the terminal link would have {with_error(mass, error, 'kg')} on an arm "
-        f"of {arm:.3g} kg, and the other links {np.sqrt(contest.strain(found) / USUAL_STRAIN):.1f} "
-        "times the usual differences from the model: is the model of this arm, and its base "
-        "mounted as the model says? Where torques are currents of unknown scale, weigh a known "
-        "mass with robot-sysid payload --known-mass and pass its file as --torque-scale"
+        f"of {arm:.3g} kg, and the other links {differences:.1f} times the usual "
+        "differences from the model: is the model of this arm, and its base mounted as the model "
+        "says? Where torques are currents of unknown scale, weigh a known mass with robot-sysid "
+        "payload --known-mass and pass its file as --torque-scale"
     )
     return Finding("model", Level.WARN, text)

@@ -73,13 +73,12 @@ class Transform:
     def of_joint(self, joint: int, rows: Array) -> Array:
         """Return a joint's rows (K, m) transformed."""
         used = rows * self._used[:, joint, None]
-        parts = [self._bases[w.stop - w.start] @ used[w] for w in self._windows]
-        return np.concatenate(parts)
+        return np.concatenate([self._bases[w.stop - w.start] @ used[w] for w in self._windows])
 
     def undone(self, transformed: Array) -> Array:
         """Return the rows (K, n) of all joints of which some are the transform."""
-        parts = [self._bases[w.stop - w.start].T @ transformed[w] for w in self._windows]
-        return np.concatenate(parts)
+        rows = [self._bases[w.stop - w.start].T @ transformed[w] for w in self._windows]
+        return np.concatenate(rows)
 
 
 class Hypotheses:
@@ -111,7 +110,7 @@ class Hypotheses:
             self.rows.append(self.transform.of_joint(joint, scaled))
         self.right = self._transformed_right(log)
         self.explained = tuple(np.zeros((len(self.right), 0)) for _ in self.rows)
-        self.determinants = [np.linalg.slogdet(each)[1] for each in prior.precisions]
+        self.determinants = [np.linalg.slogdet(precision)[1] for precision in prior.precisions]
 
     def _transformed_right(self, log: LogRows) -> Array:
         columns = []
@@ -135,9 +134,9 @@ class Hypotheses:
     def equations(self, joint: int) -> tuple[NDArray[np.int64], Array]:
         """Return a joint's places (k + e,) and rows (K, k + e), explanations last."""
         size = len(self.prior.kept)
-        beside = self.explained[joint]
-        places = np.append(self.places[joint], size + np.arange(beside.shape[1]))
-        return places, np.hstack((self.rows[joint], beside))
+        added = self.explained[joint]
+        places = np.append(self.places[joint], size + np.arange(added.shape[1]))
+        return places, np.hstack((self.rows[joint], added))
 
     @cached_property
     def spectra(self) -> Array:
@@ -155,10 +154,10 @@ class Hypotheses:
         if noise is None:
             noise = np.tile((_FIRST_NOISE * self._usual) ** 2, (len(self.right), 1))
             rounds = _ROUNDS
-        found = self.at_noise(noise)
+        posterior = self.at_noise(noise)
         for _ in range(rounds):
-            found = self.at_noise(self._likely_noise(found))
-        return found
+            posterior = self.at_noise(self._likely_noise(posterior))
+        return posterior
 
     def at_noise(self, noise: Array) -> Posterior:
         """Return the posterior under some noise (K, n)."""
@@ -176,9 +175,9 @@ class Hypotheses:
         used_share = self.count / len(self.right)
         noise_size = float(used_share @ np.sum(np.log(2.0 * np.pi * noise), axis=0))
         for precision, determinant in zip(self.prior.precisions, self.determinants):
-            known = np.eye(total)
-            known[:size, :size] = precision
-            inverse = normal + known
+            prior_precision = np.eye(total)
+            prior_precision[:size, :size] = precision
+            inverse = normal + prior_precision
             root = np.linalg.cholesky(inverse)
             covariance: Array = np.asarray(np.linalg.inv(inverse), dtype=float)
             values: Array = np.asarray(covariance @ pull)
@@ -186,7 +185,7 @@ class Hypotheses:
             for joint, (places, rows) in enumerate(equations):
                 residual[:, joint] -= rows @ values[places]
             # Of what is left, not of differences of what is large.
-            squares = float(np.sum(residual**2 / noise) + values @ known @ values)
+            squares = float(np.sum(residual**2 / noise) + values @ prior_precision @ values)
             shrinking = 2.0 * float(np.sum(np.log(np.diag(root)))) - determinant
             evidence = -0.5 * (squares + shrinking + noise_size)
             if best is None or evidence > max(evidences):
@@ -196,25 +195,25 @@ class Hypotheses:
         mean = float(np.logaddexp.reduce(evidences)) - float(np.log(len(evidences)))
         return replace(best, log_evidence=mean)
 
-    def gain_of_right(self, log: LogRows, found: Posterior) -> float:
+    def gain_of_right(self, log: LogRows, posterior: Posterior) -> float:
         """Return by how much likelier other torques are than these, with the noise of these."""
         change = []
         for right in (self._transformed_right(log), self.right):
-            pull = np.zeros(len(found.values))
+            pull = np.zeros(len(posterior.values))
             for joint in range(len(self.rows)):
                 places, rows = self.equations(joint)
-                pull[places] += (right[:, joint] / found.noise[:, joint]) @ rows
-            squares = float(np.sum(right**2 / found.noise))
-            change.append(0.5 * (float(pull @ found.covariance @ pull) - squares))
+                pull[places] += (right[:, joint] / posterior.noise[:, joint]) @ rows
+            squares = float(np.sum(right**2 / posterior.noise))
+            change.append(0.5 * (float(pull @ posterior.covariance @ pull) - squares))
         return change[0] - change[1]
 
-    def _likely_noise(self, found: Posterior) -> Array:
+    def _likely_noise(self, posterior: Posterior) -> Array:
         """Return the most likely noise (K, n) beside a posterior."""
         noise = np.empty_like(self.right)
         for joint, count in enumerate(self.count):
             places, rows = self.equations(joint)
-            spread = rows @ found.covariance[np.ix_(places, places)]
-            expected = found.residual[:, joint] ** 2 + np.sum(spread * rows, axis=1)
+            spread = rows @ posterior.covariance[np.ix_(places, places)]
+            expected = posterior.residual[:, joint] ** 2 + np.sum(spread * rows, axis=1)
             power = np.sum(expected / self.spectra, axis=1) / count
             power = np.maximum(power, (LEAST_NOISE * self._usual[joint]) ** 2)
             used_share = count / len(expected)

@@ -92,7 +92,7 @@ class Fitted:
         tip_force: (K, n, 12) torque per newton at the last link's origin [m], and per newton metre
             of the same force's offset along the link's axes, for each of the world's axes.
         last_weight: (K, n, 4) weight of the last link per unit of its mass and first moment.
-        left: (K, n) torque that the base model leaves [N m].
+        residual: (K, n) torque that the base model leaves [N m].
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Fitted:
         log: LogRows,
         signals: Sequence[ProcessedSignals],
         prior: Prior,
-        found: Posterior,
+        posterior: Posterior,
         trusted: bool,
     ) -> None:
         self.log = log
@@ -108,17 +108,17 @@ class Fitted:
         ends = log.motion.time[[0, -1]]
         self.time = (2.0 * log.motion.time - ends.sum()) / np.ptp(ends)
         self.values = prior.mean.copy()
-        self.values[prior.kept] += prior.spread * found.values[: len(prior.kept)]
+        self.values[prior.kept] += prior.spread * posterior.values[: len(prior.kept)]
         explained = [rows @ self.values[at] for rows, at in zip(log.rows, log.places)]
-        self.left = (log.right - np.column_stack(explained)) * log.used
+        self.residual = (log.right - np.column_stack(explained)) * log.used
 
         bodies = prior.mean.copy()
         if trusted:
             bodies[:10] = self.values[:10]
         self.rigid = log.links_torque(bodies)
         self._thetas = log.columns.thetas(bodies[: len(log.columns.names)])
-        parts = [each.passed(self._of_positions, smooth=True) for each in signals]
-        self.weight, self.tip_force, self.last_weight = map(np.concatenate, zip(*parts))
+        filtered = [log.passed(self._of_positions, smooth=True) for log in signals]
+        self.weight, self.tip_force, self.last_weight = map(np.concatenate, zip(*filtered))
 
     def _of_positions(self, motion: Motion) -> tuple[Array, Array, Array]:
         """Return what follows from positions alone, see the attributes."""
@@ -126,7 +126,7 @@ class Fitted:
         last = self.robot.n_joints - 1
         # A mass of one kilogram under an acceleration of one: the torque that holds it.
         pulls = [LinkDynamics(self.robot, axis) for axis in np.eye(3)]
-        forces = [-each.motion(motion.q, still, still).columns([last])[:, :, :4] for each in pulls]
+        forces = [-pull.motion(motion.q, still, still).columns([last])[:, :, :4] for pull in pulls]
         resting = LinkDynamics(self.robot).motion(motion.q, still, still)
         columns = resting.columns([last])[:, :, :4]
         return resting.torque(self._thetas), np.concatenate(forces, axis=-1), columns
@@ -138,10 +138,10 @@ class Fitted:
 
     def derivative(self, torque: Array) -> Array:
         """Return the derivative (K, n) by time [N m/s]."""
-        found = np.empty_like(torque)
+        derivative = np.empty_like(torque)
         for window in self.log.windows:
-            found[window] = np.gradient(torque[window], self.log.motion.time[window], axis=0)
-        return found
+            derivative[window] = np.gradient(torque[window], self.log.motion.time[window], axis=0)
+        return derivative
 
 
 def _says(text: str, factor: float = 1.0, unit: str = "", shift: float = 0.0) -> Words:
@@ -291,7 +291,7 @@ def _payload_step(fit: Fitted, row: int, spacing: int, choices: int) -> Explanat
     """
     total = float(np.sum(fit.robot.thetas[:, 0]))
     reach = sum(float(np.linalg.norm(link.translation)) for link in fit.robot.links)
-    bodies = np.stack([own[:, :10] for own in fit.log.rows], axis=1)
+    bodies = np.stack([rows[:, :10] for rows in fit.log.rows], axis=1)
     at = float(fit.log.motion.time[row])
 
     def nearby() -> list[Explanation]:
@@ -357,7 +357,7 @@ def springs(fit: Fitted) -> Iterator[Explanation]:
 def pushes(fit: Fitted) -> Iterator[Explanation]:
     """Something touches the arm for a while: of each duration, where most is left."""
     step = float(np.median(np.diff(fit.log.motion.time)))
-    power = np.sum((fit.left / np.maximum(rms(fit.left), 1e-12)) ** 2, axis=1)
+    power = np.sum((fit.residual / np.maximum(rms(fit.residual), 1e-12)) ** 2, axis=1)
     for length in PUSHES:
         width = max(3, round(length / step))
         if 3 * width < len(power):
@@ -402,7 +402,7 @@ def hums(fit: Fitted) -> Iterator[Explanation]:
     step = float(np.median(np.diff(time)))
     rates = np.arange(2.0 / span, 0.4 / step, 0.25 / span)
     waves = np.exp(2j * np.pi * np.outer(rates, time))
-    power = np.abs(waves @ fit.left) ** 2
+    power = np.abs(waves @ fit.residual) ** 2
     for joint, name in enumerate(fit.robot.joint_names):
         best = int(np.argmax(power[:, joint]))
         columns = np.stack((waves[best].real, waves[best].imag), axis=1)
@@ -416,7 +416,7 @@ def ripples(fit: Fitted) -> Iterator[Explanation]:
     """Yield torque that comes again some times per turn, as of cogging or a gear's teeth."""
     for joint, name in enumerate(fit.robot.joint_names):
         waves = np.exp(1j * np.outer(fit.log.motion.q[:, joint], RIPPLES))
-        best = int(np.argmax(np.abs(fit.left[:, joint] @ waves)))
+        best = int(np.argmax(np.abs(fit.residual[:, joint] @ waves)))
         columns = np.stack((waves[:, best].real, waves[:, best].imag), axis=1)
         text = (
             f"torque of joint {name} ripples about {RIPPLES[best]} times per turn by {{}}, as of "
@@ -469,4 +469,4 @@ LINEAR: tuple[Callable[[Fitted], Iterator[Explanation]], ...] = (
 
 def explanations(fit: Fitted) -> list[Explanation]:
     """Return every explanation of what the base model leaves."""
-    return [each for family in LINEAR for each in family(fit)]
+    return [explanation for family in LINEAR for explanation in family(fit)]

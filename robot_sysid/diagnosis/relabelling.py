@@ -69,7 +69,7 @@ class Relabelling:
 
     def undone(self, signals: Sequence[ProcessedSignals]) -> list[ProcessedSignals]:
         """Return the signals without the mistake."""
-        return [self._of(each) for each in signals]
+        return [self._of(log) for log in signals]
 
     def _of(self, signals: ProcessedSignals) -> ProcessedSignals:
         arrays: dict[str, Any] = {}
@@ -145,7 +145,7 @@ class Relabelled:
 
 
 def undone_torques(
-    log: LogRows, signals: Sequence[ProcessedSignals], base: Hypotheses, found: Posterior
+    log: LogRows, signals: Sequence[ProcessedSignals], base: Hypotheses, base_posterior: Posterior
 ) -> list[Relabelled]:
     """Return mistakes of torques alone, of which the rows are those of the log itself."""
     mistakes = [m for m in relabellings(log.robot) if m.motion is None]
@@ -155,13 +155,13 @@ def undone_torques(
     for mistake in mistakes:
         assert mistake.torque is not None
         right = log.with_torque(mistake.torque(log.torque))
-        candidates.append((base.gain_of_right(right, found), mistake, right))
+        candidates.append((base.gain_of_right(right, base_posterior), mistake, right))
     candidates.sort(key=lambda candidate: -candidate[0])
     undone = []
     for screened_gain, mistake, right in candidates[:_FINALISTS]:
         if screened_gain > 0.0:
-            posterior = base.with_right(right).posterior(found.noise)
-            gain = posterior.log_evidence - found.log_evidence
+            posterior = base.with_right(right).posterior(base_posterior.noise)
+            gain = posterior.log_evidence - base_posterior.log_evidence
             undone.append(_relabelled(mistake, gain, posterior, base.prior, right))
     return undone
 
@@ -178,8 +178,9 @@ def _without_links(log: LogRows, signals: Sequence[ProcessedSignals]) -> Iterato
         return weight, whole
 
     # Through the low-pass: what that takes off may be more than the noise.
-    parts = [each.passed(torques, smooth=True) for each in signals]
-    weight, whole = (np.concatenate(part) for part in zip(*parts))
+    filtered = [log.passed(torques, smooth=True) for log in signals]
+    weight = np.concatenate([of_log[0] for of_log in filtered])
+    whole = np.concatenate([of_log[1] for of_log in filtered])
     yield Relabelling(
         "gravity",
         "the torque fits the model without gravity: gravity is compensated in it already; record "
@@ -195,7 +196,10 @@ def _without_links(log: LogRows, signals: Sequence[ProcessedSignals]) -> Iterato
 
 
 def undone_columns(
-    log: LogRows, signals: Sequence[ProcessedSignals], found: Posterior, options: EstimationOptions
+    log: LogRows,
+    signals: Sequence[ProcessedSignals],
+    base_posterior: Posterior,
+    options: EstimationOptions,
 ) -> list[Relabelled]:
     """Return mistakes of columns, those that a short stretch finds most likely."""
     stretch = [_busiest(signals)]
@@ -211,7 +215,7 @@ def undone_columns(
         rows = log_rows(log.robot, mistake.undone(signals), log.used)
         prior = base_prior(rows, options)
         posterior = Hypotheses(rows, prior).posterior()
-        gain = posterior.log_evidence - found.log_evidence
+        gain = posterior.log_evidence - base_posterior.log_evidence
         undone.append(_relabelled(mistake, gain, posterior, prior, rows))
     return undone
 
@@ -231,9 +235,9 @@ def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
     relative = np.abs(best.qd) / np.maximum(np.max(np.abs(best.qd), axis=0), 1e-9)
     travelled = np.append(0.0, np.cumsum(np.sum(relative, axis=1)))
     start = int(np.argmax(travelled[count:] - travelled[:-count]))
-    part = slice(start, start + count)
+    stretch = slice(start, start + count)
     names = ("time", "q", "qd", "qdd", "tau", "bridged", "turning")
-    return replace(best, **{name: getattr(best, name)[part] for name in names})
+    return replace(best, **{name: getattr(best, name)[stretch] for name in names})
 
 
 @dataclass(frozen=True)
@@ -241,13 +245,13 @@ class TorqueScales:
     """Torque columns over true torques.
 
     Attributes:
-        scale: (n,) of each joint; the others' usual one where links hardly load it.
-        known: (k,) joints whose own is known.
+        scale: (n,) of each joint; the median of the others where the torques do not show it.
+        shown: (k,) joints whose scale the torques show.
         covariance: (k, k) of the logarithms of theirs.
     """
 
     scale: Array
-    known: NDArray[np.int64]
+    shown: NDArray[np.int64]
     covariance: Array
 
     @cached_property
@@ -255,29 +259,31 @@ class TorqueScales:
         """The scale that all have together and the standard error of its logarithm."""
         precision = np.linalg.inv(self.covariance)
         weight = np.sum(precision, axis=0) / np.sum(precision)
-        mean = float(weight @ np.log(self.scale[self.known]))
+        mean = float(weight @ np.log(self.scale[self.shown]))
         return float(np.exp(mean)), float(np.sum(precision) ** -0.5)
 
     @property
     def spread(self) -> float:
         """The largest over the smallest."""
-        scale = self.scale[self.known]
+        scale = self.scale[self.shown]
         return float(np.max(scale) / np.min(scale))
 
     @property
     def penalty(self) -> float:
         """Nats that scales cost, which may be anything together and less each of its own."""
-        logarithm, covariance = np.log(self.scale[self.known]), self.covariance
+        logarithm = np.log(self.scale[self.shown])
+        covariance = self.covariance
         if self.spread < _SAME:
             typical, error = self.common
-            logarithm, covariance = np.log([typical]), np.array([[error**2]])
+            logarithm = np.log([typical])
+            covariance = np.array([[error**2]])
         prior = _COMMON_RANGE**2 + _OWN_RANGE**2 * np.eye(len(logarithm))
         narrowed = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(covariance)[1]
         return float(0.5 * (narrowed + logarithm @ np.linalg.solve(prior, logarithm)))
 
 
 def undone_scales(
-    log: LogRows, found: Posterior, options: EstimationOptions, divided: Array
+    log: LogRows, base_posterior: Posterior, options: EstimationOptions, divided: Array
 ) -> list[Relabelled]:
     """Return a unit, a common scale or a scale per joint, whichever the torques say.
 
@@ -285,7 +291,7 @@ def undone_scales(
         divided: (n,) scale that torques were divided by already.
     """
     scales = torque_scales(log, options)
-    if not len(scales.known):
+    if not len(scales.shown):
         return []
     typical, common_error = scales.common
     scale = scales.scale
@@ -295,13 +301,13 @@ def undone_scales(
     prior = base_prior(undone, options)
     posterior = Hypotheses(undone, prior).posterior()
     density = float(np.sum(np.maximum(np.sum(log.used, axis=0), 1) * np.log(scale)))
-    gain = posterior.log_evidence - density - found.log_evidence - scales.penalty
-    listed = ", ".join(f"{log.robot.joint_names[j]} {scale[j]:.3g}" for j in scales.known)
+    gain = posterior.log_evidence - density - base_posterior.log_evidence - scales.penalty
+    listed = ", ".join(f"{log.robot.joint_names[j]} {scale[j]:.3g}" for j in scales.shown)
     text = (
         f"torque reads {typical:.3g} times what the model takes ({listed}): "
         f"{_meaning(typical, scales.spread, common_error, divided)}"
     )
-    off = float(np.max(np.abs(np.log(scale[scales.known]))))
+    off = float(np.max(np.abs(np.log(scale[scales.shown]))))
     level = Level.REFUSE if off > np.log(REFUSED) else Level.WARN
     level = level if off > np.log(WARNED) else Level.NOTE
     return [Relabelled("torque-scale", level, text, gain, posterior, prior, undone)]
@@ -362,13 +368,13 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
         for joint, own_column in enumerate(np.eye(len(scale))):
             of_joint = _FAR * rigid[:, joint, None] * own_column
             columns.append(base.transform.of_joint(joint, of_joint))
-        found = base.with_columns(columns).posterior()
+        posterior = base.with_columns(columns).posterior()
         sought = slice(len(prior.kept), None)
-        change = np.clip(1.0 + _FAR * found.values[sought], 0.2, 5.0)
-        covariance = _FAR**2 * found.covariance[sought, sought] / np.outer(change, change)
+        change = np.clip(1.0 + _FAR * posterior.values[sought], 0.2, 5.0)
+        covariance = _FAR**2 * posterior.covariance[sought, sought] / np.outer(change, change)
         scale = np.clip(scale * change, least, most)
         values = prior.mean.copy()
-        values[prior.kept] += prior.spread * found.values[: len(prior.kept)]
+        values[prior.kept] += prior.spread * posterior.values[: len(prior.kept)]
     is_sure = np.sqrt(np.diag(covariance)) < _KNOWN
     # Torque that has nothing of a heavy link is not that of other units.
     sure = np.flatnonzero(is_sure & np.all(is_sure[loaded]))
@@ -392,19 +398,19 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
     scales = divided[:1] if np.ptp(divided) == 0.0 else divided
 
     def in_all(scale: float, digits: str = ".4g") -> str:
-        return ",".join(format(each, digits) for each in (scale * scales).tolist())
+        return ",".join(format(value, digits) for value in (scale * scales).tolist())
 
     if spread > _SAME:
-        own = "a factor of its own for every joint, as "
+        factors = "a factor of its own for every joint, as "
         if typical < 0.5:
             return (
-                f"{own}motor currents in amperes have (give the torque per ampere with "
+                f"{factors}motor currents in amperes have (give the torque per ampere with "
                 "--torque-constants), or the model of another arm"
             )
-        each = "per joint" if np.all(divided == 1.0) else "per joint, times the one given"
+        for_joints = "per joint" if np.all(divided == 1.0) else "per joint, times the one given"
         return (
-            f"{own}uncalibrated currents or per cent of rated torque have, or the model of another "
-            f"arm; {remedy} {each}: the file of robot-sysid payload --known-mass"
+            f"{factors}uncalibrated currents or per cent of rated torque have, or the model of "
+            f"another arm; {remedy} {for_joints}: the file of robot-sysid payload --known-mass"
         )
     nearest = _unit_near(typical, error)
     if nearest is not None:

@@ -169,31 +169,32 @@ def log_rows(
         used: (K, n) which rows to use; None for those in which the joint moves.
         values: (p,) parameters around which the rows are made; None for the model's.
     """
-    datasets = [Dataset("log", each) for each in signals]
+    datasets = [Dataset("log", piece) for piece in signals]
     columns = Columns(robot, datasets, couplings=tuple(neighbours(robot)))
     start = columns.start()
     point = start if values is None else replace(start, values=values)
     samples = columns.samples(point)
-    motions = [each.motion for each in datasets]
+    motions = [dataset.motion for dataset in datasets]
     motion = Motion(*map(np.concatenate, zip(*(vars(m).values() for m in motions))))
     speed = np.abs(motion.qd)
     if used is None:
         used = speed > _SLOW * np.max(speed, axis=0)
-    torque = np.concatenate([np.stack(part.measured, axis=1) for part in samples])
-    right = np.concatenate([np.stack(part.tau, axis=1) for part in samples])
+    torque = np.concatenate([np.stack(rows.measured, axis=1) for rows in samples])
+    right = np.concatenate([np.stack(rows.tau, axis=1) for rows in samples])
     used = used & np.isfinite(right)
     right = np.nan_to_num(right)
 
-    beside = np.concatenate([_friction_beside(each) for each in signals])
+    more = np.concatenate([_friction_beside(piece) for piece in signals])
     first = len(columns.names)
-    places, rows = [], []
+    places = []
+    rows = []
     for joint in range(robot.n_joints):
-        own_rows = np.concatenate([part.rows[joint] for part in samples])
-        used[:, joint] &= np.all(np.isfinite(own_rows), axis=1)
-        rows.append(np.nan_to_num(np.hstack((own_rows, beside[:, joint]))))
-        beside_places = first + beside.shape[2] * joint + np.arange(beside.shape[2])
-        places.append(np.append(samples[0].columns[joint], beside_places))
-    windows = _windows([len(part) for part in samples], signals[0])
+        estimated = np.concatenate([piece.rows[joint] for piece in samples])
+        used[:, joint] &= np.all(np.isfinite(estimated), axis=1)
+        rows.append(np.nan_to_num(np.hstack((estimated, more[:, joint]))))
+        more_places = first + more.shape[2] * joint + np.arange(more.shape[2])
+        places.append(np.append(samples[0].columns[joint], more_places))
+    windows = _windows([len(piece) for piece in samples], signals[0])
     return LogRows(
         columns, motion, torque, tuple(places), tuple(rows), right, used, windows, point.values
     )
@@ -205,8 +206,8 @@ def _windows(counts: Sequence[int], signals: ProcessedSignals) -> tuple[slice, .
     windows = []
     start = 0
     for count in counts:
-        parts = -(-count // most)
-        edges = start + np.linspace(0, count, parts + 1).astype(int)
+        windows_of_piece = -(-count // most)
+        edges = start + np.linspace(0, count, windows_of_piece + 1).astype(int)
         windows += [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:])]
         start += count
     return tuple(windows)
@@ -250,10 +251,10 @@ class Prior:
 def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     """Return the prior of a right log: the estimate's own, and wide friction."""
     columns, robot = log.columns, log.robot
-    beside = 2 + len(BUILD_UP)
+    more = 2 + len(BUILD_UP)
     count = len(columns.names)
-    mean = np.append(columns.prior, np.zeros(beside * robot.n_joints))
-    spread = np.append(np.zeros(count), np.zeros(beside * robot.n_joints))
+    mean = np.append(columns.prior, np.zeros(more * robot.n_joints))
+    spread = np.append(np.zeros(count), np.zeros(more * robot.n_joints))
     spread[: len(PARAMETER_NAMES)] = _last_link_spread(robot)
     speed = np.maximum(rms(log.motion.qd), 1e-9)
     turning = np.maximum(rms(log.motion.qdd), 1e-9)

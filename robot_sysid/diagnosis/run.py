@@ -106,12 +106,13 @@ def require_acceptable(
 
 def _computed_findings(contest: Contest) -> list[Finding]:
     """Return a finding where the torque is the model's own, without noise and friction."""
-    log, found = contest.log, contest.found
+    log = contest.log
+    posterior = contest.posterior
     model = model_torque(log)
     loaded = model > 0.1 * float(np.max(model))
-    exact = rms(found.residual) < _EXACT * log.usual
+    exact = rms(posterior.residual) < _EXACT * log.usual
     quiet = _fast_torque(contest.signals) < _QUIET * log.usual
-    friction = contest.friction_share(found) < _FRICTIONLESS
+    friction = contest.friction_share(posterior) < _FRICTIONLESS
     if not np.all((exact & quiet & friction)[loaded]):
         return []
     text = (

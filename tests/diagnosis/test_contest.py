@@ -22,8 +22,8 @@ def contest_of(robot, log, options=OPTIONS):
 
 
 def test_a_right_log_fits_tells_the_link_and_has_no_explanation(truth, right):
-    assert misfit(right.log, right.found) < 0.02 and right.is_plausible(right.found)
-    mass, error = right.last_mass(right.found)
+    assert misfit(right.log, right.posterior) < 0.02 and right.is_plausible(right.posterior)
+    mass, error = right.last_mass(right.posterior)
     assert abs(mass - truth.theta[0]) < 3.0 * error
     assert findings(right, np.ones(5)) == []
 
@@ -31,7 +31,7 @@ def test_a_right_log_fits_tells_the_link_and_has_no_explanation(truth, right):
 def test_the_evidence_is_that_of_a_normal_distribution(right):
     """Against the dense covariance of all rows of one joint after another."""
     base = right.base
-    noise = right.found.noise
+    noise = right.posterior.noise
     size = len(base.prior.kept)
     whole = np.zeros((base.right.size, size))
     for joint in range(5):
@@ -61,8 +61,8 @@ def test_the_transform_keeps_the_size_of_what_is_used(right):
 
 def test_columns_that_are_zero_make_no_log_likelier(right):
     nothing = [np.zeros((len(right.base.right), 2))] * 5
-    wider = right.base.with_columns(nothing).at_noise(right.found.noise)
-    assert wider.log_evidence == pytest.approx(right.found.log_evidence, abs=1e-6)
+    wider = right.base.with_columns(nothing).at_noise(right.posterior.noise)
+    assert wider.log_evidence == pytest.approx(right.posterior.log_evidence, abs=1e-6)
 
 
 def test_every_relabelling_of_torque_is_undone_by_making_it_again(truth, right):
@@ -72,7 +72,7 @@ def test_every_relabelling_of_torque_is_undone_by_making_it_again(truth, right):
         again = spoilt.with_torque(mistake.torque(spoilt.torque))
         np.testing.assert_allclose(again.right, right.log.right, atol=1e-9)
         found = Hypotheses(right.log, right.prior).with_right(spoilt)
-        assert found.posterior().log_evidence < right.found.log_evidence - MARGIN
+        assert found.posterior().log_evidence < right.posterior.log_evidence - MARGIN
 
 
 def test_scaling_all_torques_scales_what_is_found(right):
@@ -85,7 +85,7 @@ def test_scales_of_single_joints_are_found_within_their_errors(truth, right):
     true = np.array([1.3, 1.9, 1.5, 1.7, 1.2])
     spoilt = right.log.with_torque(true * right.log.torque)
     scales = torque_scales(spoilt, OPTIONS)
-    off = np.log(scales.scale / true)[scales.known]
+    off = np.log(scales.scale / true)[scales.shown]
     assert len(off) > 2
     assert off @ np.linalg.solve(scales.covariance, off) < 3.0 * len(off)
 
