@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.evidence import Hypotheses, Posterior
-from robot_sysid.diagnosis.rows import LogRows, Prior, base_prior, log_rows, rms
+from robot_sysid.diagnosis.rows import LEAST_TORQUE, LogRows, Prior, base_prior, log_rows, rms
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.records import Array, Motion, RobotModel
@@ -46,8 +46,9 @@ _COMMON_RANGE, _OWN_RANGE, _ROUNDS, _FAR = 4.0, 0.4, 5, 0.7
 _LEAST, _MOST, _KNOWN, _LOADED = 1e-4, 1e5, 0.3, 0.1
 # The same part below which a joint's torque is mostly friction.
 _LEAST_LOAD = 0.03
-# Factor by which a scale may differ from the ratio of usual torques.
-_FARTHEST = 3.0
+# Factors by which a scale may differ from the ratio of usual torques, where links make most of the
+# torque and where friction does.
+_FARTHEST, _FRICTION = 3.0, 10.0
 # Best relabellings of a stretch that are scored on the whole log.
 _FINALISTS = 3
 
@@ -354,9 +355,15 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
     """
     model = model_torque(log)
     loaded = model > _LOADED * float(np.max(model))
-    scale = np.clip(rms(log.torque) / np.maximum(model, 1e-6 * np.max(model)), _LEAST, _MOST)
-    scale = np.where(loaded, scale, np.median(scale[loaded]))
-    least, most = scale / _FARTHEST, scale * _FARTHEST
+    ratio = np.clip(rms(log.torque) / np.maximum(model, 1e-6 * np.max(model)), _LEAST, _MOST)
+    usual = float(np.median(ratio[loaded]))
+    # Friction makes the torque of a joint that links hardly load.
+    is_odd = np.abs(np.log(ratio / usual)) > np.log(_FRICTION)
+    is_of_links = loaded | (is_odd & (model > LEAST_TORQUE * float(np.max(model))))
+    scale = np.where(is_of_links, ratio, usual)
+    farthest = np.where(loaded, _FARTHEST, _FRICTION)
+    least = scale / farthest
+    most = scale * farthest
     covariance = np.eye(len(scale))
     values: Array | None = None
     for _ in range(_ROUNDS):
