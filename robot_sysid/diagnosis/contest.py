@@ -45,8 +45,9 @@ MOST_NAMES = 3
 UNEXPLAINED, OTHER_ARM = 0.05, 0.3
 """Parts of the torque that neither noise nor an explanation accounts for, from which on nothing is
 named, and from which on the model is of another arm: right logs have 0.03 at most."""
-GROSS, GROSS_JOINT = 0.05, 0.5
-"""Part of the torque, and of one joint's, that is left where relabelled columns are tried."""
+GROSS, GROSS_JOINT, SMALL = 0.05, 0.5, 0.02
+"""Part of the torque, and of one joint's, that is left where relabelled columns are tried; a part of
+which more may be left when they are put right."""
 USUAL_STRAIN, FAR, ODD_SCALE = 7.0, 40.0, 1.3
 """Strain of links of usual arms, and one that none has whose model is its own; factor between usual
 torque and the model's from which on scales are tried."""
@@ -169,7 +170,9 @@ class Contest:
             undone += undone_scales(self.log, self.posterior, self.options, divided)
         if is_far:
             undone += undone_columns(self.log, self.signals, self.posterior, self.options)
-        plausible = [m for m in undone if self.is_plausible(m.posterior, m.prior)]
+        most = max(share, SMALL)
+        fitting = [m for m in undone if misfit(m.log, m.posterior) <= most]
+        plausible = [m for m in fitting if self.is_plausible(m.posterior, m.prior)]
         return sorted(plausible, key=lambda mistake: -mistake.gain)
 
     def rounds(self) -> list[list[Score]]:
