@@ -74,7 +74,7 @@ def _traces_of_itself(
     robot: RobotModel, plan: MotionPlan, torques: str, model: FrictionModel, estimate: Estimate
 ) -> Traces:
     """Return what a report draws, of records alone: MuJoCo's data is not safely pickled."""
-    from robot_sysid.estimation.answer import traced
+    from robot_sysid.estimation.answer import make_traces
     from robot_sysid.estimation.dataset import equations_at
 
     equations = Equations(robot, torques, friction_per_joint(robot, "terminal", model))
@@ -82,7 +82,7 @@ def _traces_of_itself(
     (measurement,) = simulate_inverse(robot, [motion])
     samples = equations_at(equations, measurement)
     after, prior = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
-    return traced(robot, [samples], [motion], after, prior)
+    return make_traces(robot, [samples], [motion], after, prior)
 
 
 def of_own_simulation(estimate: Estimate) -> Verdict:
