@@ -198,7 +198,7 @@ class Fit:
         is far from it, torque scales would take its part.
         """
         values = self.free if self.question.loaded else self.values
-        return self.columns.moved(self.point, values, self.unknowns.settle)
+        return self.columns.move_point(self.point, values, self.unknowns.settle)
 
     @cached_property
     def final(self) -> Array:

@@ -208,7 +208,7 @@ def _fitter(
     known = motors[: len(motors) - len(offered)]
     found = known if question.resting else select_couplings(fitter, question, given, offered)
     fitter = replace(fitter, _last=None)  # before rows are made anew, which take as much memory
-    return replace(fitter, columns=columns.coupled(found))
+    return replace(fitter, columns=columns.with_couplings(found))
 
 
 def tested(fit: Fit, errors: FitErrors, datasets: Sequence[Dataset], source: str) -> Validation:
