@@ -34,7 +34,7 @@ from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.estimation.couplings import couplings_of
 from robot_sysid.estimation.dataset import Dataset, mean_torque
 from robot_sysid.estimation.fit import evidence_of
-from robot_sysid.estimation.identify import Piece, filtered
+from robot_sysid.estimation.identify import Piece, low_pass_recordings
 from robot_sysid.estimation.unknowns import (
     COMMON_SCALE,
     DRIFTS,
@@ -201,7 +201,9 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     rate = min(sample_rate, HIGHEST_RATE_HZ)
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
     robot, choice, is_loaded = problem.robot, _choice(problem, options), asked == "payload"
-    (dataset,), _ = filtered(robot, [Piece("", _rehearsal(problem, plan, rate))], options)
+    (dataset,), _ = low_pass_recordings(
+        robot, [Piece("", _rehearsal(problem, plan, rate))], options
+    )
     datasets: Sequence[Dataset] = (dataset,)
     assert dataset.signals is not None
     if is_loaded:

@@ -33,7 +33,7 @@ from robot_sysid.estimation.errors import (
 )
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence, solved
-from robot_sysid.estimation.identify import Piece, filtered, predicted
+from robot_sysid.estimation.identify import Piece, low_pass_recordings, validate_rows
 from robot_sysid.estimation.recordings import parts_compared
 from robot_sysid.estimation.unknowns import FILE_GRAVITY, Choice, Question
 from robot_sysid.records import (
@@ -244,7 +244,7 @@ def log_information(
         if differ:
             raise InputError(f"the first round was settled differently: {', '.join(differ)}")
         settled = replace(settled, around=around.digest())
-    datasets, said = filtered(robot, [Piece("", log) for log in logs], options)
+    datasets, said = low_pass_recordings(robot, [Piece("", log) for log in logs], options)
     columns = Columns(robot, datasets, options.torques, couplings_of(robot, options)[0])
     first = None if around is None else _fitted(robot, around)
     point = columns.start() if first is None else replace(columns.start(), values=first.values)
@@ -314,7 +314,9 @@ def answer_from(
     tests: tuple[Validation, ...] = ()
     if validation is not None:
         tests = (
-            predicted(fit, errors, validation.evidence, f"{validation.origin.detail}, not fitted"),
+            validate_rows(
+                fit, errors, validation.evidence, f"{validation.origin.detail}, not fitted"
+            ),
         )
     own = parts_compared(fit)
     return Answer(fit, file, errors, own, tests, {}, found.acceleration_error, found.notes)
