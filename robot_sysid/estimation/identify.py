@@ -23,7 +23,7 @@ from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import logs_compared, parts_compared
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.estimation.verdict import speaks
+from robot_sysid.estimation.verdict import is_informative
 from robot_sysid.records import Array, Measurement, RobotModel, SquareRootInformation, Validation
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.results import validation_of
@@ -252,10 +252,10 @@ def validate_rows(fit: Fit, errors: FitErrors, data: Evidence, source: str) -> V
     joints = [joint.joint for joint in data.whole.joints]
     validation = validation_of(joints, residual, squares, counts, source)
     noise = counts[None] * fit.noise**2
-    is_informative = speaks(
+    told_enough = is_informative(
         residual[None], noise, lambda: noise + _prediction_variance(fit, errors, data.whole)
     )
-    return replace(validation, told_enough=is_informative)
+    return replace(validation, told_enough=told_enough)
 
 
 def _prediction_variance(fit: Fit, errors: FitErrors, data: SquareRootInformation) -> Array:

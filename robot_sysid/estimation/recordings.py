@@ -30,7 +30,7 @@ from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
 from robot_sysid.estimation.unknowns import FRICTION, WEIGHT, Unknowns, independent
-from robot_sysid.estimation.verdict import speaks
+from robot_sysid.estimation.verdict import is_informative
 from robot_sysid.records import Array, Flange, SquareRootInformation, Validation
 from robot_sysid.records.figures import percent
 from robot_sysid.records.results import validation_of
@@ -115,8 +115,10 @@ def parts_compared(fit: Fit) -> Validation:
     judge = held_out(fit, fit.unknowns)
     errors = judge.of(fit)
     noise = judge.counts * fit.noise**2
-    is_informative = speaks(errors, noise, lambda: judge.chance(fit))
-    return replace(judge.validation(errors), told_enough=is_informative)
+    return replace(
+        judge.validation(errors),
+        told_enough=is_informative(errors, noise, lambda: judge.chance(fit)),
+    )
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,7 @@ def logs_compared(fit: Fit, names: Sequence[str]) -> LogComparison:
     chance = cache(partial(judge.chance, fit))
 
     def is_test(k: int) -> bool:
-        return speaks(errors[[k]], noise[[k]], lambda: chance()[[k]])
+        return is_informative(errors[[k]], noise[[k]], lambda: chance()[[k]])
 
     joints = [joint.joint for joint in fit.evidence.whole.joints]
     tests = tuple(
