@@ -17,7 +17,7 @@ import numpy as np
 from robot_sysid.dynamics.newton_euler import in_parts
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.common_scale import doubted
+from robot_sysid.estimation.algebra.common_scale import false_alarms
 from robot_sysid.estimation.algebra.identifiability import describe, triangle_space
 from robot_sysid.estimation.algebra.link_scales import EXPECTED
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
@@ -261,7 +261,7 @@ def _doubt(
         scales = next(group for group in asked.groups if group.cause == SCALES)
         places = scales.places(asked.kept_names)
         pairs.append((scales.factor @ scales.factor.T, after.inverse[np.ix_(places, places)]))
-    share, told = doubted(*pairs)
+    share, told = false_alarms(*pairs)
     moved = then.inverse[:, places]
     return share, then.with_part(0.5 * moved @ told @ moved.T)
 
