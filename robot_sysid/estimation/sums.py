@@ -307,7 +307,7 @@ def answer_from(
             "information of all logs again with around= this sum, and identify from their sum"
         )
     fit, options = _fitted(robot, found), found.settled.estimation
-    residuals = [each.shortened() for each in residuals_within(fit, found.residuals)]
+    residuals = [each.shorten() for each in residuals_within(fit, found.residuals)]
     errors = fit_errors(fit, residuals, found.pull)
     fixed = _Fixed(robot, found, fit.point)
     file = fit_file(fixed, options, (FILE_GRAVITY,), fit, found.pull)

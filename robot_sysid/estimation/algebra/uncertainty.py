@@ -137,7 +137,7 @@ def _alone(joint: JointResiduals, weight: float, inverse: Array) -> tuple[Array,
     of the errors that this makes in its torque.
     """
     own = joint.inside(weight**2 * inverse[np.ix_(joint.columns, joint.columns)])
-    absorbed = joint.absorbed(own)
+    absorbed = joint.absorbed_share(own)
     kernels = joint.fit(absorbed, 0.0)
     errors = own @ np.tensordot(kernels, joint.sums, axes=1) @ own
     return absorbed, kernels, float(np.vdot(errors, joint.sums[0]))
