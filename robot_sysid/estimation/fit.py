@@ -17,7 +17,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.autocorrelation import concentration, memory
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.information import combined, parts_of, restricted
-from robot_sysid.estimation.algebra.least_squares import sharpened, solver, weighted
+from robot_sysid.estimation.algebra.least_squares import estimate_noise, lower_floor, solver
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
@@ -426,14 +426,14 @@ def _weighed(
     plain = data.of(sought)
     known = with_prior(plain, sought.groups)
     best = solver(known, prior)
-    noise = weighted(known, best, start=noise)
+    noise = estimate_noise(known, best, start=noise)
     counts = noise * np.sqrt(inflation)
     wide = widened_groups(plain, counts * np.sqrt(memory), sought.groups)
     if wide is not sought.groups:
         sought = replace(sought, groups=wide)
         known = with_prior(plain, sought.groups)
         best = solver(known, prior)
-    counts = sharpened(known, best, counts)
+    counts = lower_floor(known, best, counts)
     return sought, sought.full(best(1.0 / counts)[0]), counts, noise
 
 

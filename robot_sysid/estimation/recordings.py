@@ -23,7 +23,7 @@ from robot_sysid.estimation.algebra.information import (
     restricted,
     sample_counts,
 )
-from robot_sysid.estimation.algebra.least_squares import solver, weighted
+from robot_sysid.estimation.algebra.least_squares import estimate_noise, solver
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.choices import HeldOut, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
@@ -95,7 +95,7 @@ def alone(
     plain = combined([log.information() for log in logs])
     information = with_prior(plain, groups)
     solved = solver(information, prior)
-    noise = weighted(information, solved, start)
+    noise = estimate_noise(information, solved, start)
     values = solved(1.0 / noise)[0]
     memories = []
     for joint, at in enumerate(logs[0].columns):

@@ -20,7 +20,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import normal_matrix
-from robot_sysid.estimation.algebra.least_squares import decomposed, descended
+from robot_sysid.estimation.algebra.least_squares import solve_normal, solve_rows
 from robot_sysid.records import Array, PriorConflict, RobotModel, SquareRootInformation
 
 ROD = float(np.sqrt(3.0))
@@ -238,9 +238,9 @@ class WithPriors:
         size, squares = len(self.names), np.append(self._weights, 1.0) ** 2
         parts = [(np.append(joint.columns, size), joint.triangle) for joint in self._data.joints]
         parts.append((np.arange(size + 1), known))
-        found = descended(self._gram + known.T @ known, parts, squares, np.zeros(size))
+        found = solve_normal(self._gram + known.T @ known, parts, squares, np.zeros(size))
         if found is None:
-            found = decomposed(np.vstack((*self._data.blocks(self._weights), known)))
+            found = solve_rows(np.vstack((*self._data.blocks(self._weights), known)))
         values, root = found
         left = self._weights**2 @ self._data.squared_residuals(values)
         return values, root @ root.T, float(left + np.sum((known @ np.append(values, -1.0)) ** 2))
