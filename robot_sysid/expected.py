@@ -224,7 +224,7 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     counts = 1.0 / left, sigma / np.sqrt(low_pass.step)
     known = partial(_with_known, plain, counts, whole_triangle(plain, counts[0]))
     found = known(sought.groups)
-    causes = {g.cause: g.explained(plain.names, found.inverse) for g in sought.groups}
+    causes = {g.cause: g.covariance_rows(plain.names, found.inverse) for g in sought.groups}
     doubt = 0.0, found
     if sought.may_be_scaled(question):
         wider = unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
@@ -259,7 +259,7 @@ def _doubt(
     pairs = []
     for asked, after in ((sought, found), (wider, then)):
         scales = next(group for group in asked.groups if group.cause == SCALES)
-        places = scales.places(asked.kept_names)
+        places = scales.indices(asked.kept_names)
         pairs.append((scales.factor @ scales.factor.T, after.inverse[np.ix_(places, places)]))
     share, told = false_alarms(*pairs)
     moved = then.inverse[:, places]

@@ -155,11 +155,11 @@ def _promising_couplings(
     priors = [_motor_prior(fit, sought, motor) for motor in candidates]
     absent = [replace(prior, widened=_NOTHING) for prior in priors]
     groups = [*sought.groups, *absent]
-    without = problem.likely(groups)[1]
+    without = problem.log_evidence(groups)[1]
     gains = []
     for number in range(len(candidates)):
         groups[len(sought.groups) + number] = priors[number]
-        gains.append(problem.likely(groups)[1] - without)
+        gains.append(problem.log_evidence(groups)[1] - without)
         groups[len(sought.groups) + number] = absent[number]
     best = np.argsort(gains)[::-1][:2]
     return [(*present, candidates[number]) for number in best if gains[number] > 0.0]
@@ -176,13 +176,15 @@ def _evidence_gain(fit: Fit, wider: Fit) -> float:
     correlation = wider.inflation * wider.memory
     problem = WithPriors(wider.evidence.of(wider.unknowns), np.sqrt(correlation) * wider.noise)
     values, covariance, _ = problem.solve(priors)
-    at = prior.places(wider.unknowns.kept_names)
+    at = prior.indices(wider.unknowns.kept_names)
     if not np.any(np.abs(values[at]) > _CLEAR * np.sqrt(np.diag(covariance)[at])):
         return -np.inf
     without = WithPriors(fit.evidence.of(fit.unknowns), np.sqrt(correlation) * fit.noise)
     counts = np.array(sample_counts(fit.evidence.whole)) / correlation
     less_noise = float(counts @ np.log(fit.noise / wider.noise))
-    return problem.likely(priors)[1] - without.likely(fit.unknowns.groups)[1] + less_noise
+    return (
+        problem.log_evidence(priors)[1] - without.log_evidence(fit.unknowns.groups)[1] + less_noise
+    )
 
 
 def _motor_prior(fit: Fit, sought: Unknowns, motor: Coupling) -> NuisanceGroup:

@@ -94,7 +94,7 @@ class FitErrors:
         found = self.whole.data_share.copy()
         names = fit.unknowns.kept_names
         for group in fit.unknowns.groups:
-            places = group.places(names)
+            places = group.indices(names)
             known = np.diag(group.widened**2 * group.factor @ group.factor.T)
             left = np.diag(self.whole.inverse)[places] / known
             found[places] = np.minimum(found[places], np.clip(1.0 - left, 0.0, 1.0))
@@ -118,7 +118,7 @@ def fit_errors(
         pull = np.sum([filtering_bias(fit.columns, point, *pair) for pair in pairs], axis=0)
     whole, weights = _of_noise(fit, residuals), fit.weights
     causes = {
-        group.cause: group.explained(fit.unknowns.kept_names, whole.inverse)
+        group.cause: group.covariance_rows(fit.unknowns.kept_names, whole.inverse)
         for group in fit.unknowns.groups
     }
     found = _conflicts(fit, whole.effective)
@@ -242,7 +242,7 @@ def _unscaled(fit: Fit) -> Array:
     plain = unknowns(fit.columns, fit.question, choice, *given).groups
     others = [group for group in known.groups if group.cause != SCALES]
     scales = (next(g for g in groups if g.cause == SCALES) for groups in (known.groups, plain))
-    likely = WithPriors(fit.evidence.of(known), 1.0 / fit.weights).likely
+    likely = WithPriors(fit.evidence.of(known), 1.0 / fit.weights).log_evidence
     (values, one), (unscaled, other) = (likely([*others, each]) for each in scales)
     share = 1.0 / (1.0 + np.exp(min(np.nan_to_num(one - other), _SURE)))
     return np.asarray(np.sqrt(share) * (values - unscaled))[None]

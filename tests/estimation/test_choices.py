@@ -194,7 +194,7 @@ def test_errors_grow_where_there_may_be_no_scale_of_all_torques(plant):
         _, fit = chosen(plant, plant, more, **told)
         errors, names = fit_errors(fit), fit.information.names
         (scales,) = (group for group in fit.unknowns.groups if group.cause == SCALES)
-        parts = scales.explained(names, errors.whole.inverse), errors.causes[SCALES]
+        parts = scales.covariance_rows(names, errors.whole.inverse), errors.causes[SCALES]
         prior, whole = (np.sum(rows[:, 0] ** 2) for rows in parts)
         grown = whole / prior
         assert grown > 1.5 if either else grown == pytest.approx(1.0, abs=0.01)

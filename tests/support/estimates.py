@@ -17,7 +17,7 @@ METHODS = {"ols": ordinary, "wls": estimate_noise}
 
 def explained(errors, group, names):
     """The part of the standard errors (p,) that what is known of some nuisances stands for."""
-    spread = np.linalg.norm(group.explained(names, errors.inverse), axis=0)
+    spread = np.linalg.norm(group.covariance_rows(names, errors.inverse), axis=0)
     return np.where(np.isfinite(errors.standard_errors), spread, np.inf)
 
 

@@ -89,7 +89,7 @@ def link_evidence(
     rows = links.rows(information.names)[np.repeat(np.logical_not(is_stated), 10)]
     normal += rows.T @ rows
     stated = np.repeat(is_stated, 10)
-    indices = np.array(links.places(information.names))[stated]
+    indices = np.array(links.indices(information.names))[stated]
     curvature, pull = eliminate_others(normal, indices)
     pull = pull - curvature @ links.mean[stated]
     count = int(np.count_nonzero(is_stated))

@@ -31,7 +31,7 @@ def beliefs():
 
 
 def precision(groups):
-    rows = np.vstack([group.explained(NAMES, np.eye(len(NAMES))) for group in groups])
+    rows = np.vstack([group.covariance_rows(NAMES, np.eye(len(NAMES))) for group in groups])
     return rows.T @ rows
 
 
