@@ -19,7 +19,7 @@ from robot_sysid.estimation.algebra.base_parameters import (
     essential,
 )
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
-from robot_sysid.estimation.algebra.information import residual_errors, restricted, sample_counts
+from robot_sysid.estimation.algebra.information import residual_errors, restrict, sample_counts
 from robot_sysid.estimation.algebra.uncertainty import triangle_of
 from robot_sysid.estimation.choices import Errors
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
@@ -355,7 +355,7 @@ def estimate_of(answer: Answer) -> Estimate:
     return Estimate(
         names=tuple(names[k] for k in order),
         values=fit.final[fit.unknowns.kept][order],
-        identifiability=analyse_identifiability(restricted(fit.evidence.whole, interest)),
+        identifiability=analyse_identifiability(restrict(fit.evidence.whole, interest)),
         **residuals,
         method="wls",
         covariance=errors.whole.covariance[np.ix_(order, order)],
@@ -500,5 +500,5 @@ def traces_of(answer: Answer) -> Traces:
     if fit.question.loaded:
         prior = {name: value for name, value in estimate.items() if name not in PAYLOAD_NAMES}
     prior.update({n: v for n, v in estimate.items() if n.startswith("offset[")})
-    motions = [dataset.delayed(fit.point.delay).motion for dataset in fit.columns.datasets]
+    motions = [dataset.remove_delay(fit.point.delay).motion for dataset in fit.columns.datasets]
     return make_traces(fit.columns.robot, fit.samples, motions, estimate, prior)

@@ -24,7 +24,7 @@ from robot_sysid.estimation.algebra.common_scale import is_worth_a_word
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks
 from robot_sysid.estimation.algebra.information import (
     normal_matrix,
-    restricted,
+    restrict,
     sample_counts,
     update_triangle,
 )
@@ -194,7 +194,7 @@ class HeldOut:
         key = sought.kept.tobytes(), sought.held.tobytes()
         if key not in self._known:
             wanted = sought.kept_names, sought.held
-            parts = (restricted(part, *wanted) for part in self.data.blocks)
+            parts = (restrict(part, *wanted) for part in self.data.blocks)
             rows = (np.column_stack(part.stacked(1.0 / self.noise)) for part in parts)
             nothing = np.zeros((0, len(sought.kept) + 1))
             each = [update_triangle(nothing, block) for block in rows]

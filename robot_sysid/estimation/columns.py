@@ -56,7 +56,7 @@ from robot_sysid.dynamics.nuisances import (
     zero_columns,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, RowsBeside, stored
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, RowsBeside, store_rows
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
 
 PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
@@ -157,7 +157,7 @@ class Columns:
             names = columns._arm_names
             # Each is released once it is copied: they take most of the memory.
             fewer = (rows.pop(0).only(names) for _ in range(len(rows)))
-            columns._base = down, delay, stored(fewer)
+            columns._base = down, delay, store_rows(fewer)
         return columns
 
     def start(self) -> Point:
@@ -229,7 +229,7 @@ class Columns:
     def samples(self, point: Point) -> tuple[DecimatedSamples, ...]:
         """Return the rows of each recording around a point."""
         arm = self._arm_at(point.gravity)
-        delayed = [dataset.delayed(point.delay) for dataset in self.datasets]
+        delayed = [dataset.remove_delay(point.delay) for dataset in self.datasets]
         bases = self._under(point, delayed)
         if point.in_file:
             tilts = self._of_links(point, delayed, partial(self._tilt, arm))
@@ -248,7 +248,7 @@ class Columns:
         turn = np.inf if base is None else np.linalg.norm(down - base[0])
         if base is None or base[1] != point.delay or turn > _SMALL_TURN * np.linalg.norm(down):
             equations = self._equations(self._arm_at(down))
-            base = down, point.delay, stored(dataset.samples(equations) for dataset in delayed)
+            base = down, point.delay, store_rows(dataset.samples(equations) for dataset in delayed)
             self._base = base
         if np.array_equal(base[0], down):
             yield from base[2]

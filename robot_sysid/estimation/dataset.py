@@ -149,7 +149,9 @@ class RowsBeside(Sequence[Array]):
         return np.hstack([block[used] * factor for block, factor in pairs])
 
 
-def stored(samples: Iterable[DecimatedSamples], limit: int = _IN_MEMORY) -> list[DecimatedSamples]:
+def store_rows(
+    samples: Iterable[DecimatedSamples], limit: int = _IN_MEMORY
+) -> list[DecimatedSamples]:
     """Return each recording's samples, with rows of more than ``limit`` numbers in a file."""
     logs = []
     file = None
@@ -264,7 +266,7 @@ class Dataset:
         """The measured torque (N, n) [N m]."""
         return (self.source.poses if isinstance(self.source, RestingPoses) else self.source).tau
 
-    def delayed(self, delay: float) -> Dataset:
+    def remove_delay(self, delay: float) -> Dataset:
         """Return the recording with a delay of its torque [s] taken out."""
         if not delay or isinstance(self.source, RestingPoses):
             return self

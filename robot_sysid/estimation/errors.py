@@ -21,7 +21,7 @@ from robot_sysid.dynamics.equations import N_INERTIAL, Equations
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.newton_euler import in_parts
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
-from robot_sysid.estimation.algebra.information import normal_matrix, restricted, sample_counts
+from robot_sysid.estimation.algebra.information import normal_matrix, restrict, sample_counts
 from robot_sysid.estimation.algebra.nuisances import SURE, WithPriors, largest_by_chance, misfits
 from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
@@ -114,7 +114,7 @@ def fit_errors(
     """
     if pull is None:
         point = replace(fit.point, values=fit.values)
-        pairs = zip([each.delayed(point.delay) for each in fit.columns.datasets], fit.samples)
+        pairs = zip([each.remove_delay(point.delay) for each in fit.columns.datasets], fit.samples)
         pull = np.sum([filtering_bias(fit.columns, point, *pair) for pair in pairs], axis=0)
     whole, weights = _of_noise(fit, residuals), fit.weights
     causes = {
@@ -258,7 +258,7 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
     names, own = fit.columns.names, joint_space(fit.information, weights).inverse_root()
     root = np.zeros((len(names), own.shape[1]))
     root[sought.kept] = own
-    given = restricted(fit.evidence.whole, every.kept_names, sought.held), fit.values[every.kept]
+    given = restrict(fit.evidence.whole, every.kept_names, sought.held), fit.values[every.kept]
     rows = ChosenRows((samples,), every)
     found = collect_residuals(given[0], rows, given[1], root[every.kept], weights, True)
     return [replace(each, columns=every.kept[each.columns]) for each in found]

@@ -16,7 +16,7 @@ from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.autocorrelation import concentration, memory
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
-from robot_sysid.estimation.algebra.information import combined, parts_of, restricted
+from robot_sysid.estimation.algebra.information import combine, parts_of, restrict
 from robot_sysid.estimation.algebra.least_squares import estimate_noise, lower_floor, solver
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
@@ -57,7 +57,7 @@ class Evidence:
     whole: SquareRootInformation = field(init=False)
 
     def __post_init__(self) -> None:
-        whole = combined(self.blocks)
+        whole = combine(self.blocks)
         object.__setattr__(self, "whole", whole)
         object.__setattr__(self, "blocks", tuple(parts_of(whole, self.blocks)))
 
@@ -67,7 +67,7 @@ class Evidence:
 
     def of(self, sought: Unknowns) -> SquareRootInformation:
         """Return what all parts say of what is sought, the rest held."""
-        return restricted(self.whole, sought.kept_names, sought.held)
+        return restrict(self.whole, sought.kept_names, sought.held)
 
     def squared_residuals(self, values: Array) -> Array:
         """Return (blocks, joints, m) squared residuals of each block at values (blocks, p, m) of

@@ -21,7 +21,7 @@ from robot_sysid.estimation.dataset import Dataset, Mask, mean_torque
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
-from robot_sysid.estimation.recordings import logs_compared, parts_compared
+from robot_sysid.estimation.recordings import compare_recordings, held_out_validation
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.estimation.verdict import is_informative
 from robot_sysid.records import Array, Measurement, RobotModel, SquareRootInformation, Validation
@@ -125,9 +125,9 @@ def answer_link(
     progress.stage("Solving for parameters...")
     fit = fitter.fit(question, choice, start)
     errors = fit_errors(fit)
-    logs = logs_compared(fit, [dataset.name for dataset in datasets])
+    logs = compare_recordings(fit, [dataset.name for dataset in datasets])
     file = None
-    validation = parts_compared(fit)
+    validation = held_out_validation(fit)
     if kept_parts is not None:
         progress.stage(Detail("Fitting the model file..."))
         # The file's rows, which the report draws, take as much memory.
@@ -173,7 +173,7 @@ def answer_payload(
     choice, candidates, start = choose(fitter, weighing, model)
     free = fitter.fit(weighing, choice, start)
     progress.stage(Detail("Finding out how far off it may be..."))
-    weighed = Answer(free, None, fit_errors(free), parts_compared(free), (), candidates)
+    weighed = Answer(free, None, fit_errors(free), held_out_validation(free), (), candidates)
     if question.known_mass is None:
         if kept_parts is not None and options.torques == "chain" and not question.resting:
             progress.stage(Detail("Fitting the model file..."))
@@ -182,7 +182,7 @@ def answer_payload(
             weighed = replace(weighed, file=file)
         return weighed, weighed
     fit = fitter.fit(question, choice, free.point)
-    return Answer(fit, None, fit_errors(fit), parts_compared(fit), (), candidates), weighed
+    return Answer(fit, None, fit_errors(fit), held_out_validation(fit), (), candidates), weighed
 
 
 def refit(answer: Answer, used: Sequence[Mask], kept_parts: tuple[str, ...]) -> Answer:

@@ -18,9 +18,9 @@ from robot_sysid.estimation.algebra.autocorrelation import memory
 from robot_sysid.estimation.algebra.between_logs import BetweenLogs, compare_logs
 from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.algebra.information import (
-    combined,
+    combine,
     normal_matrix,
-    restricted,
+    restrict,
     sample_counts,
 )
 from robot_sysid.estimation.algebra.least_squares import estimate_noise, solver
@@ -59,7 +59,7 @@ UNSEEN = 100.0
 """Prior standard deviation of a body's parameters, which bounds those without data [SI]."""
 
 
-def within(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
+def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
     """Return a recording's rows in the estimated parameters, with all held ones subtracted."""
     rows_by_joint = list(ChosenRows((samples,), unknowns))
     columns = [
@@ -74,7 +74,7 @@ def within(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
     )
 
 
-def alone(
+def estimate_alone(
     logs: Sequence[DecimatedSamples],
     groups: Sequence[NuisanceGroup],
     prior: Array,
@@ -92,7 +92,7 @@ def alone(
         (values (k,), covariance (k, k) due to torque noise, covariance (k, k) of the whole error,
         infinite for parameters that are not identifiable).
     """
-    plain = combined([log.information() for log in logs])
+    plain = combine([log.information() for log in logs])
     information = with_prior(plain, groups)
     solved = solver(information, prior)
     noise = estimate_noise(information, solved, start)
@@ -110,7 +110,7 @@ def alone(
     return solved(weights)[0], noise_root.T @ noise_root, covariance
 
 
-def parts_compared(fit: Fit) -> Validation:
+def held_out_validation(fit: Fit) -> Validation:
     """Return the held-out errors of a fit's own recordings."""
     judge = held_out(fit, fit.unknowns)
     errors = judge.of(fit)
@@ -169,7 +169,7 @@ class LogComparison:
     friction: FrictionOfLogs | None = None
 
 
-def logs_compared(fit: Fit, names: Sequence[str]) -> LogComparison:
+def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
     """Return how the logs of a fit compare.
 
     A log with joints that the others do not identify is not used as a test.
@@ -200,11 +200,13 @@ def logs_compared(fit: Fit, names: Sequence[str]) -> LogComparison:
         if is_test(k)
     )
     unknowns = fit.unknowns
-    own_rows = {name: [within(block, unknowns) for block in log] for name, log in logs.items()}
+    own_rows = {
+        name: [restrict_samples(block, unknowns) for block in log] for name, log in logs.items()
+    }
     friction = friction_of_logs(fit, own_rows, data.blocks)
     masses = {}
     for name, log in own_rows.items():
-        values, _, covariance = alone(
+        values, _, covariance = estimate_alone(
             log, unknowns.groups, fit.columns.prior[unknowns.kept], fit.noise
         )
         masses[name] = float(values[0]), float(np.sqrt(covariance[0, 0]))
@@ -229,7 +231,7 @@ def friction_of_logs(
         return None
     indices = np.array([unknowns.kept_names.index(name) for name in names])
     values = fit.values[unknowns.kept[indices]]
-    plain = [restricted(block, unknowns.kept_names, unknowns.held) for block in blocks]
+    plain = [restrict(block, unknowns.kept_names, unknowns.held) for block in blocks]
     ones = np.ones(len(fit.weights))
     squares = sum(normal_matrix(one, ones)[np.ix_(indices, indices)] for one in plain)
     owners = np.array([name.partition("[")[2][:-1] for name in names])
@@ -338,19 +340,19 @@ def _agreement(masses: Mapping[str, tuple[float, float]], has_same_friction: boo
         yield f"the logs agree on the mass, not on friction: {scatter}"
 
 
-def each_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
+def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
     """Return the payload from each recording and all of the other kind, in the flange's frame."""
     unknowns = fit.unknowns
     recordings = fit.columns.datasets
     payloads = []
-    logs = [within(samples, unknowns) for samples in fit.samples]
+    logs = [restrict_samples(samples, unknowns) for samples in fit.samples]
     prior = fit.columns.prior[unknowns.kept]
     indices = np.searchsorted(unknowns.kept, fit.columns.at(PAYLOAD_NAMES))
     for is_loaded in (False, True):
         same = [k for k, log in enumerate(recordings) if log.is_loaded is is_loaded]
         others = [k for k, log in enumerate(recordings) if log.is_loaded is not is_loaded]
         for k in same if len(same) > 1 else ():
-            values, *spread = alone(
+            values, *spread = estimate_alone(
                 [logs[i] for i in (k, *others)], unknowns.groups, prior, fit.noise
             )
             theta = flange.to_flange(values[indices])
@@ -450,7 +452,7 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     names = (*fewer.kept_names, *added)
 
     def add_body_columns(number: int, samples: DecimatedSamples) -> DecimatedSamples:
-        narrow = within(samples, fewer)
+        narrow = restrict_samples(samples, fewer)
         rows = []
         for block, full in zip(narrow.rows, samples.rows):
             bodies = np.zeros((len(block), count, N_INERTIAL))
@@ -466,7 +468,7 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     priors.append(independent("unseen", added, added, UNSEEN))
     prior = np.append(fit.columns.prior[common], np.zeros(len(added)))
     logs = [add_body_columns(*pair) for pair in enumerate(samples)]
-    values, _, errors = alone(logs, priors, prior)
+    values, _, errors = estimate_alone(logs, priors, prior)
     last = slice(len(common), None)
     bodies = np.zeros((count + 1, N_INERTIAL))
     covariance = np.zeros((count + 1, N_INERTIAL) * 2)

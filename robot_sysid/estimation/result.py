@@ -20,7 +20,7 @@ from robot_sysid.estimation.answer import (
     written_payload,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
-from robot_sysid.estimation.recordings import contradiction, each_recording
+from robot_sysid.estimation.recordings import contradiction, payloads_by_recording
 from robot_sysid.estimation.verdict import (
     UNEXPLAINED,
     UNUSUAL,
@@ -206,7 +206,7 @@ def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin
     if status.is_trustworthy:
         values[fit.columns.at(PAYLOAD_NAMES)], unknown = written_payload(answer)
         unknown = Detail(unknown)
-    scatter = each_recording(weighed.fit, flange) if known_mass is None else ()
+    scatter = payloads_by_recording(weighed.fit, flange) if known_mass is None else ()
     payload = _payload_estimate(answer, flange, values, scatter)
     if unknown:
         payload = _without_inertia(payload)

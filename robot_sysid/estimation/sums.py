@@ -18,7 +18,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, memory_of
-from robot_sysid.estimation.algebra.information import combined
+from robot_sysid.estimation.algebra.information import combine
 from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import CANDIDATES, choose
@@ -34,7 +34,7 @@ from robot_sysid.estimation.errors import (
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence, solved
 from robot_sysid.estimation.identify import Piece, low_pass_recordings, validate_rows
-from robot_sysid.estimation.recordings import parts_compared
+from robot_sysid.estimation.recordings import held_out_validation
 from robot_sysid.estimation.unknowns import FILE_GRAVITY, Choice, Question
 from robot_sysid.records import (
     Array,
@@ -122,7 +122,7 @@ class LogInformation:
         both = {name: getattr(self, name) + getattr(other, name) for name in summed}
         pairs = zip(self.evidence.blocks, other.evidence.blocks)
         squares = self.evidence.squared_torque + other.evidence.squared_torque
-        blocks = tuple(combined(pair) for pair in pairs)
+        blocks = tuple(combine(pair) for pair in pairs)
         return LogInformation(
             settled=self.settled,
             evidence=Evidence(blocks, squares, np.sqrt(both["torque"] / both["samples"])),
@@ -318,5 +318,5 @@ def answer_from(
                 fit, errors, validation.evidence, f"{validation.origin.detail}, not fitted"
             ),
         )
-    own = parts_compared(fit)
+    own = held_out_validation(fit)
     return Answer(fit, file, errors, own, tests, {}, found.acceleration_error, found.notes)

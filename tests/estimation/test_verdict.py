@@ -12,7 +12,7 @@ from robot_sysid.estimation import verdict
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.choices import held_out
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.recordings import parts_compared
+from robot_sysid.estimation.recordings import held_out_validation
 from robot_sysid.estimation.verdict import first
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import InertialParameters, Validation
@@ -154,11 +154,11 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     judge = held_out(fit)
     squared, chance = judge.squared(fit.unknowns), judge.chance(fit)
     assert np.sum(squared[:, :2]) == pytest.approx(np.sum(chance[:, :2]), rel=0.3)
-    assert parts_compared(fit).rmse_per_joint["joint2"] > 3.0 * fit.noise_per_joint["joint2"]
+    assert held_out_validation(fit).rmse_per_joint["joint2"] > 3.0 * fit.noise_per_joint["joint2"]
     speed, at = log.motion.qd, at[:, None]
     used = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
     fit = fitted(robot, [replace(log, used=used)], options)
-    own = parts_compared(fit)
+    own = held_out_validation(fit)
     assert own.relative_error > verdict.HARMLESS
     assert first(verdict.find_misfits(fit, [own], 0.0, {}), OK) == (OK, ())
     told = replace(own, told_enough=True)

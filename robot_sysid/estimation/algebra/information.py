@@ -128,7 +128,7 @@ def residual_errors(information: SquareRootInformation, values: Array) -> dict[s
     }
 
 
-def combined(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
+def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
     """Return the information of all blocks' data; a prior that they share counts once.
 
     All blocks, one at least, have the same parameters and joints.
@@ -167,7 +167,7 @@ def parts_of(
         yield replace(block, joints=joints)
 
 
-def restricted(
+def restrict(
     information: SquareRootInformation, names: Sequence[str], held: Array | None = None
 ) -> SquareRootInformation:
     """Return the data's information about named parameters, with the others held at fixed values.
