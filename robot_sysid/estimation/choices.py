@@ -49,7 +49,7 @@ from robot_sysid.estimation.unknowns import (
     Choice,
     Question,
     Unknowns,
-    unknowns,
+    build_unknowns,
 )
 from robot_sysid.records import Array, RobotModel, Validation
 from robot_sysid.records.results import validation_of
@@ -350,13 +350,13 @@ def _simplest(
 
 
 def _sought(fit: Fit, question: Question, choice: Choice) -> Unknowns:
-    return unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
+    return build_unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
 
 
 def squared_errors(judge: HeldOut, columns: Columns, question: Question, choice: Choice) -> Array:
     """Return held-out squared errors (blocks, joints) of a choice."""
     data = judge.data
-    return judge.squared(unknowns(columns, question, choice, data.torque, data.shown))
+    return judge.squared(build_unknowns(columns, question, choice, data.torque, data.shown))
 
 
 def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:

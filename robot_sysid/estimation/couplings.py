@@ -26,8 +26,8 @@ from robot_sysid.estimation.unknowns import (
     Choice,
     Question,
     Unknowns,
-    independent,
-    unknowns,
+    build_unknowns,
+    independent_prior,
 )
 from robot_sysid.json_files import read_json
 from robot_sysid.model.tendons import CAN_HOLD_ROTORS, shared_motors
@@ -150,7 +150,7 @@ def _promising_couplings(
     if not candidates:
         return []
     choice = replace(fit.choice, couplings=(*present, *candidates))
-    sought = unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
+    sought = build_unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
     problem = WithPriors(fit.evidence.of(sought), np.sqrt(fit.inflation * fit.memory) * fit.noise)
     priors = [_motor_prior(fit, sought, motor) for motor in candidates]
     absent = [replace(prior, widened=_NOTHING) for prior in priors]
@@ -205,7 +205,7 @@ def _motor_prior(fit: Fit, sought: Unknowns, motor: Coupling) -> NuisanceGroup:
             if usual > 0.0:
                 size = max(size, LEAST_COULOMB * fit.evidence.torque[joint] / usual)
         sizes.append(size)
-    return independent("couplings", names, names, np.array(sizes))
+    return independent_prior("couplings", names, names, np.array(sizes))
 
 
 def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:

@@ -32,9 +32,9 @@ from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,
     SCALES,
+    build_unknowns,
     common_error,
     scale_spread,
-    unknowns,
 )
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
@@ -239,7 +239,7 @@ def _unscaled(fit: Fit) -> Array:
     """
     known, choice = fit.unknowns, replace(fit.choice, common_scale=0.0)
     given = fit.evidence.torque, fit.evidence.shown
-    plain = unknowns(fit.columns, fit.question, choice, *given).groups
+    plain = build_unknowns(fit.columns, fit.question, choice, *given).groups
     others = [group for group in known.groups if group.cause != SCALES]
     scales = (next(g for g in groups if g.cause == SCALES) for groups in (known.groups, plain))
     likely = WithPriors(fit.evidence.of(known), 1.0 / fit.weights).likely

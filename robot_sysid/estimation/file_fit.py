@@ -36,7 +36,7 @@ from robot_sysid.estimation.unknowns import (
     Choice,
     Question,
     Unknowns,
-    unknowns,
+    build_unknowns,
 )
 from robot_sysid.model.tendons import CAN_HOLD_ROTORS
 from robot_sysid.records import Array, RobotModel, Validation
@@ -161,7 +161,7 @@ def _as_it_was(fitter: Fitter, question: Question, choice: Choice, point: Point)
     """
     columns = fitter.columns
     data, _ = fitter.around(point)
-    sought = unknowns(columns, question, choice, data.torque, data.shown)
+    sought = build_unknowns(columns, question, choice, data.torque, data.shown)
     offsets = [columns.place[f"offset[{joint}]"] for joint in columns.joints]
     kept = np.array([place for place in offsets if data.shown[place]], dtype=np.int64)
     held = columns.prior.copy()

@@ -21,7 +21,7 @@ from robot_sysid.estimation.algebra.least_squares import sharpened, solver, weig
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
-from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, unknowns
+from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 
@@ -351,7 +351,7 @@ def solved(
         noise: (joints,) to begin with [N m].
         residual_memory: (joints,) as of ``Visits.inflation``, where no rows tell it.
     """
-    sought = unknowns(columns, question, choice, data.torque, data.shown)
+    sought = build_unknowns(columns, question, choice, data.torque, data.shown)
     memory = memory_of(choice, len(columns.joints))
     counted = np.ones_like(memory) if inflation is None else inflation
     widening = memory if residual_memory is None else residual_memory
@@ -372,7 +372,7 @@ def solved(
                 noise = counts / np.sqrt(divided)
         values = possible(sought, data, 1.0 / counts, free)
         # Bodies that have to be possible push others across their bounds.
-        inside = sought.bounded(values)
+        inside = sought.hold_at_bounds(values)
         if inside is None:
             break
     values = np.clip(values, sought.lower, sought.upper)
@@ -406,7 +406,7 @@ def _bounded(
     while True:  # each round holds at least one more parameter
         prior = columns.prior[sought.kept]
         sought, values, counts, noise = _weighed(sought, data, prior, inflation, memory, noise)
-        inside = sought.bounded(values)
+        inside = sought.hold_at_bounds(values)
         if inside is None:
             return sought, np.clip(values, sought.lower, sought.upper), counts
         sought = inside
