@@ -213,7 +213,7 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     data = evidence_of([columns.samples(columns.start())], torque)
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
-    told = torque, data.shown
+    told = torque, data.nonzero
     sought = build_unknowns(columns, question, choice, *told)
     plain = data.of(sought)
     # Rows count by the noise that is left in each. They are slow: what counts of white noise that

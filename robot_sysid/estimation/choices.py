@@ -112,7 +112,7 @@ class HeldOut:
     @cached_property
     def _there(self) -> NDArray[np.bool_]:
         """Which parameters (p,) have columns, and may be asked for."""
-        shown, asked = self.data.shown, self.asked
+        shown, asked = self.data.nonzero, self.asked
         if asked is None:
             return shown
         return shown & (np.isin(np.arange(len(shown)), asked.kept) | (asked.held != 0.0))
@@ -141,7 +141,7 @@ class HeldOut:
         else.
         """
         shown, held = self._there, sought.held.copy()
-        assert not np.any(self.data.shown[sought.kept] & ~shown[sought.kept])
+        assert not np.any(self.data.nonzero[sought.kept] & ~shown[sought.kept])
         held[sought.kept] = 0.0
         prior, places = _prior_rows(sought), np.where(shown, np.cumsum(shown) - 1, -1)
         known, rest = prior.T @ prior, np.flatnonzero(held)
@@ -350,13 +350,13 @@ def _simplest(
 
 
 def _sought(fit: Fit, question: Question, choice: Choice) -> Unknowns:
-    return build_unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
+    return build_unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero)
 
 
 def squared_errors(judge: HeldOut, columns: Columns, question: Question, choice: Choice) -> Array:
     """Return held-out squared errors (blocks, joints) of a choice."""
     data = judge.data
-    return judge.squared(build_unknowns(columns, question, choice, data.torque, data.shown))
+    return judge.squared(build_unknowns(columns, question, choice, data.torque, data.nonzero))
 
 
 def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:

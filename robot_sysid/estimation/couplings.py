@@ -150,7 +150,9 @@ def _promising_couplings(
     if not candidates:
         return []
     choice = replace(fit.choice, couplings=(*present, *candidates))
-    sought = build_unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
+    sought = build_unknowns(
+        fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
+    )
     problem = WithPriors(fit.evidence.of(sought), np.sqrt(fit.inflation * fit.memory) * fit.noise)
     priors = [_motor_prior(fit, sought, motor) for motor in candidates]
     absent = [replace(prior, widened=_NOTHING) for prior in priors]

@@ -27,7 +27,7 @@ from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
-from robot_sysid.estimation.fit import ChosenRows, Fit, give_back, squared_effect
+from robot_sysid.estimation.fit import ChosenRows, Fit, release_memory, squared_effect
 from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,
@@ -158,7 +158,7 @@ def _unlikely_move(fit: Fit) -> Array:
 
 def _of_noise(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     """Return the errors that noise and priors explain; see ``fit_errors``."""
-    give_back()
+    release_memory()
     information, weights = fit.information, fit.weights
     left, space = list(residuals), joint_space(information, weights)
     if fit.samples and not left:
@@ -167,7 +167,7 @@ def _of_noise(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
     if left:  # which take as much memory as the triangles, and stand for them
         information = replace(information, joints=())
-    give_back()
+    release_memory()
     return uncertainty(information, weights, 1.0 / weights, left, space)
 
 
@@ -204,7 +204,7 @@ def _more(
     if not fit.question.in_file:
         yield SCALES, _scaled_friction(fit)
     places = fit.columns.at(fit.unknowns.at_bound)
-    places = places[fit.evidence.shown[places]]
+    places = places[fit.evidence.nonzero[places]]
     if len(places):
         normal, kept = normal_matrix(fit.evidence.whole, fit.weights), fit.unknowns.kept
         crossed = normal[np.ix_(kept, places)]
@@ -238,7 +238,7 @@ def _unscaled(fit: Fit) -> Array:
     Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14(4), 1999, eq. 1, 2).
     """
     known, choice = fit.unknowns, replace(fit.choice, common_scale=0.0)
-    given = fit.evidence.torque, fit.evidence.shown
+    given = fit.evidence.torque, fit.evidence.nonzero
     plain = build_unknowns(fit.columns, fit.question, choice, *given).groups
     others = [group for group in known.groups if group.cause != SCALES]
     scales = (next(g for g in groups if g.cause == SCALES) for groups in (known.groups, plain))

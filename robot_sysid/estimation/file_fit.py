@@ -161,9 +161,9 @@ def _as_it_was(fitter: Fitter, question: Question, choice: Choice, point: Point)
     """
     columns = fitter.columns
     data, _ = fitter.around(point)
-    sought = build_unknowns(columns, question, choice, data.torque, data.shown)
+    sought = build_unknowns(columns, question, choice, data.torque, data.nonzero)
     offsets = [columns.place[f"offset[{joint}]"] for joint in columns.joints]
-    kept = np.array([place for place in offsets if data.shown[place]], dtype=np.int64)
+    kept = np.array([place for place in offsets if data.nonzero[place]], dtype=np.int64)
     held = columns.prior.copy()
     if question.carried is not None:
         held[columns.at(PAYLOAD_NAMES)] = question.carried

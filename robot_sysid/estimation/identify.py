@@ -119,7 +119,7 @@ def answer_link(
     if kept is not None:
         progress.stage(Detail("Fitting the model file..."))
         # What the file's rows say, which are drawn, takes as much memory.
-        fit = replace(fit, samples=(), evidence=fit.evidence.undivided())
+        fit = replace(fit, samples=(), evidence=fit.evidence.merge_blocks())
         file = fit_file(fitter, options, kept, fit)
     signals = [each.signals for each in datasets if each.signals is not None]
     coarsest = max((each.acceleration_error for each in signals), default=0.0)

@@ -32,7 +32,7 @@ from robot_sysid.estimation.errors import (
     residuals_within,
 )
 from robot_sysid.estimation.file_fit import fit_file
-from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence, solved
+from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence, solve
 from robot_sysid.estimation.identify import Piece, filtered, predicted
 from robot_sysid.estimation.recordings import parts_compared
 from robot_sysid.estimation.unknowns import FILE_GRAVITY, Choice, Question
@@ -199,9 +199,9 @@ class _Fixed(Fitter):
         residuals = self._found.residuals
         given = self.columns, question, choice, self._point, self._found.evidence
         if not residuals:
-            return solved(*given)
+            return solve(*given)
         inflation = self._found.rows.inflation()
-        return solved(*given, inflation=inflation, residual_memory=self._residual_memory())
+        return solve(*given, inflation=inflation, residual_memory=self._residual_memory())
 
     def noise_memory(self, fit: Fit) -> Array:
         """Return how many rows (joints,) of each joint count as one, by the first round."""

@@ -259,6 +259,6 @@ def test_a_fit_is_judged_with_bodies_that_are_possible(robot, noisy):
     )
     (log,), options = datasets_of(robot, loud, **KNOWN)
     fit = fitted(robot, [log], options)
-    assert spatial.is_consistent(fit.values[:10]) and fit.constrained
+    assert spatial.is_consistent(fit.values[:10]) and fit.is_constrained
     judge = held_out(fit)
     assert np.sum(judge.of(fit)) < np.sum(judge.squared(fit.unknowns))
