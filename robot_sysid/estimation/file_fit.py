@@ -22,8 +22,8 @@ from robot_sysid.estimation.choices import (
     is_clearly_lower,
     predictive_link_scales,
     score_of,
-    shown_offsets,
-    shown_rotors,
+    select_offsets,
+    select_rotors,
     squared_errors,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
@@ -100,7 +100,7 @@ def _fit_kind(
 ) -> FileFit:
     """Return the best file of one kind, with some motors that turn several joints in it."""
     robot, kept = fitter.columns.robot, question.kept_parts
-    rotors = shown_rotors(made) if _holds_rotors(question) else {}
+    rotors = select_rotors(made) if _holds_rotors(question) else {}
     friction = _friction(robot, question, rotors, IN_FILE)
     choice = Choice(friction, motors, rotors=rotors)
     # What a file cannot hold is the model's again.
@@ -115,7 +115,7 @@ def _fit_kind(
     choice = replace(choice, friction=_polynomials(judge, fit, question, choice))
     scales = predictive_link_scales(judge, fit, question, choice)
     choice = replace(choice, link_scales=scales)
-    choice = shown_offsets(fit, question, choice)
+    choice = select_offsets(fit, question, choice)
     asked, after, rounds = question, fit.next_point, _ROUNDS
     if FILE_GRAVITY not in kept and fit.unknowns.settle:
         level = replace(question, kept_parts=(*kept, FILE_GRAVITY))
@@ -169,7 +169,7 @@ def _as_it_was(fitter: Fitter, question: Question, choice: Choice, point: Point)
         held[columns.at(PAYLOAD_NAMES)] = question.carried
     only = Unknowns(columns.names, kept, held, (), sought.lower, sought.upper, {})
     judge = HeldOut(data, np.ones(len(columns.joints)))
-    return judge.validation(judge.squared(only))
+    return judge.validation(judge.squared_errors(only))
 
 
 def holds_polynomial(robot: RobotModel, joint: int, file_kind: str) -> bool:
