@@ -35,7 +35,7 @@ from robot_sysid.estimation.algebra.possible_errors import possible_covariance
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.unknowns import LINKS, Question, unknowns
+from robot_sysid.estimation.unknowns import LINKS, Question, build_unknowns
 from robot_sysid.expected import NOISE, _choice, _posterior, known_of
 from robot_sysid.motion.design.optimise import Design
 from robot_sysid.motion.design.search import design_excitation
@@ -64,7 +64,7 @@ def beliefs(problem, motion):
     robot, columns = problem.robot, Columns(problem.robot, (), OPTIONS.torques)
     torque = np.sqrt(np.mean(problem.arm_torque(motion) ** 2, axis=0))
     shown = np.ones(len(columns.names), dtype=bool)
-    sought = unknowns(columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, shown)
+    sought = build_unknowns(columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, shown)
     return robot, columns, sought.groups
 
 

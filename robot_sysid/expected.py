@@ -43,10 +43,10 @@ from robot_sysid.estimation.unknowns import (
     Choice,
     Question,
     Unknowns,
+    build_unknowns,
     common_error,
     expected_dry_friction,
     scale_spread,
-    unknowns,
 )
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.motion import information, prediction
@@ -101,7 +101,9 @@ def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str)
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
     torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
-    sought = unknowns(columns, question, choice, torque, np.ones(len(columns.names), dtype=bool))
+    sought = build_unknowns(
+        columns, question, choice, torque, np.ones(len(columns.names), dtype=bool)
+    )
     factor, sure = np.zeros((0, 0)), dict[str, float]()
     for group in sought.groups:
         sure.update(zip(group.names, np.sqrt(np.sum(group.factor**2, axis=1)).tolist()))
@@ -213,8 +215,8 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     data = evidence_of([columns.samples(columns.start())], torque)
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
-    told = torque, data.shown
-    sought = unknowns(columns, question, choice, *told)
+    told = torque, data.nonzero
+    sought = build_unknowns(columns, question, choice, *told)
     plain = data.of(sought)
     # Rows count by the noise that is left in each. They are slow: what counts of white noise that
     # passed the filter is its density at low frequencies, which the filter leaves alone, spread
@@ -227,7 +229,7 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     causes = {g.cause: g.covariance_rows(plain.names, found.inverse) for g in sought.groups}
     doubt = 0.0, found
     if sought.may_be_scaled(question):
-        wider = unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
+        wider = build_unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
         doubt = _doubt(sought, found, wider, known(wider.groups))
     if not is_loaded:
         at, usual = sought.bodies[robot.body_name]

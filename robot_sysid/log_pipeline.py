@@ -14,7 +14,7 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.diagnosis.run import look_at
 from robot_sysid.estimation.answer import traces_of
 from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.estimation.fit import give_back
+from robot_sysid.estimation.fit import release_memory
 from robot_sysid.estimation.identify import (
     Piece,
     answer_link,
@@ -116,7 +116,7 @@ def checked(
     late = ("delay",) if config.estimation.delay == "auto" else ()
     for done, log in enumerate(logs):
         progress.advance("Looking for what is wrong with the logs", done, len(logs), "")
-        give_back()
+        release_memory()
         look_at(robot, log, (*config.log.accept, *late), progress, config.estimation)
 
 

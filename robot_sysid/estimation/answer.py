@@ -362,7 +362,7 @@ def estimate_of(answer: Answer) -> Estimate:
         standard_errors=errors.whole.standard_errors[order],
         noise_per_joint=fit.noise_per_joint,
         effective_samples=dict(zip(residuals["samples"], errors.whole.effective)),
-        constrained=fit.constrained,
+        constrained=fit.is_constrained,
     )
 
 

@@ -131,7 +131,7 @@ def answer_link(
     if kept_parts is not None:
         progress.stage(Detail("Fitting the model file..."))
         # The file's rows, which the report draws, take as much memory.
-        fit = replace(fit, samples=(), evidence=fit.evidence.undivided())
+        fit = replace(fit, samples=(), evidence=fit.evidence.merge_blocks())
         file = fit_file(fitter, options, kept_parts, fit)
     signals = [dataset.signals for dataset in datasets if dataset.signals is not None]
     coarsest = max((log_signals.acceleration_error for log_signals in signals), default=0.0)

@@ -29,7 +29,7 @@ from robot_sysid.estimation.choices import HeldOut, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
-from robot_sysid.estimation.unknowns import FRICTION, WEIGHT, Unknowns, independent
+from robot_sysid.estimation.unknowns import FRICTION, WEIGHT, Unknowns, independent_prior
 from robot_sysid.estimation.verdict import is_informative
 from robot_sysid.records import Array, Flange, SquareRootInformation, Validation
 from robot_sysid.records.figures import percent
@@ -465,7 +465,7 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
 
     # A recording of the wrong kind widens priors that have nothing to do with it.
     priors = [replace(g, widened=1.0) for g in fit.unknowns.groups if g.cause != WEIGHT]
-    priors.append(independent("unseen", added, added, UNSEEN))
+    priors.append(independent_prior("unseen", added, added, UNSEEN))
     prior = np.append(fit.columns.prior[common], np.zeros(len(added)))
     logs = [add_body_columns(*pair) for pair in enumerate(samples)]
     values, _, errors = estimate_alone(logs, priors, prior)

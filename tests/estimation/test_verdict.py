@@ -152,7 +152,7 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     used[:, 2] = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
     fit = fitted(robot, [replace(log, used=used)], options)
     judge = held_out(fit)
-    squared, chance = judge.squared(fit.unknowns), judge.chance(fit)
+    squared, chance = judge.squared_errors(fit.unknowns), judge.chance(fit)
     assert np.sum(squared[:, :2]) == pytest.approx(np.sum(chance[:, :2]), rel=0.3)
     assert held_out_validation(fit).rmse_per_joint["joint2"] > 3.0 * fit.noise_per_joint["joint2"]
     speed, at = log.motion.qd, at[:, None]

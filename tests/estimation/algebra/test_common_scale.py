@@ -15,7 +15,7 @@ from robot_sysid.estimation.unknowns import (
     SCALES,
     Question,
     Unknowns,
-    independent,
+    independent_prior,
     with_common,
 )
 
@@ -25,8 +25,8 @@ NAMES = (*MASSES, *JOINTS)
 
 def beliefs():
     """Masses are known to 6 and 4 %, scales to 2 %, without and with 15 % in common."""
-    masses = independent(LINKS, MASSES, MASSES, np.array([0.06, 0.04]))
-    scales = independent(SCALES, JOINTS, JOINTS, 0.02)
+    masses = independent_prior(LINKS, MASSES, MASSES, np.array([0.06, 0.04]))
+    scales = independent_prior(SCALES, JOINTS, JOINTS, 0.02)
     return (masses, scales), (masses, with_common(scales, 0.15))
 
 
