@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.example_study import NoiseStudy, designed_plan, random_plan
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, with_gravity
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.identify import Piece, answer_link, filtered
+from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import DELAY_NAME
 from robot_sysid.records.progress import Progress
@@ -54,7 +54,7 @@ def found(study, plan, pair, noise, step, seed):
     sensors = SimulatedArmOptions(noise_torque=noise, encoder_resolution=step, torque_delay=delay)
     plant, rng = with_gravity(study.plant, down), np.random.default_rng(seed)
     log = join_measurements(PlantSimulation(plant, plan, sensors, RATE, rng))
-    datasets, _ = filtered(study.robot, [Piece("", log)], OPTIONS)
+    datasets, _ = low_pass_recordings(study.robot, [Piece("", log)], OPTIONS)
     answer = answer_link(study.robot, datasets, OPTIONS, Progress(), None)
     late, *both = (answer.figure(name) for name in (DELAY_NAME, *TILT_NAMES))
     here = answer.fit.point.gravity

@@ -34,8 +34,8 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.possible_errors import possible_covariance
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.identify import Piece, answer_link, filtered
-from robot_sysid.estimation.unknowns import LINKS, Question, unknowns
+from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
+from robot_sysid.estimation.unknowns import LINKS, Question, build_unknowns
 from robot_sysid.expected import NOISE, _choice, _posterior, known_of
 from robot_sysid.motion.design.optimise import Design
 from robot_sysid.motion.design.search import design_excitation
@@ -64,7 +64,7 @@ def beliefs(problem, motion):
     robot, columns = problem.robot, Columns(problem.robot, (), OPTIONS.torques)
     torque = np.sqrt(np.mean(problem.arm_torque(motion) ** 2, axis=0))
     shown = np.ones(len(columns.names), dtype=bool)
-    sought = unknowns(columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, shown)
+    sought = build_unknowns(columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, shown)
     return robot, columns, sought.groups
 
 
@@ -132,7 +132,7 @@ def identified(problem, motion, rng, exact):
     tau, q = measured(robot, columns, values, motion)
     tau = tau + SIGMA * rng.normal(size=tau.shape)
     recording = Measurement(motion.time, q, None, tau, None)
-    datasets, _ = filtered(robot, [Piece("log", recording)], OPTIONS)
+    datasets, _ = low_pass_recordings(robot, [Piece("log", recording)], OPTIONS)
     answer = answer_link(robot, datasets, OPTIONS, Progress(), None)
     fit, theta = answer.fit, values[:10]
     stated = estimate_of(answer).standard_errors[:10]

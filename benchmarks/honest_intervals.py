@@ -37,7 +37,7 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
 from robot_sysid.estimation.algebra.nuisances import link_factor
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.identify import Piece, answer_payload, filtered
+from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
 from robot_sysid.estimation.result import WIDER, payload_of
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.model.flange import find_flange
@@ -179,7 +179,7 @@ def weighed(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]
     pieces = [
         Piece(f"log{k}", arm.log(loaded), loaded, places[k]) for k, loaded in enumerate(ORDER)
     ]
-    datasets, _ = filtered(arm.robot, sorted(pieces, key=lambda p: p.is_loaded), options)
+    datasets, _ = low_pass_recordings(arm.robot, sorted(pieces, key=lambda p: p.is_loaded), options)
     question, flange = Question(options, loaded=True, drifts=True), find_flange(arm.robot, None)
     answer, free = answer_payload(arm.robot, datasets, question, Progress(), None)
     result = payload_of(answer, free, flange, ORIGIN)

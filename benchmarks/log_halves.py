@@ -29,7 +29,7 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.fit import Fit
-from robot_sysid.estimation.identify import Piece, answer_link, filtered
+from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.unknowns import FRICTION, Question
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import open_log
@@ -64,7 +64,7 @@ def half_fits(robot: RobotModel, log: Measurement) -> Iterator[tuple[Fit, FitErr
     options = EstimationOptions(cutoff=signals.cutoff)
     middle = 0.5 * (log.time[-1] - log.time[0])
     for start, end in ((0.0, middle), (middle, np.inf)):
-        datasets, _ = filtered(robot, [Piece("half", stretch(log, start, end))], options)
+        datasets, _ = low_pass_recordings(robot, [Piece("half", stretch(log, start, end))], options)
         fitter = fitter_of(robot, datasets, couplings=whole.fit.columns.couplings)
         fit = fitter.fit(Question(options), whole.fit.choice)
         yield fit, fit_errors(fit)
@@ -73,7 +73,7 @@ def half_fits(robot: RobotModel, log: Measurement) -> Iterator[tuple[Fit, FitErr
 def answer_of(robot: RobotModel, log: Measurement) -> Answer:
     """Return the answer of a whole log with defaults."""
     options = EstimationOptions()
-    datasets, _ = filtered(robot, [Piece("log", log)], options)
+    datasets, _ = low_pass_recordings(robot, [Piece("log", log)], options)
     return answer_link(robot, datasets, options, Progress(), None)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.identify import Piece, answer_payload, filtered
+from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
 from robot_sysid.estimation.result import payload_of
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.model.flange import find_flange
@@ -81,9 +81,9 @@ def weighed(robot, raw, estimation=USUAL, drifts=True, **known):
     """The result that the command finds."""
     places = np.linspace(-1.0, 1.0, len(raw))
     pieces = [Piece(r.name, r.samples, r.is_loaded, at) for r, at in zip(raw, places)]
-    datasets, _ = filtered(robot, pieces, estimation)
+    datasets, _ = low_pass_recordings(robot, pieces, estimation)
     question = Question(estimation, loaded=True, drifts=drifts, **known)
-    found, free = answer_payload(robot, datasets, question, Progress(), kept=None)
+    found, free = answer_payload(robot, datasets, question, Progress(), kept_parts=None)
     return payload_of(found, free, find_flange(robot, "0,0,0"), ORIGIN)
 
 

@@ -29,7 +29,7 @@ from benchmarks.speed_table import rewrite
 from robot_sysid.api.calls import identify, payload
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.algebra.information import restricted
+from robot_sysid.estimation.algebra.information import restrict
 from robot_sysid.estimation.choices import without_standing
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
@@ -196,7 +196,7 @@ def fit_error(fit, test, is_loaded: bool) -> float:
     seen = evidence_of([rows], fit.evidence.torque)
     offsets = [name for name in columns.names if name.startswith("offset[")]
     held = np.where(np.isin(columns.names, offsets), 0.0, fit.values)
-    free = restricted(seen.whole, offsets, held)
+    free = restrict(seen.whole, offsets, held)
     best = np.linalg.lstsq(*free.stacked(), rcond=None)[0]
     return float(np.sqrt(np.sum(free.squared_residuals(best)) / np.sum(seen.squared_torque)))
 

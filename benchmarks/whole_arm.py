@@ -24,7 +24,7 @@ from robot_sysid.estimation.answer import parameter_scale, structural_base
 from robot_sysid.estimation.choices import CANDIDATES
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.estimation.identify import Piece, answer_link, filtered
+from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress
@@ -54,7 +54,9 @@ def main(*parts: str) -> None:
 def answer_of(robot, logs, cutoff: float):
     """The answer from some logs."""
     options = EstimationOptions(cutoff=cutoff)
-    datasets, _ = filtered(robot, [Piece(str(k), log) for k, log in enumerate(logs)], options)
+    datasets, _ = low_pass_recordings(
+        robot, [Piece(str(k), log) for k, log in enumerate(logs)], options
+    )
     return answer_link(robot, datasets, options, Progress())
 
 

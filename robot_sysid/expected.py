@@ -17,7 +17,7 @@ import numpy as np
 from robot_sysid.dynamics.newton_euler import in_parts
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.common_scale import doubted
+from robot_sysid.estimation.algebra.common_scale import false_alarms
 from robot_sysid.estimation.algebra.identifiability import describe, triangle_space
 from robot_sysid.estimation.algebra.link_scales import EXPECTED
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
@@ -34,7 +34,7 @@ from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.estimation.couplings import couplings_of
 from robot_sysid.estimation.dataset import Dataset, mean_torque
 from robot_sysid.estimation.fit import evidence_of
-from robot_sysid.estimation.identify import Piece, filtered
+from robot_sysid.estimation.identify import Piece, low_pass_recordings
 from robot_sysid.estimation.unknowns import (
     COMMON_SCALE,
     DRIFTS,
@@ -43,10 +43,10 @@ from robot_sysid.estimation.unknowns import (
     Choice,
     Question,
     Unknowns,
+    build_unknowns,
     common_error,
     expected_dry_friction,
     scale_spread,
-    unknowns,
 )
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.motion import information, prediction
@@ -101,7 +101,9 @@ def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str)
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
     torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
-    sought = unknowns(columns, question, choice, torque, np.ones(len(columns.names), dtype=bool))
+    sought = build_unknowns(
+        columns, question, choice, torque, np.ones(len(columns.names), dtype=bool)
+    )
     factor, sure = np.zeros((0, 0)), dict[str, float]()
     for group in sought.groups:
         sure.update(zip(group.names, np.sqrt(np.sum(group.factor**2, axis=1)).tolist()))
@@ -201,7 +203,9 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     rate = min(sample_rate, HIGHEST_RATE_HZ)
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
     robot, choice, is_loaded = problem.robot, _choice(problem, options), asked == "payload"
-    (dataset,), _ = filtered(robot, [Piece("", _rehearsal(problem, plan, rate))], options)
+    (dataset,), _ = low_pass_recordings(
+        robot, [Piece("", _rehearsal(problem, plan, rate))], options
+    )
     datasets: Sequence[Dataset] = (dataset,)
     assert dataset.signals is not None
     if is_loaded:
@@ -211,8 +215,8 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     data = evidence_of([columns.samples(columns.start())], torque)
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     question = Question(options, loaded=is_loaded, drifts=is_loaded)
-    told = torque, data.shown
-    sought = unknowns(columns, question, choice, *told)
+    told = torque, data.nonzero
+    sought = build_unknowns(columns, question, choice, *told)
     plain = data.of(sought)
     # Rows count by the noise that is left in each. They are slow: what counts of white noise that
     # passed the filter is its density at low frequencies, which the filter leaves alone, spread
@@ -222,10 +226,10 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     counts = 1.0 / left, sigma / np.sqrt(low_pass.step)
     known = partial(_with_known, plain, counts, whole_triangle(plain, counts[0]))
     found = known(sought.groups)
-    causes = {g.cause: g.explained(plain.names, found.inverse) for g in sought.groups}
+    causes = {g.cause: g.covariance_rows(plain.names, found.inverse) for g in sought.groups}
     doubt = 0.0, found
     if sought.may_be_scaled(question):
-        wider = unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
+        wider = build_unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
         doubt = _doubt(sought, found, wider, known(wider.groups))
     if not is_loaded:
         at, usual = sought.bodies[robot.body_name]
@@ -257,9 +261,9 @@ def _doubt(
     pairs = []
     for asked, after in ((sought, found), (wider, then)):
         scales = next(group for group in asked.groups if group.cause == SCALES)
-        places = scales.places(asked.kept_names)
+        places = scales.indices(asked.kept_names)
         pairs.append((scales.factor @ scales.factor.T, after.inverse[np.ix_(places, places)]))
-    share, told = doubted(*pairs)
+    share, told = false_alarms(*pairs)
     moved = then.inverse[:, places]
     return share, then.with_part(0.5 * moved @ told @ moved.T)
 

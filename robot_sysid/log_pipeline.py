@@ -14,8 +14,14 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.diagnosis.run import look_at
 from robot_sysid.estimation.answer import traces_of
 from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.estimation.fit import give_back
-from robot_sysid.estimation.identify import Piece, answer_link, filtered, refit, shared_notes
+from robot_sysid.estimation.fit import release_memory
+from robot_sysid.estimation.identify import (
+    Piece,
+    answer_link,
+    low_pass_recordings,
+    refit,
+    shared_notes,
+)
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of, write_measurement_csv
@@ -110,7 +116,7 @@ def checked(
     late = ("delay",) if config.estimation.delay == "auto" else ()
     for done, log in enumerate(logs):
         progress.advance("Looking for what is wrong with the logs", done, len(logs), "")
-        give_back()
+        release_memory()
         look_at(robot, log, (*config.log.accept, *late), progress, config.estimation)
 
 
@@ -123,11 +129,13 @@ def _filtered(
     tests: Sequence[MeasurementLog] = (),
 ) -> _Recorded:
     options, others = config.estimation, {}
-    datasets, said = filtered(robot, pieces, options)
+    datasets, said = low_pass_recordings(robot, pieces, options)
     cutoff = datasets[0].signals.cutoff if datasets[0].signals else options.cutoff
     for log in tests:
         parts = [Piece(str(log.path), part) for part in log.pieces]
-        others[str(log.path)] = filtered(robot, parts, replace(options, cutoff=cutoff))[0]
+        others[str(log.path)] = low_pass_recordings(robot, parts, replace(options, cutoff=cutoff))[
+            0
+        ]
     return _Recorded(datasets, others, origin, (*notes, *said))
 
 

@@ -12,7 +12,7 @@ from robot_sysid.diagnosis.run import look_at
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
-from robot_sysid.estimation.identify import Piece, answer_payload, filtered, shared_notes
+from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings, shared_notes
 from robot_sysid.estimation.result import payload_of
 from robot_sysid.estimation.unknowns import SCALES, Question, Unknowns
 from robot_sysid.logs.reader import open_log
@@ -102,7 +102,7 @@ def _datasets(
         for number, samples in enumerate(each.pieces, start=1):
             name = f"{each.name} (part {number})" if len(each.pieces) > 1 else each.name
             pieces.append(Piece(name, samples, each.is_loaded, where))
-    datasets, said = filtered(robot, pieces, config.estimation)
+    datasets, said = low_pass_recordings(robot, pieces, config.estimation)
     return datasets, (*shared_notes({each.name: each.notes for each in raw}), *said)
 
 

@@ -14,7 +14,7 @@ from robot_sysid.estimation.algebra import possible_errors
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.possible_errors import possible_covariance
 from robot_sysid.estimation.answer import estimate_of
-from robot_sysid.estimation.identify import Piece, answer_link, filtered
+from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.unknowns import LINKS, SCALES
 from robot_sysid.expected import NOISE, expect, friction_lines, known_of, outlook
 from robot_sysid.logs.reader import join_measurements
@@ -49,7 +49,7 @@ def answered(options, seed):
     noise = SIGMA * np.random.default_rng([seed, 1]).normal(size=exact.tau.shape)
     recording = replace(exact, tau=exact.tau + noise, qd=None, qdd=None)
     given = replace(options, friction_model=DEFAULT_MEASURED)
-    datasets, _ = filtered(robot(ARM), [Piece("log", recording)], given)
+    datasets, _ = low_pass_recordings(robot(ARM), [Piece("log", recording)], given)
     return answer_link(robot(ARM), datasets, given, Progress(), None)
 
 

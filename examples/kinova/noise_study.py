@@ -25,7 +25,7 @@ from robot_sysid.estimation.answer import Answer, estimate_of
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, mean_torque
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.fit import evidence, solved
+from robot_sysid.estimation.fit import evidence, solve
 from robot_sysid.estimation.unknowns import Choice, Question
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
@@ -162,7 +162,7 @@ class NoiseStudy:
         question = Question(EstimationOptions(**KNOWN))
         choice, start = Choice(self.friction), self.columns.start()
         data = evidence((samples,), mean_torque(self.columns.datasets))
-        fit = solved(self.columns, question, choice, start, data, (samples,))
+        fit = solve(self.columns, question, choice, start, data, (samples,))
         fits, errors = (fit, replace(fit, values=fit.free)), fit_errors(fit)
         untested = Validation("nothing", 0, np.nan, None, {}, {})
         possible, plain = (estimate_of(Answer(each, None, errors, untested)) for each in fits)

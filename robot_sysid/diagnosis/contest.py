@@ -46,8 +46,8 @@ UNEXPLAINED, OTHER_ARM = 0.05, 0.3
 """Parts of the torque that neither noise nor an explanation accounts for, from which on nothing is
 named, and from which on the model is of another arm: right logs have 0.03 at most."""
 GROSS, GROSS_JOINT, SMALL = 0.05, 0.5, 0.02
-"""Part of the torque, and of one joint's, that is left where relabelled columns are tried; a part of
-which more may be left when they are put right."""
+"""Parts left of the torque and of one joint's from which on relabelled columns are tried, and the
+part of the torque that they may leave even where the log as it is leaves less."""
 USUAL_STRAIN, FAR, ODD_SCALE = 7.0, 40.0, 1.3
 """Strain of links of usual arms, and one that none has whose model is its own; factor between usual
 torque and the model's from which on scales are tried."""

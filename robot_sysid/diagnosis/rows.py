@@ -26,7 +26,7 @@ from robot_sysid.estimation.choices import WITH_ALL
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import neighbours
 from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.estimation.unknowns import Choice, Question, unknowns
+from robot_sysid.estimation.unknowns import Choice, Question, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, Measurement, Motion, RobotModel
 from robot_sysid.signals.process import LogPiece, ProcessedSignals, process
 
@@ -275,7 +275,7 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     factors = []
     for link_scales in LINK_SCALES:
         choice = Choice((model,) * robot.n_joints, link_scales=link_scales)
-        sought = unknowns(columns, question, choice, log.usual, shown)
+        sought = build_unknowns(columns, question, choice, log.usual, shown)
         groups = sought.groups
         for group in groups:
             at = columns.at(group.names)

@@ -19,7 +19,7 @@ from robot_sysid.estimation.algebra.base_parameters import (
     essential,
 )
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
-from robot_sysid.estimation.algebra.information import residual_errors, restricted, sample_counts
+from robot_sysid.estimation.algebra.information import residual_errors, restrict, sample_counts
 from robot_sysid.estimation.algebra.uncertainty import triangle_of
 from robot_sysid.estimation.choices import Errors
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
@@ -58,18 +58,18 @@ _SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 @dataclass(frozen=True)
 class Answer:
-    """A fit with all that follows from it.
+    """A fit, its errors, its tests and the model file made from it.
 
     Attributes:
         fit: the estimate.
-        file: what a model file is given; None where none is asked for.
-        errors: how far off the estimate may be.
-        validation: its own prediction of stretches that were not fitted.
-        tests: its prediction of other logs.
-        candidates: how well friction models that were tried predict what was not fitted.
-        acceleration_error: expected error of the acceleration, as a part of it.
+        file: the fit for a model file; None where no file is written.
+        errors: covariance of the estimate, by cause.
+        validation: held-out error of the fit's own recordings.
+        tests: error in predicting other logs.
+        candidates: held-out errors of the friction models that were compared, by joint.
+        acceleration_error: expected error of the acceleration, as a share of it.
         notes: one sentence each.
-        friction_of_logs: where there are several.
+        friction_of_logs: friction by log, where there are several logs.
     """
 
     fit: Fit
@@ -89,16 +89,18 @@ class Answer:
 
     @cached_property
     def share(self) -> Array:
-        """How much of each value (k,) that was sought comes from the data."""
+        """The share (k,) of each estimated value that comes from the data."""
         return self.errors.share(self.fit)
 
     def pick(self, names: Sequence[str]) -> Array:
-        """Return rows (m, k) that pick parameters out of those that were sought."""
-        kept = self.fit.unknowns.kept
-        return np.eye(len(kept))[np.searchsorted(kept, self.fit.columns.at(names))]
+        """Return the rows (m, k) that select parameters from the estimated ones."""
+        indices = self.fit.unknowns.kept
+        return np.eye(len(indices))[np.searchsorted(indices, self.fit.columns.at(names))]
 
-    def body(self, name: str, change: Array, theta: Array, before: Array | None) -> BodyEstimate:
-        """Return a body whose parameters are combinations (10, k) of what was sought."""
+    def body(
+        self, name: str, change: Array, theta: Array, model_theta: Array | None
+    ) -> BodyEstimate:
+        """Return a body whose parameters are combinations (10, k) of the estimated ones."""
         covariance, noise, budget = self.errors.of(change, theta)
         weight = np.abs(change)
         share = weight @ self.share / np.maximum(np.sum(weight, axis=1), 1e-300)
@@ -110,37 +112,41 @@ class Answer:
             noise_errors=noise,
             budget=budget,
             data_share=np.clip(share, 0.0, 1.0),
-            before=None if before is None else InertialParameters(before),
+            before=None if model_theta is None else InertialParameters(model_theta),
         )
 
     def links(self) -> Iterator[BodyEstimate]:
-        """Yield every link that was sought, base to terminal."""
+        """Yield every estimated link, base to terminal."""
         pairs = zip(self.robot.joint_names, self.robot.links)
         joints = {link.body_name: (joint, link.theta) for joint, link in pairs if link.has_mass}
-        for name, (at, _) in self.fit.unknowns.bodies.items():
+        for name, (indices, _) in self.fit.unknowns.bodies.items():
             if name in joints:
-                joint, before = joints[name]
-                names = [self.fit.columns.names[k] for k in at]
-                found = self.body(name, self.pick(names), self.fit.values[at], before)
-                yield replace(found, joint=joint)
+                joint, model_theta = joints[name]
+                names = [self.fit.columns.names[k] for k in indices]
+                body = self.body(name, self.pick(names), self.fit.values[indices], model_theta)
+                yield replace(body, joint=joint)
 
     def figure(self, name: str) -> Figure:
-        """Return a parameter with its whole error."""
-        place, sought = self.fit.columns.place[name], self.fit.unknowns
-        value = float(self.fit.final[place])
-        if name in sought.at_bound:
+        """Return a parameter with its standard error by all causes; NaN where it is at a bound."""
+        index = self.fit.columns.place[name]
+        unknowns = self.fit.unknowns
+        value = float(self.fit.final[index])
+        if name in unknowns.at_bound:
             return Figure(value, float("nan"))
-        at = int(np.searchsorted(sought.kept, place))
-        return Figure(value, float(self.errors.whole.standard_errors[at]))
+        row = int(np.searchsorted(unknowns.kept, index))
+        return Figure(value, float(self.errors.whole.standard_errors[row]))
 
     def joints(self) -> Iterator[tuple[str, JointEstimate]]:
         """Yield each chain joint, and each coupled motor, with its friction."""
         noise = self.fit.noise_per_joint
-        own, robot = self._own_terms(), self.robot
+        friction_terms = self._own_terms()
+        robot = self.robot
         models = dict(zip(robot.joint_names, self.fit.choice.friction))
         for index, joint in enumerate(robot.joint_names):
-            terms = {name: self.figure(f"{name}[{joint}]") for name in own.get(joint, ())}
-            before = {
+            terms = {
+                name: self.figure(f"{name}[{joint}]") for name in friction_terms.get(joint, ())
+            }
+            model_terms = {
                 "coulomb": float(robot.friction.coulomb[index]),
                 "viscous": float(robot.friction.viscous[index]),
                 "armature": float(robot.armature[index]),
@@ -150,7 +156,7 @@ class Answer:
                 JointEstimate(
                     friction_model=models[joint].name if terms else "none",
                     terms=terms,
-                    before=before,
+                    before=model_terms,
                     candidates=self.candidates.get(joint, {}) if terms else {},
                     noise=noise.get(joint, float("nan")),
                     two_ways=self._two_ways(joint, terms),
@@ -159,13 +165,16 @@ class Answer:
                 ),
             )
         for motor in self.fit.choice.couplings:
-            terms = {name: self.figure(f"{name}[{motor.name}]") for name in own.get(motor.name, ())}
+            terms = {
+                name: self.figure(f"{name}[{motor.name}]")
+                for name in friction_terms.get(motor.name, ())
+            }
             of_model = zip(motor.terms, motor.model.tolist())
-            before = {} if motor.tendon is None else dict(of_model)
-            yield motor.name, JointEstimate("-".join(terms) or "none", terms, before)
+            model_terms = {} if motor.tendon is None else dict(of_model)
+            yield motor.name, JointEstimate("-".join(terms) or "none", terms, model_terms)
 
     def _friction_by_log(self, owner: str) -> dict[str, dict[str, Figure]]:
-        """Return log to the friction terms of a joint according to it; empty for a single log."""
+        """Return the friction terms of a joint by log; empty for a single log."""
         friction = self.friction_of_logs
         if friction is None:
             return {}
@@ -174,37 +183,37 @@ class Answer:
         errors = friction.between.errors
         return {
             log: {
-                term: Figure(float(values[row, place]), float(errors[row, place]))
-                for term, place in terms.items()
+                term: Figure(float(values[row, index]), float(errors[row, index]))
+                for term, index in terms.items()
             }
             for row, log in enumerate(friction.logs)
         }
 
     def _another_day(self, owner: str) -> dict[str, Figure]:
-        """Return friction term of a joint as it is in another log than those of the fit."""
+        """Return the friction terms of a joint with their errors for a log that was not fitted."""
         friction = self.friction_of_logs
         if friction is None:
             return {}
         figures = [self.figure(name) for name in friction.names]
         errors = friction.between.next_log(np.array([figure.error for figure in figures]))
         return {
-            term: Figure(figures[place].value, float(errors[place]))
-            for term, place in friction.terms_of(owner).items()
+            term: Figure(figures[index].value, float(errors[index]))
+            for term, index in friction.terms_of(owner).items()
         }
 
     def _own_terms(self) -> dict[str, list[str]]:
-        """Return joint or motor to the friction terms that were sought of it."""
+        """Return the estimated friction terms of each joint and motor."""
         lacking = {n for g in self.fit.unknowns.groups if g.cause == LACKING for n in g.names}
         other = {"scale", "zero", "drift"}
-        found: dict[str, list[str]] = {}
+        terms: dict[str, list[str]] = {}
         for name in (*self.fit.unknowns.kept_names, *self.fit.unknowns.at_bound):
             term, bracket, owner = name.partition("[")
             if bracket and name not in lacking and term not in other:
-                found.setdefault(owner[:-1], []).append(term)
-        return found
+                terms.setdefault(owner[:-1], []).append(term)
+        return terms
 
     def _two_ways(self, joint: str, terms: Mapping[str, Figure]) -> tuple[Figure, Figure] | None:
-        """Return Coulomb friction forward and backward, which differ by twice the offset."""
+        """Return Coulomb friction forward and backward, which differ by twice the offset [N m]."""
         level = "coulomb" if "coulomb" in terms else "sigmoid"
         if level not in terms or "offset" not in terms or np.isnan(terms[level].error):
             return None
@@ -214,31 +223,39 @@ class Answer:
         return tuple(Figure(*pair) for pair in zip(values.tolist(), spread.tolist()))  # type: ignore[return-value]
 
     def body_names(self) -> set[str]:
-        """Return the names of all parameters of bodies that were sought."""
-        sought = self.fit.unknowns
-        return {sought.names[k] for at, _ in sought.bodies.values() for k in at}
+        """Return the names of all estimated parameters of bodies."""
+        unknowns = self.fit.unknowns
+        return {unknowns.names[k] for indices, _ in unknowns.bodies.values() for k in indices}
 
     def sensors(self) -> dict[str, Figure]:
-        """Return scales, zeros, drift, tilt, delay, and friction that was only allowed for."""
-        own = {f"{term}[{owner}]" for owner, terms in self._own_terms().items() for term in terms}
+        """Return scales, zeros, drift, tilt, delay, and friction terms that are nuisances."""
+        friction_names = {
+            f"{term}[{owner}]" for owner, terms in self._own_terms().items() for term in terms
+        }
         bodies = self.body_names()
-        names = [n for n in self.fit.unknowns.kept_names if n not in own and n not in bodies]
+        names = [
+            n for n in self.fit.unknowns.kept_names if n not in friction_names and n not in bodies
+        ]
         return {name: self.figure(name) for name in names}
 
 
 def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
-    """Return what is written, and sentences on what is not."""
+    """Return the contents of the model file, and sentences on what it leaves out."""
     assert answer.file is not None
-    file, fit, robot = answer.file, answer.file.fit, answer.robot
-    own = replace(answer, fit=fit, file=None, errors=file.errors)
+    file = answer.file
+    fit = answer.file.fit
+    robot = answer.robot
+    file_answer = replace(answer, fit=fit, file=None, errors=file.errors)
     thetas = fit.columns.thetas(fit.values)
     spread = np.zeros_like(thetas)
-    for body in own.links():
+    for body in file_answer.links():
         spread[robot.joint_names.index(str(body.joint))] = body.errors
-    joints, notes, kept = {}, [], fit.question.kept_parts
-    for owner, each in own.joints():
-        written = {name: figure for name, figure in each.terms.items() if name != "offset"}
-        rotor = each.before.get("armature", 0.0)
+    joints = {}
+    notes = []
+    kept_parts = fit.question.kept_parts
+    for owner, joint in file_answer.joints():
+        written = {name: figure for name, figure in joint.terms.items() if name != "offset"}
+        rotor = joint.before.get("armature", 0.0)
         if fit.choice.rotors.get(owner, rotor) != rotor:
             written["armature"] = answer.figure(f"armature[{owner}]")
         if written:
@@ -248,7 +265,10 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
                 f"{owner} does not move fast enough in these logs: nothing is learnt of its "
                 "friction and rotor inertia, the model's own stay"
             )
-    notes = [*([] if FILE_FRICTION in kept else notes), *_beside(own, file.after)]
+    notes = [
+        *([] if FILE_FRICTION in kept_parts else notes),
+        *_offset_notes(file_answer, file.after),
+    ]
     turned = fit.next_point.gravity if fit.unknowns.settle else None
     if turned is not None and np.array_equal(turned, gravity(robot)):
         turned = None
@@ -259,20 +279,20 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         turned,
         file.before,
         file.after,
-        kept=tuple(sorted(kept)),
+        kept=tuple(sorted(kept_parts)),
         motors=fit.choice.couplings,
     )
     if file.beside is not None:
-        beside, _ = model_file(replace(answer, file=file.beside))
-        return replace(written_file, beside=beside), (*notes, _what_lacks(written_file, beside))
+        urdf, _ = model_file(replace(answer, file=file.beside))
+        return replace(written_file, beside=urdf), (*notes, _urdf_note(written_file, urdf))
     return written_file, tuple(notes)
 
 
-def _what_lacks(file: ModelFile, beside: ModelFile) -> str:
-    """Return a sentence on the URDF that is written beside an MJCF."""
+def _urdf_note(file: ModelFile, urdf: ModelFile) -> str:
+    """Return a sentence on the URDF that is written with an MJCF."""
     shares = [
         "" if test is None or test.relative_error is None else percent(test.relative_error)
-        for test in (beside.after, file.after)
+        for test in (urdf.after, file.after)
     ]
     motors = ", ".join(motor.name for motor in file.motors)
     return (
@@ -282,16 +302,20 @@ def _what_lacks(file: ModelFile, beside: ModelFile) -> str:
     )
 
 
-def _beside(file: Answer, after: Validation) -> Iterator[str]:
-    """Yield what a file's torques lack beside offsets of sensors, where that is most of it."""
-    fit, sought = file.fit, file.fit.unknowns.kept_names
+def _offset_notes(file: Answer, test: Validation) -> Iterator[str]:
+    """Yield a sentence on torque offsets, which no file holds, where they outweigh its error."""
+    fit = file.fit
     counts = zip(fit.columns.joints, sample_counts(fit.evidence.whole))
     free = {j: count for j, count in counts if j not in fit.choice.offsets}
-    found = {j: file.figure(f"offset[{j}]") for j in free if f"offset[{j}]" in sought}
-    squares = sum(found[joint].value ** 2 * free[joint] for joint in found)
-    squared, error = squares / np.sum(fit.evidence.squared_torque), after.relative_error or 0.0
+    names = fit.unknowns.kept_names
+    offsets = {j: file.figure(f"offset[{j}]") for j in free if f"offset[{j}]" in names}
+    squares = sum(offsets[joint].value ** 2 * free[joint] for joint in offsets)
+    squared = squares / np.sum(fit.evidence.squared_torque)
+    error = test.relative_error or 0.0
     if squared > max(HARMLESS, error) ** 2:
-        listed = ", ".join(f"{joint} {with_error(*each, 'N·m')}" for joint, each in found.items())
+        listed = ", ".join(
+            f"{joint} {with_error(*offset, 'N·m')}" for joint, offset in offsets.items()
+        )
         yield (
             f"no model file holds an offset of a torque sensor ({listed}), or friction that is "
             "larger in one direction: with it left in, the written file's torque error on "
@@ -302,7 +326,7 @@ def _beside(file: Answer, after: Validation) -> Iterator[str]:
 def written_payload(answer: Answer) -> tuple[Array, str]:
     """Return the payload (10,) that a model gets, and why its inertia is not known; "" where it is.
 
-    Where it is not, a ball of aluminium of that mass is as good a guess as any.
+    Without a known inertia, the payload is a ball of aluminium of the estimated mass.
     """
     theta = answer.fit.values[answer.fit.columns.at(PAYLOAD_NAMES)]
     mass, com, _ = spatial.com_from_theta(theta)
@@ -311,63 +335,70 @@ def written_payload(answer: Answer) -> tuple[Array, str]:
         return theta, ""
     moments, errors, _ = principal_moments(body)
     listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
-    said = f"the payload's principal moments of inertia, {listed} kg·m², are not told from zero"
+    reason = f"the payload's principal moments of inertia, {listed} kg·m², are not told from zero"
     if not np.all(np.isfinite(errors)):
-        said = "these torques do not show the payload's inertia"
-    return spatial.aluminium_ball(mass, com), said
+        reason = "these torques do not show the payload's inertia"
+    return spatial.aluminium_ball(mass, com), reason
 
 
 def estimate_of(answer: Answer) -> Estimate:
-    """Return all parameters: the terminal link, friction, then what is only allowed for."""
-    fit, errors = answer.fit, answer.errors
+    """Return all estimated parameters: the terminal link, friction, then the nuisances."""
+    fit = answer.fit
+    errors = answer.errors
     names = fit.unknowns.kept_names
     sensors = answer.sensors()
-    asked = {DELAY_NAME, "tilt_1", "tilt_2"} & set(fit.unknowns.settle)
+    settled = {DELAY_NAME, "tilt_1", "tilt_2"} & set(fit.unknowns.settle)
     links = answer.body_names() - set(PARAMETER_NAMES)
-    interest = [n for n in names if n not in links and (n not in sensors or n in asked)]
+    interest = [n for n in names if n not in links and (n not in sensors or n in settled)]
     order = [names.index(n) for n in (*interest, *(n for n in names if n not in set(interest)))]
-    said, whole = residual_errors(fit.evidence.whole, fit.values), errors.whole
+    residuals = residual_errors(fit.evidence.whole, fit.values)
     return Estimate(
         names=tuple(names[k] for k in order),
         values=fit.final[fit.unknowns.kept][order],
-        identifiability=analyse_identifiability(restricted(fit.evidence.whole, interest)),
-        **said,
+        identifiability=analyse_identifiability(restrict(fit.evidence.whole, interest)),
+        **residuals,
         method="wls",
-        covariance=whole.covariance[np.ix_(order, order)],
-        standard_errors=whole.standard_errors[order],
+        covariance=errors.whole.covariance[np.ix_(order, order)],
+        standard_errors=errors.whole.standard_errors[order],
         noise_per_joint=fit.noise_per_joint,
-        effective_samples=dict(zip(said["samples"], whole.effective)),
-        constrained=fit.constrained,
+        effective_samples=dict(zip(residuals["samples"], errors.whole.effective)),
+        constrained=fit.is_constrained,
     )
 
 
-_RANDOM_POSES, _UNIT_LENGTH = 60, 0.3
+# Poses from which the structural base parameters follow.
+_RANDOM_POSES = 60
+# Length of a typical link, which scales its parameters [m].
+_UNIT_LENGTH = 0.3
 
 
 def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
-    """Return the base parameters that the data shows."""
+    """Return the base parameters that the data identifies."""
     names = fit.columns.bodies()
     order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
-    sought = fit.unknowns
+    unknowns = fit.unknowns
     data = fit.evidence.whole.blocks
     rows = triangle_of(block[:, order] for block in data(fit.weights))
-    found = base_combinations(rows, parameter_scale(len(order) // 10))
-    rest = np.setdiff1d(sought.kept, order)
-    inside = np.flatnonzero(np.isin(order, sought.kept))
-    change, at = found.matrix[:, inside], np.searchsorted(sought.kept, order[inside])
+    combinations = base_combinations(rows, parameter_scale(len(order) // 10))
+    others = np.setdiff1d(unknowns.kept, order)
+    inside = np.flatnonzero(np.isin(order, unknowns.kept))
+    change = combinations.matrix[:, inside]
+    at = np.searchsorted(unknowns.kept, order[inside])
     spread = change @ errors.whole.covariance[np.ix_(at, at)] @ change.T
-    # What is known of sensors counts; free torque scales would explain all torques by themselves.
-    known = [g.rows(fit.columns.names) for g in sought.groups if g.cause != LINKS]
-    some = np.concatenate((rest, [-1], order[found.leading]))
-    rows = triangle_of(block[:, some] for block in itertools.chain(data(fit.weights), known))
-    others, right, base = np.split(rows, (len(rest), len(rest) + 1), axis=1)
-    kept = essential(base, others, right[:, 0])
+    # Priors of sensors are needed: free torque scales would explain all torques by themselves.
+    priors = [g.rows(fit.columns.names) for g in unknowns.groups if g.cause != LINKS]
+    selected = np.concatenate((others, [-1], order[combinations.leading]))
+    rows = triangle_of(block[:, selected] for block in itertools.chain(data(fit.weights), priors))
+    nuisance_columns, right_side, base_columns = np.split(
+        rows, (len(others), len(others) + 1), axis=1
+    )
+    is_essential = essential(base_columns, nuisance_columns, right_side[:, 0])
     return BaseParameters(
-        combinations=found.names([fit.columns.names[index] for index in order]),
-        values=found.matrix @ fit.values[order],
+        combinations=combinations.names([fit.columns.names[index] for index in order]),
+        values=combinations.matrix @ fit.values[order],
         standard_errors=np.sqrt(np.maximum(np.diag(spread), 0.0)),
         structural_rank=structural_base(fit.columns.robot).rank,
-        essential=tuple(kept.tolist()),
+        essential=tuple(is_essential.tolist()),
     )
 
 
@@ -393,70 +424,81 @@ def structural_base(robot: RobotModel, seed: int = 0) -> BaseCombinations:
 _NOT_FRICTION = ("armature", "zero", "scale", "drift")
 
 
-def traced(
+def make_traces(
     robot: RobotModel,
     samples: Sequence[DecimatedSamples],
     motions: Sequence[Motion],
-    after: Mapping[str, float],
-    before: Mapping[str, float],
+    estimate: Mapping[str, float],
+    prior: Mapping[str, float],
 ) -> Traces:
-    """Return what was measured and predicted.
+    """Return the measured and the predicted torques of all logs.
 
     Args:
         samples: equations of each log.
-        motions: the motion of each log, about at the instants of its equations.
-        after, before: parameter name to value of the result and of what was known before; what is
-            missing is zero.
+        motions: motion of each log, interpolated to the instants of its equations.
+        estimate: parameter name to estimated value; missing parameters are zero.
+        prior: parameter name to value of the model, in the same way.
     """
     joints = samples[0].joints
-    place = [robot.joint_names.index(joint) for joint in joints]
+    indices = [robot.joint_names.index(joint) for joint in joints]
 
-    def joined(name: str) -> Array:
-        return np.concatenate([np.stack(getattr(each, name), axis=1) for each in samples])
+    def stack_joints(name: str) -> Array:
+        return np.concatenate([np.stack(getattr(log, name), axis=1) for log in samples])
 
-    def moved(name: str) -> Array:
-        pairs = zip(samples, motions)
-        parts = [
-            [np.interp(each.time, motion.time, one) for one in getattr(motion, name).T[place]]
-            for each, motion in pairs
+    def interpolate_motion(name: str) -> Array:
+        signals = [
+            [
+                np.interp(log.time, motion.time, signal)
+                for signal in getattr(motion, name).T[indices]
+            ]
+            for log, motion in zip(samples, motions)
         ]
-        return np.concatenate([np.column_stack(part) for part in parts])
+        return np.concatenate([np.column_stack(joints) for joints in signals])
 
-    missing, measured, limits = joined("tau"), joined("measured"), robot.limits
-    rubbing = {n: v for n, v in after.items() if "[" in n and n.split("[")[0] not in _NOT_FRICTION}
+    missing = stack_joints("tau")
+    measured = stack_joints("measured")
+    limits = robot.limits
+    rubbing = {
+        n: v for n, v in estimate.items() if "[" in n and n.split("[")[0] not in _NOT_FRICTION
+    }
     return Traces(
         joints=joints,
-        is_slide=tuple(bool(robot.is_slide[j]) for j in place),
-        time=np.concatenate([each.time for each in samples]),
-        q=moved("q"),
-        qd=moved("qd"),
+        is_slide=tuple(bool(robot.is_slide[j]) for j in indices),
+        time=np.concatenate([log.time for log in samples]),
+        q=interpolate_motion("q"),
+        qd=interpolate_motion("qd"),
         measured=np.where(np.isfinite(missing), measured, np.nan),
-        predicted=measured - missing + _products(samples, after),
-        before=measured - missing + _products(samples, before),
+        predicted=measured - missing + _products(samples, estimate),
+        before=measured - missing + _products(samples, prior),
         friction=_products(samples, rubbing),
         limits=JointLimits(
-            limits.lower[place], limits.upper[place], limits.velocity[place], limits.torque[place]
+            limits.lower[indices],
+            limits.upper[indices],
+            limits.velocity[indices],
+            limits.torque[indices],
         ),
     )
 
 
 def _products(samples: Sequence[DecimatedSamples], values: Mapping[str, float]) -> Array:
-    """Return (K, joints) the torque that some parameters make [N m]."""
-    known = np.array([values.get(name, 0.0) for name in samples[0].names])
-    parts = [[r @ known[c] for r, c in zip(each.rows, each.columns)] for each in samples]
-    return np.concatenate([np.stack(part, axis=1) for part in parts])
+    """Return the torque (K, joints) of parameters [N m]; missing ones are zero."""
+    coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
+    torques = [
+        [rows @ coefficients[columns] for rows, columns in zip(log.rows, log.columns)]
+        for log in samples
+    ]
+    return np.concatenate([np.stack(log_torques, axis=1) for log_torques in torques])
 
 
 def traces_of(answer: Answer) -> Traces:
-    """Return what was measured, and what the written file (else the fit) and the model predict.
-
-    Each joint's sensor offset is taken out of both.
+    """Return the measured torques and those that the written file (else the fit) and the model
+    predict; both predictions contain the estimated offsets of the torque sensors.
     """
     fit = answer.fit if answer.file is None else answer.file.fit
     names = fit.columns.names
-    after, before = (dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.prior))
+    estimate, prior = (dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.prior))
     if fit.question.loaded:
-        before = {name: value for name, value in after.items() if name not in PAYLOAD_NAMES}
-    before.update({n: v for n, v in after.items() if n.startswith("offset[")})
-    motions = [each.delayed(fit.point.delay).motion for each in fit.columns.datasets]
-    return traced(fit.columns.robot, fit.samples, motions, after, before)
+        prior = {name: value for name, value in estimate.items() if name not in PAYLOAD_NAMES}
+    prior.update({n: v for n, v in estimate.items() if n.startswith("offset[")})
+    motions = [dataset.remove_delay(fit.point.delay).motion for dataset in fit.columns.datasets]
+    return make_traces(fit.columns.robot, fit.samples, motions, estimate, prior)

@@ -1,10 +1,10 @@
-"""What the recordings decide: which rows to leave out, each joint's friction, how far links may be
-off. Which motors turn several joints is decided in ``couplings``.
+"""What the recordings decide: rows to leave out, each joint's friction terms, the prior of links.
 
-In-sample errors fall with every term; what counts is the error of stretches of time that were not
-fitted. They are compared by ratios, because a joint may show its friction in one of them far more
-than in the others. A joint starts with the simplest candidate and moves on as long as another one
-is clearly better on its own held-out torques.
+Which motors turn several joints is decided in ``couplings``. In-sample errors fall with every
+friction term, so terms are chosen by cross-validation: each block of time is predicted from the
+others. Blocks are compared by ratios of their errors, because friction may matter far more in one
+of them. A joint starts with the simplest candidate and moves on as long as another one is clearly
+better on its own held-out torques.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from robot_sysid.estimation.algebra.common_scale import is_worth_a_word
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks
 from robot_sysid.estimation.algebra.information import (
     normal_matrix,
-    restricted,
+    restrict,
     sample_counts,
     update_triangle,
 )
@@ -49,7 +49,7 @@ from robot_sysid.estimation.unknowns import (
     Choice,
     Question,
     Unknowns,
-    unknowns,
+    build_unknowns,
 )
 from robot_sysid.records import Array, RobotModel, Validation
 from robot_sysid.records.results import validation_of
@@ -64,28 +64,34 @@ CANDIDATES = (
     "coulomb-viscous-offset-armature-sqrt-load",
     "coulomb-viscous-offset-armature-stribeck-load",
 )
-"""Friction models that are tried, the same for every joint of every arm, simplest first."""
-IN_FILE, WITH_POLYNOMIAL = CANDIDATES[0], CANDIDATES[5]
-"""Those that a model file can hold."""
+"""Friction models to try, the same for every joint of every arm, simplest first."""
+IN_FILE = CANDIDATES[0]
+"""Friction model that any model file can hold."""
+WITH_POLYNOMIAL = CANDIDATES[5]
+"""Friction model that an MJCF can hold."""
 WITH_ALL = "coulomb-viscous-offset-armature-sqrt-stribeck-load"
-"""What follows any friction that depends on speed and load closely enough to judge its rows by."""
+"""Friction model that fits any friction by speed and load closely enough to judge its rows."""
 WORSE = 2.0
 """Ratio of mean squared residuals from which on rows make an estimate worse: the variance s^2 / n
 of one from n rows falls by m more of variance r s^2 for as long as r < 2 + m / n."""
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Factors of the other links' uncertainty that are tried; 16 times 5 % is nearly all of a link."""
+"""Factors of the other links' uncertainty to try; 16 times 5 % is nearly all of a link."""
 AS_GOOD = 1.02
-"""Ratio of squared errors up to which they are as good as equal: one per cent of the error."""
+"""Ratio of squared errors up to which they count as equal: one per cent of the error."""
 OWN_SOURCE = "the logs, each fifth predicted from the others"
-CLEAR_SHARE, CLEARLY = 0.1, 2.0
-"""A term has to lower the held-out squared error by this share, and by this many
-standard errors of the mean over the blocks."""
-CLEAR_OFFSET, OFFSET = 3.0, 0.01
-"""Standard errors that a sensor's offset has to be away from zero, and a rotor from the model's.
-Beside clear offsets others may be this part of the joint's torque: of a KUKA LWR4+ and its links
-neither is known better."""
-# Below every squared error [N^2 m^2]; lifts normal equations of what nothing shows off zero.
-_TINY, _RIDGE = 1e-30, 1e-12
+CLEAR_SHARE = 0.1
+"""Share by which a friction term has to lower the held-out squared error."""
+CLEARLY = 2.0
+"""Standard errors of the mean over the blocks by which a term has to lower that error."""
+CLEAR_OFFSET = 3.0
+"""Standard errors that a sensor's offset has to be away from zero, and a rotor from the model's."""
+OFFSET = 0.01
+"""Prior standard deviation of other sensors' offsets beside clear ones, as a share of the joint's
+torque: of a KUKA LWR4+, offsets and links are not known better."""
+# Less than every squared error [N^2 m^2].
+_TINY = 1e-30
+# Keeps normal equations regular where parameters have no data.
+_RIDGE = 1e-12
 
 Errors = Mapping[str, Mapping[str, float]]
 """Joint to friction model to its held-out root mean square error [N m]."""
@@ -93,163 +99,191 @@ Errors = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Recordings in blocks, each to be predicted from the others; the noise (joints,) is the
-    standard deviation of each joint's torque, as it counts [N m]. Nothing but a part of what is
-    ``asked`` is sought, where that is given: of many joints that takes less memory.
+    """Recordings in blocks, each to be predicted from the others.
+
+    Attributes:
+        data: evidence of each block.
+        noise: (joints,) effective standard deviation of each joint's torque [N m].
+        superset: unknowns that contain those of every question, which saves memory with many
+            joints; None for all parameters.
     """
 
     data: Evidence
     noise: Array
-    asked: Unknowns | None = None
-    _known: dict[tuple[bytes, bytes], Sequence[Array]] = field(default_factory=dict)
-    _near: dict[int, Any] = field(default_factory=dict)
+    superset: Unknowns | None = None
+    _triangles: dict[tuple[bytes, bytes], Sequence[Array]] = field(default_factory=dict)
+    _path_ends: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
     def counts(self) -> Array:
         """How many rows each block has of each joint (blocks, joints)."""
-        return np.array([sample_counts(part) for part in self.data.blocks])
+        return np.array([sample_counts(block) for block in self.data.blocks])
 
     @cached_property
-    def _there(self) -> NDArray[np.bool_]:
-        """Which parameters (p,) have columns, and may be asked for."""
-        shown, asked = self.data.shown, self.asked
-        if asked is None:
-            return shown
-        return shown & (np.isin(np.arange(len(shown)), asked.kept) | (asked.held != 0.0))
+    def _available(self) -> NDArray[np.bool_]:
+        """Which parameters (p,) have columns in the Gram matrices."""
+        nonzero = self.data.nonzero
+        if self.superset is None:
+            return nonzero
+        is_unknown = np.isin(np.arange(len(nonzero)), self.superset.kept)
+        return nonzero & (is_unknown | (self.superset.held != 0.0))
 
     @cached_property
     def _grams(self) -> Array:
-        """Gram matrices (blocks, s+2, s+2) of all whitened equations without each block in turn, of
-        what has a column, right sides and nothing, which stands for all else.
+        """Gram matrices (blocks, s+2, s+2) of the whitened equations of all blocks but one in turn.
+
+        Columns are the s available parameters, the right sides, and zeros for all other parameters.
         """
-        at = np.append(np.flatnonzero(self._there), -1)
-        found = np.zeros((len(self.data.blocks), len(at) + 1, len(at) + 1))
-        for gram, block in zip(found, self.data.blocks):
-            gram[:-1, :-1] = normal_matrix(block, 1.0 / self.noise)[np.ix_(at, at)]
-        for rows in found.swapaxes(0, 1):  # which takes no memory
-            rows[:] = np.array(_others(rows, np.add))
-        return found
+        indices = np.append(np.flatnonzero(self._available), -1)
+        grams = np.zeros((len(self.data.blocks), len(indices) + 1, len(indices) + 1))
+        for gram, block in zip(grams, self.data.blocks):
+            gram[:-1, :-1] = normal_matrix(block, 1.0 / self.noise)[np.ix_(indices, indices)]
+        for row_of_blocks in grams.swapaxes(0, 1):  # which takes no memory
+            row_of_blocks[:] = np.array(_sums_of_others(row_of_blocks, np.add))
+        return grams
 
-    def squared(self, sought: Unknowns) -> Array:
-        """Return (blocks, joints) squared error of each block, predicted from the others."""
-        return self.data.squared_residuals(self._predicted(sought)[..., None])[..., 0]
+    def squared_errors(self, unknowns: Unknowns) -> Array:
+        """Return the squared error (blocks, joints) of blocks predicted from the others [N^2 m^2].
 
-    def _normal(self, sought: Unknowns) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield normal equations (k, k), right side (k,) and their scale (k,) of each block.
-
-        What the other blocks do not show stays near zero; priors and friction terms leave nothing
-        else.
+        Bodies may be physically inconsistent here.
         """
-        shown, held = self._there, sought.held.copy()
-        assert not np.any(self.data.shown[sought.kept] & ~shown[sought.kept])
-        held[sought.kept] = 0.0
-        prior, places = _prior_rows(sought), np.where(shown, np.cumsum(shown) - 1, -1)
-        known, rest = prior.T @ prior, np.flatnonzero(held)
-        kept, others = places[sought.kept], places[rest]
+        return self.data.squared_residuals(self._values(unknowns)[..., None])[..., 0]
+
+    def _normal_equations(self, unknowns: Unknowns) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield scaled normal equations (k, k), right side (k,) and scale (k,) without each block.
+
+        Friction terms that the other blocks do not identify stay near zero; all other parameters
+        without data have priors.
+        """
+        available = self._available
+        held = unknowns.held.copy()
+        assert not np.any(self.data.nonzero[unknowns.kept] & ~available[unknowns.kept])
+        held[unknowns.kept] = 0.0
+        prior_rows = _prior_rows(unknowns)
+        prior_gram = prior_rows.T @ prior_rows
+        gram_indices = np.where(available, np.cumsum(available) - 1, -1)
+        indices = gram_indices[unknowns.kept]
+        held_indices = np.flatnonzero(held)
         for gram in self._grams:
-            right = gram[kept, -2] - gram[np.ix_(kept, others)] @ held[rest] + known[:-1, -1]
-            scaled = gram[np.ix_(kept, kept)] + known[:-1, :-1]
-            size = np.sqrt(np.diagonal(scaled))
+            crossed = gram[np.ix_(indices, gram_indices[held_indices])]
+            right_side = gram[indices, -2] - crossed @ held[held_indices] + prior_gram[:-1, -1]
+            matrix = gram[np.ix_(indices, indices)] + prior_gram[:-1, :-1]
+            size = np.sqrt(np.diagonal(matrix))
             scale = 1.0 / np.where(size > 0.0, size, 1.0)
-            scaled *= scale[:, None] * scale
-            scaled[np.diag_indices_from(scaled)] += _RIDGE
-            yield scaled, scale * right, scale
+            matrix *= scale[:, None] * scale
+            matrix[np.diag_indices_from(matrix)] += _RIDGE
+            yield matrix, scale * right_side, scale
 
-    def _predicted(self, sought: Unknowns) -> Array:
-        """Return the values (blocks, p) that all other blocks ask for."""
-        each = self._normal(sought)
-        found = [scale * np.linalg.solve(scaled, right) for scaled, right, scale in each]
-        return np.array([sought.full(values) for values in found])
+    def _values(self, unknowns: Unknowns) -> Array:
+        """Return the estimate (blocks, p) from all blocks but one in turn."""
+        values = [
+            unknowns.full(scale * np.linalg.solve(matrix, right_side))
+            for matrix, right_side, scale in self._normal_equations(unknowns)
+        ]
+        return np.array(values)
 
     def chance(self, fit: Fit) -> Array:
-        """Return the same (blocks, joints) as noise makes it, in torques and in what others tell.
+        """Return the expected squared prediction error (blocks, joints) of a right model [N^2 m^2].
 
-        Of friction that no other block shows, nothing is told: that error has no bound.
+        It is the noise of the block's own torque plus the variance of the prediction made from the
+        other blocks, which is nearly infinite where none of them identifies a joint's friction.
         """
-        sought, found = fit.unknowns, self.counts * fit.noise**2
-        for block, own, (scaled, _, scale) in zip(self.data.blocks, found, self._normal(sought)):
-            root = np.linalg.inv(np.linalg.cholesky(scaled)) * scale
-            for place, joint in enumerate(block.joints):
-                stay = np.isin(joint.columns, sought.kept)
-                at = np.searchsorted(sought.kept, joint.columns[stay])
-                own[place] += np.sum((joint.triangle[:, :-1][:, stay] @ root[:, at].T) ** 2)
-        return found
+        unknowns = fit.unknowns
+        expected = self.counts * fit.noise**2
+        equations = self._normal_equations(unknowns)
+        for block, block_expected, (matrix, _, scale) in zip(self.data.blocks, expected, equations):
+            root = np.linalg.inv(np.linalg.cholesky(matrix)) * scale
+            for row, joint in enumerate(block.joints):
+                is_unknown = np.isin(joint.columns, unknowns.kept)
+                indices = np.searchsorted(unknowns.kept, joint.columns[is_unknown])
+                block_expected[row] += np.sum(
+                    (joint.triangle[:, :-1][:, is_unknown] @ root[:, indices].T) ** 2
+                )
+        return expected
 
     def of(self, fit: Fit) -> Array:
-        """Return the same of a fit, with bodies that are possible."""
-        sought, values = fit.unknowns, self._predicted(fit.unknowns)
-        problem, known = links_problem(sought), _prior_rows(sought)
-        places, near = [at for at, _ in sought.bodies.values()], None
-        for number, found in enumerate(values):
-            if places and not all(spatial.is_consistent(found[at]) for at in places):
-                rows = np.vstack((self._rests(sought)[number], known))
-                near = self._near.get(number, near)
-                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, near)
-                values[number] = sought.full(solver.best())
-                self._near[number] = near = solver.first
+        """Return the ``squared_errors`` of a fit's unknowns, bodies physically consistent."""
+        unknowns = fit.unknowns
+        values = self._values(unknowns)
+        problem = links_problem(unknowns)
+        prior_rows = _prior_rows(unknowns)
+        bodies = [indices for indices, _ in unknowns.bodies.values()]
+        path_end = None
+        for block, estimate in enumerate(values):
+            if bodies and not all(spatial.is_consistent(estimate[indices]) for indices in bodies):
+                rows = np.vstack((self._other_triangles(unknowns)[block], prior_rows))
+                path_end = self._path_ends.get(block, path_end)
+                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, path_end)
+                values[block] = unknowns.full(solver.best())
+                path_end = solver.first
+                self._path_ends[block] = path_end
         return self.data.squared_residuals(values[..., None])[..., 0]
 
-    def _rests(self, sought: Unknowns) -> Sequence[Array]:
-        """Return triangles (., k+1) of all equations of what is sought without each block."""
-        key = sought.kept.tobytes(), sought.held.tobytes()
-        if key not in self._known:
-            wanted = sought.kept_names, sought.held
-            parts = (restricted(part, *wanted) for part in self.data.blocks)
-            rows = (np.column_stack(part.stacked(1.0 / self.noise)) for part in parts)
-            nothing = np.zeros((0, len(sought.kept) + 1))
-            each = [update_triangle(nothing, block) for block in rows]
-            self._known[key] = _others(each, update_triangle)
-        return self._known[key]
+    def _other_triangles(self, unknowns: Unknowns) -> Sequence[Array]:
+        """Return triangles (., k+1) of the equations of all blocks but one in turn."""
+        key = unknowns.kept.tobytes(), unknowns.held.tobytes()
+        if key not in self._triangles:
+            restriction = unknowns.kept_names, unknowns.held
+            blocks = (restrict(block, *restriction) for block in self.data.blocks)
+            stacked = (np.column_stack(block.stacked(1.0 / self.noise)) for block in blocks)
+            empty = np.zeros((0, len(unknowns.kept) + 1))
+            triangles = [update_triangle(empty, block) for block in stacked]
+            self._triangles[key] = _sums_of_others(triangles, update_triangle)
+        return self._triangles[key]
 
     def score(self, squared: Array) -> Array:
-        """Return (blocks,) mean of squared errors (blocks, joints) over their variance."""
+        """Return the mean (blocks,) of squared errors (blocks, joints), over the noise variance."""
         counts = np.maximum(np.sum(self.counts, axis=1), 1.0)
         return np.asarray(np.sum(squared / self.noise**2, axis=-1) / counts)
 
     def validation(self, squared: Array, source: str = OWN_SOURCE) -> Validation:
         """Return squared errors (blocks, joints) as one record."""
         joints = [joint.joint for joint in self.data.blocks[0].joints]
-        torque, counts = np.sum(self.data.squared_torque, axis=0), np.sum(self.counts, axis=0)
+        torque = np.sum(self.data.squared_torque, axis=0)
+        counts = np.sum(self.counts, axis=0)
         return validation_of(joints, np.sum(squared, axis=0), torque, counts, source)
 
 
-def held_out(fit: Fit, asked: Unknowns | None = None) -> HeldOut:
-    """Return what judges choices around a fit, of what is ``asked`` at most."""
-    return HeldOut(fit.evidence, 1.0 / fit.weights, asked)
+def held_out(fit: Fit, superset: Unknowns | None = None) -> HeldOut:
+    """Return the blocks of a fit, which judge choices whose unknowns are in the superset."""
+    return HeldOut(fit.evidence, 1.0 / fit.weights, superset)
 
 
-def _others(each: Sequence[Array], add: Callable[[Array, Array], Array]) -> list[Array]:
-    """Return the sum of all others for each of some, two at least, with an addition that counts
-    their number: differences would leave rounding where nothing is.
+def _sums_of_others(summands: Sequence[Array], add: Callable[[Array, Array], Array]) -> list[Array]:
+    """Return for each summand, two at least, the sum of all others.
+
+    They are added up from both ends: subtracting a summand from the total would leave rounding
+    errors where the others have no data.
     """
-    before = list(accumulate(each[:-1], add))
-    after = list(accumulate(each[:0:-1], add))[::-1]
-    return [after[0], *map(add, before[:-1], after[1:]), before[-1]]
+    sums_before = list(accumulate(summands[:-1], add))
+    sums_after = list(accumulate(summands[:0:-1], add))[::-1]
+    return [sums_after[0], *map(add, sums_before[:-1], sums_after[1:]), sums_before[-1]]
 
 
-def _prior_rows(sought: Unknowns) -> Array:
-    rows = [group.rows(sought.kept_names) for group in sought.groups]
-    return np.vstack(rows) if rows else np.zeros((0, len(sought.kept) + 1))
+def _prior_rows(unknowns: Unknowns) -> Array:
+    rows = [group.rows(unknowns.kept_names) for group in unknowns.groups]
+    return np.vstack(rows) if rows else np.zeros((0, len(unknowns.kept) + 1))
 
 
-def is_clearly_lower(after: Array, before: Array) -> bool:
-    """Tell whether squared errors per block (blocks,) are clearly lower."""
-    if not np.all(np.isfinite(after)) or not np.all(np.isfinite(before)):
-        return bool(np.all(np.isfinite(after)))
-    ratio = np.log((after + _TINY) / (before + _TINY))
-    mean, spread = float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio))
-    needed = np.log(1.0 - CLEAR_SHARE)
-    lower = np.sum(after) < (1.0 - CLEAR_SHARE) * np.sum(before)
-    return bool(lower and mean < needed and mean + CLEARLY * spread < 0.0)
+def is_clearly_lower(errors: Array, reference: Array) -> bool:
+    """Tell whether squared errors (blocks,) are clearly lower than those of a reference."""
+    if not np.all(np.isfinite(errors)) or not np.all(np.isfinite(reference)):
+        return bool(np.all(np.isfinite(errors)))
+    ratio = np.log((errors + _TINY) / (reference + _TINY))
+    mean = float(np.mean(ratio))
+    standard_error = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio))
+    threshold = np.log(1.0 - CLEAR_SHARE)
+    lower = np.sum(errors) < (1.0 - CLEAR_SHARE) * np.sum(reference)
+    return bool(lower and mean < threshold and mean + CLEARLY * standard_error < 0.0)
 
 
 def without_standing(robot: RobotModel, dataset: Dataset, options: EstimationOptions) -> Dataset:
     """Return a recording without the rows over turns at which joints stand for a while.
 
-    Low-passed positions do not show that (``signals.turning``), but residuals do. Rows over turns
-    also tell the most of inertia, and where friction turns round at once they would be lost for
-    nothing, so they are left out where they fit worse than all others. Every recording decides for
-    itself: logs that are added up one by one say the same together.
+    Low-passed positions do not show standing (``signals.turning``), but residuals do. Rows over
+    turns also have the most information on inertia, so they are left out only where they fit worse
+    than all others. Every recording is judged by itself: logs that are added up one by one then
+    give the same estimate as together.
 
     Raises:
         InputError: no joint moves fast enough, or the recording is too short.
@@ -277,35 +311,43 @@ def without_standing(robot: RobotModel, dataset: Dataset, options: EstimationOpt
 
 
 def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
-    """Tell whether doubtful rows (K,) have clearly larger residuals (K,), NaN where not in use."""
+    """Tell whether doubtful rows (K,) have clearly larger residuals (K,) than others.
+
+    Residuals of rows that are not in use are NaN.
+    """
     used = np.isfinite(residual)
     doubted = residual[used & doubtful]
-    others = residual[used & ~doubtful]
-    if len(doubted) == 0 or len(others) < len(doubted):
+    other_residual = residual[used & ~doubtful]
+    if len(doubted) == 0 or len(other_residual) < len(doubted):
         return False
-    usual = float(np.mean(others**2))
-    squared = float(np.sum(doubted**2)) / usual if usual > 0.0 else 0.0
+    mean_square = float(np.mean(other_residual**2))
+    squared = float(np.sum(doubted**2)) / mean_square if mean_square > 0.0 else 0.0
     return squared > WORSE * len(doubted) and is_no_chance(squared, len(doubted), 1.0 - SURE)
 
 
 def choose(
     fitter: Fitter,
     question: Question,
-    given: FrictionModel | None,
+    model: FrictionModel | None,
     couplings: tuple[Coupling, ...] | None = None,
 ) -> tuple[Choice, Errors, Point]:
-    """Return what the recordings decide, by which errors, and where to begin.
+    """Return what the recordings decide, held-out errors of friction models, and a point to start.
 
-    The user may have given the friction of every joint, and ``select_couplings`` have chosen some;
-    else all those that have columns are taken.
+    Args:
+        model: friction of every joint, where the user states it; None to choose it.
+        couplings: those of ``select_couplings``; None for all that have columns.
     """
-    choice = _simplest(fitter, given, fitter.columns.couplings if couplings is None else couplings)
+    if couplings is None:
+        couplings = fitter.columns.couplings
+    joint_model = model or friction_model(CANDIDATES[0])
+    choice = Choice((joint_model,) * fitter.columns.robot.n_joints, couplings)
     fit = replace(fitter.fit(question, choice, rounds=1), samples=())
     errors: Errors = {}
-    if given is None and fitter.columns.torques == "chain":
-        begun = replace(fit.point, values=fit.values), 1.0 / fit.weights
-        del fit  # what its rows say, before others are made
-        choice, errors, point = _with_friction(fitter, question, choice, *begun)
+    if model is None and fitter.columns.torques == "chain":
+        point = replace(fit.point, values=fit.values)
+        noise = 1.0 / fit.weights
+        del fit  # its evidence, before other rows are made
+        choice, errors, point = _select_friction(fitter, question, choice, point, noise)
         fit = replace(fitter.fit(question, choice, point, rounds=1), samples=())
     if is_scaled(fit, question, choice):
         choice = replace(choice, common_scale=COMMON_SCALE)
@@ -321,7 +363,7 @@ def choose(
 
 
 def _link_evidence(fit: Fit) -> LinkEvidence | None:
-    """Return what a fit says of the links that the model states; None where none is sought."""
+    """Return a fit's evidence on links that the model states; None where none is unknown."""
     group = next((group for group in fit.unknowns.groups if group.cause == LINKS), None)
     if group is None:
         return None
@@ -342,170 +384,179 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
     return link_evidence(data, fit.weights, others, group, directions, is_stated)
 
 
-def _simplest(
-    fitter: Fitter, given: FrictionModel | None, couplings: tuple[Coupling, ...]
-) -> Choice:
-    model = given or friction_model(CANDIDATES[0])
-    return Choice((model,) * fitter.columns.robot.n_joints, couplings)
-
-
-def _sought(fit: Fit, question: Question, choice: Choice) -> Unknowns:
-    return unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
+def _unknowns_of(fit: Fit, question: Question, choice: Choice) -> Unknowns:
+    return build_unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero)
 
 
 def squared_errors(judge: HeldOut, columns: Columns, question: Question, choice: Choice) -> Array:
-    """Return held-out squared errors (blocks, joints) of a choice."""
+    """Return held-out squared errors (blocks, joints) of a choice [N^2 m^2]."""
     data = judge.data
-    return judge.squared(unknowns(columns, question, choice, data.torque, data.shown))
+    return judge.squared_errors(
+        build_unknowns(columns, question, choice, data.torque, data.nonzero)
+    )
 
 
 def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
-    """Return ``HeldOut.score`` (blocks,) of a choice, with bodies that are possible."""
-    return judge.score(judge.of(replace(fit, unknowns=_sought(fit, question, choice))))
+    """Return ``HeldOut.score`` (blocks,) of a choice, bodies physically consistent."""
+    return judge.score(judge.of(replace(fit, unknowns=_unknowns_of(fit, question, choice))))
 
 
-def _with_friction(
+def _select_friction(
     fitter: Fitter, question: Question, choice: Choice, point: Point, noise: Array
 ) -> tuple[Choice, Errors, Point]:
-    """Give each joint the terms that predict its held-out torques clearly better, around a point,
-    beside noise (joints,) [N m].
+    """Return the choice with friction terms that predict held-out torques clearly better, the root
+    mean square error of each candidate, and the point with the speeds of these terms.
+
+    The noise (joints,) [N m] is that of a fit of simple friction around the point.
     """
-    squared, speeds, counts = _tried(fitter, question, choice, point, noise)
-    friction, speed = list(choice.friction), dict(point.speed or {})
+    squared, speeds, counts = _candidate_errors(fitter, question, choice, point, noise)
+    friction = list(choice.friction)
+    point_speeds = dict(point.speed or {})
     errors = {}
-    for place, (index, joint) in enumerate(zip(fitter.columns.rows_of, fitter.columns.joints)):
-        own = {name: each[:, place] for name, each in squared.items()}
-        rows, total = np.maximum(counts[:, place], 1.0), max(np.sum(counts[:, place]), 1.0)
-        best = clearly_best({name: each / rows for name, each in own.items()})
-        errors[joint] = {name: float(np.sqrt(np.sum(each) / total)) for name, each in own.items()}
+    for row, (index, joint) in enumerate(zip(fitter.columns.rows_of, fitter.columns.joints)):
+        joint_errors = {name: error[:, row] for name, error in squared.items()}
+        rows = np.maximum(counts[:, row], 1.0)
+        total = max(np.sum(counts[:, row]), 1.0)
+        best = clearly_best({name: error / rows for name, error in joint_errors.items()})
+        errors[joint] = {
+            name: float(np.sqrt(np.sum(error) / total)) for name, error in joint_errors.items()
+        }
         friction[index] = friction_model(best)
         for term in friction[index].bent:
-            speed[term] = speed[term].copy()
-            speed[term][index] = speeds[best][place]
+            point_speeds[term] = point_speeds[term].copy()
+            point_speeds[term][index] = speeds[best][row]
     choice = replace(choice, friction=tuple(friction))
-    return choice, errors, replace(point, speed=speed)
+    return choice, errors, replace(point, speed=point_speeds)
 
 
-def _tried(
+def _candidate_errors(
     fitter: Fitter, question: Question, choice: Choice, point: Point, noise: Array
 ) -> tuple[dict[str, Array], dict[str, Array], Array]:
-    """Return candidate to its squared errors (blocks, joints), and to the speeds (joints,), and
-    ``HeldOut.counts``.
+    """Return candidate to its squared errors (blocks, joints) [N^2 m^2], candidate to the speeds
+    (joints,) of its nonlinear term [rad/s], and ``HeldOut.counts``.
 
-    A term that is nonlinear in a speed is tried at several; each joint keeps its best.
+    A term that is nonlinear in a speed is tried at several speeds; each joint keeps its best.
     """
     robot = fitter.columns.robot
     squared: dict[str, Array] = {}
     speeds: dict[str, Array] = {}
     for number in range(max(len(bent.tried) for bent in BENT.values())):
-        tried = {term: np.full(robot.n_joints, bent.tried[number]) for term, bent in BENT.items()}
-        data, _ = fitter.around(replace(point, speed=tried, exact_load=True))
+        trial_speeds = {
+            term: np.full(robot.n_joints, bent.tried[number]) for term, bent in BENT.items()
+        }
+        data, _ = fitter.around(replace(point, speed=trial_speeds, exact_load=True))
         judge = HeldOut(data, noise)
         for name in CANDIDATES:
             model = friction_model(name)
             if number and not model.bent:
                 continue
-            each = replace(choice, friction=(model,) * robot.n_joints)
-            error = squared_errors(judge, fitter.columns, question, each)
-            speed = tried[model.bent[0]][0] if model.bent else 0.0
-            before = squared.get(name, np.full_like(error, np.inf))
-            lower = error.sum(axis=0) < before.sum(axis=0)
-            squared[name] = np.where(lower, error, before)
+            trial = replace(choice, friction=(model,) * robot.n_joints)
+            error = squared_errors(judge, fitter.columns, question, trial)
+            speed = trial_speeds[model.bent[0]][0] if model.bent else 0.0
+            least = squared.get(name, np.full_like(error, np.inf))
+            lower = error.sum(axis=0) < least.sum(axis=0)
+            squared[name] = np.where(lower, error, least)
             speeds[name] = np.where(lower, speed, speeds.get(name, np.zeros(error.shape[1])))
         counts = judge.counts
-        del data, judge  # before others are made: they take as much memory as the rows
+        del data, judge  # before the next ones are made: they take as much memory as the rows
     return squared, speeds, counts
 
 
 def clearly_best(scores: Mapping[str, Array]) -> str:
-    """Return the candidate to take, from its squared errors per block (blocks,)."""
-    chosen = next(iter(scores))
+    """Return the best candidate, from the squared errors (blocks,) of each."""
+    best = next(iter(scores))
     while True:
-        better = [name for name in scores if is_clearly_lower(scores[name], scores[chosen])]
+        better = [name for name in scores if is_clearly_lower(scores[name], scores[best])]
         if not better:
-            return chosen
+            return best
         fewest = min(len(friction_model(name).terms) for name in better)
         short = [name for name in better if len(friction_model(name).terms) == fewest]
-        chosen = min(short, key=lambda name: float(np.mean(scores[name])))
+        best = min(short, key=lambda name: float(np.mean(scores[name])))
 
 
 def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
-    """Tell whether all torques together read too much or too little, or all links are off alike.
+    """Tell whether all torque scales, or all links' parameters, share one clear error.
 
-    Where the links are the only witness neither is more likely than the other.
+    Torques and links that are too large by the same share give the same rows.
     """
-    sought = _sought(fit, question, replace(choice, common_scale=COMMON_SCALE))
+    unknowns = _unknowns_of(fit, question, replace(choice, common_scale=COMMON_SCALE))
     names = [f"scale[{joint}]" for joint in fit.columns.joints]
-    return sought.may_be_scaled(question) and is_worth_a_word(*asked_of(fit, sought, names))
+    return unknowns.may_be_scaled(question) and is_worth_a_word(*posterior_of(fit, unknowns, names))
 
 
-def asked_of(fit: Fit, sought: Unknowns, names: Sequence[str]) -> tuple[Array, Array]:
-    """Return values (m,) and covariance (m, m) of some of what is sought, around a fit's point."""
-    values, spread, _ = WithPriors(fit.evidence.of(sought), 1.0 / fit.weights).solve(sought.groups)
-    places = np.searchsorted(sought.kept, fit.columns.at(names))
-    return values[places], spread[np.ix_(places, places)]
+def posterior_of(fit: Fit, unknowns: Unknowns, names: Sequence[str]) -> tuple[Array, Array]:
+    """Return values (m,) and covariance (m, m) of some unknowns, around a fit's point."""
+    problem = WithPriors(fit.evidence.of(unknowns), 1.0 / fit.weights)
+    values, covariance, _ = problem.solve(unknowns.groups)
+    indices = np.searchsorted(unknowns.kept, fit.columns.at(names))
+    return values[indices], covariance[np.ix_(indices, indices)]
 
 
-def shown_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
-    """Let those torque sensors have an offset of which the recordings show one.
+def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
+    """Return the choice with offsets of those torque sensors that clearly have one.
 
-    An offset and the weight of links read alike in a small motion, so that noise alone would give
-    sensors what links weigh: offsets that are not clear are zero, the least clear first. Sensors of
-    an arm are of one kind: where one clearly has an offset, the others may have a small one.
+    In a small motion an offset and the weight of links make the same torque, so that noise alone
+    would move weight into offsets: offsets that are not clear become zero, the least clear first.
+    Sensors of an arm are of one kind: beside a clear offset, the others may have small ones.
     """
-    size = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
-    sought, gone = _sought(fit, question, choice), list(choice.offsets)
-    free = [j for j in fit.columns.joints if j not in gone and f"offset[{j}]" in sought.kept_names]
-    found, spread = asked_of(fit, sought, [f"offset[{joint}]" for joint in free])
+    deviations = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
+    unknowns = _unknowns_of(fit, question, choice)
+    zero_joints = list(choice.offsets)
+    names = unknowns.kept_names
+    free = [j for j in fit.columns.joints if j not in zero_joints and f"offset[{j}]" in names]
+    offsets, covariance = posterior_of(fit, unknowns, [f"offset[{joint}]" for joint in free])
     while free:
-        clear = np.abs(found) / np.sqrt(np.diag(spread))
-        least = int(np.argmin(clear))
-        if clear[least] > CLEAR_OFFSET:
-            return replace(choice, offsets={joint: size[joint] for joint in gone})
-        # What the others are where this one is zero.
-        gain, stay = spread[:, least] / spread[least, least], np.arange(len(free)) != least
-        found = (found - gain * found[least])[stay]
-        spread = (spread - np.outer(gain, spread[least]))[stay][:, stay]
-        gone.append(free.pop(least))
-    return replace(choice, offsets=dict.fromkeys(gone, 0.0))
+        significance = np.abs(offsets) / np.sqrt(np.diag(covariance))
+        index = int(np.argmin(significance))
+        if significance[index] > CLEAR_OFFSET:
+            return replace(choice, offsets={joint: deviations[joint] for joint in zero_joints})
+        # Condition the other offsets on zero for this one.
+        gain = covariance[:, index] / covariance[index, index]
+        others = np.arange(len(free)) != index
+        offsets = (offsets - gain * offsets[index])[others]
+        covariance = (covariance - np.outer(gain, covariance[index]))[others][:, others]
+        zero_joints.append(free.pop(index))
+    return replace(choice, offsets=dict.fromkeys(zero_joints, 0.0))
 
 
-def shown_rotors(fit: Fit) -> dict[str, float]:
-    """Return joint, or motor that turns several, to the rotor that a file gets: that of a fit with
-    all that friction does, where it is clearly another than the model's, else the model's.
+def select_rotors(fit: Fit) -> dict[str, float]:
+    """Return joint, or motor that turns several, to its rotor inertia in a file [kg m^2].
 
-    A file lacks most of what friction does, and in slow motion a rotor of its own would take that
-    part.
+    That is the estimate of a fit with all friction terms, where it clearly differs from the model's
+    rotor, else the model's. A file lacks most of these terms: in slow motion, a rotor fitted beside
+    its friction would take their torque.
     """
-    columns, sought = fit.columns, _sought(fit, fit.question, fit.choice)
+    columns = fit.columns
+    unknowns = _unknowns_of(fit, fit.question, fit.choice)
     owners = [*columns.robot.joint_names, *(motor.name for motor in fit.choice.couplings)]
-    owners = [owner for owner in owners if f"armature[{owner}]" in sought.kept_names]
+    owners = [owner for owner in owners if f"armature[{owner}]" in unknowns.kept_names]
     names = [f"armature[{owner}]" for owner in owners]
     if not names:
         return {}
-    found, spread = asked_of(fit, sought, names)
-    places, error = columns.at(names), np.sqrt(np.diag(spread))
-    clear = np.abs(found - columns.prior[places]) > CLEAR_OFFSET * error
-    values = np.where(clear, fit.values[places], columns.prior[places])
+    rotors, covariance = posterior_of(fit, unknowns, names)
+    indices = columns.at(names)
+    error = np.sqrt(np.diag(covariance))
+    is_clear = np.abs(rotors - columns.prior[indices]) > CLEAR_OFFSET * error
+    values = np.where(is_clear, fit.values[indices], columns.prior[indices])
     return dict(zip(owners, values.tolist()))
 
 
 def dry_friction(fit: Fit) -> tuple[float, ...]:
-    """Return about how much dry friction (joints,) each row's joint has [N m]."""
+    """Return the dry friction (joints,) of each row's joint in a fit [N m]."""
     sizes = np.zeros(len(fit.columns.joints))
-    for place, joint in enumerate(fit.columns.joints):
+    for row, joint in enumerate(fit.columns.joints):
         names = [f"{term}[{joint}]" for term in ("coulomb", "sigmoid")]
-        sizes[place] = np.sum(np.abs(fit.values[fit.columns.at(names)]))
+        sizes[row] = np.sum(np.abs(fit.values[fit.columns.at(names)]))
     return tuple(sizes.tolist())
 
 
 def predictive_link_scales(
     judge: HeldOut, fit: Fit, question: Question, choice: Choice
 ) -> LinkScales:
-    """Return the least multiple of the links' uncertainty that predicts about as well as any.
+    """Return the least factor on the links' uncertainty whose held-out error is about the lowest.
 
-    It grows for as long as that does not predict worse. A file keeps what predicts best; how far
-    off links may be is another question (``link_scales``).
+    Factors are tried until the error rises. They are for a file, which has to predict well; the
+    uncertainty of links is estimated in ``link_scales``.
     """
     scores = list[float]()
     for scale in SCALES:

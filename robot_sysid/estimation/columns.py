@@ -7,12 +7,12 @@ and a delay, the measured torque of joint j is
     tau_j = (1 + s_j) [inverse dynamics at q - z, gravity tilted]_j + (1 + d_j t) F_j phi
             + rotor_j qdd_j + couplings.
 
-It is linear in bodies, friction, rotors and couplings, and linearised around what is known so far
-in everything else: scales, drift, encoder zeros z, two angles of gravity, the delay, the loss of
+It is linear in bodies, friction, rotors and couplings, and linearised around the last estimate in
+everything else: scales, drift, encoder zeros z, two angles of gravity, the delay, the loss of
 a gear that grows with its load, and speeds that friction is nonlinear in.
 
-Without a payload s_j multiplies what is known so far of the last link, and of the others what the
-model says, however far off they are found to be. The most likely links and scales together would be
+Without a payload s_j multiplies the last estimate of the last link, and the model's values of the
+others, however far off they are found to be. The most likely links and scales together would be
 scales that make links less off, in as many directions as the data shows: 5 % too large for an iiwa
 whose links are 5 % off.
 """
@@ -56,34 +56,34 @@ from robot_sysid.dynamics.nuisances import (
     zero_columns,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, RowsBeside, stored
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, RowsBeside, store_rows
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
 
 PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
 LINEAR = tuple(term for term in TERMS if term not in ("load", *BENT))
 """Friction terms whose columns depend on the motion alone."""
 PLACEHOLDER = 1e-3
-"""Share of the other links' usual mass below which a body's numbers say nothing."""
+"""Share of the other links' median mass below which a body's inertia counts as a placeholder."""
 _DRIFTING = ("coulomb", "viscous", "sqrt", "load", *BENT, "quadratic", "cubic", *FADING_SPEEDS)
 _SMOOTH = ("viscous", "armature")
-# Rows for which what is made of links alone is made together: calls against memory.
+# Rows whose link-dependent columns are computed in one call: calls against memory.
 _TOGETHER = 4000
-# Up to which change, as a part of it, gravity's part of the rows is not filtered anew.
+# Relative change of gravity up to which its part of the rows is not filtered anew.
 _SMALL_TURN = 0.1
 
 
 @dataclass(frozen=True)
 class Point:
-    """What is known so far: around which the equations are linearised.
+    """The estimate around which the equations are linearised.
 
     Attributes:
         values: (p,) of all parameters; increments of delay, tilt and speeds beyond what follows.
         gravity: (3,) in the world frame of the model [m/s^2].
-        delay: by which torque lags position [s].
+        delay: lag of the torque behind the position [s].
         speed: nonlinear friction term to (n,) its speed at each joint [rad/s].
         exact_load: whether columns of a gear's load have to pass the low-pass: where they are
-            sought, and not only allowed for.
-        in_file: whether only what a model file holds, and gravity, has columns.
+            estimated, and not only nuisances.
+        in_file: whether only the parameters of a model file, and gravity, have columns.
     """
 
     values: Array
@@ -97,8 +97,9 @@ class Point:
 class Columns:
     """Names of all parameters, and the rows of recordings in them.
 
-    Torques are "chain" for every joint that carries the link, "terminal" for the last one only;
-    couplings are motors that turn with several joints, or may do so.
+    Args:
+        torques: "chain" for every joint that carries the link, "terminal" for the last one only.
+        couplings: motors that turn with several joints, or candidates for it.
     """
 
     def __init__(
@@ -108,30 +109,33 @@ class Columns:
         torques: str = "chain",
         couplings: Sequence[Coupling] = (),
     ) -> None:
-        self.robot, self.datasets, self.torques = robot, tuple(datasets), torques
+        self.robot = robot
+        self.datasets = tuple(datasets)
+        self.torques = torques
         self.couplings = tuple(couplings)
         self._base: tuple[Array, float, list[DecimatedSamples]] | None = None
         self._arm: tuple[Array, RobotModel] | None = None
-        self._known: tuple[Any, dict[bool, list[Array]], list[Array]] = ((), {}, [])
+        self._link_columns: tuple[Any, dict[bool, list[Array]], list[Array]] = ((), {}, [])
         arm = self._equations(robot)
         self._arm_names = arm.names
-        self.rows_of, self.joints = arm.rows_of, arm.joints
+        self.rows_of = arm.rows_of
+        self.joints = arm.joints
         later = ("load", *(name for term in BENT for name in (term, f"{term}_speed")))
         self._scales = tuple(f"scale[{joint}]" for joint in self.joints)
         self._drifts = tuple(f"drift[{joint}]" for joint in self.joints)
         self._zeros = tuple(f"zero[{joint}]" for joint in robot.joint_names)
         self._tilts = TILT_NAMES if np.any(gravity(robot)) else ()
-        own = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
-        own += (*self._scales, *self._drifts)
+        of_joints = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
+        of_joints += (*self._scales, *self._drifts)
         common = (*self._zeros, *self._tilts, DELAY_NAME, *PAYLOAD_NAMES)
-        self.names = (*arm.names, *own, *common)
-        self.prior = np.append(arm.prior, np.zeros(len(own) + len(common)))
+        self.names = (*arm.names, *of_joints, *common)
+        self.prior = np.append(arm.prior, np.zeros(len(of_joints) + len(common)))
         self.place = {name: index for index, name in enumerate(self.names)}
-        # What no recording shows has no columns: they would make every triangle larger.
-        still = () if any(each.place for each in datasets) else self._drifts
-        self._loaded = any(each.is_loaded for each in datasets)
+        # Parameters that act in no recording have no columns, which would enlarge every triangle.
+        no_drift = () if any(dataset.place for dataset in datasets) else self._drifts
+        self._loaded = any(dataset.is_loaded for dataset in datasets)
         empty = () if self._loaded else PAYLOAD_NAMES
-        self._nowhere = {*still, *empty}
+        self._nowhere = {*no_drift, *empty}
         terms = [name.partition("[") for name in arm.names]
         joints = {f"{joint}]" for joint in self.joints}
         self._of_bodies = np.array([not bracket for _, bracket, _ in terms])
@@ -142,62 +146,63 @@ class Columns:
                 self._believed[self.at(link_names(robot, link))] = True
         self._smooth = self._of_bodies | np.array([term in _SMOOTH for term, _, _ in terms])
 
-    def coupled(self, couplings: tuple[Coupling, ...]) -> Columns:
-        """Return the same with some of the couplings; it takes the rows that are there."""
-        found = Columns(self.robot, self.datasets, self.torques, couplings)
-        found._known = self._known
-        base, self._base = self._base, None
+    def with_couplings(self, couplings: tuple[Coupling, ...]) -> Columns:
+        """Return the columns with some of the couplings; they take over the stored rows."""
+        columns = Columns(self.robot, self.datasets, self.torques, couplings)
+        columns._link_columns = self._link_columns
+        base = self._base
+        self._base = None
         if base is not None:
             down, delay, rows = base
-            names = found._arm_names
-            # Each goes once it is made again: they take most of the memory.
+            names = columns._arm_names
+            # Each is released once it is copied: they take most of the memory.
             fewer = (rows.pop(0).only(names) for _ in range(len(rows)))
-            found._base = down, delay, stored(fewer)
-        return found
+            columns._base = down, delay, store_rows(fewer)
+        return columns
 
     def start(self) -> Point:
-        """Return the model itself."""
+        """Return the point at the model's own values."""
         n = self.robot.n_joints
         speed = {term: np.full(n, bent.usual) for term, bent in BENT.items()}
         return Point(self.prior, gravity(self.robot), 0.0, speed)
 
     def at(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """Return where some parameters stand."""
+        """Return the indices of parameters."""
         return np.array([self.place[name] for name in names], dtype=np.int64)
 
     def bodies(self) -> dict[str, NDArray[np.int64]]:
-        """Return name to the places of its ten parameters: links base to terminal, the payload."""
-        found = {}
+        """Return the indices of each body's ten parameters: links base to terminal, the payload."""
+        indices = {}
         if self.torques == "chain":
             for link in other_links(self.robot):
                 name = self.robot.links[link].body_name
-                found[name] = self.at(link_names(self.robot, link))
-        found[self.robot.body_name] = self.at(PARAMETER_NAMES)
-        found["payload"] = self.at(PAYLOAD_NAMES)
-        return found
+                indices[name] = self.at(link_names(self.robot, link))
+        indices[self.robot.body_name] = self.at(PARAMETER_NAMES)
+        indices["payload"] = self.at(PAYLOAD_NAMES)
+        return indices
 
     @cached_property
     def usual(self) -> dict[str, Array]:
-        """Body name to a body (10,) that such a link could be."""
+        """Body name to a plausible body (10,) for that link."""
         return usual_bodies(self.robot)
 
     def thetas(self, values: Array, is_loaded: bool = False) -> Array:
-        """Return the links (n, 10) of some values (p,), the terminal one with or without load."""
-        found = self.robot.thetas
+        """Return the links (n, 10) at values (p,), the terminal one with or without the payload."""
+        thetas = self.robot.thetas
         if self.torques == "chain":
             for link in other_links(self.robot):
-                found[link] = values[self.at(link_names(self.robot, link))]
-        found[-1] = values[:N_INERTIAL]
+                thetas[link] = values[self.at(link_names(self.robot, link))]
+        thetas[-1] = values[:N_INERTIAL]
         if is_loaded:
-            found[-1] = found[-1] + values[self.at(PAYLOAD_NAMES)]
-        return found
+            thetas[-1] = thetas[-1] + values[self.at(PAYLOAD_NAMES)]
+        return thetas
 
-    def moved(self, point: Point, values: Array, settle: Sequence[str]) -> Point:
-        """Return the point after an estimate (p,); increments to settle move into what it holds."""
-        new, speed = values.copy(), dict(point.speed or {})
-        places = {name: self.place[name] for name in settle}
-        step = {name: float(values[place]) for name, place in places.items()}
-        new[list(places.values())] = 0.0
+    def move_point(self, point: Point, values: Array, settle: Sequence[str]) -> Point:
+        """Return the point after an estimate (p,), with the increments to settle added to it."""
+        new = values.copy()
+        speed = dict(point.speed or {})
+        step = {name: float(values[self.place[name]]) for name in settle}
+        new[self.at(settle)] = 0.0
         angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
         for term, bent in BENT.items():
             steps = [step.get(speed_name(term, joint), 0.0) for joint in self.robot.joint_names]
@@ -205,13 +210,13 @@ class Columns:
         return replace(
             point,
             values=new,
-            gravity=self._tilted(point, angles),
+            gravity=self._tilt_gravity(point, angles),
             delay=point.delay + step.get(DELAY_NAME, 0.0),
             speed=speed,
         )
 
-    def _tilted(self, point: Point, angles: Array) -> Array:
-        """Return a point's gravity (3,) turned further, about the model's axes carried along."""
+    def _tilt_gravity(self, point: Point, angles: Array) -> Array:
+        """Return a point's gravity (3,) tilted by angles (2,) [rad] about axes fixed to it."""
         if not np.any(angles):
             return point.gravity
         return turned(point.gravity, angles, tilt_axes(gravity(self.robot), point.gravity))
@@ -219,54 +224,55 @@ class Columns:
     def whole_tilt(self, point: Point, values: Array) -> Array:
         """Return the angles (2,) [rad] from the model's gravity to that of an estimate (p,)."""
         steps = values[self.at(TILT_NAMES)]
-        return tilt_angles(gravity(self.robot), self._tilted(point, steps))
+        return tilt_angles(gravity(self.robot), self._tilt_gravity(point, steps))
 
     def samples(self, point: Point) -> tuple[DecimatedSamples, ...]:
         """Return the rows of each recording around a point."""
         arm = self._arm_at(point.gravity)
-        delayed = [each.delayed(point.delay) for each in self.datasets]
+        delayed = [dataset.remove_delay(point.delay) for dataset in self.datasets]
         bases = self._under(point, delayed)
         if point.in_file:
             tilts = self._of_links(point, delayed, partial(self._tilt, arm))
             return tuple(map(self._held_by_file, delayed, bases, tilts))
         columns = zip(bases, delayed, *self._by_links(arm, point, delayed))
-        return tuple(self._linearised(point, *each) for each in columns)
+        return tuple(self._linearise(point, *log_columns) for log_columns in columns)
 
     def _under(self, point: Point, delayed: Sequence[Dataset]) -> Iterator[DecimatedSamples]:
-        """Yield the rows under a point's gravity that do not depend on what else is known.
+        """Yield the rows under a point's gravity that do not depend on its other values.
 
-        They are linear in gravity. What a small turn of it adds is slow, as the positions are, so
-        that a row's own instant stands for all that its filter sees: within 1e-4 of the change.
+        They are linear in gravity. The change by a small tilt is as slow as the positions, so that
+        it needs no low-pass: the error is within 1e-4 of the change.
         """
-        base, down = self._base, point.gravity
+        base = self._base
+        down = point.gravity
         turn = np.inf if base is None else np.linalg.norm(down - base[0])
         if base is None or base[1] != point.delay or turn > _SMALL_TURN * np.linalg.norm(down):
             equations = self._equations(self._arm_at(down))
-            base = down, point.delay, stored(each.samples(equations) for each in delayed)
+            base = down, point.delay, store_rows(dataset.samples(equations) for dataset in delayed)
             self._base = base
         if np.array_equal(base[0], down):
             yield from base[2]
             return
-        # Made anew each time: what holds MuJoCo's data cannot be pickled.
+        # Not stored: MuJoCo's data cannot be pickled.
         arm = self._equations(self.robot)
         for rows, log in zip(base[2], delayed):
             more = arm.rows_of_gravity(log.motion.q, down - base[0])
             yield replace(rows, rows=tuple(map(np.add, rows.rows, more)))
 
     def _arm_at(self, down: Array) -> RobotModel:
-        """Return the arm under some gravity (3,) [m/s^2]."""
+        """Return the arm under gravity (3,) [m/s^2]."""
         if self._arm is None or not np.array_equal(self._arm[0], down):
             self._arm = down, with_gravity(self.robot, down)
         return self._arm[1]
 
     def _equations(self, arm: RobotModel) -> Equations:
-        """Return those of all columns that do not depend on what is sought."""
+        """Return the equations of all columns that do not depend on the estimate."""
         friction = friction_per_joint(arm, self.torques, FrictionModel(LINEAR))
         links = other_links(arm) if self.torques == "chain" else ()
         return Equations(arm, self.torques, friction, self.couplings, links)
 
     def arm_torque(self, point: Point, is_loaded: bool) -> tuple[Equations, Array]:
-        """Return equations of the motion alone and the arm's values (q,) in them."""
+        """Return the equations that depend on motion alone and their parameters' values (q,)."""
         return self._equations(self._arm_at(point.gravity)), self._arm_values(point, is_loaded)
 
     def _arm_values(self, point: Point, is_loaded: bool) -> Array:
@@ -275,58 +281,75 @@ class Columns:
             values[:N_INERTIAL] += point.values[self.at(PAYLOAD_NAMES)]
         return values
 
-    def _linearised(
+    def _linearise(
         self, point: Point, base: DecimatedSamples, dataset: Dataset, load: Array, common: Array
     ) -> DecimatedSamples:
-        """Return one recording's rows with the columns that depend on what is known."""
+        """Return one recording's rows with the columns that depend on the point."""
         later = {"load": load, **self._nonlinear(dataset, point)}
         values = self._arm_values(point, dataset.is_loaded)
-        parts, right, columns = [], [], []
+        blocks = []
+        right_sides = []
+        columns = []
         for row, joint in enumerate(self.rows_of):
-            block, tau = base.rows[row], base.tau[row]
-            known = values[base.columns[row]]
+            block = base.rows[row]
+            tau = base.tau[row]
+            coefficients = values[base.columns[row]]
             bodies, believed, drifting, smooth = (
                 which[base.columns[row]]
                 for which in (self._of_bodies, self._believed, self._drifting, self._smooth)
             )
             scale, drift = point.values[self.at((self._scales[row], self._drifts[row]))]
-            scaled = np.where(believed, self.prior[base.columns[row]], known)
-            linear, exact = block[:, bodies] @ scaled[bodies], self._loaded * scale
+            scaled = np.where(believed, self.prior[base.columns[row]], coefficients)
+            linear = block[:, bodies] @ scaled[bodies]
+            exact = self._loaded * scale
             gear = linear + base.measured[row] - tau
-            own = {term: f"{term}[{self.joints[row]}]" for term in later}
-            friction = block[:, drifting] @ known[drifting]
+            friction_names = {term: f"{term}[{self.joints[row]}]" for term in later}
+            friction = block[:, drifting] @ coefficients[drifting]
             for term in ("load", *BENT):
-                friction += later[term][:, row] * point.values[self.place[own[term]]]
+                friction += later[term][:, row] * point.values[self.place[friction_names[term]]]
             drifted = 1.0 + drift * dataset.place
             factor = np.where(bodies, 1.0 + exact, np.where(drifting, drifted, 1.0))
-            late = _late(dataset, base.time, block[:, smooth] @ known[smooth])
+            late = _late(dataset, base.time, block[:, smooth] @ coefficients[smooth])
             sides = {
-                (*own.values(),): (np.stack([c[:, row] for c in later.values()], axis=1), drifted),
+                (*friction_names.values(),): (
+                    np.stack([c[:, row] for c in later.values()], axis=1),
+                    drifted,
+                ),
                 (self._scales[row],): (gear[:, None], 1.0),
                 (self._drifts[row],): (friction[:, None], dataset.place),
                 (*self._zeros, *self._tilts): (common[:, joint], 1.0 + exact),
                 (DELAY_NAME,): (late[:, None], 1.0),
                 PAYLOAD_NAMES: (slice(N_INERTIAL), (1.0 + exact) * dataset.is_loaded),
             }
-            there = {names: part for names, part in sides.items() if names[0] not in self._nowhere}
-            parts.append(((slice(None), factor), *there.values()))
-            right.append(tau + exact * linear + drift * dataset.place * friction)
-            columns.append(np.concatenate((base.columns[row], *map(self.at, there))))
-        found = replace(base, names=self.names, columns=tuple(columns), tau=tuple(right))
-        return replace(found, rows=RowsBeside(base.rows, parts))
+            sides = {names: side for names, side in sides.items() if names[0] not in self._nowhere}
+            blocks.append(((slice(None), factor), *sides.values()))
+            right_sides.append(tau + exact * linear + drift * dataset.place * friction)
+            columns.append(np.concatenate((base.columns[row], *map(self.at, sides))))
+        return replace(
+            base,
+            names=self.names,
+            columns=tuple(columns),
+            tau=tuple(right_sides),
+            rows=RowsBeside(base.rows, blocks),
+        )
 
     def _held_by_file(
         self, dataset: Dataset, base: DecimatedSamples, tilt: Array
     ) -> DecimatedSamples:
-        """Return one recording's rows in what a model file holds, and in gravity (K, n, 2)."""
+        """Return one recording's rows in the parameters of a model file and in gravity's tilt.
+
+        Args:
+            tilt: (K, n, 2) columns of gravity's direction.
+        """
         loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
-        places, own = self.at((*self._tilts, *loaded)), slice(len(loaded))
-        parts = [
-            ((slice(None), 1.0), (tilt[:, joint], 1.0), (own, dataset.is_loaded))
+        indices = self.at((*self._tilts, *loaded))
+        payload = slice(len(loaded))
+        blocks = [
+            ((slice(None), 1.0), (tilt[:, joint], 1.0), (payload, dataset.is_loaded))
             for joint in self.rows_of
         ]
-        columns = tuple(np.append(each, places) for each in base.columns)
-        return replace(base, names=self.names, columns=columns, rows=RowsBeside(base.rows, parts))
+        columns = tuple(np.append(at, indices) for at in base.columns)
+        return replace(base, names=self.names, columns=columns, rows=RowsBeside(base.rows, blocks))
 
     def _tilt(self, arm: RobotModel, thetas: Array, motion: Motion) -> Array:
         """Return the columns of gravity's direction (K, n, 2); none (K, n, 0) without gravity."""
@@ -335,24 +358,26 @@ class Columns:
         return tilt_columns(arm, thetas, motion.q, gravity(self.robot))
 
     def _of_links(
-        self, point: Point, delayed: Sequence[Dataset], made: Callable[[Array, Motion], Array]
+        self, point: Point, delayed: Sequence[Dataset], make: Callable[[Array, Motion], Array]
     ) -> list[Array]:
-        """Return what is made of links (n, 10) and a motion (K, n) for each recording, of some that
-        carry the same together, as most have few rows.
+        """Return ``make`` (links (n, 10), motion (K, n)) of each recording.
+
+        Recordings that carry the same load share a call, as most have few rows.
         """
-        found, motions = dict[int, Array](), [each.motion for each in delayed]
+        columns = dict[int, Array]()
+        motions = [dataset.motion for dataset in delayed]
         ends = np.cumsum([len(motion.time) for motion in motions])
 
-        def alike(k: int) -> tuple[bool, int]:
+        def batch(k: int) -> tuple[bool, int]:
             return delayed[k].is_loaded, ends[k] // _TOGETHER
 
-        for (loaded, _), some in groupby(sorted(range(len(delayed)), key=alike), alike):
-            which = list(some)
-            whole = Motion(*map(np.concatenate, zip(*(vars(motions[k]).values() for k in which))))
+        for (loaded, _), group in groupby(sorted(range(len(delayed)), key=batch), batch):
+            which = list(group)
+            motion = Motion(*map(np.concatenate, zip(*(vars(motions[k]).values() for k in which))))
             counts = np.cumsum([len(motions[k].time) for k in which])[:-1]
-            parts = np.split(made(self.thetas(point.values, loaded), whole), counts)
-            found.update(zip(which, parts))
-        return [found[k] for k in range(len(delayed))]
+            blocks = np.split(make(self.thetas(point.values, loaded), motion), counts)
+            columns.update(zip(which, blocks))
+        return [columns[k] for k in range(len(delayed))]
 
     def _by_links(
         self, arm: RobotModel, point: Point, delayed: Sequence[Dataset]
@@ -363,86 +388,89 @@ class Columns:
         They depend on the links alone, so that trials of friction share them.
         """
         thetas = [self.thetas(point.values, loaded) for loaded in (False, True)]
-        key = (point.delay, point.gravity.tobytes(), *(each.tobytes() for each in thetas))
-        if self._known[0] != key:
-            # They are smooth and small, so that the motion at a row's own instant stands for all
-            # that its filter sees.
+        key = (point.delay, point.gravity.tobytes(), *(theta.tobytes() for theta in thetas))
+        if self._link_columns[0] != key:
+            # They are smooth and small, so that they need no low-pass: the motion at a row's own
+            # instant is accurate enough.
             def common(theta: Array, motion: Motion) -> Array:
                 zeros = zero_columns(arm, theta, motion)
                 return np.concatenate((zeros, self._tilt(arm, theta, motion)), axis=-1)
 
-            self._known = key, {}, self._of_links(point, delayed, common)
-        _, loads, smooth = self._known
+            self._link_columns = key, {}, self._of_links(point, delayed, common)
+        _, loads, smooth = self._link_columns
         if point.exact_load not in loads:
-            dynamics, rows = LinkDynamics(arm), list(self.rows_of)
+            dynamics = LinkDynamics(arm)
+            rows = list(self.rows_of)
 
             def load(theta: Array, motion: Motion) -> Array:
                 torque = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(theta)
                 return (np.sign(motion.qd) * np.abs(torque))[:, rows]
 
             loads[point.exact_load] = [
-                _filtered(each, point, partial(load, thetas[each.is_loaded])) for each in delayed
+                _low_pass(dataset, point, partial(load, thetas[dataset.is_loaded]))
+                for dataset in delayed
             ]
         return loads[point.exact_load], smooth
 
     def _nonlinear(self, dataset: Dataset, point: Point) -> dict[str, Array]:
         """Return the columns (K, rows) of nonlinear friction in its own joint's equation, and their
-        slopes where it is there.
+        slopes by speed for the terms that are not zero.
         """
-        rows, speed = list(self.rows_of), point.speed or {}
+        rows = list(self.rows_of)
+        speed = point.speed or {}
         sizes = {t: point.values[self.at([f"{t}[{joint}]" for joint in self.joints])] for t in BENT}
         sloped = [term for term, size in sizes.items() if np.any(size)]
 
-        def made(motion: Motion) -> Array:
+        def make(motion: Motion) -> Array:
             columns = [bent.column(motion.qd, speed[t])[:, rows] for t, bent in BENT.items()]
             slopes = [sizes[t] * BENT[t].slope(motion.qd, speed[t])[:, rows] for t in sloped]
             return np.stack((*columns, *slopes), axis=-1)
 
-        found = np.moveaxis(_filtered(dataset, point, made), -1, 0)
-        return dict(zip((*BENT, *(f"{term}_speed" for term in sloped)), found))
+        columns = np.moveaxis(_low_pass(dataset, point, make), -1, 0)
+        return dict(zip((*BENT, *(f"{term}_speed" for term in sloped)), columns))
 
 
 def _late(dataset: Dataset, time: Array, torque: Array) -> Array:
     """Return the column (K,) of a lag of the torque behind the position [N m/s]; zero at rest.
 
     A torque that lags reads tau(t - delay) = tau(t) - delay tau'(t) + O(delay^2). Estimated, taken
-    out by ``with_delay`` and estimated again, the delay converges in a few rounds. What follows
-    smoothly from the motion tells it; dry friction does not, because where it turns a little early
-    or late at a reversal it looks like a delay: in a closed loop with MuJoCo's friction the whole
-    torque's derivative gives -1.9 ms for none, this 0.03 ms.
+    out by ``with_delay`` and estimated again, the delay converges in a few rounds. Torque
+    that follows smoothly from the motion identifies it; dry friction does not, because a reversal
+    that is a little early or late looks like a delay: in a closed loop with MuJoCo's friction the
+    whole torque's derivative gives -1.9 ms for none, this 0.03 ms.
     """
     if dataset.signals is None or len(time) < 2:
         return np.zeros_like(torque)
     return -np.gradient(torque, time)
 
 
-def _filtered(dataset: Dataset, point: Point, made: Callable[[Motion], Array]) -> Array:
-    """Return what is made of a recording's motion, through its low-pass where that counts."""
+def _low_pass(dataset: Dataset, point: Point, make: Callable[[Motion], Array]) -> Array:
+    """Return columns of a recording's motion, low-passed where the point asks for exact load."""
     signals = dataset.signals
     if signals is None or not point.exact_load:
-        return made(dataset.motion)
-    return signals.passed(lambda motion: (made(motion),))[0]
+        return make(dataset.motion)
+    return signals.passed(lambda motion: (make(motion),))[0]
 
 
 def usual_bodies(robot: RobotModel) -> dict[str, Array]:
-    """Return body name to a body (10,) that such a link could be.
+    """Return body name to a plausible body (10,) for that link.
 
-    That is the model's own; where that is only a placeholder, without weight beside the other
-    links, a ball at its place with their usual mass and moment per mass.
+    That is the model's own; where that is only a placeholder, much lighter than the other links, a
+    ball at its place with their median mass and moment per mass.
     """
-    found = {link.body_name: link.theta for link in robot.links if link.has_mass}
-    heaviest = max(theta[0] for theta in found.values())
+    bodies = {link.body_name: link.theta for link in robot.links if link.has_mass}
+    heaviest = max(theta[0] for theta in bodies.values())
     believed = [
         theta
-        for theta in found.values()
+        for theta in bodies.values()
         if theta[0] >= PLACEHOLDER * heaviest and spatial.is_consistent(theta)
-    ] or list(found.values())
-    usual = float(np.median([theta[0] for theta in believed]))
-    apart = [spatial.com_from_theta(theta) for theta in believed]
-    gyration = float(np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in apart]))
-    for name, theta in found.items():
-        if theta[0] < PLACEHOLDER * usual or not spatial.is_consistent(theta):
-            mass = max(usual, float(theta[0]))
+    ] or list(bodies.values())
+    median_mass = float(np.median([theta[0] for theta in believed]))
+    inertias = [spatial.com_from_theta(theta) for theta in believed]
+    gyration = float(np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in inertias]))
+    for name, theta in bodies.items():
+        if theta[0] < PLACEHOLDER * median_mass or not spatial.is_consistent(theta):
+            mass = max(median_mass, float(theta[0]))
             com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
-            found[name] = spatial.theta_from_com(mass, com, mass * gyration * np.eye(3))
-    return found
+            bodies[name] = spatial.theta_from_com(mass, com, mass * gyration * np.eye(3))
+    return bodies

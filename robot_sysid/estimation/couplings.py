@@ -26,8 +26,8 @@ from robot_sysid.estimation.unknowns import (
     Choice,
     Question,
     Unknowns,
-    independent,
-    unknowns,
+    build_unknowns,
+    independent_prior,
 )
 from robot_sysid.json_files import read_json
 from robot_sysid.model.tendons import CAN_HOLD_ROTORS, shared_motors
@@ -37,9 +37,11 @@ CLEAR_EVIDENCE = 15.0
 """By how much a coupling has to raise the logarithm of the marginal likelihood. That of a Staubli
 TX40's wrist does by 114 to 148; where there is none, one does by 3 at most on three logs of a KUKA
 LWR4+, and by 13 on 12 s of a UR10e."""
-# Share of what a motor may have that stands for no motor, and what it may have at least.
-_NOTHING, _LEAST = 1e-4, 1e-9
-# Standard errors that one of its numbers has to be away from zero.
+# Factor on the prior of a motor that counts as absent.
+_ABSENT = 1e-4
+# Least standard deviation of a motor's parameters.
+_LEAST = 1e-9
+# Standard errors that one of a motor's parameters has to be away from zero.
 _CLEAR = 3.0
 # Cosine from which on ratios of speeds are the same.
 _SAME_DIRECTION = 1.0 - 1e-9
@@ -68,70 +70,74 @@ def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Cou
 
 
 def couplings_of_model(robot: RobotModel) -> tuple[Coupling, ...]:
-    """Return the motors of the model that turn several joints of the arm, those that do anything.
+    """Return the motors of the model that turn several joints of the arm.
 
     A tendon without friction and rotor inertia is no motor, but a spring or a gripper's fingers.
     """
     ratios = shared_motors(robot.mj_model, robot.dof_index)
-    motors = (coupling(robot, each, tendon) for tendon, each in ratios.items())
+    motors = (coupling(robot, joint_ratios, tendon) for tendon, joint_ratios in ratios.items())
     return tuple(motor for motor in motors if np.any(motor.model))
 
 
 def neighbours(robot: RobotModel) -> Iterator[Coupling]:
-    """Yield what a wrist may look like: each joint with the next one, either way round."""
+    """Yield the couplings that a wrist may have: each joint with the next one, of either sign."""
     for joint in range(robot.n_joints - 1):
         for sign in (1.0, -1.0):
             ratios = np.zeros(robot.n_joints)
-            ratios[joint], ratios[joint + 1] = 1.0, sign
+            ratios[joint] = 1.0
+            ratios[joint + 1] = sign
             yield coupling(robot, ratios)
 
 
 def couplings_of(
     robot: RobotModel, options: EstimationOptions
 ) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
-    """Return (the couplings that have columns, those of them that recordings decide for).
+    """Return (couplings that have columns, those of them that need evidence of the recordings).
 
-    There are those of the model and of the user's file; torques of the last joint alone show none.
+    Couplings of the model and of the user's file need no evidence. Torques of the last joint alone
+    identify none.
 
     Raises:
         InputError: the file that states them cannot be read, or does not fit the arm.
     """
-    given = () if options.coupling is None else read_couplings(options.coupling, robot)
+    stated = () if options.coupling is None else read_couplings(options.coupling, robot)
     if options.torques != "chain":
-        return given, ()
+        return stated, ()
     of_model = couplings_of_model(robot)
-    known = (*of_model, *(each for each in given if not _is_among(each, of_model)))
+    fixed = (*of_model, *(motor for motor in stated if not _is_among(motor, of_model)))
     if options.coupling is not None:
-        return known, ()
-    offered = tuple(each for each in neighbours(robot) if not _is_among(each, known))
-    return (*known, *offered), offered
+        return fixed, ()
+    offered = tuple(motor for motor in neighbours(robot) if not _is_among(motor, fixed))
+    return (*fixed, *offered), offered
 
 
 def _is_among(motor: Coupling, others: Sequence[Coupling]) -> bool:
-    """Tell whether a motor turns as one of some others, whatever its gear."""
-    directions = [each.ratios / np.linalg.norm(each.ratios) for each in (motor, *others)]
+    """Tell whether a motor's ratios are parallel to those of another motor."""
+    directions = [item.ratios / np.linalg.norm(item.ratios) for item in (motor, *others)]
     return any(abs(directions[0] @ other) > _SAME_DIRECTION for other in directions[1:])
 
 
 def select_couplings(
-    fitter: Fitter, question: Question, given: FrictionModel | None, offered: tuple[Coupling, ...]
+    fitter: Fitter, question: Question, model: FrictionModel | None, offered: tuple[Coupling, ...]
 ) -> tuple[Coupling, ...]:
-    """Return the couplings that are there: those not only offered, and those with clear evidence.
+    """Return the couplings that need no evidence and the offered ones that have clear evidence.
 
-    A motor is taken where it makes the torques clearly more likely, with noise estimated anew
-    beside it, and one of its numbers is clearly not zero. Joints whose torque sensors sit behind
-    the gears show nothing of their own motors, and nothing of one that they share either.
+    A motor is selected where it makes the torques clearly more likely, with noise estimated anew
+    beside it, and one of its parameters is clearly not zero. Joint torque sensors behind the gears
+    measure no torque of motors, and so none of a motor that joints share.
     """
-    every = fitter.columns.couplings
-    model = given or friction_model(DEFAULT_MEASURED)
-    choice = Choice((model,) * fitter.columns.robot.n_joints, every[: len(every) - len(offered)])
+    couplings = fitter.columns.couplings
+    joint_model = model or friction_model(DEFAULT_MEASURED)
+    choice = Choice(
+        (joint_model,) * fitter.columns.robot.n_joints, couplings[: len(couplings) - len(offered)]
+    )
     fit = fitter.fit(question, choice, rounds=1)
     while True:
         wider = [
             fitter.solve_around(fit.point, question, replace(fit.choice, couplings=motors))
             for motors in _promising_couplings(fit, question, offered)
         ]
-        gains = [_evidence_gain(fit, each) for each in wider]
+        gains = [_evidence_gain(fit, wider_fit) for wider_fit in wider]
         if not gains or max(gains) < CLEAR_EVIDENCE:
             return fit.choice.couplings
         fit = wider[int(np.argmax(gains))]
@@ -140,72 +146,78 @@ def select_couplings(
 def _promising_couplings(
     fit: Fit, question: Question, offered: Sequence[Coupling]
 ) -> list[tuple[Coupling, ...]]:
-    """Return the couplings of a fit with one that is offered, of the two that make torques likelier
-    than without and most of all.
+    """Return the couplings of a fit with one offered motor added, for the two best motors at most.
 
-    Noise is that of the fit, and friction may have either sign: this is a cheap first look.
+    Each makes the torques more likely. The noise is that of the fit, and friction may have either
+    sign: this saves fits with motors that cannot win.
     """
     present = fit.choice.couplings
     candidates = [motor for motor in offered if all(motor is not other for other in present)]
     if not candidates:
         return []
     choice = replace(fit.choice, couplings=(*present, *candidates))
-    sought = unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
-    problem = WithPriors(fit.evidence.of(sought), np.sqrt(fit.inflation * fit.memory) * fit.noise)
-    priors = [_motor_prior(fit, sought, motor) for motor in candidates]
-    absent = [replace(prior, widened=_NOTHING) for prior in priors]
-    groups = [*sought.groups, *absent]
-    without = problem.likely(groups)[1]
+    unknowns = build_unknowns(
+        fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
+    )
+    problem = WithPriors(fit.evidence.of(unknowns), np.sqrt(fit.inflation * fit.memory) * fit.noise)
+    priors = [_motor_prior(fit, unknowns, motor) for motor in candidates]
+    absent = [replace(prior, widened=_ABSENT) for prior in priors]
+    groups = [*unknowns.groups, *absent]
+    evidence_without = problem.log_evidence(groups)[1]
     gains = []
-    for number in range(len(candidates)):
-        groups[len(sought.groups) + number] = priors[number]
-        gains.append(problem.likely(groups)[1] - without)
-        groups[len(sought.groups) + number] = absent[number]
+    for k in range(len(candidates)):
+        groups[len(unknowns.groups) + k] = priors[k]
+        gains.append(problem.log_evidence(groups)[1] - evidence_without)
+        groups[len(unknowns.groups) + k] = absent[k]
     best = np.argsort(gains)[::-1][:2]
-    return [(*present, candidates[number]) for number in best if gains[number] > 0.0]
+    return [(*present, candidates[k]) for k in best if gains[k] > 0.0]
 
 
 def _evidence_gain(fit: Fit, wider: Fit) -> float:
-    """Return by how much the last motor of a wider fit raises the logarithm of the marginal
-    likelihood; minus infinity where none of its numbers is clearly not zero.
+    """Return the log marginal likelihood that the last motor of a wider fit adds.
 
-    Samples count by those that are independent beside the residuals of the wider fit.
+    It is minus infinity where none of the motor's parameters is clearly not zero. The number of
+    independent samples is that of the wider fit's residuals.
     """
     prior = _motor_prior(fit, wider.unknowns, wider.choice.couplings[-1])
     priors = [*wider.unknowns.groups, prior]
     correlation = wider.inflation * wider.memory
     problem = WithPriors(wider.evidence.of(wider.unknowns), np.sqrt(correlation) * wider.noise)
     values, covariance, _ = problem.solve(priors)
-    at = prior.places(wider.unknowns.kept_names)
-    if not np.any(np.abs(values[at]) > _CLEAR * np.sqrt(np.diag(covariance)[at])):
+    indices = prior.indices(wider.unknowns.kept_names)
+    if not np.any(np.abs(values[indices]) > _CLEAR * np.sqrt(np.diag(covariance)[indices])):
         return -np.inf
-    without = WithPriors(fit.evidence.of(fit.unknowns), np.sqrt(correlation) * fit.noise)
+    problem_without = WithPriors(fit.evidence.of(fit.unknowns), np.sqrt(correlation) * fit.noise)
     counts = np.array(sample_counts(fit.evidence.whole)) / correlation
     less_noise = float(counts @ np.log(fit.noise / wider.noise))
-    return problem.likely(priors)[1] - without.likely(fit.unknowns.groups)[1] + less_noise
+    return (
+        problem.log_evidence(priors)[1]
+        - problem_without.log_evidence(fit.unknowns.groups)[1]
+        + less_noise
+    )
 
 
-def _motor_prior(fit: Fit, sought: Unknowns, motor: Coupling) -> NuisanceGroup:
-    """Return what a motor may have that turns several joints: as much as they have in a fit.
+def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup:
+    """Return the prior of a motor that turns several joints: each joint's own terms in a fit.
 
-    Where they have next to none, it may make a small part of their usual torque.
+    A term that is nearly zero there may make a small share of the joint's root mean square torque.
     """
     columns = fit.columns
     turned = np.flatnonzero(motor.ratios)
-    names = [name for name in motor.parameter_names if name in sought.kept_names]
+    names = [name for name in motor.parameter_names if name in unknowns.kept_names]
     sizes = []
     for name in names:
         term = name.partition("[")[0]
-        own = columns.at([f"{term}[{columns.robot.joint_names[joint]}]" for joint in turned])
-        size = max(float(np.max(np.abs(fit.values[own]))), _LEAST)
+        terms = columns.at([f"{term}[{columns.robot.joint_names[joint]}]" for joint in turned])
+        size = max(float(np.max(np.abs(fit.values[terms]))), _LEAST)
         for joint in turned:
             rows = fit.evidence.whole.joints[joint]
             column = rows.triangle[:, :-1][:, rows.columns == columns.place[name]]
-            usual = float(np.linalg.norm(column)) / np.sqrt(max(rows.n_samples, 1))
-            if usual > 0.0:
-                size = max(size, LEAST_COULOMB * fit.evidence.torque[joint] / usual)
+            column_size = float(np.linalg.norm(column)) / np.sqrt(max(rows.n_samples, 1))
+            if column_size > 0.0:
+                size = max(size, LEAST_COULOMB * fit.evidence.torque[joint] / column_size)
         sizes.append(size)
-    return independent("couplings", names, names, np.array(sizes))
+    return independent_prior("couplings", names, names, np.array(sizes))
 
 
 def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
@@ -221,29 +233,29 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
     names = robot.joint_names
     content = read_json(path, '--coupling takes JSON such as {"motor": {"joint": 1.0}}')
     if isinstance(content, dict):
-        rows = {f"motor {name!r}": given for name, given in content.items()}
+        rows = {f"motor {name!r}": row for name, row in content.items()}
     elif isinstance(content, list):
-        rows = {f"row {place + 1}": given for place, given in enumerate(content)}
+        rows = {f"row {index + 1}": row for index, row in enumerate(content)}
     else:
         rows = {"": content}
-    found = []
-    for where, row in rows.items():
-        given: Any = row
-        if isinstance(given, list) and len(given) == robot.n_joints:
-            given = dict(zip(names, given))
-        if not isinstance(given, dict) or not all(map(_is_number, given.values())):
+    ratios = []
+    for label, entry in rows.items():
+        row: Any = entry
+        if isinstance(row, list) and len(row) == robot.n_joints:
+            row = dict(zip(names, row))
+        if not isinstance(row, dict) or not all(map(_is_number, row.values())):
             raise InputError(
-                f'--coupling {path}: {where} must be like {{"{names[-1]}": 1.0}}, or in a matrix '
+                f'--coupling {path}: {label} must be like {{"{names[-1]}": 1.0}}, or in a matrix '
                 f"{robot.n_joints} finite numbers in each row, one per joint of the chain"
             )
-        unknown = [joint for joint in given if joint not in names]
+        unknown = [joint for joint in row if joint not in names]
         if unknown:
             raise InputError(
-                f"--coupling {path}: {where} turns with {unknown[0]!r}, which is no joint of the "
+                f"--coupling {path}: {label} turns with {unknown[0]!r}, which is no joint of the "
                 f"arm: {', '.join(names)}"
             )
-        found.append(np.array([float(given.get(joint, 0.0)) for joint in names]))
-    return tuple(coupling(robot, row) for row in found if np.count_nonzero(row) > 1)
+        ratios.append(np.array([float(row.get(joint, 0.0)) for joint in names]))
+    return tuple(coupling(robot, motor) for motor in ratios if np.count_nonzero(motor) > 1)
 
 
 def _is_number(value: Any) -> bool:

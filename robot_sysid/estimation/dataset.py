@@ -19,12 +19,13 @@ from robot_sysid.records import Array, Measurement, Motion, SquareRootInformatio
 from robot_sysid.signals.process import ProcessedSignals, with_delay
 
 Mask = NDArray[np.bool_]
-BLOCKS, LONGEST_STRETCH = 5, 10.0
-"""How many parts recordings are predicted in, each from the others. A part is every fifth stretch
-of a recording; stretches are less than so long [s], as a motion may show a joint for a while."""
-# Numbers per pass: memory stays small, results are the same for any.
+BLOCKS = 5
+"""Blocks for held-out errors, each predicted from the others: every fifth stretch of a log."""
+LONGEST_STRETCH = 10.0
+"""Upper bound of a stretch [s]: a motion may move a joint for some seconds only."""
+# Numbers per pass: a bound on memory that does not change results.
 _NUMBERS = 8_000_000
-# Numbers in a recording's rows that are kept in memory: of an arm of seven joints, half a minute's.
+# Numbers in a recording's rows that stay in memory: half a minute of an arm of seven joints.
 _IN_MEMORY = 250_000
 
 
@@ -35,7 +36,7 @@ class DecimatedSamples:
     Attributes:
         names: (p,) parameter names.
         joints: the joints that have equations.
-        columns: per joint, which parameters its rows contain.
+        columns: per joint (k,) indices of the parameters of its rows.
         time: (K,) [s].
         rows: per joint (K, k).
         tau: per joint (K,) right-hand sides [N m]; NaN where a sample is not used.
@@ -59,9 +60,10 @@ class DecimatedSamples:
 
     def in_use(self, joint: int) -> tuple[Array, Array]:
         """Return a joint's rows (m, k) and right-hand sides (m,) of the samples in use."""
-        used, rows = np.isfinite(self.tau[joint]), self.rows
-        some = rows.some(joint, used) if isinstance(rows, RowsBeside) else rows[joint][used]
-        return some, self.tau[joint][used]
+        used = np.isfinite(self.tau[joint])
+        rows = self.rows
+        selected = rows.select(joint, used) if isinstance(rows, RowsBeside) else rows[joint][used]
+        return selected, self.tau[joint][used]
 
     def information(self) -> SquareRootInformation:
         """Return the square-root information of the samples in use."""
@@ -69,24 +71,24 @@ class DecimatedSamples:
 
     def where(self, used: Mask) -> DecimatedSamples:
         """Return the samples without those for which ``used``, (K,) or (K, joints), is false."""
-        each = np.broadcast_to(used.T, (len(self.tau), len(self)))
-        return replace(self, tau=tuple(np.where(ok, t, np.nan) for ok, t in zip(each, self.tau)))
+        masks = np.broadcast_to(used.T, (len(self.tau), len(self)))
+        return replace(self, tau=tuple(np.where(m, t, np.nan) for m, t in zip(masks, self.tau)))
 
     def only(self, names: tuple[str, ...]) -> DecimatedSamples:
-        """Return the samples with some of their parameters, in that order."""
-        places = {name: place for place, name in enumerate(names)}
-        at = [np.array([places.get(self.names[c], -1) for c in each]) for each in self.columns]
-        rows = tuple(row[:, each >= 0] for row, each in zip(self.rows, at))
+        """Return the samples with the named parameters alone, in the order of ``names``."""
+        order = {name: index for index, name in enumerate(names)}
+        at = [np.array([order.get(self.names[k], -1) for k in columns]) for columns in self.columns]
+        rows = tuple(row[:, columns >= 0] for row, columns in zip(self.rows, at))
         return replace(self, names=names, columns=tuple(a[a >= 0] for a in at), rows=rows)
 
     def squared_torque(self) -> Array:
-        """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
+        """Return (joints,) sum of squares of the measured torque over the rows in use [N^2 m^2]."""
         pairs = zip(self.tau, self.measured)
         return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
 
 
 class _RowFile:
-    """A temporary file of rows; it goes with the last of them."""
+    """A temporary file of rows, deleted with the last reference to it."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self.file = file
@@ -96,87 +98,93 @@ class _RowFile:
 
 
 class _StoredRows(Sequence[Array]):
-    """Each joint's rows in a file, looked up when they are asked for."""
+    """Each joint's rows in a file, read on access."""
 
-    def __init__(self, rows: Sequence[Array], to: _RowFile) -> None:
-        self._in, self._places = to, list[tuple[int, Any]]()
-        for each in rows:
-            self._places.append((to.file.seek(0, 2), each.shape))
-            to.file.write(np.ascontiguousarray(each).data)
-        to.file.flush()
+    def __init__(self, rows: Sequence[Array], store: _RowFile) -> None:
+        self._store = store
+        self._positions = list[tuple[int, Any]]()
+        for block in rows:
+            self._positions.append((store.file.seek(0, 2), block.shape))
+            store.file.write(np.ascontiguousarray(block).data)
+        store.file.flush()
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._positions)
 
     def __getitem__(self, joint: Any) -> Any:
-        # Mapped, not read: threads share the file, and the place at which it is read.
-        start, shape = self._places[joint]
-        return np.asarray(np.memmap(self._in.file, np.float64, "r", start, shape))
+        # Mapped, not read: threads share the file and its read position.
+        start, shape = self._positions[joint]
+        return np.asarray(np.memmap(self._store.file, np.float64, "r", start, shape))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return tuple, (tuple(map(np.array, self)),)
 
 
 class RowsBeside(Sequence[Array]):
-    """Each joint's rows, from parts side by side, each with what it is multiplied by.
+    """Each joint's rows, from blocks of columns side by side, each with its factor.
 
-    They are put together when they are asked for: most of them are the same around any point, and
-    stand in ``base``, of which a part may be some columns.
+    They are assembled on access: most columns are the same around any point and stay in ``base``.
+
+    Args:
+        base: per joint (K, k).
+        blocks: per joint (columns (K, m) or a slice of the base's columns, factor).
     """
 
     def __init__(
-        self, base: Sequence[Array], parts: Sequence[tuple[tuple[Array | slice, Any], ...]]
+        self, base: Sequence[Array], blocks: Sequence[tuple[tuple[Array | slice, Any], ...]]
     ) -> None:
-        self._base, self._parts = base, parts
+        self._base = base
+        self._blocks = blocks
 
     def __len__(self) -> int:
-        return len(self._parts)
+        return len(self._blocks)
 
     def __getitem__(self, joint: Any) -> Any:
-        return self.some(joint, slice(None))
+        return self.select(joint, slice(None))
 
-    def some(self, joint: int, used: Mask | slice) -> Array:
-        """Return some rows of a joint, which is less than all of them take."""
+    def select(self, joint: int, used: Mask | slice) -> Array:
+        """Return the used rows (m, k) of a joint, in less memory than all of them take."""
         base = self._base[joint]
-        pairs = [(base[:, p] if isinstance(p, slice) else p, f) for p, f in self._parts[joint]]
-        return np.hstack([part[used] * factor for part, factor in pairs])
+        pairs = [(base[:, b] if isinstance(b, slice) else b, f) for b, f in self._blocks[joint]]
+        return np.hstack([block[used] * factor for block, factor in pairs])
 
 
-def stored(samples: Iterable[DecimatedSamples], most: int = _IN_MEMORY) -> list[DecimatedSamples]:
-    """Return each recording's samples, with rows of more than so many numbers in a file."""
-    found, file = list[DecimatedSamples](), None
-    for each in samples:
-        if sum(rows.size for rows in each.rows) > most:
-            with contextlib.suppress(OSError):  # where nothing can be written, memory has to do
+def store_rows(
+    samples: Iterable[DecimatedSamples], limit: int = _IN_MEMORY
+) -> list[DecimatedSamples]:
+    """Return each recording's samples, with rows of more than ``limit`` numbers in a file."""
+    logs = []
+    file = None
+    for log in samples:
+        if sum(rows.size for rows in log.rows) > limit:
+            with contextlib.suppress(OSError):  # without a writable folder, rows stay in memory
                 file = file or _RowFile(tempfile.TemporaryFile())  # noqa: SIM115
-                each = replace(each, rows=_StoredRows(each.rows, file))
-        found.append(each)
-    return found
+                log = replace(log, rows=_StoredRows(log.rows, file))
+        logs.append(log)
+    return logs
 
 
 def information_of(
-    parts: Collection[Sequence[DecimatedSamples]],
+    groups: Collection[Sequence[DecimatedSamples]],
 ) -> tuple[SquareRootInformation, ...]:
-    """Return the square-root information of all samples in use, of several recordings in each."""
-    (first, *_), *_ = parts
-    found = [InformationAccumulator(first.names, first.joints, first.columns) for _ in parts]
-    # Joint by joint: most rows are made when they are asked for.
-    for index, (accumulator, part) in itertools.product(
-        range(len(first.joints)), zip(found, parts)
-    ):
-        accumulator.add(index, *map(np.concatenate, zip(*[e.in_use(index) for e in part])))
-    return tuple(each.result() for each in found)
+    """Return the square-root information of each group of recordings, from the samples in use."""
+    (first, *_), *_ = groups
+    totals = [InformationAccumulator(first.names, first.joints, first.columns) for _ in groups]
+    # Joint by joint: most rows are assembled on access.
+    for index, (total, group) in itertools.product(range(len(first.joints)), zip(totals, groups)):
+        total.add(index, *map(np.concatenate, zip(*[log.in_use(index) for log in group])))
+    return tuple(total.result() for total in totals)
 
 
 def decimated_equations(equations: Equations, signals: ProcessedSignals) -> DecimatedSamples:
     """Build the equations of the motion and pass both sides through the same low-pass.
 
-    Friction that depends on the load is not among them: its columns are NaN.
+    Columns of friction that depends on the load are NaN.
 
     Raises:
         InputError: no joint ever moves fast enough for its equations to be used.
     """
-    width = sum(len(each) for each in equations.columns)
+    width = sum(len(columns) for columns in equations.columns)
     bodies = signals.passed(equations.bodies, smooth=True, most=max(1, _NUMBERS // width))
     unknown = itertools.repeat(np.array(np.nan))
     friction = signals.passed(lambda motion: equations.friction(motion, unknown))
@@ -200,7 +208,7 @@ def equations_at(equations: Equations, measurement: Measurement) -> DecimatedSam
 def _samples_of(
     equations: Equations, time: Array, pairs: Iterable[tuple[Array, Array]], measured: Array
 ) -> DecimatedSamples:
-    """Return samples from rows and right-hand side per joint, and the whole torque (joints, K)."""
+    """Return samples from (rows, right-hand sides) per joint and measured torques (joints, K)."""
     rows, tau = zip(*pairs)
     columns = equations.columns
     return DecimatedSamples(
@@ -210,8 +218,10 @@ def _samples_of(
 
 @dataclass(frozen=True)
 class RestingPoses:
-    """Poses at which the arm rests: one sample each, without speed or acceleration, ``used`` (K, n)
-    where a joint's friction was averaged away.
+    """Poses at which the arm rests: one sample each, without speed or acceleration.
+
+    Attributes:
+        used: (K, n) whether a joint's friction was averaged out.
     """
 
     poses: Measurement
@@ -223,11 +233,11 @@ class Dataset:
     """One recording, or a stretch of it without long holes.
 
     Attributes:
-        name: what it is called in messages.
-        source: its rows' signals, or the poses at which it rests.
+        name: its name in messages.
+        source: the signals of a motion, or the poses at which the arm rests.
         is_loaded: whether it carries the payload.
-        place: its place in the order of recording, -1 the first and 1 the last; 0 where the order
-            is not known.
+        place: its position in the order of recording, -1 the first and 1 the last; 0 where the
+            order is not known.
         used: (K,) which rows may be used; None for all.
     """
 
@@ -246,8 +256,9 @@ class Dataset:
     def motion(self) -> Motion:
         """The motion (K, n) at the instants of the rows."""
         if isinstance(self.source, RestingPoses):
-            poses, still = self.source.poses, 0.0 * self.source.poses.q
-            return Motion(poses.time, poses.q, still, still)
+            poses = self.source.poses
+            zero = 0.0 * poses.q
+            return Motion(poses.time, poses.q, zero, zero)
         return self.source.decimated_motion()
 
     @property
@@ -255,25 +266,25 @@ class Dataset:
         """The measured torque (N, n) [N m]."""
         return (self.source.poses if isinstance(self.source, RestingPoses) else self.source).tau
 
-    def delayed(self, delay: float) -> Dataset:
+    def remove_delay(self, delay: float) -> Dataset:
         """Return the recording with a delay of its torque [s] taken out."""
         if not delay or isinstance(self.source, RestingPoses):
             return self
         return replace(self, source=with_delay(self.source, delay))
 
     def samples(self, equations: Equations) -> DecimatedSamples:
-        """Return the rows of some equations, those in use."""
+        """Return the samples of the equations, NaN where a row is not used."""
         if isinstance(self.source, RestingPoses):
-            found = equations_at(equations, self.source.poses)
-            found = found.where(self.source.used[:, list(equations.rows_of)])
+            samples = equations_at(equations, self.source.poses)
+            samples = samples.where(self.source.used[:, list(equations.rows_of)])
         else:
-            found = decimated_equations(equations, self.source)
-        # A delay shortens recordings at their ends; what is used then ends earlier.
-        return found if self.used is None else found.where(self.used[: len(found)])
+            samples = decimated_equations(equations, self.source)
+        # A delay shortens recordings at their ends.
+        return samples if self.used is None else samples.where(self.used[: len(samples)])
 
 
 def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
-    """Yield, per block, which rows (K,) of a recording are in it.
+    """Yield the mask (K,) of each block's rows in a recording.
 
     Raises:
         InputError: the recording has fewer rows in use than blocks.
@@ -293,8 +304,8 @@ def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
 
 def mean_torque(datasets: Sequence[Dataset]) -> Array:
     """Return (n,) root mean square of each joint's measured torque [N m]."""
-    squares = sum(np.sum(each.torque**2, axis=0) for each in datasets)
-    count = sum(len(each.torque) for each in datasets)
+    squares = sum(np.sum(dataset.torque**2, axis=0) for dataset in datasets)
+    count = sum(len(dataset.torque) for dataset in datasets)
     if not count:
         raise InputError("there is no sample to identify from")
     return np.asarray(np.sqrt(squares / count))

@@ -1,11 +1,11 @@
-"""How far off all parameters may be, cause by cause.
+"""Covariance of all parameters, cause by cause.
 
-The low-pass of positions is one of the causes. Equations do not care for a filter that both their
-sides pass (``signals.low_pass``). Positions x pass one of their own, F, before anything is built on
-them. What that takes from motion, x - F x, is not known; what a second pass takes, F x - F F x, is,
-and it is the same wherever F hardly changes motion. The torque of the identified arm differs by d
-between F x and F F x, which moves the estimate by C Y^T W d: that is taken for one more standard
-error, of size and of direction.
+The low-pass of positions is one of the causes. Equations stay right under a filter that both their
+sides pass (``signals.low_pass``), but positions x pass one of their own, F, before velocities are
+computed. The motion that it removes, x - F x, is not known; the motion that a second pass removes,
+F x - F F x, is known, and nearly equal wherever F hardly changes motion. The torque of the
+identified arm differs by d between F x and F F x, which moves the estimate by C Y^T W d: that
+vector counts as one more standard error, in size and direction.
 """
 
 from __future__ import annotations
@@ -21,41 +21,44 @@ from robot_sysid.dynamics.equations import N_INERTIAL, Equations
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.newton_euler import in_parts
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
-from robot_sysid.estimation.algebra.information import normal_matrix, restricted, sample_counts
+from robot_sysid.estimation.algebra.information import normal_matrix, restrict, sample_counts
 from robot_sysid.estimation.algebra.nuisances import SURE, WithPriors, largest_by_chance, misfits
 from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
-from robot_sysid.estimation.fit import ChosenRows, Fit, give_back, squared_effect
+from robot_sysid.estimation.fit import ChosenRows, Fit, release_memory, squared_effect
 from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,
     SCALES,
+    build_unknowns,
     common_error,
     scale_spread,
-    unknowns,
 )
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
-FILTERING, HELD = "filtering", "friction at its bound"
-"""What these causes of error are called in results."""
-# Weight of a hidden parameter in a combination that is rounding alone.
+# Causes of error, as they are called in results.
+FILTERING = "filtering"
+HELD = "friction at its bound"
+# Weight of a parameter without data below which it counts as rounding in a combination.
 _ROUNDING = 1e-9
-# Share of the largest eigenvalue from which on data tells what is held at bounds.
+# Share of the largest eigenvalue from which on data determines parameters that are held at bounds.
 _SEEN = 1e-12
-# Logarithm of odds that leave nothing of the other; more would not be finite. Where rounding alone
-# tells them apart, either is as likely.
+# Largest logarithm of odds: beyond it the less likely model has no weight, and exp would overflow.
 _SURE = 500.0
 
 
 @dataclass(frozen=True)
 class FitErrors:
-    """The errors of the k parameters of a fit that are sought: ``whole`` of all causes, noise
-    correlated in time, and rows (m, k) whose squares are the covariance that each cause explains.
+    """Errors of the k unknowns of a fit.
 
-    ``common`` is how far all torque scales may be off together, where nothing tells it (a share),
-    ``conflicts`` are causes that the data asks for more clearly than chance does.
+    Attributes:
+        whole: errors of all causes together; noise is correlated in time.
+        causes: cause to rows A (m, k) of its covariance A^T A.
+        common: standard deviation of an error that all torque scales share, where neither data nor
+            prior determines it (a share).
+        conflicts: causes whose errors exceed their priors by more than chance.
     """
 
     whole: Uncertainty
@@ -66,39 +69,43 @@ class FitErrors:
     def of(
         self, change: Array, theta: Array | None = None
     ) -> tuple[Array, Array, dict[str, Array]]:
-        """Return (covariance, noise errors, budget) of linear combinations (m, k).
+        """Return covariance (m, m), noise errors (m,) and cause to errors (m,).
 
-        Their values theta (m,) are given where they grow with a scale that all joints share.
+        They are of linear combinations (m, k) of the unknowns. Those with values theta (m,) also
+        have the error of a torque scale that all joints share.
         """
-        blind, used = ~self.shown(change), np.flatnonzero(np.any(change != 0.0, axis=0))
-        few, own = change[:, used], np.ix_(used, used)
+        is_hidden = ~self.shown(change)
+        used = np.flatnonzero(np.any(change != 0.0, axis=0))
+        change_used = change[:, used]
+        block = np.ix_(used, used)
 
-        def spread(products: Array) -> Array:
-            return np.where(blind, np.inf, np.sqrt(np.maximum(np.sum(products, axis=1), 0.0)))
+        def standard_errors(products: Array) -> Array:
+            return np.where(is_hidden, np.inf, np.sqrt(np.maximum(np.sum(products, axis=1), 0.0)))
 
-        covariance, noise = few @ self.whole.covariance[own] @ few.T, few @ self.whole.noise[own]
-        parts = ((name, part[:, used]) for name, part in self.causes.items() if name != COMMON)
-        budget = {name: spread((few @ part.T) ** 2) for name, part in parts}
+        covariance = change_used @ self.whole.covariance[block] @ change_used.T
+        noise = change_used @ self.whole.noise[block]
+        cause_rows = ((name, rows[:, used]) for name, rows in self.causes.items() if name != COMMON)
+        budget = {name: standard_errors((change_used @ rows.T) ** 2) for name, rows in cause_rows}
         if self.common and theta is not None:
             covariance = covariance + self.common**2 * np.outer(theta, theta)
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
-        return covariance, spread(noise * few), budget
+        return covariance, standard_errors(noise * change_used), budget
 
     def shown(self, change: Array) -> NDArray[np.bool_]:
-        """Return (m,) whether combinations (m, k) contain nothing that the data hides."""
+        """Return (m,) whether combinations (m, k) consist of identifiable parameters alone."""
         hidden = np.isinf(self.whole.standard_errors)
         return np.asarray(np.max(np.abs(change[:, hidden]), axis=1, initial=0.0) < _ROUNDING)
 
     def share(self, fit: Fit) -> Array:
-        """Return (k,) how much of each value comes from the data: 1 all, 0 all from before."""
-        found = self.whole.data_share.copy()
+        """Return the share (k,) of each value that data determines, 1 for all of it."""
+        shares = self.whole.data_share.copy()
         names = fit.unknowns.kept_names
         for group in fit.unknowns.groups:
-            places = group.places(names)
-            known = np.diag(group.widened**2 * group.factor @ group.factor.T)
-            left = np.diag(self.whole.inverse)[places] / known
-            found[places] = np.minimum(found[places], np.clip(1.0 - left, 0.0, 1.0))
-        return found
+            indices = group.indices(names)
+            prior_variance = np.diag(group.widened**2 * group.factor @ group.factor.T)
+            remaining = np.diag(self.whole.inverse)[indices] / prior_variance
+            shares[indices] = np.minimum(shares[indices], np.clip(1.0 - remaining, 0.0, 1.0))
+        return shares
 
 
 def fit_errors(
@@ -107,175 +114,189 @@ def fit_errors(
     """Return the errors of a fit; noise may be correlated in time.
 
     Args:
-        residuals: per joint, what a pass over the rows left; empty takes that pass, and where there
-            are no rows, noise without memory.
-        pull: (joints, p) what the low-pass may move the estimate by, see ``filtering_bias``; None
-            works it out from the rows.
+        residuals: sums over lags of each joint's residuals; if empty, they are made of the fit's
+            rows, and without rows noise is white.
+        pull: (joints, p) of ``filtering_bias``; None computes it from the rows.
     """
     if pull is None:
         point = replace(fit.point, values=fit.values)
-        pairs = zip([each.delayed(point.delay) for each in fit.columns.datasets], fit.samples)
+        pairs = zip(
+            [dataset.remove_delay(point.delay) for dataset in fit.columns.datasets], fit.samples
+        )
         pull = np.sum([filtering_bias(fit.columns, point, *pair) for pair in pairs], axis=0)
-    whole, weights = _of_noise(fit, residuals), fit.weights
+    total = _noise_errors(fit, residuals)
     causes = {
-        group.cause: group.explained(fit.unknowns.kept_names, whole.inverse)
+        group.cause: group.covariance_rows(fit.unknowns.kept_names, total.inverse)
         for group in fit.unknowns.groups
     }
-    found = _conflicts(fit, whole.effective)
-    bias = whole.inverse @ (weights**2 @ pull[:, fit.unknowns.kept])
-    more = _more(fit, whole.inverse, causes, found)
-    for name, part in (*more, (FILTERING, bias[None])):
-        causes[name] = np.vstack((causes.get(name, part[:0]), part))
-        whole = whole.with_part(part.T @ part)
+    conflicts = _conflicts(fit, total.effective)
+    bias = total.inverse @ (fit.weights**2 @ pull[:, fit.unknowns.kept])
+    further = _further_causes(fit, total.inverse, causes, conflicts)
+    for name, rows in (*further, (FILTERING, bias[None])):
+        causes[name] = np.vstack((causes.get(name, rows[:0]), rows))
+        total = total.with_part(rows.T @ rows)
     if not (fit.question.in_file or fit.question.loaded):
-        at, usual = fit.unknowns.bodies[fit.columns.robot.body_name]
-        places = np.searchsorted(fit.unknowns.kept, at)
-        whole, causes = once_possible(whole, causes, places, fit.values[at], usual)
-    moved = _unlikely_move(fit)
-    if len(moved):
-        causes[BODIES] = np.vstack((causes.get(BODIES, moved[:0]), moved))
-        whole = whole.with_part(moved.T @ moved)
-    counts = tuple(n / d for n, d in zip(whole.effective, fit.inflation.tolist()))
-    whole = replace(whole, effective=counts)
-    return FitErrors(whole, causes, _common(fit), found)
+        parameters, usual_body = fit.unknowns.bodies[fit.columns.robot.body_name]
+        indices = np.searchsorted(fit.unknowns.kept, parameters)
+        total, causes = once_possible(total, causes, indices, fit.values[parameters], usual_body)
+    move = _unlikely_move(fit)
+    if len(move):
+        causes[BODIES] = np.vstack((causes.get(BODIES, move[:0]), move))
+        total = total.with_part(move.T @ move)
+    counts = tuple(n / d for n, d in zip(total.effective, fit.inflation.tolist()))
+    total = replace(total, effective=counts)
+    return FitErrors(total, causes, _common_scale_error(fit), conflicts)
 
 
 def _unlikely_move(fit: Fit) -> Array:
-    """Return what the estimate was moved by to be possible beyond chance, rows (0 or 1, k).
+    """Return the part of the move to consistent bodies that chance does not explain, (0 or 1, k).
 
-    The cost of the move, in units of noise and priors, is at most chi-square of the bodies' numbers
-    if the truth is possible: errors that allow for noise and priors then allow for the move, too.
-    What it costs beyond that has another cause, which may make the estimate as far off as it was
-    moved.
+    The true bodies are consistent, so that the cost of the move, the squared effect in standard
+    deviations of noise and priors, is at most chi-square in the bodies' parameters: up to that, the
+    errors of noise and priors cover the move. A larger cost has another cause, which may make the
+    estimate as wrong as the move is long.
     """
-    moved = (fit.values - fit.free)[None, fit.unknowns.kept]
+    move = (fit.values - fit.free)[None, fit.unknowns.kept]
     cost = squared_effect(fit, fit.values - fit.free)
-    bodies = [fit.free[at] for at, _ in fit.unknowns.bodies.values()]
+    bodies = [fit.free[indices] for indices, _ in fit.unknowns.bodies.values()]
     impossible = sum(not spatial.is_consistent(theta) for theta in bodies)
-    chance = largest_by_chance(float(N_INERTIAL * max(impossible, 1)), 1.0 - SURE)
-    return np.sqrt(1.0 - chance / cost) * moved if cost > chance else moved[:0]
+    cost_by_chance = largest_by_chance(float(N_INERTIAL * max(impossible, 1)), 1.0 - SURE)
+    return np.sqrt(1.0 - cost_by_chance / cost) * move if cost > cost_by_chance else move[:0]
 
 
-def _of_noise(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
+def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     """Return the errors that noise and priors explain; see ``fit_errors``."""
-    give_back()
-    information, weights = fit.information, fit.weights
-    left, space = list(residuals), joint_space(information, weights)
-    if fit.samples and not left:
-        given = fit.rows, fit.values[fit.unknowns.kept], space.inverse_root(), weights
-        left = collect_residuals(information, *given)
-    left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
-    if left:  # which take as much memory as the triangles, and stand for them
+    release_memory()
+    information = fit.information
+    weights = fit.weights
+    space = joint_space(information, weights)
+    if fit.samples and not residuals:
+        values = fit.values[fit.unknowns.kept]
+        root = space.inverse_root()
+        residuals = collect_residuals(information, fit.rows, values, root, weights)
+    residuals = [replace(r, products=d * r.products) for r, d in zip(residuals, fit.inflation)]
+    if residuals:  # they take as much memory as the triangles, which are not needed beside them
         information = replace(information, joints=())
-    give_back()
-    return uncertainty(information, weights, 1.0 / weights, left, space)
+    release_memory()
+    return uncertainty(information, weights, 1.0 / weights, residuals, space)
 
 
 def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...]:
-    """Return the causes that the data asks for more clearly than chance does.
+    """Return the causes whose errors exceed their priors by more than chance.
 
-    Noise counts as it does in the errors: ``effective`` (joints,) independent samples, which are
-    fewer than residuals show where the fit has taken slow noise out of them.
+    Noise counts as in the errors: by ``effective`` (joints,) independent samples. Residuals alone
+    show more of them, because the fit follows slow noise.
     """
     if fit.question.loaded or fit.question.in_file:
         return ()
-    slow = sample_counts(fit.evidence.whole) / np.maximum(effective, 1.0)
-    noise = np.sqrt(np.maximum(slow, 1.0) * fit.inflation) * fit.noise
+    rows_per_sample = sample_counts(fit.evidence.whole) / np.maximum(effective, 1.0)
+    noise = np.sqrt(np.maximum(rows_per_sample, 1.0) * fit.inflation) * fit.noise
     conflicts = misfits(fit.evidence.of(fit.unknowns), noise, fit.unknowns.groups)
-    # How far off links are is averaged already (``link_scales``), and named by its own evidence.
+    # The prior of links is widened already (``link_scales``), and has its own test.
     return tuple(conflict for conflict in conflicts if conflict.cause != LINKS)
 
 
-def _more(
-    fit: Fit, inverse: Array, causes: Mapping[str, Array], found: Sequence[PriorConflict]
+def _further_causes(
+    fit: Fit, inverse: Array, causes: Mapping[str, Array], conflicts: Sequence[PriorConflict]
 ) -> Iterator[tuple[str, Array]]:
-    """Yield (cause, rows (m, k) whose squares are its covariance) of what stands in no prior.
+    """Yield (cause, rows A (m, k) of its covariance A^T A) of errors that the fit's priors lack.
 
-    A prior that the data contradicts counts as wide as the data asks for. Where a scale of all
-    torques is allowed for there may be none. What is held at a bound counts as if it were free: the
-    bound may be where noise has pushed it.
+    A prior that the data contradicts counts as wide as the data needs it. A common torque scale in
+    the fit may be zero in truth. A parameter at its bound counts as free: noise may have pushed it
+    there.
     """
-    for conflict in found:
-        asked = (conflict.asked / conflict.scale) ** 2 - 1.0
-        if asked > 0.0:
-            yield conflict.cause, np.sqrt(asked) * causes[conflict.cause]
+    for conflict in conflicts:
+        excess = (conflict.asked / conflict.scale) ** 2 - 1.0
+        if excess > 0.0:
+            yield conflict.cause, np.sqrt(excess) * causes[conflict.cause]
     if fit.choice.common_scale:
-        yield SCALES, _unscaled(fit)
+        yield SCALES, _common_scale_change(fit)
     if not fit.question.in_file:
         yield SCALES, _scaled_friction(fit)
-    places = fit.columns.at(fit.unknowns.at_bound)
-    places = places[fit.evidence.shown[places]]
-    if len(places):
-        normal, kept = normal_matrix(fit.evidence.whole, fit.weights), fit.unknowns.kept
-        crossed = normal[np.ix_(kept, places)]
-        moved = inverse @ crossed
-        size, axes = np.linalg.eigh(normal[np.ix_(places, places)] - crossed.T @ moved)
-        seen = size > _SEEN * size[-1]
-        yield HELD, (moved @ (axes[:, seen] / np.sqrt(size[seen]))).T
+    at_bound = fit.columns.at(fit.unknowns.at_bound)
+    at_bound = at_bound[fit.evidence.nonzero[at_bound]]
+    if len(at_bound):
+        normal = normal_matrix(fit.evidence.whole, fit.weights)
+        crossed = normal[np.ix_(fit.unknowns.kept, at_bound)]
+        move = inverse @ crossed
+        eigenvalues, axes = np.linalg.eigh(normal[np.ix_(at_bound, at_bound)] - crossed.T @ move)
+        large = eigenvalues > _SEEN * eigenvalues[-1]
+        yield HELD, (move @ (axes[:, large] / np.sqrt(eigenvalues[large]))).T
 
 
 def _scaled_friction(fit: Fit) -> Array:
-    """Return how far friction and rotors are off by torque scales, rows (joints, k).
+    """Return the errors of friction and rotors due to torque scales, rows (joints, k).
 
-    The columns of a scale hold the torque of the links alone, so that friction and rotors come out
-    as the torque column has them: off by as much as the scale is.
+    The column of a scale is the torque of the links alone, so that friction and rotors are
+    estimated in units of the sensor: their relative error is that of the scale.
     """
     spread = scale_spread(fit.columns, fit.question.options, fit.question.loaded)
     names = fit.unknowns.kept_names
     rows = np.zeros((len(spread), len(names)))
     for row, joint in enumerate(fit.columns.joints):
-        for place, name in enumerate(names):
+        for column, name in enumerate(names):
             term, _, member = name.partition("[")
             if term in TERMS and term != "load" and member == f"{joint}]":
-                rows[row, place] = spread[row] * fit.values[fit.unknowns.kept[place]]
+                rows[row, column] = spread[row] * fit.values[fit.unknowns.kept[column]]
     return rows
 
 
-def _unscaled(fit: Fit) -> Array:
-    """Return what a common torque scale changes (1, k), root mean square, that may not be there.
+def _common_scale_change(fit: Fit) -> Array:
+    """Return the root mean square change (1, k) of the estimate without a common torque scale.
 
-    With and without one count by how likely they make the data (Hoeting, Madigan, Raftery,
+    The models with and without one are weighted by their evidence (Hoeting, Madigan, Raftery,
     Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14(4), 1999, eq. 1, 2).
     """
-    known, choice = fit.unknowns, replace(fit.choice, common_scale=0.0)
-    given = fit.evidence.torque, fit.evidence.shown
-    plain = unknowns(fit.columns, fit.question, choice, *given).groups
-    others = [group for group in known.groups if group.cause != SCALES]
-    scales = (next(g for g in groups if g.cause == SCALES) for groups in (known.groups, plain))
-    likely = WithPriors(fit.evidence.of(known), 1.0 / fit.weights).likely
-    (values, one), (unscaled, other) = (likely([*others, each]) for each in scales)
-    share = 1.0 / (1.0 + np.exp(min(np.nan_to_num(one - other), _SURE)))
-    return np.asarray(np.sqrt(share) * (values - unscaled))[None]
+    unknowns = fit.unknowns
+    choice = replace(fit.choice, common_scale=0.0)
+    data = fit.evidence
+    plain = build_unknowns(fit.columns, fit.question, choice, data.torque, data.nonzero)
+    other_groups = [group for group in unknowns.groups if group.cause != SCALES]
+    scales, plain_scales = (
+        next(group for group in groups if group.cause == SCALES)
+        for groups in (unknowns.groups, plain.groups)
+    )
+    posterior = WithPriors(data.of(unknowns), 1.0 / fit.weights).log_evidence
+    values, evidence = posterior([*other_groups, scales])
+    plain_values, plain_evidence = posterior([*other_groups, plain_scales])
+    share = 1.0 / (1.0 + np.exp(min(np.nan_to_num(evidence - plain_evidence), _SURE)))
+    return np.asarray(np.sqrt(share) * (values - plain_values))[None]
 
 
 def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:
-    """Return sums over lags of other rows than the fit's, in the columns of all parameters.
+    """Return sums over lags of rows other than the fit's, in the columns of all parameters.
 
-    A fit of their sum may hold other friction at its bound than this one.
+    They include friction at its bound: a fit to the sum over all logs may not hold it there.
     """
-    sought, weights = fit.unknowns, fit.weights
-    every = replace(sought, kept=np.union1d(sought.kept, fit.columns.at(sought.at_bound)))
-    names, own = fit.columns.names, joint_space(fit.information, weights).inverse_root()
-    root = np.zeros((len(names), own.shape[1]))
-    root[sought.kept] = own
-    given = restricted(fit.evidence.whole, every.kept_names, sought.held), fit.values[every.kept]
-    rows = ChosenRows((samples,), every)
-    found = collect_residuals(given[0], rows, given[1], root[every.kept], weights, True)
-    return [replace(each, columns=every.kept[each.columns]) for each in found]
+    unknowns = fit.unknowns
+    weights = fit.weights
+    indices = np.union1d(unknowns.kept, fit.columns.at(unknowns.at_bound))
+    all_unknowns = replace(unknowns, kept=indices)
+    inverse_root = joint_space(fit.information, weights).inverse_root()
+    root = np.zeros((len(fit.columns.names), inverse_root.shape[1]))
+    root[unknowns.kept] = inverse_root
+    information = restrict(fit.evidence.whole, all_unknowns.kept_names, unknowns.held)
+    rows = ChosenRows((samples,), all_unknowns)
+    values = fit.values[indices]
+    sums = collect_residuals(information, rows, values, root[indices], weights, True)
+    return [replace(joint, columns=indices[joint.columns]) for joint in sums]
 
 
 def residuals_within(fit: Fit, residuals: Sequence[JointResiduals]) -> list[JointResiduals]:
-    """Return sums in the columns of all parameters as those in the columns of a fit."""
-    kept, found = fit.unknowns.kept, []
-    for each in residuals:
-        stay = np.isin(each.columns, kept)
-        at = np.searchsorted(kept, each.columns[stay])
-        found.append(replace(each, columns=at, sums=each.sums[:, stay][:, :, stay]))
-    return found
+    """Return sums over lags, in the columns of all parameters, in those of a fit's unknowns."""
+    indices = fit.unknowns.kept
+    restricted_sums = []
+    for joint in residuals:
+        is_unknown = np.isin(joint.columns, indices)
+        columns = np.searchsorted(indices, joint.columns[is_unknown])
+        restricted_sums.append(
+            replace(joint, columns=columns, sums=joint.sums[:, is_unknown][:, :, is_unknown])
+        )
+    return restricted_sums
 
 
-def _common(fit: Fit) -> float:
-    """Return how far all torque scales may be off together, where nothing tells it."""
+def _common_scale_error(fit: Fit) -> float:
+    """Return the standard deviation of a common torque scale error that no data determines."""
     groups = {group.cause: group for group in fit.unknowns.groups}
     if COMMON not in groups or SCALES not in groups:
         return 0.0
@@ -286,32 +307,37 @@ def _common(fit: Fit) -> float:
 def filtering_bias(
     columns: Columns, point: Point, dataset: Dataset, samples: DecimatedSamples
 ) -> Array:
-    """Return Y_j^T d_j of each joint j, (joints, p), of one recording; zero at rest.
+    """Return Y_j^T d_j of each joint j, (joints, p), of one recording's rows; zero at rest.
 
-    That is at a point, which holds the estimate, of the recording's rows.
+    The point holds the estimate; d is the difference in torque of a second low-pass [N m].
     """
     pull = np.zeros((len(samples.joints), len(samples.names)))
     if dataset.signals is None:
         return pull
-    rows, again = dataset.signals.refiltered
-    once = dataset.signals.decimated_motion()
-    first = Motion(once.time[rows], once.q[rows], once.qd[rows], once.qdd[rows])
-    same = np.sign(first.qd) == np.sign(again.qd)
-    equations, own = columns.arm_torque(point, dataset.is_loaded)
-    pairs = zip(_torques(equations, first, own), _torques(equations, again, own))
-    for (index, block, tau), joint, (one, two) in zip(samples, equations.rows_of, pairs):
-        # Where a joint turns round between the two, only the sign of its friction differs.
-        counts = np.isfinite(tau[rows]) & same[:, joint]
-        apart = (one - two)[counts]
-        pull[index, samples.columns[index]] = block[rows][counts].T @ apart
+    rows, second = dataset.signals.refiltered
+    motion = dataset.signals.decimated_motion()
+    first = Motion(motion.time[rows], motion.q[rows], motion.qd[rows], motion.qdd[rows])
+    same_direction = np.sign(first.qd) == np.sign(second.qd)
+    equations, values = columns.arm_torque(point, dataset.is_loaded)
+    torques = zip(_torques(equations, first, values), _torques(equations, second, values))
+    for (index, block, tau), joint, (torque, refiltered) in zip(
+        samples, equations.rows_of, torques
+    ):
+        # Where the second low-pass reverses a velocity, the difference is the sign of friction.
+        is_used = np.isfinite(tau[rows]) & same_direction[:, joint]
+        difference = (torque - refiltered)[is_used]
+        pull[index, samples.columns[index]] = block[rows][is_used].T @ difference
     return pull
 
 
 def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]:
-    """Return the torque (K,) of each joint by the equations' own parameters (p,) [N m]."""
-    width, found = motion.q.shape[1] * len(values), []
+    """Return the torque (K,) of each joint at values (p,) of the equations' parameters [N m]."""
+    width = motion.q.shape[1] * len(values)
+    pieces = []
     for time, q, qd, qdd in in_parts(width, *vars(motion).values()):
         measurement = Measurement(time, q, qd, np.zeros_like(q), qdd)
         pairs = zip(equations.rows(measurement), equations.columns)
-        found.append([block @ values[columns] - right for (block, right), columns in pairs])
-    return [np.concatenate(parts) for parts in zip(*found)]
+        pieces.append(
+            [block @ values[columns] - right_side for (block, right_side), columns in pairs]
+        )
+    return [np.concatenate(joint_pieces) for joint_pieces in zip(*pieces)]

@@ -1,4 +1,4 @@
-"""The one fit: linearise, weigh, widen, solve, keep bodies possible, until it rests."""
+"""The one fit: linearise, weight rows, widen priors, solve, make bodies possible; repeat."""
 
 from __future__ import annotations
 
@@ -16,27 +16,33 @@ from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.autocorrelation import concentration, memory
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
-from robot_sysid.estimation.algebra.information import combined, parts_of, restricted
-from robot_sysid.estimation.algebra.least_squares import sharpened, solver, weighted
+from robot_sysid.estimation.algebra.information import combine, parts_of, restrict
+from robot_sysid.estimation.algebra.least_squares import estimate_noise, lower_floor, solver
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
-from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, unknowns
+from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 
-# Most rounds of the point that rows are made around; of what crosses bounds.
-_MOST_ROUNDS, _MOST_BOUNDS = 8, 6
-# Rounds of a delay or tilt that is sought; what no longer counts as movement: of the prediction, in
-# standard deviations of the noise, of the delay [s], of gravity [rad], of speeds (a share).
-_SOUGHT_ROUNDS = 20
-_SETTLED, _SETTLED_DELAY, _SETTLED_ANGLE = 0.05, 1e-6, 1e-6
-_SPEED_SETTLED = 0.02
+# Largest number of linearisations, with and without a delay or tilt to estimate.
+_MOST_ROUNDS = 8
+_AUTO_ROUNDS = 20
+# Largest number of solutions that each hold more parameters at bounds.
+_MOST_BOUNDS = 6
+# Changes that no longer count: of predictions and priors, in standard deviations, of the delay [s],
+# of gravity's direction [rad], of speeds (a share).
+_SETTLED = 0.05
+_SETTLED_DELAY = 1e-6
+_SETTLED_ANGLE = 1e-6
+_SETTLED_SPEED = 0.02
 
 
-def give_back() -> None:
-    """Give free memory back to the system, where the C library keeps what was freed between what is
-    in use (glibc): of many joints, whose triangles are of all sizes, that is a quarter of all.
+def release_memory() -> None:
+    """Return free memory to the system.
+
+    glibc keeps freed blocks that lie between blocks in use: with many joints, whose triangles are
+    of all sizes, that is a quarter of all memory.
     """
     with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)
@@ -44,11 +50,13 @@ def give_back() -> None:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What recordings say around a point: nothing that grows with their length.
+    """Information of recordings around a point, of a size that does not grow with their length.
 
-    There are the information of each part that is held out in turn, the sum of squares of its
-    measured torque (blocks, joints) [N^2 m^2], and each joint's root mean square (n,) [N m].
-    ``whole`` is the information of all parts.
+    Attributes:
+        blocks: the information of each block of rows that is held out in turn.
+        squared_torque: (blocks, joints) sum of squares of the measured torque [N^2 m^2].
+        torque: (n,) root mean square of each joint's measured torque [N m].
+        whole: the information of all blocks.
     """
 
     blocks: tuple[SquareRootInformation, ...]
@@ -57,70 +65,73 @@ class Evidence:
     whole: SquareRootInformation = field(init=False)
 
     def __post_init__(self) -> None:
-        whole = combined(self.blocks)
+        whole = combine(self.blocks)
         object.__setattr__(self, "whole", whole)
         object.__setattr__(self, "blocks", tuple(parts_of(whole, self.blocks)))
 
-    def undivided(self) -> Evidence:
-        """Return what all parts say, as one."""
+    def merge_blocks(self) -> Evidence:
+        """Return the evidence of all blocks as one block."""
         return Evidence((self.whole,), np.sum(self.squared_torque, axis=0)[None], self.torque)
 
-    def of(self, sought: Unknowns) -> SquareRootInformation:
-        """Return what all parts say of what is sought, the rest held."""
-        return restricted(self.whole, sought.kept_names, sought.held)
+    def of(self, unknowns: Unknowns) -> SquareRootInformation:
+        """Return the information of all blocks about the unknowns, other parameters held."""
+        return restrict(self.whole, unknowns.kept_names, unknowns.held)
 
     def squared_residuals(self, values: Array) -> Array:
-        """Return (blocks, joints, m) squared residuals of each block at values (blocks, p, m) of
-        its own [N^2 m^2].
-        """
+        """Return squared residuals (blocks, joints, m) at values (blocks, p, m) [N^2 m^2]."""
         pairs = zip(self.blocks, values)
-        return np.array([part.squared_residuals(own) for part, own in pairs])
+        return np.array([block.squared_residuals(block_values) for block, block_values in pairs])
 
     @cached_property
-    def shown(self) -> np.ndarray:
+    def nonzero(self) -> np.ndarray:
         """Which parameters (p,) have a column that is not zero."""
-        found = np.zeros(len(self.whole.names), dtype=bool)
+        nonzero = np.zeros(len(self.whole.names), dtype=bool)
         for joint in self.whole.joints:
-            found[joint.columns] |= np.any(joint.triangle[:, :-1] != 0.0, axis=0)
-        return found
+            nonzero[joint.columns] |= np.any(joint.triangle[:, :-1] != 0.0, axis=0)
+        return nonzero
 
 
 def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
-    """Return what the rows of all recordings say, the same stretches of each together."""
-    parts = zip(*[[log.where(mask) for mask in block_masks(log)] for log in samples])
-    return evidence_of(list(parts), torque)
+    """Return the evidence of recordings, each block of the same stretches of all of them."""
+    blocks = zip(*[[log.where(mask) for mask in block_masks(log)] for log in samples])
+    return evidence_of(list(blocks), torque)
 
 
-def evidence_of(parts: Collection[Sequence[DecimatedSamples]], torque: Array) -> Evidence:
-    """Return what rows say, each part of them in a block of its own."""
-    squares = [np.sum([each.squared_torque() for each in part], axis=0) for part in parts]
-    return Evidence(information_of(parts), np.array(squares), torque)
+def evidence_of(blocks: Collection[Sequence[DecimatedSamples]], torque: Array) -> Evidence:
+    """Return the evidence of blocks, each of rows from several recordings."""
+    squares = [
+        np.sum([recording.squared_torque() for recording in block], axis=0) for block in blocks
+    ]
+    return Evidence(information_of(blocks), np.array(squares), torque)
 
 
 @dataclass(frozen=True)
 class ChosenRows:
-    """Rows of what is sought, the rest taken off, from each recording's rows of all parameters;
-    iterating over it is one pass.
+    """Rows of the unknowns, made from recordings' rows of all parameters.
+
+    The torque of held parameters is subtracted; iterating makes the rows of one joint at a time.
     """
 
-    parts: tuple[DecimatedSamples, ...]
+    samples: tuple[DecimatedSamples, ...]
     unknowns: Unknowns
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint, all recordings together."""
-        for joint in range(len(self.parts[0].columns)):
-            yield joint, *self._of(joint)  # nothing is kept while the next joint's are made
+        for joint in range(len(self.samples[0].columns)):
+            yield joint, *self._joint_rows(joint)  # no variable here keeps rows in memory meanwhile
 
-    def _of(self, joint: int) -> tuple[Array, Array]:
-        columns, ends = self.parts[0].columns[joint], np.cumsum([len(part) for part in self.parts])
-        stay, tau = np.isin(columns, self.unknowns.kept), list[Array]()
-        known = self.unknowns.held[columns[~stay]]
-        chosen = np.empty((ends[-1], np.count_nonzero(stay)))
-        for part, room in zip(self.parts, np.split(chosen, ends[:-1])):
-            rows = part.rows[joint]
-            room[:] = rows[:, stay]
-            tau.append(part.tau[joint] - rows[:, ~stay] @ known)
-        return chosen, np.concatenate(tau)
+    def _joint_rows(self, joint: int) -> tuple[Array, Array]:
+        columns = self.samples[0].columns[joint]
+        ends = np.cumsum([len(recording) for recording in self.samples])
+        is_unknown = np.isin(columns, self.unknowns.kept)
+        tau = list[Array]()
+        held = self.unknowns.held[columns[~is_unknown]]
+        all_rows = np.empty((ends[-1], np.count_nonzero(is_unknown)))
+        for recording, recording_rows in zip(self.samples, np.split(all_rows, ends[:-1])):
+            rows = recording.rows[joint]
+            recording_rows[:] = rows[:, is_unknown]
+            tau.append(recording.tau[joint] - rows[:, ~is_unknown] @ held)
+        return all_rows, np.concatenate(tau)
 
 
 @dataclass(frozen=True)
@@ -128,16 +139,15 @@ class Fit:
     """An estimate and what it was made from.
 
     Attributes:
-        columns: makes the rows.
-        question, choice: what was asked, and what the recordings decided.
-        point: around which the rows are.
-        samples: each recording's rows; none where only their information is there.
-        evidence: what they say.
-        unknowns: what was sought, and what was known.
-        weights: (joints,) by which each joint's equations count [1/(N m)].
-        inflation: (joints,) by how much less than independent samples each joint's count, as
-            motion that repeats says.
-        memory: (joints,) how many rows of each joint count as one, by its residuals' correlation.
+        columns: parameter names, and the rows of recordings.
+        question, choice: what to estimate, and what the recordings decided.
+        point: around which the equations were linearised.
+        samples: each recording's rows; none where only their evidence is there.
+        evidence: of these rows.
+        unknowns: which parameters were estimated, and their priors.
+        weights: (joints,) of each joint's equations [1/(N m)].
+        inflation: (joints,) variance inflation of each joint's noise, from motion that repeats.
+        memory: (joints,) rows of each joint per independent row, by its residuals' correlation.
         free: (p,) the estimate before bodies had to be possible.
         values: (p,) the estimate.
     """
@@ -157,7 +167,7 @@ class Fit:
 
     @property
     def information(self) -> SquareRootInformation:
-        """What data and priors say of the k parameters that are sought; it is large."""
+        """Information of data and priors about the k unknowns; it is large."""
         return with_prior(self.evidence.of(self.unknowns), self.unknowns.groups)
 
     @property
@@ -167,76 +177,79 @@ class Fit:
 
     @property
     def noise_memory(self) -> Array:
-        """How many rows (joints,) of each joint counted as one independent row."""
+        """Rows per independent row (joints,), as this fit weighted them."""
         return memory_of(self.choice, len(self.columns.joints))
 
     @property
     def noise_per_joint(self) -> dict[str, float]:
         """Joint to standard deviation of its torque noise [N m], of joints with samples."""
         pairs = zip(self.evidence.whole.joints, self.noise.tolist())
-        return {each.joint: noise for each, noise in pairs if each.n_samples}
+        return {joint.joint: noise for joint, noise in pairs if joint.n_samples}
 
     @property
-    def constrained(self) -> bool:
-        """Whether the plain estimate was replaced by the best possible bodies."""
+    def is_constrained(self) -> bool:
+        """Whether the plain estimate was replaced by one with physically consistent bodies."""
         return bool(np.any(self.values != self.free))
 
     @property
     def rows(self) -> ChosenRows:
-        """The rows of what was sought."""
+        """Rows of the unknowns."""
         return ChosenRows(self.samples, self.unknowns)
 
     def value(self, name: str) -> float:
-        """Return one parameter, with what the point holds of it."""
+        """Return one parameter, the part of it that the point holds included."""
         return float(self.final[self.columns.place[name]])
 
     @property
     def next_point(self) -> Point:
-        """The point with what has to settle moved into it.
+        """The point for the next linearisation, with the increments of this fit added.
 
-        Recordings on the wrong side have a payload of negative weight; around a possible one, which
-        is far from it, torque scales would take its part.
+        Recordings given as loaded and empty the wrong way round have a payload of negative mass;
+        around a possible one, which is far from it, torque scales would fit its torque.
         """
         values = self.free if self.question.loaded else self.values
-        return self.columns.moved(self.point, values, self.unknowns.settle)
+        return self.columns.move_point(self.point, values, self.unknowns.settle)
 
     @cached_property
     def final(self) -> Array:
-        """All parameters (p,); delay, tilt and speeds with what the point holds of them."""
+        """All parameters (p,); delay, tilt and speeds include the part that the point holds."""
         values = self.values.copy()
-        place = self.columns.place
-        values[place[DELAY_NAME]] += self.point.delay
-        if TILT_NAMES[0] in place:
+        indices = self.columns.place
+        values[indices[DELAY_NAME]] += self.point.delay
+        if TILT_NAMES[0] in indices:
             values[self.columns.at(TILT_NAMES)] = self.columns.whole_tilt(self.point, self.values)
         for term, speeds in (self.point.speed or {}).items():
             for joint, speed in zip(self.columns.robot.joint_names, speeds.tolist()):
                 name = speed_name(term, joint)
                 if name in self.unknowns.settle:
-                    values[place[name]] += speed
+                    values[indices[name]] += speed
         return values
 
 
 @dataclass
 class Fitter:
-    """Fits one question to recordings; it remembers what a fit before it has settled.
+    """Fits one question to recordings, and begins with the noise of the fit before.
 
-    ``columns`` makes the rows, ``visits`` tells which pass the same states (None where there are
-    none), and ``told`` is called before every pass. Torques (n,) are root mean squares [N m].
+    Attributes:
+        columns: parameter names, and the rows of recordings.
+        torque: (n,) root mean square of each joint's measured torque [N m].
+        visits: which rows pass the same states; None where there are none.
+        on_pass: called before every pass over the recordings.
     """
 
     columns: Columns
     torque: Array
     visits: Visits | None = None
-    told: Callable[[], None] = lambda: None
+    on_pass: Callable[[], None] = lambda: None
     _last: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = field(default=None)
     _noise: Array | None = None
 
     def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
-        """Return what the rows around a point say, and the rows."""
+        """Return the evidence of the rows around a point, and the rows of each recording."""
         if self._last is None or self._last[0] is not point:
-            self.told()
+            self.on_pass()
             self._last = None  # rows go before others are made: they take most of the memory
-            give_back()
+            release_memory()
             samples = self.columns.samples(point)
             self._last = point, evidence(samples, self.torque), samples
         return self._last[1:]
@@ -244,20 +257,23 @@ class Fitter:
     def noise_memory(self, fit: Fit) -> Array:
         """Return how many rows (joints,) of each joint count as one independent row.
 
-        That is their memory, or how far a few bursts hold all that is left, where that is more.
+        That is the memory of their residuals, or the concentration of residuals in a few bursts,
+        whichever is larger.
         """
         residuals = list(_residuals(fit.samples, fit.values))
-        in_bursts = np.array([concentration(residual) for residual in residuals])
+        burst_memory = np.array([concentration(residual) for residual in residuals])
         if self.visits is None:
-            slow = np.array([memory(residual) for residual in residuals])
+            correlation_memory = np.array([memory(residual) for residual in residuals])
         else:
-            slow = self.visits.inflation(residuals)[1]
-        return np.maximum(slow, in_bursts)
+            correlation_memory = self.visits.inflation(residuals)[1]
+        return np.maximum(correlation_memory, burst_memory)
 
     def solve_around(self, point: Point, question: Question, choice: Choice) -> Fit:
-        """Return the solution of the equations as they stand around a point."""
-        given = self.columns, question, choice, point
-        return solved(*given, *self.around(point), self.visits, noise=self._noise)
+        """Return the solution of the equations around a point."""
+        data, samples = self.around(point)
+        return solve(
+            self.columns, question, choice, point, data, samples, self.visits, noise=self._noise
+        )
 
     def fit(
         self,
@@ -269,68 +285,70 @@ class Fitter:
         """Return the fit, once bodies, delay, tilt and speeds have settled.
 
         Args:
-            choice: friction terms, couplings, and how far links may be off.
+            choice: friction terms, couplings, and priors of the links.
             point: where to begin; None for the model.
+            rounds: how often to linearise at most.
 
         Raises:
-            SysidError: a delay or a tilt that is sought keeps moving.
+            SysidError: a delay or a tilt to estimate does not settle.
         """
-        # Columns that depend on what is sought: those of the load, and those with a speed. While
-        # friction is chosen, a load that is only allowed for does without.
+        # Columns of the load and those with a speed depend on the estimate. While friction is
+        # chosen, a load that only its prior allows for needs no exact columns.
         terms = {term for model in choice.friction for term in model.terms}
-        exact = not terms.isdisjoint(("load", *BENT)) or choice.dry_friction is not None
+        exact_load = not terms.isdisjoint(("load", *BENT)) or choice.dry_friction is not None
         point = point or self.columns.start()
-        if (point.exact_load, point.in_file) != (exact, question.in_file):
-            point = replace(point, exact_load=exact, in_file=question.in_file)
+        if (point.exact_load, point.in_file) != (exact_load, question.in_file):
+            point = replace(point, exact_load=exact_load, in_file=question.in_file)
         options = question.options
-        sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
-        rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds
-        for left in reversed(range(rounds)):
+        auto_names = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
+        rounds = _AUTO_ROUNDS if auto_names and not question.in_file else rounds
+        for rounds_left in reversed(range(rounds)):
             fit = self.solve_around(point, question, choice)
-            self._noise, after = fit.noise, fit.next_point
-            if _rests(fit, after):
+            self._noise = fit.noise
+            next_point = fit.next_point
+            if _is_settled(fit, next_point):
                 return fit
-            if left:
-                point = after
-                del fit  # its rows and what they say, before others are made
-        if sought and not question.in_file:
+            if rounds_left:
+                point = next_point
+                del fit  # its rows and their evidence, before others are made
+        if auto_names and not question.in_file:
             raise SysidError(
-                f"the estimates of {' and '.join(sought)} do not settle within {rounds} rounds "
+                f"the estimates of {' and '.join(auto_names)} do not settle within {rounds} rounds "
                 f"(last delay {1e3 * fit.point.delay:.3g} ms): this log does not show them well "
-                f"enough; lower the cut-off, or leave --{' and --'.join(sought)} off"
+                f"enough; lower the cut-off, or leave --{' and --'.join(auto_names)} off"
             )
         return fit
 
 
 def squared_effect(fit: Fit, change: Array) -> float:
-    """Return by how much a change (p,) of what is sought moves predicted torques and priors.
+    """Return the sum of squares by which a change (p,) moves predicted torques and priors.
 
-    That is the sum of squares, in standard deviations of noise and of priors.
+    Each is in standard deviations: torques in those of the noise, unknowns in those of the prior.
     """
     pairs = zip(fit.evidence.whole.joints, fit.weights)
     effects = [w * (joint.triangle[:, :-1] @ change[joint.columns]) for joint, w in pairs]
-    kept = fit.unknowns.kept
+    indices = fit.unknowns.kept
     names = fit.unknowns.kept_names
-    effects += [group.rows(names)[:, :-1] @ change[kept] for group in fit.unknowns.groups]
+    effects += [group.rows(names)[:, :-1] @ change[indices] for group in fit.unknowns.groups]
     return float(sum(map(np.vdot, effects, effects)))
 
 
-def _rests(fit: Fit, after: Point) -> bool:
-    """Tell whether the prediction, delay, tilt and speeds hardly move any more."""
-    before, kept = fit.point, fit.unknowns.kept
-    steady = [k for k in kept if fit.columns.names[k] not in fit.unknowns.settle]
-    moved = np.zeros(len(fit.values))
-    moved[steady] = (after.values - before.values)[steady]
-    turn = float(np.linalg.norm(np.cross(after.gravity, before.gravity)))
-    turn /= float(after.gravity @ after.gravity) or 1.0
-    speeds = zip((after.speed or {}).values(), (before.speed or {}).values())
-    faster = max((float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0)
-    late = abs(after.delay - before.delay)
-    small = squared_effect(fit, moved) < _SETTLED**2 and late < _SETTLED_DELAY
-    return small and turn < _SETTLED_ANGLE and faster < _SPEED_SETTLED
+def _is_settled(fit: Fit, next_point: Point) -> bool:
+    """Tell whether prediction, delay, gravity and speeds change less than the limits above."""
+    point = fit.point
+    indices = [k for k in fit.unknowns.kept if fit.columns.names[k] not in fit.unknowns.settle]
+    change = np.zeros(len(fit.values))
+    change[indices] = (next_point.values - point.values)[indices]
+    gravity_change = float(np.linalg.norm(np.cross(next_point.gravity, point.gravity)))
+    gravity_change /= float(next_point.gravity @ next_point.gravity) or 1.0
+    speeds = zip((next_point.speed or {}).values(), (point.speed or {}).values())
+    speed_change = max((float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0)
+    delay_change = abs(next_point.delay - point.delay)
+    is_small = squared_effect(fit, change) < _SETTLED**2 and delay_change < _SETTLED_DELAY
+    return is_small and gravity_change < _SETTLED_ANGLE and speed_change < _SETTLED_SPEED
 
 
-def solved(
+def solve(
     columns: Columns,
     question: Question,
     choice: Choice,
@@ -342,42 +360,58 @@ def solved(
     noise: Array | None = None,
     residual_memory: Array | None = None,
 ) -> Fit:
-    """Solve the equations as they stand around a point.
+    """Solve the equations around a point.
 
     Args:
-        data, samples: what the rows around the point say, and the rows, for motion that repeats.
-        visits: which of them pass the same states.
-        inflation: as ``Visits.inflation``, where no rows tell it.
+        data: evidence of the rows around the point.
+        samples: these rows of each recording, for motion that repeats.
+        visits: which rows pass the same states.
+        inflation: (joints,) as ``Visits.inflation`` returns it, where there are no rows.
         noise: (joints,) to begin with [N m].
-        residual_memory: (joints,) as of ``Visits.inflation``, where no rows tell it.
+        residual_memory: (joints,) as ``Visits.inflation`` returns it, where there are no rows.
     """
-    sought = unknowns(columns, question, choice, data.torque, data.shown)
+    unknowns = build_unknowns(columns, question, choice, data.torque, data.nonzero)
     memory = memory_of(choice, len(columns.joints))
-    counted = np.ones_like(memory) if inflation is None else inflation
-    widening = memory if residual_memory is None else residual_memory
-    inside: Unknowns | None = sought
+    repetition = np.ones_like(memory) if inflation is None else inflation
+    correlation_memory = memory if residual_memory is None else residual_memory
+    next_unknowns: Unknowns | None = unknowns
     for _ in range(_MOST_BOUNDS):
-        sought = inside or sought
-        divided = counted * memory
-        sought, free, counts = _bounded(columns, sought, data, divided, widening / memory, noise)
-        noise = counts / np.sqrt(divided)
+        unknowns = next_unknowns or unknowns
+        variance_factor = repetition * memory
+        unknowns, free, effective_noise = _solve_within_bounds(
+            columns, unknowns, data, variance_factor, correlation_memory / memory, noise
+        )
+        noise = effective_noise / np.sqrt(variance_factor)
         if visits is not None and inflation is None:
-            before = counted
-            counted, widening = visits.inflation(_residuals(samples, free))
-            widens = any(group.may_widen for group in sought.groups)
-            if widens or not np.array_equal(before, counted):
-                divided = counted * memory
-                again = columns, sought, data, divided, widening / memory, noise
-                sought, free, counts = _bounded(*again)
-                noise = counts / np.sqrt(divided)
-        values = possible(sought, data, 1.0 / counts, free)
-        # Bodies that have to be possible push others across their bounds.
-        inside = sought.bounded(values)
-        if inside is None:
+            assumed = repetition
+            repetition, correlation_memory = visits.inflation(_residuals(samples, free))
+            widens = any(group.may_widen for group in unknowns.groups)
+            if widens or not np.array_equal(assumed, repetition):
+                variance_factor = repetition * memory
+                unknowns, free, effective_noise = _solve_within_bounds(
+                    columns, unknowns, data, variance_factor, correlation_memory / memory, noise
+                )
+                noise = effective_noise / np.sqrt(variance_factor)
+        values = possible(unknowns, data, 1.0 / effective_noise, free)
+        # Bodies that are made possible push other parameters across their bounds.
+        next_unknowns = unknowns.hold_at_bounds(values)
+        if next_unknowns is None:
             break
-    values = np.clip(values, sought.lower, sought.upper)
-    made = columns, question, choice, point, samples, data, sought
-    return Fit(*made, 1.0 / counts, counted, widening, free, values)
+    values = np.clip(values, unknowns.lower, unknowns.upper)
+    return Fit(
+        columns,
+        question,
+        choice,
+        point,
+        samples,
+        data,
+        unknowns,
+        1.0 / effective_noise,
+        repetition,
+        correlation_memory,
+        free,
+        values,
+    )
 
 
 def memory_of(choice: Choice, n_joints: int) -> Array:
@@ -386,72 +420,80 @@ def memory_of(choice: Choice, n_joints: int) -> Array:
 
 
 def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:
-    """Yield what values (p,) leave of each joint's torque (K,) [N m], all recordings together."""
-    for index in range(len(samples[0].joints)):
-        left = [e.tau[index] - e.rows[index] @ values[e.columns[index]] for e in samples]
-        yield np.concatenate(left)
+    """Yield residual torques (K,) of each joint at values (p,) [N m], all recordings together."""
+    for joint in range(len(samples[0].joints)):
+        residuals = [
+            recording.tau[joint] - recording.rows[joint] @ values[recording.columns[joint]]
+            for recording in samples
+        ]
+        yield np.concatenate(residuals)
 
 
-def _bounded(
+def _solve_within_bounds(
     columns: Columns,
-    sought: Unknowns,
+    unknowns: Unknowns,
     data: Evidence,
     inflation: Array,
     memory: Array,
     noise: Array | None,
 ) -> tuple[Unknowns, Array, Array]:
-    """Return (what is sought in the end, values (p,) within bounds, what each joint's equations are
-    divided by (joints,) [N m]).
+    """Return (unknowns, values (p,), effective noise (joints,) [N m]), values held at bounds that
+    they would cross; equations are divided by the effective noise.
     """
     while True:  # each round holds at least one more parameter
-        prior = columns.prior[sought.kept]
-        sought, values, counts, noise = _weighed(sought, data, prior, inflation, memory, noise)
-        inside = sought.bounded(values)
-        if inside is None:
-            return sought, np.clip(values, sought.lower, sought.upper), counts
-        sought = inside
+        prior = columns.prior[unknowns.kept]
+        unknowns, values, effective_noise, noise = _solve_weighted(
+            unknowns, data, prior, inflation, memory, noise
+        )
+        next_unknowns = unknowns.hold_at_bounds(values)
+        if next_unknowns is None:
+            return unknowns, np.clip(values, unknowns.lower, unknowns.upper), effective_noise
+        unknowns = next_unknowns
 
 
-def _weighed(
-    sought: Unknowns,
+def _solve_weighted(
+    unknowns: Unknowns,
     data: Evidence,
     prior: Array,
     inflation: Array,
     memory: Array,
     noise: Array | None,
 ) -> tuple[Unknowns, Array, Array, Array]:
-    """Return the same without bounds, and the noise (joints,) [N m]. Rows and their squares, which
-    take most of the memory, go with each round.
+    """Return (unknowns with widened priors, values (p,), effective noise, noise (joints,) [N m]).
+
+    Bounds do not count here. A call frees rows and their squares, which take most of the memory.
     """
-    plain = data.of(sought)
-    known = with_prior(plain, sought.groups)
-    best = solver(known, prior)
-    noise = weighted(known, best, start=noise)
-    counts = noise * np.sqrt(inflation)
-    wide = widened_groups(plain, counts * np.sqrt(memory), sought.groups)
-    if wide is not sought.groups:
-        sought = replace(sought, groups=wide)
-        known = with_prior(plain, sought.groups)
-        best = solver(known, prior)
-    counts = sharpened(known, best, counts)
-    return sought, sought.full(best(1.0 / counts)[0]), counts, noise
+    information = data.of(unknowns)
+    posterior = with_prior(information, unknowns.groups)
+    solve_posterior = solver(posterior, prior)
+    noise = estimate_noise(posterior, solve_posterior, start=noise)
+    effective_noise = noise * np.sqrt(inflation)
+    groups = widened_groups(information, effective_noise * np.sqrt(memory), unknowns.groups)
+    if groups is not unknowns.groups:
+        unknowns = replace(unknowns, groups=groups)
+        posterior = with_prior(information, unknowns.groups)
+        solve_posterior = solver(posterior, prior)
+    effective_noise = lower_floor(posterior, solve_posterior, effective_noise)
+    values = unknowns.full(solve_posterior(1.0 / effective_noise)[0])
+    return unknowns, values, effective_noise, noise
 
 
-def possible(sought: Unknowns, data: Evidence, weights: Array, free: Array) -> Array:
-    """Return the best values (p,) with which all bodies that are sought are possible.
+def possible(unknowns: Unknowns, data: Evidence, weights: Array, free: Array) -> Array:
+    """Return the best values (p,) with which all unknown bodies are physically consistent.
 
-    Where they are possible already, that is the plain estimate.
+    Where they are so already, that is the plain estimate ``free`` (p,).
     """
-    if all(spatial.is_consistent(free[places]) for places, _ in sought.bodies.values()):
+    if all(spatial.is_consistent(free[indices]) for indices, _ in unknowns.bodies.values()):
         return free
-    rows = with_prior(data.of(sought), sought.groups).stacked(weights)
-    return sought.full(ConsistentLinks(*rows, links_problem(sought)).best())
+    rows = with_prior(data.of(unknowns), unknowns.groups).stacked(weights)
+    return unknowns.full(ConsistentLinks(*rows, links_problem(unknowns)).best())
 
 
-def links_problem(sought: Unknowns) -> LinksProblem:
-    """Return which of the parameters sought are bodies, and what such bodies usually are."""
-    prior, links = np.zeros(len(sought.kept)), []
-    for places, usual in sought.bodies.values():
-        links.append(np.searchsorted(sought.kept, places))
-        prior[links[-1]] = usual
+def links_problem(unknowns: Unknowns) -> LinksProblem:
+    """Return the indices of each body among the unknowns, and a usual body in its place."""
+    prior = np.zeros(len(unknowns.kept))
+    links = []
+    for indices, usual_body in unknowns.bodies.values():
+        links.append(np.searchsorted(unknowns.kept, indices))
+        prior[links[-1]] = usual_body
     return LinksProblem(tuple(links), prior)

@@ -21,9 +21,9 @@ from robot_sysid.estimation.dataset import Dataset, Mask, mean_torque
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
-from robot_sysid.estimation.recordings import logs_compared, parts_compared
+from robot_sysid.estimation.recordings import compare_recordings, held_out_validation
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.estimation.verdict import speaks
+from robot_sysid.estimation.verdict import is_informative
 from robot_sysid.records import Array, Measurement, RobotModel, SquareRootInformation, Validation
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.results import validation_of
@@ -31,7 +31,7 @@ from robot_sysid.signals.process import LogPiece, process
 from robot_sysid.signals.repetition import visits
 
 AT_REST = FrictionModel(("offset",))
-"""What is left of friction at rest, approached from both sides."""
+"""Friction terms at rest, where poses were approached from both sides."""
 
 
 _PASSES = 18
@@ -40,8 +40,12 @@ _PASSES = 18
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a recording without long holes, as it was measured: the recording's name in
-    messages, whether it carries the payload, and its place as in ``Dataset``.
+    """A stretch of a recording without long holes, as it was measured.
+
+    Attributes:
+        name: the recording's name in messages.
+        is_loaded: whether it carries the payload.
+        place: its position in the order of recording, as in ``Dataset``.
     """
 
     name: str
@@ -50,43 +54,50 @@ class Piece:
     place: float = 0.0
 
 
-def filtered(
+def low_pass_recordings(
     robot: RobotModel, pieces: Sequence[Piece], options: EstimationOptions
 ) -> tuple[list[Dataset], tuple[str, ...]]:
-    """Return recordings, each filtered on its own, with the lowest cut-off that one asks for.
+    """Resample every recording to a uniform grid and low-pass it, all with the same cut-off.
 
-    With them comes what there is to say of them, one sentence each.
+    The cut-off is the lowest that any of them requires.
+
+    Returns:
+        (recordings, notes on them, one sentence each).
 
     Raises:
-        InputError: one is too short.
+        InputError: a recording is too short.
     """
-    parts, cutoffs, pairs = [LogPiece.of(piece.samples) for piece in pieces], [], []
-    for piece, part in zip(pieces, parts):
+    resampled = [LogPiece.of(piece.samples) for piece in pieces]
+    cutoffs = []
+    pairs = []
+    for piece, log in zip(pieces, resampled):
         with named(piece.name):
-            cutoffs.append(options.cutoff or part.choice[0])
-    for piece, part, own in zip(pieces, parts, cutoffs):
-        cutoff, by = options.cutoff, "as given"
-        if own > min(cutoffs):
-            cutoff, by = min(cutoffs), "as another recording asks for"
+            cutoffs.append(options.cutoff or log.choice[0])
+    for piece, log, required in zip(pieces, resampled, cutoffs):
+        cutoff = options.cutoff
+        reason = "as given"
+        if required > min(cutoffs):
+            cutoff = min(cutoffs)
+            reason = "as another recording asks for"
         with named(piece.name):
-            signals = process(part, robot.joint_names, cutoff, by)
+            signals = process(log, robot.joint_names, cutoff, reason)
             pairs.append((piece, signals))
-    found = []
-    for piece, each in pairs:
-        dataset = Dataset(piece.name, each, piece.is_loaded, piece.place)
-        found.append(without_standing(robot, dataset, options))
-    told: dict[str, tuple[str, ...]] = {}
-    for piece, each in pairs:
-        told[piece.name] = tuple(dict.fromkeys((*told.get(piece.name, ()), *each.notes)))
-    return found, tuple(shared_notes(told))
+    datasets = []
+    for piece, signals in pairs:
+        dataset = Dataset(piece.name, signals, piece.is_loaded, piece.place)
+        datasets.append(without_standing(robot, dataset, options))
+    notes: dict[str, tuple[str, ...]] = {}
+    for piece, signals in pairs:
+        notes[piece.name] = tuple(dict.fromkeys((*notes.get(piece.name, ()), *signals.notes)))
+    return datasets, tuple(shared_notes(notes))
 
 
-def shared_notes(told: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    """Yield each note once, with the recordings that it is about where there are several."""
-    for note in dict.fromkeys(note for notes in told.values() for note in notes):
-        about = [name for name, notes in told.items() if note in notes]
-        where = "all recordings" if len(about) == len(told) else ", ".join(about)
-        yield note if len(told) == 1 else type(note)(f"{where}: {note}")
+def shared_notes(notes_by_name: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield each note once, with the names of its recordings where there are several."""
+    for note in dict.fromkeys(note for notes in notes_by_name.values() for note in notes):
+        about = [name for name, notes in notes_by_name.items() if note in notes]
+        where = "all recordings" if len(about) == len(notes_by_name) else ", ".join(about)
+        yield note if len(notes_by_name) == 1 else type(note)(f"{where}: {note}")
 
 
 def answer_link(
@@ -94,40 +105,45 @@ def answer_link(
     datasets: Sequence[Dataset],
     options: EstimationOptions,
     progress: Progress,
-    kept: tuple[str, ...] | None = (),
+    kept_parts: tuple[str, ...] | None = (),
     tests: Mapping[str, Sequence[Dataset]] | None = None,
 ) -> Answer:
-    """Identify an arm from recordings of it alone.
+    """Identify an arm from recordings without a payload.
 
     Args:
-        kept: parts of the model file that stay as they are; None asks for no file.
+        kept_parts: parts of the model file that stay as they are; None for no file.
         tests: name to recordings that only test the result.
 
     Raises:
         InputError: a recording is too short, or the couplings do not fit the arm.
-        SysidError: a delay or a tilt that is sought keeps moving.
+        SysidError: an estimated delay or tilt does not converge.
     """
     question = Question(options)
     progress.stage(Detail("Choosing friction, couplings and how far links may be off..."))
     fitter = _fitter(robot, datasets, question, options.friction, progress)
-    choice, tried, start = choose(fitter, question, options.friction)
+    choice, candidates, start = choose(fitter, question, options.friction)
     progress.stage("Solving for parameters...")
     fit = fitter.fit(question, choice, start)
     errors = fit_errors(fit)
-    logs = logs_compared(fit, [each.name for each in datasets])
-    file, validation = None, parts_compared(fit)
-    if kept is not None:
+    logs = compare_recordings(fit, [dataset.name for dataset in datasets])
+    file = None
+    validation = held_out_validation(fit)
+    if kept_parts is not None:
         progress.stage(Detail("Fitting the model file..."))
-        # What the file's rows say, which are drawn, takes as much memory.
-        fit = replace(fit, samples=(), evidence=fit.evidence.undivided())
-        file = fit_file(fitter, options, kept, fit)
-    signals = [each.signals for each in datasets if each.signals is not None]
-    coarsest = max((each.acceleration_error for each in signals), default=0.0)
-    answer = Answer(fit, file, errors, validation, (), tried, coarsest)
+        # The file's rows, which the report draws, take as much memory.
+        fit = replace(fit, samples=(), evidence=fit.evidence.merge_blocks())
+        file = fit_file(fitter, options, kept_parts, fit)
+    signals = [dataset.signals for dataset in datasets if dataset.signals is not None]
+    coarsest = max((log_signals.acceleration_error for log_signals in signals), default=0.0)
+    answer = Answer(fit, file, errors, validation, (), candidates, coarsest)
     notes: list[str] = []
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
-        notes += [note for each in signals for note in each.one_way_joints(robot.joint_names)]
-    others = tuple(tested(fit, errors, each, name) for name, each in (tests or {}).items())
+        notes += [
+            note
+            for log_signals in signals
+            for note in log_signals.one_way_joints(robot.joint_names)
+        ]
+    others = tuple(validate_datasets(fit, errors, log, name) for name, log in (tests or {}).items())
     notes = list(dict.fromkeys((*notes, *logs.notes)))
     return replace(
         answer, notes=tuple(notes), tests=(*others, *logs.tests), friction_of_logs=logs.friction
@@ -139,111 +155,120 @@ def answer_payload(
     datasets: Sequence[Dataset],
     question: Question,
     progress: Progress,
-    kept: tuple[str, ...] | None = (),
+    kept_parts: tuple[str, ...] | None = (),
 ) -> tuple[Answer, Answer]:
     """Identify a payload from recordings without and with it.
 
     Args:
-        kept: parts of the model file that stay as they are; None asks for no file.
+        kept_parts: parts of the model file that stay as they are; None for no file.
 
     Returns:
-        (the answer, with the known mass where there is one; the one as if it were not known).
+        (answer with the known mass where there is one, answer as if the mass were not known).
     """
     options = question.options
     progress.stage(Detail("Estimating arm, friction and payload together..."))
-    given = AT_REST if question.resting else options.friction
+    model = AT_REST if question.resting else options.friction
     weighing = replace(question, known_mass=None)
-    fitter = _fitter(robot, datasets, weighing, given, progress)
-    choice, tried, start = choose(fitter, weighing, given)
+    fitter = _fitter(robot, datasets, weighing, model, progress)
+    choice, candidates, start = choose(fitter, weighing, model)
     free = fitter.fit(weighing, choice, start)
     progress.stage(Detail("Finding out how far off it may be..."))
-    weighed = Answer(free, None, fit_errors(free), parts_compared(free), (), tried)
+    weighed = Answer(free, None, fit_errors(free), held_out_validation(free), (), candidates)
     if question.known_mass is None:
-        if kept is not None and options.torques == "chain" and not question.resting:
+        if kept_parts is not None and options.torques == "chain" and not question.resting:
             progress.stage(Detail("Fitting the model file..."))
             carried, _ = written_payload(weighed)
-            file = fit_file(fitter, options, kept, free, carried=carried)
+            file = fit_file(fitter, options, kept_parts, free, carried=carried)
             weighed = replace(weighed, file=file)
         return weighed, weighed
     fit = fitter.fit(question, choice, free.point)
-    return Answer(fit, None, fit_errors(fit), parts_compared(fit), (), tried), weighed
+    return Answer(fit, None, fit_errors(fit), held_out_validation(fit), (), candidates), weighed
 
 
-def refit(answer: Answer, used: Sequence[Mask], kept: tuple[str, ...]) -> Answer:
-    """Return the answer of some rows of its recordings alone, everything chosen anew."""
+def refit(answer: Answer, used: Sequence[Mask], kept_parts: tuple[str, ...]) -> Answer:
+    """Return the answer from the used rows of its recordings, with all choices made again."""
     fit = answer.fit
-    datasets = [replace(each, used=mask) for each, mask in zip(fit.columns.datasets, used)]
-    return answer_link(answer.robot, datasets, fit.question.options, Progress(), kept)
+    datasets = [replace(dataset, used=mask) for dataset, mask in zip(fit.columns.datasets, used)]
+    return answer_link(answer.robot, datasets, fit.question.options, Progress(), kept_parts)
 
 
 def _passes(progress: Progress) -> Callable[[], None]:
-    """Return what tells how far an identification is, when called before each pass."""
+    """Return a function that reports progress, to be called before each pass."""
     done = itertools.count()
 
-    def told() -> None:
+    def report() -> None:
         progress.advance("Identifying", min(next(done), _PASSES - 1), _PASSES, "")
 
-    return told
+    return report
 
 
 def _fitter(
     robot: RobotModel,
     datasets: Sequence[Dataset],
     question: Question,
-    given: FrictionModel | None,
+    model: FrictionModel | None,
     progress: Progress,
 ) -> Fitter:
-    """Return what fits, with the couplings that are known or that the recordings decide for."""
-    options, again = question.options, None
+    """Return the fitter, with the given couplings and those that the recordings call for."""
+    options = question.options
+    repetitions = None
     if options.tilt == "auto":
-        tilt_axes(gravity(robot))  # which there have to be
-    if all(each.signals is not None for each in datasets):
-        again = visits([each.motion for each in datasets])
+        tilt_axes(gravity(robot))  # raises without gravity
+    if all(dataset.signals is not None for dataset in datasets):
+        repetitions = visits([dataset.motion for dataset in datasets])
     motors, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, motors)
-    fitter = Fitter(columns, mean_torque(datasets), again, _passes(progress))
+    fitter = Fitter(columns, mean_torque(datasets), repetitions, _passes(progress))
     if not offered:
         return fitter
-    # Columns of couplings that are not there would cost every later pass time and memory.
-    known = motors[: len(motors) - len(offered)]
-    found = known if question.resting else select_couplings(fitter, question, given, offered)
-    fitter = replace(fitter, _last=None)  # before rows are made anew, which take as much memory
-    return replace(fitter, columns=columns.coupled(found))
+    # Columns of rejected couplings would cost every later pass time and memory.
+    couplings = motors[: len(motors) - len(offered)]
+    if not question.resting:
+        couplings = select_couplings(fitter, question, model, offered)
+    fitter = replace(fitter, _last=None)  # frees memory for the new rows
+    return replace(fitter, columns=columns.with_couplings(couplings))
 
 
-def tested(fit: Fit, errors: FitErrors, datasets: Sequence[Dataset], source: str) -> Validation:
-    """Return the error with which a fit predicts other recordings; InputError as ``predicted``."""
+def validate_datasets(
+    fit: Fit, errors: FitErrors, datasets: Sequence[Dataset], source: str
+) -> Validation:
+    """Return the error of a fit in other recordings; InputError as in ``validate_rows``."""
     columns = Columns(fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings)
     samples = columns.samples(replace(fit.point, values=fit.values))
-    return predicted(fit, errors, evidence_of([samples], fit.evidence.torque), source)
+    return validate_rows(fit, errors, evidence_of([samples], fit.evidence.torque), source)
 
 
-def predicted(fit: Fit, errors: FitErrors, data: Evidence, source: str) -> Validation:
-    """Return the error with which a fit predicts what rows that it was not made from say.
+def validate_rows(fit: Fit, errors: FitErrors, data: Evidence, source: str) -> Validation:
+    """Return the error with which a fit predicts the torques of rows that were not fitted.
 
     Raises:
-        InputError: they hold no usable samples.
+        InputError: the rows hold no usable samples.
     """
-    counts, squares = sample_counts(data.whole), np.sum(data.squared_torque, axis=0)
+    counts = sample_counts(data.whole)
+    squares = np.sum(data.squared_torque, axis=0)
     if not np.any(counts):
         raise InputError(f"no usable torque samples to validate on in {source}")
-    wrong = data.whole.squared_residuals(fit.values)
+    residual = data.whole.squared_residuals(fit.values)
     joints = [joint.joint for joint in data.whole.joints]
-    found = validation_of(joints, wrong, squares, counts, source)
+    validation = validation_of(joints, residual, squares, counts, source)
     noise = counts[None] * fit.noise**2
-    told = speaks(wrong[None], noise, lambda: noise + _left_open(fit, errors, data.whole))
-    return replace(found, told_enough=told)
+    told_enough = is_informative(
+        residual[None], noise, lambda: noise + _prediction_variance(fit, errors, data.whole)
+    )
+    return replace(validation, told_enough=told_enough)
 
 
-def _left_open(fit: Fit, errors: FitErrors, data: SquareRootInformation) -> Array:
-    """Return (joints,) sum of squares that the errors of a fit make of other rows [N^2 m^2];
-    infinite where it tells nothing of a joint's friction, or of what else its torque depends on.
+def _prediction_variance(fit: Fit, errors: FitErrors, data: SquareRootInformation) -> Array:
+    """Return the variance (joints,) of the torques that a fit predicts, summed over the rows of
+    other data [N^2 m^2]; infinite where the fit does not identify a parameter of a joint's torque.
     """
-    kept, found = fit.unknowns.kept, np.zeros(len(data.joints))
-    for row, (joint, own) in enumerate(zip(data.joints, fit.evidence.whole.joints)):
-        stay = np.isin(joint.columns, kept)
-        change = np.zeros((len(joint.triangle), len(kept)))
-        change[:, np.searchsorted(kept, joint.columns[stay])] = joint.triangle[:, :-1][:, stay]
-        told = own.n_samples > 0 and np.all(errors.shown(change))
-        found[row] = np.trace(errors.of(change)[0]) if told else np.inf
-    return found
+    indices = fit.unknowns.kept
+    variances = np.zeros(len(data.joints))
+    for row, (joint, fitted) in enumerate(zip(data.joints, fit.evidence.whole.joints)):
+        is_free = np.isin(joint.columns, indices)
+        change = np.zeros((len(joint.triangle), len(indices)))
+        columns = np.searchsorted(indices, joint.columns[is_free])
+        change[:, columns] = joint.triangle[:, :-1][:, is_free]
+        is_identified = fitted.n_samples > 0 and np.all(errors.shown(change))
+        variances[row] = np.trace(errors.of(change)[0]) if is_identified else np.inf
+    return variances

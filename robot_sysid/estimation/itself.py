@@ -26,9 +26,9 @@ from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion
 
-# Samples that a report draws of a simulation.
+# Samples of a simulation in a report.
 _DRAWN = 2000
-# Standard error of a mass that is never too large [kg].
+# Standard error of a mass that is always small enough [kg].
 _KNOWN_MASS = 1e-6
 
 
@@ -43,7 +43,7 @@ def identify_itself(
     """Simulate the model at a rate [Hz] along a trajectory that was drawn with a seed; identify it.
 
     Returns:
-        (the result, what makes its traces).
+        (the result, a function that computes its traces).
     """
     progress.stage("Running MuJoCo simulation...")
     model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
@@ -54,8 +54,8 @@ def identify_itself(
     information = collect_sysid_data(equations, tracked)
     progress.stage("Solving for parameters...")
     estimate = identify_parameters(information, equations.prior, possible=True)
-    own = zip(equations.names[N_INERTIAL:], equations.prior[N_INERTIAL:].tolist())
-    before = {name.partition("[")[0]: value for name, value in own}
+    values = zip(equations.names[N_INERTIAL:], equations.prior[N_INERTIAL:].tolist())
+    friction = {name.partition("[")[0]: value for name, value in values}
     result = Result(
         robot=robot,
         question=LINK,
@@ -63,7 +63,7 @@ def identify_itself(
         verdict=of_own_simulation(estimate),
         torques=options.torques,
         data=DataOrigin(Source.ITSELF, "", plan.duration, rate, seed),
-        joints={robot.terminal_joint: JointEstimate(model.name, {}, before)},
+        joints={robot.terminal_joint: JointEstimate(model.name, {}, friction)},
         notes=robot.notes,
     )
 
@@ -73,23 +73,24 @@ def identify_itself(
 def _traces_of_itself(
     robot: RobotModel, plan: MotionPlan, torques: str, model: FrictionModel, estimate: Estimate
 ) -> Traces:
-    """Return what a report draws, of records alone: MuJoCo's data is not safely pickled."""
-    from robot_sysid.estimation.answer import traced
+    """Return the traces for a report, from records alone: MuJoCo's data is not safely pickled."""
+    from robot_sysid.estimation.answer import make_traces
     from robot_sysid.estimation.dataset import equations_at
 
     equations = Equations(robot, torques, friction_per_joint(robot, "terminal", model))
     motion = spread_motion(plan, _DRAWN)
     (measurement,) = simulate_inverse(robot, [motion])
     samples = equations_at(equations, measurement)
-    after, prior = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
-    return traced(robot, [samples], [motion], after, prior)
+    values, prior = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
+    return make_traces(robot, [samples], [motion], values, prior)
 
 
 def of_own_simulation(estimate: Estimate) -> Verdict:
-    """Return how the identification of a model's own simulation ended."""
+    """Return the verdict on the identification of a model's own simulation."""
     errors = estimate.standard_errors
     weak = np.inf if errors is None else errors[0]
     if np.isfinite(weak) and weak > max(_KNOWN_MASS, 0.5 * estimate.inertial.mass):
         return Verdict.TOO_WEAK
-    seen = estimate.identifiability
-    return Verdict.OK if seen.rank >= seen.n_parameters else Verdict.PARTLY_FROM_MODEL
+    identifiability = estimate.identifiability
+    is_full = identifiability.rank >= identifiability.n_parameters
+    return Verdict.OK if is_full else Verdict.PARTLY_FROM_MODEL

@@ -1,4 +1,4 @@
-"""From an answer to the result: the file, the verdict, and what the user should know."""
+"""From an answer to the result: the model file, the verdict, and notes for the user."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from robot_sysid.estimation.answer import (
     written_payload,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
-from robot_sysid.estimation.recordings import contradiction, each_recording
+from robot_sysid.estimation.recordings import contradiction, payloads_by_recording
 from robot_sysid.estimation.verdict import (
     UNEXPLAINED,
     UNUSUAL,
     Judged,
+    find_misfits,
     first,
     implausible_joints,
     implausible_link,
@@ -33,7 +34,6 @@ from robot_sysid.estimation.verdict import (
     of_file,
     of_known_mass,
     of_payload,
-    unexplained,
     unexplained_share,
     wrong_links,
 )
@@ -53,48 +53,54 @@ from robot_sysid.results.record import (
 )
 
 WIDER = 2.0
-"""Factor beyond which a prior that had to be widened is told of."""
-# Standard errors that an encoder zero has to be away from none, and one that is not worth telling
-# [rad].
-_CLEAR, _SMALL_ZERO = 3.0, 1e-3
+"""Factor of a widened prior above which a note is added."""
+# Standard errors from zero at which an encoder zero is significant.
+_CLEAR = 3.0
+# Encoder zero that is too small for a note [rad].
+_SMALL_ZERO = 1e-3
 
 
 def result_of(answer: Answer, data: DataOrigin) -> Result:
-    """Return everything that is said of the arm from recordings of it alone."""
-    fit, robot, file = answer.fit, answer.robot, None
-    links, tests, notes = tuple(answer.links()), (answer.validation, *answer.tests), answer.notes
-    common, coarse = _common(answer, data), answer.acceleration_error
-    apart = common.estimate.independent_share
-    findings = [*unexplained(fit, tests, coarse, apart)]
-    share, sentence = unexplained_share(fit, apart)
+    """Return the result for an arm from recordings without a payload."""
+    fit = answer.fit
+    robot = answer.robot
+    file = None
+    links = tuple(answer.links())
+    tests = (answer.validation, *answer.tests)
+    notes = answer.notes
+    common = _common(answer, data)
+    independent_share = common.estimate.independent_share
+    findings = [*find_misfits(fit, tests, answer.acceleration_error, independent_share)]
+    share, sentence = unexplained_share(fit, independent_share)
     notes += (sentence,) if share > UNUSUAL else ()
     findings += implausible_link(robot, links[-1])
     findings += implausible_joints(robot, common.joints, fit.evidence.torque)
-    seen = common.estimate.identifiability
-    ended = Verdict.OK if seen.rank >= seen.n_parameters else Verdict.PARTLY_FROM_MODEL
+    identifiability = common.estimate.identifiability
+    is_full = identifiability.rank >= identifiability.n_parameters
+    verdict = Verdict.OK if is_full else Verdict.PARTLY_FROM_MODEL
     judged = _file_verdict(answer)
     if judged is not None:
         file, more = model_file(answer)
         notes += more
         findings += implausible_links(robot, file.thetas)
         findings += [] if judged[0].is_trustworthy else [judged]
-        ended = judged[0]
-    status, reasons = first(findings, ended)
+        verdict = judged[0]
+    status, reasons = first(findings, verdict)
     if share > UNEXPLAINED:
         better = status is Verdict.BETTER
         status = Verdict.TORQUES_ONLY if better else first(findings, Verdict.UNEXPLAINED)[0]
         reasons = (*reasons, sentence)
-    wrong = tuple(wrong_links(links[:-1]))
-    notes += tuple(map(_wrong_link_line, wrong))
+    contradicted = tuple(wrong_links(links[:-1]))
+    notes += tuple(map(_wrong_link_line, contradicted))
     return replace(
         common,
         verdict=status,
         reasons=reasons,
         links=links,
-        wrong_links=wrong,
+        wrong_links=contradicted,
         file=file,
         validation=tests,
-        notes=tuple(dict.fromkeys((*robot.notes, *notes, *_said(answer, file)))),
+        notes=tuple(dict.fromkeys((*robot.notes, *notes, *_result_notes(answer, file)))),
         base=None if fit.columns.torques == "terminal" else base_parameters(fit, answer.errors),
     )
 
@@ -108,17 +114,19 @@ def _wrong_link_line(link: WrongLink) -> str:
 
 
 def _file_verdict(answer: Answer) -> Judged | None:
-    """Return how the written file predicts beside the one before; None where none is asked for."""
+    """Return the verdict on the written file against the given model; None without a file."""
     if answer.file is None:
         return None
     return of_file(answer.file.before, answer.file.after, noise_share(answer.fit))
 
 
 def _common(answer: Answer, data: DataOrigin) -> Result:
-    """Return what results of all questions have in common."""
-    fit, robot, options = answer.fit, answer.robot, answer.fit.question.options
+    """Return the fields that results for a link and for a payload share."""
+    fit = answer.fit
+    robot = answer.robot
+    options = fit.question.options
     joints = dict(answer.joints())
-    signals = [each.signals for each in fit.columns.datasets if each.signals is not None]
+    signals = [log.signals for log in fit.columns.datasets if log.signals is not None]
     models = {model.name for model in fit.choice.friction}
     return Result(
         robot=robot,
@@ -128,32 +136,32 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
         torques=fit.columns.torques,
         data=data,
         joints={name: joints[name] for name in robot.joint_names},
-        couplings={name: each for name, each in joints.items() if name not in robot.joint_names},
+        couplings={name: joint for name, joint in joints.items() if name not in robot.joint_names},
         sensors=answer.sensors(),
         friction_model=models.pop() if len(models) == 1 else "per joint",
         cutoff=signals[0].cutoff if signals else None,
-        link_scales={kind: getattr(fit.choice.link_scales, kind) for kind in LINK_KINDS},
+        link_scales={name: getattr(fit.choice.link_scales, name) for name in LINK_KINDS},
         conflicts=answer.errors.conflicts,
         delay=fit.value(DELAY_NAME) if options.delay == "auto" else None,
         tilt=math.hypot(*map(fit.value, TILT_NAMES)) if options.tilt == "auto" else None,
     )
 
 
-def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
-    """Yield sentences on what the user should know of the estimate."""
+def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
+    """Yield sentences for the user on torque scale, couplings, priors, zeros and gravity."""
     scales = [f.value for n, f in answer.sensors().items() if n.startswith("scale[")]
     common_scale = float(np.mean(scales)) if answer.fit.choice.common_scale else 0.0
-    # It is allowed for by a first fit; what the last one finds of it may be nothing.
+    # A first fit calls for the common scale; the last one may find it to be near zero.
     if abs(common_scale) > LEAST_SCALE:
         yield (
             f"all torques read about {1.0 + common_scale:.3g} times what the model takes: either "
             "the torque scale is off (--torque-scale), or all of the model's links are off alike; "
             "the log does not tell which, and the errors allow for both"
         )
-    given = answer.fit.question.options.coupling is not None
+    is_given = answer.fit.question.options.coupling is not None
     for motor in answer.fit.choice.couplings:
         if motor.tendon is None:
-            why = "as given" if given else "the torques give clear evidence of it"
+            why = "as given" if is_given else "the torques give clear evidence of it"
             yield f"a motor turns with {motor.name}: {why}"
     for group in answer.fit.unknowns.groups:
         if group.may_widen and group.widened > WIDER:
@@ -178,32 +186,34 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
 
 
 def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin) -> Result:
-    """Return what came on between recordings.
+    """Return the result for a payload.
 
     Args:
-        answer: the fit whose scales and payload count, with a known mass where there is one.
-        weighed: the fit as if the payload's mass were not known; the same where it is not.
+        answer: the fit whose scales and payload are reported, with the known mass if there is one.
+        weighed: the fit without the known mass; equal to ``answer`` where there is none.
     """
-    fit, robot, known = answer.fit, answer.robot, answer.fit.question.known_mass
+    fit = answer.fit
+    robot = answer.robot
+    known_mass = fit.question.known_mass
     free = _payload(weighed, flange, weighed.fit.free)
-    apart = contradiction(weighed.fit, flange)
-    found = list(of_payload(robot, free, apart, weighed.validation))
-    if known is not None:
-        found = list(of_known_mass(found, free.inertial.mass, known))
-    status, reasons = first(found, Verdict.OK)
+    contradicting = contradiction(weighed.fit, flange)
+    findings = list(of_payload(robot, free, contradicting, weighed.validation))
+    if known_mass is not None:
+        findings = list(of_known_mass(findings, free.inertial.mass, known_mass))
+    status, reasons = first(findings, Verdict.OK)
     values = (fit.values if status.is_trustworthy else fit.free).copy()
     unknown = ""
     if status.is_trustworthy:
         values[fit.columns.at(PAYLOAD_NAMES)], unknown = written_payload(answer)
         unknown = Detail(unknown)
-    scatter = each_recording(weighed.fit, flange) if known is None else ()
-    payload = _came_on(answer, flange, values, scatter)
+    scatter = payloads_by_recording(weighed.fit, flange) if known_mass is None else ()
+    payload = _payload_estimate(answer, flange, values, scatter)
     if unknown:
         payload = _without_inertia(payload)
-        status = Verdict.INERTIA_NOT_KNOWN if known is None else status
-    file, said = _arm_file(answer)
-    notes = (*robot.notes, *answer.notes, *([unknown] if unknown else []), *said)
-    notes += tuple(_said(answer, file))
+        status = Verdict.INERTIA_NOT_KNOWN if known_mass is None else status
+    file, file_notes = _arm_file(answer)
+    notes = (*robot.notes, *answer.notes, *([unknown] if unknown else []), *file_notes)
+    notes += tuple(_result_notes(answer, file))
     return replace(
         _common(answer, data),
         verdict=status,
@@ -216,36 +226,39 @@ def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin
     )
 
 
-def _came_on(
+def _payload_estimate(
     answer: Answer, flange: Flange, values: Array, scatter: tuple[OneRecording, ...]
 ) -> Payload:
-    """Return what some values (p,) say of the payload, and of the link without and with it."""
-    columns, known = answer.fit.columns, answer.fit.question.known_mass
-    scales = {joint: answer.figure(f"scale[{joint}]") for joint in columns.joints if known}
+    """Return the payload at values (p,), and the terminal link without and with it."""
+    columns = answer.fit.columns
+    known_mass = answer.fit.question.known_mass
+    scales = {joint: answer.figure(f"scale[{joint}]") for joint in columns.joints if known_mass}
     return Payload(
         flange,
         _payload(answer, flange, values),
         _link(answer, values, False),
         _link(answer, values, True),
         {
-            kind: tuple(each.name for each in columns.datasets if each.is_loaded is loaded)
-            for kind, loaded in (("empty", False), ("loaded", True))
+            side: tuple(log.name for log in columns.datasets if log.is_loaded is loaded)
+            for side, loaded in (("empty", False), ("loaded", True))
         },
         scatter,
-        {joint: Figure(1.0 + each.value, each.error) for joint, each in scales.items()},
-        known,
+        {joint: Figure(1.0 + scale.value, scale.error) for joint, scale in scales.items()},
+        known_mass,
     )
 
 
 def _without_inertia(payload: Payload) -> Payload:
-    """Return a payload whose inertia is not known, nor that of the link with it."""
-    known, own, total = np.arange(10) < 4, payload.body, payload.total
-    own = replace(own, shown=own.shown & known, data_share=own.data_share * known)
-    return replace(payload, body=own, total=replace(total, shown=total.shown & known))
+    """Return a payload without its inertia and that of the link with it."""
+    is_first = np.arange(10) < 4  # mass and first moments
+    body = payload.body
+    total = payload.total
+    body = replace(body, shown=body.shown & is_first, data_share=body.data_share * is_first)
+    return replace(payload, body=body, total=replace(total, shown=total.shown & is_first))
 
 
 def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
-    """Return what is written of the arm beneath its payload, and sentences on it."""
+    """Return the model file of the arm without its payload, and notes on it."""
     judged = _file_verdict(answer)
     if judged is None or judged[0].is_trustworthy:
         return (None, ()) if judged is None else model_file(answer)
@@ -253,15 +266,16 @@ def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
 
 
 def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
-    """Return the payload of some values (p,), in the flange frame."""
+    """Return the payload at values (p,), in the flange frame."""
     change = np.stack([flange.to_flange(unit) for unit in np.eye(10)], axis=1)
     theta = change @ values[answer.fit.columns.at(PAYLOAD_NAMES)]
     return answer.body("payload", change @ answer.pick(PAYLOAD_NAMES), theta, None)
 
 
 def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
-    """Return the terminal link of some values (p,), without or with the payload."""
-    change, theta = answer.pick(PARAMETER_NAMES), values[:10]
+    """Return the terminal link at values (p,), without or with the payload."""
+    change = answer.pick(PARAMETER_NAMES)
+    theta = values[:10]
     if loaded:
         change = change + answer.pick(PAYLOAD_NAMES)
         theta = theta + values[answer.fit.columns.at(PAYLOAD_NAMES)]

@@ -1,4 +1,4 @@
-"""What is sought, what is known of it beforehand: the only place where questions differ.
+"""Parameters to estimate and their priors: the only place where questions differ.
 
 Unknowns come in groups, each with a cause. A question chooses which are free, which have a prior
 and which are held; everything after that is the same for the last link, all links and a payload.
@@ -6,7 +6,7 @@ and which are held; everything after that is the same for the last link, all lin
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -30,50 +30,69 @@ from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.records import DELAY_NAME, Array
 from robot_sysid.records.options import per_joint
 
-LINKS, SCALES, ZEROS, TILT = "links", "torque scale", "joint offsets", "gravity"
-DELAY, DRIFT, FRICTION = "delay", "drift of friction", "friction model"
-COMMON, WEIGHT, OFFSETS = "common torque scale", "known mass", "sensor offsets"
-"""Causes of error, as they are called in results."""
-FILE_FRICTION, FILE_ROTORS, FILE_GRAVITY, FILE_LINKS = "friction", "rotors", "gravity", "links"
-"""Parts of a model file that may be kept as they are."""
+# Causes of error, as they are called in results.
+LINKS = "links"
+SCALES = "torque scale"
+ZEROS = "joint offsets"
+TILT = "gravity"
+DELAY = "delay"
+DRIFT = "drift of friction"
+FRICTION = "friction model"
+COMMON = "common torque scale"
+WEIGHT = "known mass"
+OFFSETS = "sensor offsets"
+# Parts of a model file that may be kept as they are.
+FILE_FRICTION = "friction"
+FILE_ROTORS = "rotors"
+FILE_GRAVITY = "gravity"
+FILE_LINKS = "links"
 CURVATURE = 5.0
-"""How curved friction may be, as part of its dry friction and in units of what it may grow with the
-gear's torque (documented with --friction-uncertainty)."""
+"""Standard deviation of friction's curvature, over dry friction and the share of its load that a
+gear may lose (documented with --friction-uncertainty)."""
 FADING = 15.0
-"""How much of friction may fade with speed, the same way: a Stribeck curve of 30 %."""
+"""Standard deviation of the friction that fades with speed, in the units of ``CURVATURE``: a
+Stribeck curve of 30 %."""
 LARGEST_USUAL_LOSS = 2.5
-"""What a gear may lose of its load where it has much dry friction, in the same units."""
-LEAST_COULOMB, LEAST_FOUND = 0.02, 1e-3
-"""Dry friction is at least so much of a joint's usual torque: before a fit, and after one."""
+"""Largest standard deviation of a gear's loss where dry friction is large, over the share of its
+load that a gear may lose."""
+LEAST_COULOMB = 0.02
+"""Least dry friction before a fit, as a share of the joint's root mean square torque."""
+LEAST_FITTED_COULOMB = 1e-3
+"""Least dry friction after a fit, as a share of the joint's root mean square torque."""
 LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
-DRIFTS, LOADED_LOSS = 0.2, 0.1
-"""Standard deviations: of friction's drift from the middle of the recordings to their ends (a
-share), of a gear's loss where loads differ."""
+DRIFTS = 0.2
+"""Standard deviation of friction's drift from the middle of the recordings to their ends."""
+LOADED_LOSS = 0.1
+"""Standard deviation of the share of its load that a gear loses, where loads differ."""
 FILE_TILT = np.radians(2.0)
 """Standard deviation of the direction of gravity that a file is given [rad]."""
-USUAL_SCALE, LOADED_SCALE = 2.0, 3.0
-"""How far a joint's torque scale may be off where nobody says [%], and where a payload is weighed,
-whose mass hangs on it alone: motor currents of a UR10e read 3 % low to 5 % high."""
+USUAL_SCALE = 2.0
+"""Default standard deviation of a joint's torque scale [%]."""
+LOADED_SCALE = 3.0
+"""Default standard deviation of a joint's torque scale where a payload is weighed [%], whose mass
+depends on it alone: motor currents of a UR10e read 3 % low to 5 % high."""
 COMMON_SCALE = 0.15
-"""Standard deviation of what all torque scales are off by together, where the logs ask for it and
-nobody says: constants of a motor's data sheet and losses of its gear are off by as much."""
+"""Standard deviation of an error that all torque scales share, where the logs show one and no
+option states it: constants of a motor's data sheet and losses of its gear are off by as much."""
 # Standard deviations of what is known exactly: of coefficients, and of a mass as a share.
-_EXACT, _EXACT_MASS = 1e-9, 1e-6
+_EXACT = 1e-9
+_EXACT_MASS = 1e-6
 _FREE_SIGN = ("offset", "sqrt")
-PER_CENT, MILLI = 0.01, 1e-3
+PER_CENT = 0.01
+MILLI = 1e-3
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of some recordings.
+    """What to estimate from recordings.
 
     Attributes:
-        options: how far the arm may be off, and what else the user says.
-        loaded: whether recordings carry something that is sought.
-        drifts: whether a drift of friction over the recordings is sought.
-        known_mass: of the payload [kg], where torque scales are sought with it.
-        in_file: whether what is sought has to fit into a model file.
+        options: prior uncertainties of the arm, and the other options of the estimate.
+        loaded: whether recordings carry a payload to estimate.
+        drifts: whether to estimate a drift of friction over the recordings.
+        known_mass: of the payload [kg], where torque scales are estimated with it.
+        in_file: whether to estimate only what a model file can hold.
         file_kind: kind of that file; a "urdf" holds no rotor inertia.
         kept_parts: parts of that file that stay as they are, ``FILE_FRICTION`` and the like.
         carried: the payload (10,) that loaded recordings carry, where it is known.
@@ -98,13 +117,15 @@ class Choice:
     Attributes:
         friction: per chain joint, its friction terms.
         couplings: motors that turn with several joints.
-        link_scales: by how many times the stated share the other links may be off.
-        common_scale: how far all torque scales may be off together, which only links tell.
-        offsets: joint to how far its torque sensor may be off [N m]; that of others is free.
+        link_scales: factors on the stated uncertainty of the other links.
+        common_scale: standard deviation of an error that all torque scales share, a share; only
+            links identify it.
+        offsets: joint to standard deviation of its torque sensor's offset [N m]; that of others is
+            free.
         rotors: joint or motor to its rotor's inertia, where that is known [kg m^2].
-        dry_friction: (joints,) about how much dry friction each row's joint has [N m], which says
-            how curved its friction may be; None while friction terms are chosen: beside curves
-            that are allowed for, a term that is there would gain nothing.
+        dry_friction: (joints,) approximate dry friction of each row's joint [N m], which sizes the
+            prior of friction curves; None while friction terms are chosen: beside such a prior no
+            term would lower the held-out error.
         noise_memory: (joints,) how many rows of a joint count as one independent row; None for one.
     """
 
@@ -120,18 +141,18 @@ class Choice:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Which parameters are sought, and what is known of them.
+    """Which parameters are unknown, and their priors and bounds.
 
     Attributes:
         names: (p,) of all parameters.
-        kept: (k,) which are sought, ascending.
+        kept: (k,) indices of the unknown parameters, ascending.
         held: (p,) values of the others.
-        groups: what is known of some of those that are sought.
+        groups: priors of unknown parameters.
         lower, upper: (p,) bounds.
-        bodies: name to (places of ten parameters, a usual body (10,)) of what has to be a possible
-            body.
-        settle: names of those that are small changes of what the rows are made around.
-        at_bound: names of those that are held at a bound that they would cross.
+        bodies: name to (indices of its ten parameters, a usual body (10,)) of each unknown body,
+            which has to be physically consistent.
+        settle: names of the unknown parameters that are increments of the linearisation point.
+        at_bound: names of the parameters that are held at a bound that they would cross.
     """
 
     names: tuple[str, ...]
@@ -146,88 +167,97 @@ class Unknowns:
 
     @property
     def kept_names(self) -> tuple[str, ...]:
-        """Names (k,) of what is sought."""
+        """Names (k,) of the unknown parameters."""
         return tuple(self.names[index] for index in self.kept)
 
-    def full(self, found: Array) -> Array:
-        """Return all parameters (p,) from those that are sought (k,)."""
+    def full(self, estimate: Array) -> Array:
+        """Return all parameters (p,) from the estimate (k,) of the unknown ones."""
         values = self.held.copy()
-        values[self.kept] = found
+        values[self.kept] = estimate
         return values
 
     def may_be_scaled(self, question: Question) -> bool:
-        """Tell whether a common torque scale is looked for: links are sought that tell it."""
-        said = question.loaded or question.options.scale_uncertainty is not None
-        return not said and any(group.cause == LINKS for group in self.groups)
+        """Tell whether to try a common torque scale: no option states it, and links identify it."""
+        if question.loaded or question.options.scale_uncertainty is not None:
+            return False
+        return any(group.cause == LINKS for group in self.groups)
 
-    def bounded(self, values: Array) -> Unknowns | None:
-        """Return the unknowns with what crosses a bound held there; None where nothing does."""
+    def hold_at_bounds(self, values: Array) -> Unknowns | None:
+        """Return the unknowns with parameters whose values (p,) cross a bound held at that bound.
+
+        None where no value does.
+        """
         inside = np.clip(values, self.lower, self.upper)
         slack = 1e-9 * (1.0 + np.abs(inside))
-        wrong = [k for k in self.kept if abs(values[k] - inside[k]) > slack[k]]
-        if not wrong:
+        crossing = [k for k in self.kept if abs(values[k] - inside[k]) > slack[k]]
+        if not crossing:
             return None
         held = self.held.copy()
-        held[wrong] = inside[wrong]
-        names = {self.names[k] for k in wrong}
-        groups = tuple(each for g in self.groups for each in _without(g, names))
-        kept = np.setdiff1d(self.kept, wrong)
-        bound = (*self.at_bound, *(self.names[k] for k in wrong))
-        return replace(self, kept=kept, held=held, groups=groups, at_bound=bound)
-
-
-def _without(group: NuisanceGroup, names: set[str]) -> Iterator[NuisanceGroup]:
-    """Yield a group without some of its parameters, which have to be independent of the others."""
-    stay = [k for k, name in enumerate(group.names) if name not in names]
-    if len(stay) == len(group.names):
-        yield group
-    elif stay:
-        yield replace(
-            group,
-            names=tuple(group.names[k] for k in stay),
-            mean=group.mean[stay],
-            factor=group.factor[np.ix_(stay, stay)],
-            members=tuple(group.members[k] for k in stay),
-            aspects=tuple,
+        held[crossing] = inside[crossing]
+        names = tuple(self.names[k] for k in crossing)
+        return replace(
+            self,
+            kept=np.setdiff1d(self.kept, crossing),
+            held=held,
+            groups=tuple(_restrict_groups(self.groups, {*self.kept_names}.difference(names))),
+            at_bound=(*self.at_bound, *names),
         )
 
 
-def unknowns(
-    columns: Columns, question: Question, choice: Choice, torque: Array, shown: NDArray[np.bool_]
-) -> Unknowns:
-    """Return what a question seeks.
+def _restrict_groups(groups: Iterable[NuisanceGroup], names: set[str]) -> Iterator[NuisanceGroup]:
+    """Yield the prior of the named parameters, which are independent of all others of a group."""
+    for group in groups:
+        indices = [k for k, name in enumerate(group.names) if name in names]
+        if len(indices) == len(group.names):
+            yield group
+        elif indices:
+            yield replace(
+                group,
+                names=tuple(group.names[k] for k in indices),
+                mean=group.mean[indices],
+                factor=group.factor[np.ix_(indices, indices)],
+                members=tuple(group.members[k] for k in indices),
+                aspects=tuple,
+            )
 
-    Usual torques (n,) are root mean squares [N m]; ``shown`` (p,) says which columns are not zero.
+
+def build_unknowns(
+    columns: Columns, question: Question, choice: Choice, torque: Array, nonzero: NDArray[np.bool_]
+) -> Unknowns:
+    """Return the unknowns of a question.
+
+    Torques (n,) are root mean squares [N m]; ``nonzero`` (p,) says which columns are.
     """
-    groups = list(_groups(columns, question, choice, torque))
+    groups = list(_prior_groups(columns, question, choice, torque))
     bodies = dict(_bodies(columns, question))
-    wanted = {name for group in groups for name in group.names}
-    wanted |= {columns.names[k] for places, _ in bodies.values() for k in places}
+    names = {name for group in groups for name in group.names}
+    names |= {columns.names[k] for indices, _ in bodies.values() for k in indices}
     terms = dict(_terms(columns, choice))
-    own = {f"{term}[{owner}]" for owner, each in terms.items() for term in each}
-    # What no row shows is not sought: its value would be whatever the search began with.
-    wanted |= {name for name in own if shown[columns.place[name]]}
-    settle = tuple(_settled(columns, question, choice))
-    wanted |= set(settle)
-    groups = [each for g in groups for each in _without(g, set(g.names) - wanted)]
-    lower, upper = np.full(len(columns.names), -np.inf), np.full(len(columns.names), np.inf)
-    # What friction is only allowed for has a sign of its own.
-    allowed = {name for group in groups if group.cause == FRICTION for name in group.names}
-    for name in own - allowed:
+    friction_names = {f"{term}[{owner}]" for owner in terms for term in terms[owner]}
+    # A column of zeros identifies nothing: the value would be whatever the search began with.
+    names |= {name for name in friction_names if nonzero[columns.place[name]]}
+    settling = tuple(_settling_names(columns, question, choice))
+    names |= set(settling)
+    groups = list(_restrict_groups(groups, names))
+    lower = np.full(len(columns.names), -np.inf)
+    upper = -lower
+    # Friction terms that only a prior allows for may have either sign.
+    in_prior = {name for group in groups if group.cause == FRICTION for name in group.names}
+    for name in friction_names - in_prior:
         term, _, owner = name.partition("[")
         curved = term == "viscous" and "sqrt" in terms[owner[:-1]]
         if not (curved or term in _FREE_SIGN or term.endswith("_speed")):
             lower[columns.place[name]] = 0.0
             upper[columns.place[name]] = LARGEST_LOSS if term == "load" else np.inf
-    held = _held(columns, question, choice)
-    kept = np.array(sorted(columns.place[name] for name in wanted), dtype=np.int64)
+    held = _held_values(columns, question, choice)
+    kept = np.array(sorted(columns.place[name] for name in names), dtype=np.int64)
     if question.known_mass is not None:
-        own_mass, exact = np.array([question.known_mass]), _EXACT_MASS * question.known_mass
-        payload = independent(WEIGHT, PAYLOAD_NAMES[:1], ("payload",), exact)
-        groups.append(replace(payload, mean=own_mass))
+        error = _EXACT_MASS * question.known_mass
+        payload = independent_prior(WEIGHT, PAYLOAD_NAMES[:1], ("payload",), error)
+        groups.append(replace(payload, mean=np.array([question.known_mass])))
     elif question.loaded:
         groups += [_no_common_scale(group) for group in groups if group.cause == SCALES]
-    return Unknowns(columns.names, kept, held, tuple(groups), lower, upper, bodies, settle)
+    return Unknowns(columns.names, kept, held, tuple(groups), lower, upper, bodies, settling)
 
 
 def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
@@ -241,8 +271,8 @@ def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
         yield motor.name, terms - ({"armature"} if motor.name in choice.rotors else set())
 
 
-def _settled(columns: Columns, question: Question, choice: Choice) -> Iterator[str]:
-    """Yield the names of what moves into the point that the rows are made around."""
+def _settling_names(columns: Columns, question: Question, choice: Choice) -> Iterator[str]:
+    """Yield the names of parameters that are increments of the linearisation point."""
     tilts = [name for name in TILT_NAMES if name in columns.place]
     if question.in_file:
         yield from tilts if FILE_GRAVITY not in question.kept_parts else ()
@@ -255,25 +285,25 @@ def _settled(columns: Columns, question: Question, choice: Choice) -> Iterator[s
         yield from (speed_name(term, joint) for term in choice.friction[row].bent)
 
 
-def _held(columns: Columns, question: Question, choice: Choice) -> Array:
-    """Return (p,) what parameters are that are not sought."""
+def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
+    """Return the values (p,) of parameters that are not estimated; zero for all others."""
     held = np.zeros(len(columns.names))
-    for name, places in columns.bodies().items():
+    for name, indices in columns.bodies().items():
         if name != "payload":
-            held[places] = columns.prior[places]
+            held[indices] = columns.prior[indices]
     if question.carried is not None:
         held[columns.at(PAYLOAD_NAMES)] = question.carried
     for joint, model in zip(columns.robot.joint_names, choice.friction):
         keeps = not model.terms or FILE_FRICTION in question.kept_parts
-        own = ("coulomb", "viscous") if keeps else ()
+        own_terms = ("coulomb", "viscous") if keeps else ()
         armature = "armature" not in model.terms and question.file_kind != "urdf"
-        for term in (*own, *(("armature",) if armature else ())):
-            place = columns.place.get(f"{term}[{joint}]")
-            if place is not None:
-                held[place] = columns.prior[place]
+        for term in (*own_terms, *(("armature",) if armature else ())):
+            index = columns.place.get(f"{term}[{joint}]")
+            if index is not None:
+                held[index] = columns.prior[index]
     for motor in columns.couplings:
-        places = columns.at(motor.parameter_names)
-        held[places] = columns.prior[places]
+        indices = columns.at(motor.parameter_names)
+        held[indices] = columns.prior[indices]
     for owner, rotor in choice.rotors.items():
         held[columns.place[f"armature[{owner}]"]] = rotor
     return held
@@ -282,69 +312,74 @@ def _held(columns: Columns, question: Question, choice: Choice) -> Array:
 def _bodies(
     columns: Columns, question: Question
 ) -> Iterator[tuple[str, tuple[NDArray[np.int64], Array]]]:
-    """Yield each body that is sought, with where it stands and a usual body of its kind."""
-    last, options = columns.robot.body_name, question.options
-    others = options.link_uncertainty > 0.0 and FILE_LINKS not in question.kept_parts
-    usual = columns.usual
-    for name, places in columns.bodies().items():
-        wanted = question.loaded if name == "payload" else name == last or others
-        if wanted:
-            yield name, (places, usual[last if name == "payload" else name])
+    """Yield each unknown body's name, indices of its parameters (10,) and a usual body (10,)."""
+    last = columns.robot.body_name
+    others = question.options.link_uncertainty > 0.0 and FILE_LINKS not in question.kept_parts
+    for name, indices in columns.bodies().items():
+        is_unknown = question.loaded if name == "payload" else name == last or others
+        if is_unknown:
+            yield name, (indices, columns.usual[last if name == "payload" else name])
 
 
-def independent(
+def independent_prior(
     cause: str,
     names: Sequence[str],
     members: Sequence[str],
-    size: float | Array,
+    standard_deviation: float | Array,
     may_widen: bool = False,
 ) -> NuisanceGroup:
-    """Return the prior of nuisances that are each off on their own, by one size or (k,) sizes."""
-    count, factor = len(names), size * np.eye(len(names))
-    return NuisanceGroup(cause, tuple(names), np.zeros(count), factor, tuple(members), may_widen)
+    """Return the prior of nuisances with independent errors, of one or (k,) standard deviations."""
+    mean = np.zeros(len(names))
+    factor = standard_deviation * np.eye(len(names))
+    return NuisanceGroup(cause, tuple(names), mean, factor, tuple(members), may_widen)
 
 
-def with_common(group: NuisanceGroup, size: float) -> NuisanceGroup:
-    """Return the prior of nuisances that are also all off together, by one size."""
-    if not size:
+def with_common(group: NuisanceGroup, common_deviation: float) -> NuisanceGroup:
+    """Return the prior of nuisances that also share an error of one standard deviation."""
+    if not common_deviation:
         return group
-    both = group.factor @ group.factor.T + size**2
-    values, vectors = np.linalg.eigh(both)
+    covariance = group.factor @ group.factor.T + common_deviation**2
+    values, vectors = np.linalg.eigh(covariance)
     return replace(group, factor=vectors @ (np.sqrt(values)[:, None] * vectors.T))
 
 
-def _groups(
+def _prior_groups(
     columns: Columns, question: Question, choice: Choice, torque: Array
 ) -> Iterator[NuisanceGroup]:
+    """Yield the priors of a question, one group per cause of error; torques (n,) are in N m."""
     links = _link_group(columns, question, choice)
     if links is not None:
         yield links
     if choice.offsets:
-        own = [f"offset[{joint}]" for joint in choice.offsets]
-        sizes = np.maximum([*choice.offsets.values()], _EXACT)
-        yield independent(OFFSETS, own, tuple(choice.offsets), sizes)
+        names = tuple(f"offset[{joint}]" for joint in choice.offsets)
+        deviations = np.maximum([*choice.offsets.values()], _EXACT)
+        yield independent_prior(OFFSETS, names, tuple(choice.offsets), deviations)
     tilts = tuple(name for name in TILT_NAMES if name in columns.place)
     if question.in_file:
         if tilts and FILE_GRAVITY not in question.kept_parts:
-            yield independent(TILT, tilts, ("the base",) * 2, FILE_TILT)
+            yield independent_prior(TILT, tilts, ("the base",) * 2, FILE_TILT)
         return
-    options, wide, joints = question.options, question.loaded, columns.joints
-    sized = (
+    options = question.options
+    may_widen = question.loaded
+    joints = columns.joints
+    joint_priors = (
         (SCALES, "scale", joints, scale_spread(columns, options, question.loaded)),
         (ZEROS, "zero", columns.robot.joint_names, MILLI * options.zero_uncertainty),
         (DRIFT, "drift", joints, DRIFTS if question.drifts else 0.0),
     )
-    for cause, kind, members, size in sized:
-        names = tuple(f"{kind}[{joint}]" for joint in members)
-        if np.any(np.greater(size, 0.0)):
-            each = independent(cause, names, members, np.maximum(size, _EXACT), wide)
-            yield with_common(each, choice.common_scale) if cause == SCALES else each
-    late = 0.0 if question.resting else MILLI * options.delay_uncertainty
-    if options.delay == "off" and late > 0.0:
-        yield independent(DELAY, (DELAY_NAME,), ("the torque",), late, wide)
+    for cause, prefix, members, deviation in joint_priors:
+        names = tuple(f"{prefix}[{joint}]" for joint in members)
+        if np.any(np.greater(deviation, 0.0)):
+            prior = independent_prior(
+                cause, names, members, np.maximum(deviation, _EXACT), may_widen
+            )
+            yield with_common(prior, choice.common_scale) if cause == SCALES else prior
+    delay_error = 0.0 if question.resting else MILLI * options.delay_uncertainty
+    if options.delay == "off" and delay_error > 0.0:
+        yield independent_prior(DELAY, (DELAY_NAME,), ("the torque",), delay_error, may_widen)
     if tilts and options.tilt == "off" and options.gravity_uncertainty > 0.0:
-        size = float(np.radians(options.gravity_uncertainty))
-        yield independent(TILT, tilts, ("the base",) * 2, size, wide)
+        deviation = float(np.radians(options.gravity_uncertainty))
+        yield independent_prior(TILT, tilts, ("the base",) * 2, deviation, may_widen)
     if not question.resting:
         yield from _friction_group(columns, question, choice, torque)
 
@@ -352,7 +387,7 @@ def _groups(
 def _friction_group(
     columns: Columns, question: Question, choice: Choice, torque: Array
 ) -> Iterator[NuisanceGroup]:
-    """Yield what friction may have that its model lacks, of a size that its dry friction says."""
+    """Yield the prior of friction terms that the model lacks, sized by the joint's dry friction."""
     share = PER_CENT * question.options.friction_uncertainty
     if share == 0.0:
         return
@@ -362,7 +397,7 @@ def _friction_group(
         dry = np.array(expected_dry_friction(columns, torque))
         loss = np.full_like(dry, share)
     else:
-        dry = np.maximum(choice.dry_friction, LEAST_FOUND * usual_torque)
+        dry = np.maximum(choice.dry_friction, LEAST_FITTED_COULOMB * usual_torque)
         # A gear that loses much of its load has much dry friction without load, too.
         share_of_torque = dry / np.maximum(usual_torque, _EXACT)
         loss = np.clip(share_of_torque, share, LARGEST_USUAL_LOSS * share)
@@ -371,21 +406,23 @@ def _friction_group(
     sizes = {"load": loss, "sqrt": CURVATURE * share * dry}
     if choice.dry_friction is not None:
         sizes |= dict.fromkeys(FADING_SPEEDS, FADING * share * dry)
-    names, members, spread = list[str](), list[str](), list[float]()
-    for term, size in sizes.items():
-        for place, joint in enumerate(columns.joints):
-            model = choice.friction[rows[place]]
+    names = list[str]()
+    members = list[str]()
+    deviations = list[float]()
+    for term, joint_deviations in sizes.items():
+        for k, joint in enumerate(columns.joints):
+            model = choice.friction[rows[k]]
             if model.terms and term not in model.terms:
                 names.append(f"{term}[{joint}]")
                 members.append(joint)
-                spread.append(max(float(size[place]), _EXACT))
+                deviations.append(max(float(joint_deviations[k]), _EXACT))
     if names:
-        yield independent(FRICTION, names, members, np.array(spread), question.loaded)
+        yield independent_prior(FRICTION, names, members, np.array(deviations), question.loaded)
 
 
 def expected_dry_friction(columns: Columns, torque: Array) -> tuple[float, ...]:
-    """Return about how much dry friction (joints,) rows have before a fit [N m], of usual torques
-    (n,) [N m]: the file's, or a share of the torque.
+    """Return the dry friction (joints,) to expect before a fit [N m]: the file's, or a share of the
+    root mean square torques (n,) [N m].
     """
     rows = list(columns.rows_of)
     dry = np.maximum(columns.robot.friction.coulomb[rows], LEAST_COULOMB * torque[rows])
@@ -393,57 +430,59 @@ def expected_dry_friction(columns: Columns, torque: Array) -> tuple[float, ...]:
 
 
 def _link_group(columns: Columns, question: Question, choice: Choice) -> NuisanceGroup | None:
-    """Return what the model knows of the links but the terminal one; None where nothing is sought.
+    """Return the model's prior of all links but the terminal one; None where none is unknown.
 
     A placeholder is not believed: it may be anything between nothing and two usual bodies.
     """
-    robot, sought = columns.robot, dict(_bodies(columns, question))
-    links = [k for k in other_links(robot) if robot.links[k].body_name in sought]
+    robot = columns.robot
+    bodies = dict(_bodies(columns, question))
+    links = [k for k in other_links(robot) if robot.links[k].body_name in bodies]
     if columns.torques != "chain" or not links:
         return None
     share = PER_CENT * question.options.link_uncertainty
     names = [robot.links[link].body_name for link in links]
-    usual = [sought[name][1] for name in names]
+    usual_bodies = [bodies[name][1] for name in names]
     lengths = link_lengths(robot, links)
     factor = np.zeros((10 * len(links), 10 * len(links)))
-    believed = [usual[k] is robot.links[link].theta for k, link in enumerate(links)]
-    alike = [(np.flatnonzero(believed), share, choice.link_scales)]
-    alike += [(np.array([k]), 1.0, AS_STATED) for k in np.flatnonzero(np.logical_not(believed))]
-    for members_alike, size, scales in alike:
-        if len(members_alike):
-            at = np.add.outer(10 * members_alike, np.arange(10)).ravel()
-            thetas = [usual[k] for k in members_alike]
-            sizes = [lengths[k] for k in members_alike]
-            factor[np.ix_(at, at)] = link_factor(thetas, size, sizes, scales)
-    places = np.concatenate([sought[name][0] for name in names])
+    is_believed = [usual_bodies[k] is robot.links[link].theta for k, link in enumerate(links)]
+    blocks = [(np.flatnonzero(is_believed), share, choice.link_scales)]
+    blocks += [(np.array([k]), 1.0, AS_STATED) for k in np.flatnonzero(np.logical_not(is_believed))]
+    for block_links, deviation, scales in blocks:
+        if len(block_links):
+            indices = np.add.outer(10 * block_links, np.arange(10)).ravel()
+            thetas = [usual_bodies[k] for k in block_links]
+            block_lengths = [lengths[k] for k in block_links]
+            factor[np.ix_(indices, indices)] = link_factor(thetas, deviation, block_lengths, scales)
+    indices = np.concatenate([bodies[name][0] for name in names])
     members = tuple(name for name in names for _ in PARAMETER_NAMES)
-    own = tuple(columns.names[k] for k in places)
-    means, aspects = np.concatenate(usual), partial(link_aspects, usual, lengths)
-    return NuisanceGroup(LINKS, own, means, factor, members, aspects=aspects)
+    parameter_names = tuple(columns.names[k] for k in indices)
+    mean = np.concatenate(usual_bodies)
+    aspects = partial(link_aspects, usual_bodies, lengths)
+    return NuisanceGroup(LINKS, parameter_names, mean, factor, members, aspects=aspects)
 
 
 def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> Array:
-    """Return how far the torque scale of each row's joint may be off beforehand (joints,)."""
-    said = options.scale_uncertainty
-    if said is None:
-        said = LOADED_SCALE if loaded else USUAL_SCALE
-    scale = per_joint(said, columns.robot.n_joints, "--scale-uncertainty")
+    """Return the prior standard deviation (joints,) of each row's torque scale, a share."""
+    percent = options.scale_uncertainty
+    if percent is None:
+        percent = LOADED_SCALE if loaded else USUAL_SCALE
+    scale = per_joint(percent, columns.robot.n_joints, "--scale-uncertainty")
     return PER_CENT * scale[list(columns.rows_of)]
 
 
 def common_error(spread: Array) -> float:
-    """Return how far scales (joints,) may be off together where nothing tells it: the error of
-    their mean, each weighted by 1 / its variance; zero where one is known exactly.
+    """Return the standard deviation of the mean of scales, of standard deviations (joints,), each
+    weighted by 1 / its variance; zero where one is known exactly.
     """
     return 1.0 / float(np.linalg.norm(1.0 / spread)) if np.all(spread > 0.0) else 0.0
 
 
 def _no_common_scale(scales: NuisanceGroup) -> NuisanceGroup:
-    """Return what holds the mean of all torque scales at one, each weighted by 1 / its variance.
+    """Return a prior that holds the mean of all torque scales, weighted by 1 / variance, at one.
 
     A scale that all joints have in common scales every mass alike. Only the model's masses could
-    tell it, and they are what is not trusted here, so it goes into the errors instead. Of scales
-    that are independent beforehand, this mean is independent of all their differences.
+    identify it, and they are not trusted here, so it goes into the errors instead. Of scales with
+    independent priors, this mean is independent of all their differences.
     """
     weights = np.diag(scales.factor) ** -2
     mean = np.outer(weights, weights) / (weights @ weights)

@@ -1,8 +1,7 @@
-"""What may be believed: what speaks against a fit, a link, a file, a payload.
+"""Whether a result is trustworthy: reasons against a fit, a link, a file or a payload.
 
-A wide error is an answer, a wrong one is a defect: nothing is refused because it is not known well,
-but what cannot hang on this arm, what does not follow from the motion, and a file that predicts no
-better than the one before.
+A large standard error alone is no reason. Refused are bodies that this arm cannot carry, torques
+that do not follow from the motion, and files that predict no better than the model's own.
 """
 
 from __future__ import annotations
@@ -24,39 +23,50 @@ from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 NOISE_EXPLAINS = 3.0
 """Held-out error over noise up to which noise, and not a wrong model, may be its cause."""
 HARMLESS = 0.02
-"""Held-out error, as a part of the torque, that is no reason to doubt whatever the noise is."""
-UNUSUAL, UNEXPLAINED = 0.035, 0.05
-"""Part of all torque that neither the model nor noise accounts for, from which on it is
-told, and from which on numbers are not believed: logs of right models have 0.4 to 3 %."""
-ODD_JOINT, ODD_NOISE = 10.0, 0.3
-"""A joint is odd whose noise, as a part of its torque, is so many times the others' and large."""
+"""Held-out error, as a share of the torque, that is accepted whatever the noise is."""
+UNUSUAL = 0.035
+"""Share of all torque that neither model nor noise explains, above which a note is added."""
+UNEXPLAINED = 0.05
+"""The share above which a result is not trustworthy: logs of right models have 0.4 to 3 %."""
+ODD_JOINT = 10.0
+"""Noise over torque of a joint, in medians of the other joints', above which it is a misfit."""
+ODD_NOISE = 0.3
+"""Noise over torque of a joint that is accepted whatever the other joints have."""
 MEMORY = 0.5
-"""Share of independent samples from which residuals are noise, which is no misfit: white noise has
-0.6 to 1, torque that belongs to something else 0.1."""
+"""Share of independent samples above which residuals are noise and no misfit: white noise has 0.6
+to 1, torque with another cause 0.1."""
 DRY_FRICTION = 3.0
-"""Dry friction over the usual torque of the strongest other joint that no joint has."""
-COM_BEYOND, GYRATION_BEYOND = 0.3, 0.1
-"""How far beyond the link of the model, in parts of the arm's reach, centre of mass and radius of
-gyration may be: something may be bolted to it that the model does not have."""
+"""Dry friction over the usual torque of the strongest other joint above which it is refused."""
+COM_BEYOND = 0.3
+"""Distance of the centre of mass beyond the model's link that is accepted, as a share of the arm's
+reach: a tool that the model does not have may be bolted to it."""
+GYRATION_BEYOND = 0.1
+"""The same for the radius of gyration."""
 MOVED_UNSEEN = 2.0
-"""Factor between the model's mass and a mass that only consistency or a prior has moved."""
+"""Largest factor between the model's mass and a mass that the data does not identify."""
 COARSE = 0.2
-"""Expected error of the acceleration, as a part of it, beyond which it says nothing."""
+"""Expected relative error of the acceleration above which a log is refused."""
 LEAST_WRONG = 0.1
-"""Share by which mass times distance of the centre of mass of a link is off where it is named."""
-LARGEST_RATIO, FARTHEST_LINK = 20.0, 1.5
-"""By how much another link's mass may differ from the model's; how many times the link's size its
-centre of mass may move, or its radius of gyration be."""
-WORST, CLEARLY_LOWER, WORSE, NEGLIGIBLE = 0.5, 0.9, 1.1, 1e-3
-"""Held-out error of a file, as a part of the torque, above which nothing is written; parts of the
-error before below which it is clearly better, and above which it is worse; an error that is none.
-"""
-FARTHEST_PAYLOAD, LEAST_REACH = 0.5, 0.6
-"""How far a payload's centre of mass may be from the flange, as a share of the arm's reach, and the
-reach that an arm is taken to have at least [m]."""
+"""Relative error of a link's first moment above which the link is named as wrong."""
+LARGEST_RATIO = 20.0
+"""Largest factor between another link's mass and the model's."""
+FARTHEST_LINK = 1.5
+"""Largest move of a link's centre of mass, and largest radius of gyration, in sizes of the link."""
+WORST = 0.5
+"""Held-out error of a file, as a share of the torque, above which no file is written."""
+CLEARLY_LOWER = 0.9
+"""Error of the new file over that of the model below which it is better."""
+WORSE = 1.1
+"""Error of the new file over that of the model above which it is worse."""
+NEGLIGIBLE = 1e-3
+"""Held-out error, as a share of the torque, that counts as none."""
+FARTHEST_PAYLOAD = 0.5
+"""Largest distance of a payload's centre of mass from the flange, as a share of the arm's reach."""
+LEAST_REACH = 0.6
+"""Least reach of an arm for that bound [m]."""
 MOST_FACTOR = 2.0
-"""How far a known mass and its weighing may be apart, as a factor: gears lose a third at most."""
-# Standard errors that a mass has to be away from zero, and a size beyond its bound (95 %).
+"""Largest factor between a known mass and its estimate: gears lose a third at most."""
+# Standard errors of a mass from zero, and of a size beyond its bound, that are significant (95 %).
 _SURE = 2.0
 # A link's smallest size [m].
 _LEAST_SIZE = 0.02
@@ -66,36 +76,47 @@ Judged = tuple[Verdict, str]
 
 
 def first(findings: Iterable[Judged], otherwise: Verdict) -> tuple[Verdict, tuple[str, ...]]:
-    """Return (the first verdict that is found, every reason), or what it is otherwise."""
-    found = list(findings)
-    return (found[0][0] if found else otherwise), tuple(reason for _, reason in found)
+    """Return (verdict of the first finding, else the given one; reasons of all findings)."""
+    judged = list(findings)
+    return (judged[0][0] if judged else otherwise), tuple(reason for _, reason in judged)
 
 
-def _beyond_chance(squared: Array, chance: Array) -> float:
-    """Return errors over what chance makes them, of squares (blocks, joints) of both."""
-    some = np.any(chance > 0.0, axis=0)
-    return float(np.sqrt(np.mean(squared.sum(axis=0)[some] / chance.sum(axis=0)[some])))
+def _error_ratio(squared: Array, expected: Array) -> float:
+    """Return root mean square errors over expected ones, of squares (blocks, joints) of both."""
+    used = np.any(expected > 0.0, axis=0)
+    return float(np.sqrt(np.mean(squared.sum(axis=0)[used] / expected.sum(axis=0)[used])))
 
 
-def speaks(squared: Array, noise: Array, chance: Callable[[], Array]) -> bool:
-    """Tell whether squares of errors (blocks, joints) say something of a fit: they are noise, or
-    more than what is left open makes by ``chance``, which has no bound where it is infinite.
+def is_informative(squared: Array, noise: Array, variance: Callable[[], Array]) -> bool:
+    """Tell whether held-out errors are a test of a fit.
+
+    They are one if they are as small as noise, or larger than the variance of the prediction.
+
+    Args:
+        squared: (blocks, joints) squared errors [N^2 m^2].
+        noise: (blocks, joints) their expected values by torque noise alone.
+        variance: returns (blocks, joints) their expected values by noise and the errors of the fit,
+            infinite where the fit does not identify a joint's friction.
     """
-    if _beyond_chance(squared, noise) <= NOISE_EXPLAINS:
+    if _error_ratio(squared, noise) <= NOISE_EXPLAINS:
         return True
-    most = chance()
-    told = np.all(np.isfinite(most), axis=0)
-    squared, most = squared[:, told], most[:, told]
-    return bool(np.any(most)) and _beyond_chance(squared, most) > NOISE_EXPLAINS
+    expected = variance()
+    is_known = np.all(np.isfinite(expected), axis=0)
+    expected = expected[:, is_known]
+    return bool(np.any(expected)) and _error_ratio(squared[:, is_known], expected) > NOISE_EXPLAINS
 
 
-def unexplained(
-    fit: Fit, tests: Sequence[Validation], acceleration_error: float, apart: Mapping[str, float]
+def find_misfits(
+    fit: Fit,
+    tests: Sequence[Validation],
+    acceleration_error: float,
+    independent_share: Mapping[str, float],
 ) -> Iterator[Judged]:
-    """Yield why torques do not follow from the motion as far as noise would let them.
+    """Yield reasons why the torques do not follow from the motion within their noise.
 
-    The acceleration's expected error is a part of it, 0 where unknown; ``apart`` says which share
-    of a joint's residuals is independent samples.
+    Args:
+        acceleration_error: expected relative error of the acceleration; 0 where unknown.
+        independent_share: joint to the share of its residuals that are independent samples.
     """
     noise = fit.noise_per_joint
     if acceleration_error > COARSE:
@@ -104,7 +125,7 @@ def unexplained(
             "the positions are too coarse or too seldom to have accelerations: expected error "
             f"{percent(acceleration_error)}",
         )
-    for test in (each for each in tests if each.told_enough):
+    for test in (test for test in tests if test.told_enough):
         errors = test.rmse_per_joint
         squares = [(errors[joint] / noise[joint]) ** 2 for joint in noise if joint in errors]
         ratio = float(np.sqrt(np.mean(squares or [0.0])))
@@ -120,7 +141,7 @@ def unexplained(
         others = [shares[other] for other in shares if other != joint]
         if (
             others
-            and apart.get(joint, 0.0) < MEMORY
+            and independent_share.get(joint, 0.0) < MEMORY
             and share > max(ODD_NOISE, ODD_JOINT * float(np.median(others)))
         ):
             yield (
@@ -130,21 +151,21 @@ def unexplained(
             )
 
 
-def unexplained_share(fit: Fit, apart: Mapping[str, float]) -> tuple[float, str]:
-    """Return the part of all torque that neither model nor noise accounts for, and that by joint
-    in words.
+def unexplained_share(fit: Fit, independent_share: Mapping[str, float]) -> tuple[float, str]:
+    """Return the share of all torque that neither model nor noise explains, and a sentence on it.
 
-    Noise changes from one sample to the next; ``apart`` says how much of a joint's residuals
-    does.
+    Args:
+        independent_share: joint to the share of its residuals that are independent samples, which
+            are noise.
     """
     torque = dict(zip(fit.columns.robot.joint_names, fit.evidence.torque.tolist()))
     slow = {
-        joint: noise * np.sqrt(max(1.0 - apart.get(joint, 0.0), 0.0))
+        joint: noise * np.sqrt(max(1.0 - independent_share.get(joint, 0.0), 0.0))
         for joint, noise in fit.noise_per_joint.items()
         if torque.get(joint)
     }
-    whole = np.linalg.norm([torque[joint] for joint in slow])
-    share = float(np.linalg.norm([*slow.values()]) / whole) if slow else 0.0
+    total = np.linalg.norm([torque[joint] for joint in slow])
+    share = float(np.linalg.norm([*slow.values()]) / total) if slow else 0.0
     largest = sorted(slow, key=lambda joint: -slow[joint])[:3]
     by_joint = ", ".join(f"{percent(slow[joint] / torque[joint])} of {joint}" for joint in largest)
     return share, (
@@ -153,18 +174,20 @@ def unexplained_share(fit: Fit, apart: Mapping[str, float]) -> tuple[float, str]
 
 
 def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judged]:
-    """Yield why a terminal link cannot hang on this arm."""
-    body, errors = link.inertial, link.errors
+    """Yield reasons why this arm cannot have the estimated terminal link."""
+    body = link.inertial
+    errors = link.errors
     if not body.mass > 0.0:
         return
     reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
-    arm = reach + sum(float(np.linalg.norm(each.translation)) for each in robot.links[1:])
+    arm = reach + sum(float(np.linalg.norm(other.translation)) for other in robot.links[1:])
     off = _SURE * float(np.linalg.norm(errors[1:4])) / body.mass
     distance = float(np.linalg.norm(body.com))
     where = f"on a link that reaches {reach:.2g} m"
     if distance - off > reach + COM_BEYOND * arm:
         yield Verdict.IMPLAUSIBLE, f"the centre of mass is {distance:.2g} m away {where}"
-    moment, slack = float(body.principal_moments[-1]), _SURE * float(np.max(errors[4:10]))
+    moment = float(body.principal_moments[-1])
+    slack = _SURE * float(np.max(errors[4:10]))
     if moment - slack > body.mass * (reach + GYRATION_BEYOND * arm) ** 2:
         radius = np.sqrt(moment / body.mass)
         yield Verdict.IMPLAUSIBLE, f"the radius of gyration is {radius:.2g} m {where}"
@@ -180,15 +203,18 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judged]:
 def implausible_joints(
     robot: RobotModel, joints: Mapping[str, JointEstimate], torque: Array
 ) -> Iterator[Judged]:
-    """Yield what no joint of this arm can have, of usual torques (n,) [N m]."""
+    """Yield friction and rotor inertia too large for this arm, by usual torques (n,) [N m]."""
     reach = sum(float(np.linalg.norm(link.translation)) for link in robot.links)
     inertia = sum(float(link.theta[0]) for link in robot.links) * reach**2
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
-        terms = {term: each.value - _SURE * each.error for term, each in joints[name].terms.items()}
-        dry, rotor = terms.get("coulomb", terms.get("sigmoid", 0.0)), terms.get("armature", 0.0)
+        terms = {
+            term: figure.value - _SURE * figure.error for term, figure in joints[name].terms.items()
+        }
+        dry = terms.get("coulomb", terms.get("sigmoid", 0.0))
+        rotor = terms.get("armature", 0.0)
         others = np.delete(torque, index)[np.delete(robot.is_slide, index) == slide]
         strongest = DRY_FRICTION * float(np.max(others, initial=0.0)) or np.inf
-        # A limit of zero is one that nobody filled in.
+        # A limit of zero means that the model states none.
         if dry > min(robot.limits.torque[index] or np.inf, strongest):
             yield Verdict.IMPLAUSIBLE, f"{name} would have {dry:.3g} N m of dry friction or more"
         if not slide and rotor > inertia > 0.0:
@@ -196,11 +222,11 @@ def implausible_joints(
 
 
 def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
-    """Yield the links of the model that recordings contradict, of the estimates of all links.
+    """Yield the links of the model that the recordings contradict.
 
-    Mass and centre of mass of a link hide behind each other and behind its neighbours'; mass times
-    distance of the centre, which is the torque that the link's weight makes at its joint, is seen
-    better. The direction is the model's.
+    Mass and centre of mass of a link are confounded with each other and with its neighbours'; the
+    first moment along the model's centre of mass, which makes the torque of the link's weight, is
+    identified better.
     """
     for link in links:
         if link.before is None or not np.any(link.before.theta[1:4]):
@@ -215,24 +241,24 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
 
 
 def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judged]:
-    """Yield what none of the other links (n, 10) of this arm can be like."""
+    """Yield reasons why this arm cannot have the other estimated links (n, 10)."""
     typical = float(np.median([body[0] for body in usual_bodies(robot).values()]))
     for index, (link, theta) in enumerate(zip(robot.links[:-1], thetas)):
         if link.has_mass and link.theta[0] >= PLACEHOLDER * typical:
-            own = np.sqrt(3.0) * spatial.characteristic_length(link.theta)
+            model_size = np.sqrt(3.0) * spatial.characteristic_length(link.theta)
             reach = float(np.linalg.norm(robot.links[index + 1].translation))
-            size = max(float(own), reach, _LEAST_SIZE)
+            size = max(float(model_size), reach, _LEAST_SIZE)
             reason = _strangeness(link.body_name, link.theta, theta, size)
             if reason:
                 yield Verdict.IMPLAUSIBLE, reason
 
 
-def _strangeness(name: str, before: Array, theta: Array, size: float) -> str:
-    """Return why a link of some size [m] cannot be like that; "" where it can."""
+def _strangeness(name: str, model_theta: Array, theta: Array, size: float) -> str:
+    """Return why a link of that size [m] is implausible; "" where it is plausible."""
     if not spatial.is_consistent(theta):
         return f"{name} is no possible rigid body"
     mass, com, inertia = spatial.com_from_theta(theta)
-    model_mass, centre, _ = spatial.com_from_theta(before)
+    model_mass, centre, _ = spatial.com_from_theta(model_theta)
     moved = float(np.linalg.norm(com - centre))
     radius = float(np.sqrt(0.5 * np.trace(inertia) / mass))
     if not 1.0 / LARGEST_RATIO <= mass / model_mass <= LARGEST_RATIO:
@@ -245,47 +271,50 @@ def _strangeness(name: str, before: Array, theta: Array, size: float) -> str:
 
 
 def noise_share(fit: Fit) -> float:
-    """Return the torque noise of a fit as a part of the torque."""
+    """Return the torque noise of a fit as a share of the torque."""
     squares = float(np.sum(fit.noise**2 * sample_counts(fit.evidence.whole)))
     torque = float(np.sum(fit.evidence.squared_torque))
     return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
 
 
-def of_file(before: Validation, after: Validation, noise: float = 0.0) -> Judged:
-    """Return how a written file predicts held-out data beside the one before, and that in words.
+def of_file(model: Validation, written: Validation, noise: float = 0.0) -> Judged:
+    """Return the verdict on a written file from its held-out error and that of the model.
 
-    A model that was no worse before than the noise, a part of the torque, was right.
+    A model whose error is no larger than the noise, a share of the torque, was right: a file that
+    is worse than that model is still as good.
     """
-    old, new = before.relative_error, after.relative_error
+    old = model.relative_error
+    new = written.relative_error
     if old is None or new is None:
         return Verdict.NO_BETTER, "the measured torque is zero"
-    said = f"torque error of the model on held-out data: {percent(old)} -> {percent(new)}"
-    right = old <= WORSE * max(noise, NEGLIGIBLE)
-    if new > WORST or (new > WORSE * old + 1e-9 and not right):
-        return Verdict.NO_BETTER, said
-    return (Verdict.BETTER if new < CLEARLY_LOWER * old else Verdict.AS_GOOD), said
+    sentence = f"torque error of the model on held-out data: {percent(old)} -> {percent(new)}"
+    was_right = old <= WORSE * max(noise, NEGLIGIBLE)
+    if new > WORST or (new > WORSE * old + 1e-9 and not was_right):
+        return Verdict.NO_BETTER, sentence
+    return (Verdict.BETTER if new < CLEARLY_LOWER * old else Verdict.AS_GOOD), sentence
 
 
 def of_payload(
     robot: RobotModel, payload: BodyEstimate, contradicting: str, validation: Validation
 ) -> Iterator[Judged]:
-    """Yield why a payload may not go into a model and a controller.
+    """Yield reasons why a payload is not trustworthy.
 
     Args:
-        payload: in the flange frame, before it was made a possible body.
-        contradicting: how recordings of one kind are not alike; "" where they are.
+        payload: in the flange frame, before it was made physically consistent.
+        contradicting: the contradiction between recordings of one kind; "" where there is none.
     """
-    # It was not moved yet by what makes bodies possible.
+    # The errors contain those of the projection to consistent bodies, which this estimate lacks.
     moved = payload.budget.get(BODIES, np.zeros(10))[0]
-    mass, error = payload.inertial.mass, float(payload.errors[0])
+    mass = payload.inertial.mass
+    error = float(payload.errors[0])
     error = float(np.sqrt(error**2 - moved**2)) if np.isfinite(error) else error
-    said = f"the payload comes out as {with_error(mass, error, 'kg')}"
+    sentence = f"the payload comes out as {with_error(mass, error, 'kg')}"
     if contradicting:
         yield Verdict.DISAGREE, contradicting
     if mass < -_SURE * error:
-        yield Verdict.SWAPPED, said
+        yield Verdict.SWAPPED, sentence
     elif not np.isfinite(error) or mass <= _SURE * error:
-        yield Verdict.NOT_SEEN, said
+        yield Verdict.NOT_SEEN, sentence
     elif (validation.relative_error or 0.0) > WORST:
         share = percent(validation.relative_error or 0.0)
         yield Verdict.UNEXPLAINED, f"held-out torques are predicted with an error of {share}"
@@ -298,22 +327,24 @@ def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Jud
     farthest = FARTHEST_PAYLOAD * max(sum(lengths), LEAST_REACH)
     distance = float(np.linalg.norm(payload.com))
     gyration = float(np.sqrt(max(np.trace(payload.inertia_com), 0.0) / (2.0 * payload.mass)))
-    for what, size in (("centre of mass is", distance), ("radius of gyration is", gyration)):
+    for quantity, size in (("centre of mass is", distance), ("radius of gyration is", gyration)):
         if size > farthest:
             yield (
                 Verdict.IMPLAUSIBLE,
-                f"its {what} {size:.3g} m (from the flange); more than {farthest:.3g} m, half the "
-                "arm's reach, is not believed",
+                f"its {quantity} {size:.3g} m (from the flange); more than {farthest:.3g} m, "
+                "half the arm's reach, is not believed",
             )
 
 
-def of_known_mass(found: Sequence[Judged], weighed: float, known: float) -> Iterator[Judged]:
-    """Yield why torque scales may not be taken from a known mass [kg].
+def of_known_mass(findings: Sequence[Judged], weighed: float, mass: float) -> Iterator[Judged]:
+    """Yield reasons why torque scales may not be taken from a known mass [kg].
 
-    Found is what speaks against the payload as if its mass, weighed then, were not known.
+    Args:
+        findings: reasons against the payload as if its mass were not known.
+        weighed: its mass in that estimate [kg].
     """
-    # Sizes that a known mass puts right are no reason to refuse it.
-    yield from (each for each in found if each[0] is not Verdict.IMPLAUSIBLE)
-    if not known / MOST_FACTOR < weighed < known * MOST_FACTOR:
-        said = f"weighed with torques as they are, {known:g} kg come out as {weighed:.4g} kg"
-        yield Verdict.WRONG_WEIGHT, said
+    # An implausible size may come from the torque scales, which a known mass corrects.
+    yield from (finding for finding in findings if finding[0] is not Verdict.IMPLAUSIBLE)
+    if not mass / MOST_FACTOR < weighed < mass * MOST_FACTOR:
+        reason = f"weighed with torques as they are, {mass:g} kg come out as {weighed:.4g} kg"
+        yield Verdict.WRONG_WEIGHT, reason

@@ -194,7 +194,7 @@ def test_errors_grow_where_there_may_be_no_scale_of_all_torques(plant):
         _, fit = chosen(plant, plant, more, **told)
         errors, names = fit_errors(fit), fit.information.names
         (scales,) = (group for group in fit.unknowns.groups if group.cause == SCALES)
-        parts = scales.explained(names, errors.whole.inverse), errors.causes[SCALES]
+        parts = scales.covariance_rows(names, errors.whole.inverse), errors.causes[SCALES]
         prior, whole = (np.sum(rows[:, 0] ** 2) for rows in parts)
         grown = whole / prior
         assert grown > 1.5 if either else grown == pytest.approx(1.0, abs=0.01)
@@ -232,7 +232,7 @@ def test_each_block_is_predicted_from_the_others(robot, noisy):
     fit = fitted(robot, [log], options)
     judge, (samples,), sought = held_out(fit), fit.samples, fit.unknowns
     prior = np.vstack([group.rows(sought.kept_names) for group in sought.groups])
-    for mask, squared in zip(block_masks(samples), judge.squared(sought)):
+    for mask, squared in zip(block_masks(samples), judge.squared_errors(sought)):
         rest = list(equations(samples.where(~mask), sought, 1.0 / judge.noise))
         matrix = np.vstack([*(rows for rows, _ in rest), prior[:, :-1]])
         right = np.concatenate([*(tau for _, tau in rest), prior[:, -1]])
@@ -259,6 +259,6 @@ def test_a_fit_is_judged_with_bodies_that_are_possible(robot, noisy):
     )
     (log,), options = datasets_of(robot, loud, **KNOWN)
     fit = fitted(robot, [log], options)
-    assert spatial.is_consistent(fit.values[:10]) and fit.constrained
+    assert spatial.is_consistent(fit.values[:10]) and fit.is_constrained
     judge = held_out(fit)
-    assert np.sum(judge.of(fit)) < np.sum(judge.squared(fit.unknowns))
+    assert np.sum(judge.of(fit)) < np.sum(judge.squared_errors(fit.unknowns))

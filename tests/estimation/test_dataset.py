@@ -22,7 +22,7 @@ from robot_sysid.estimation.dataset import (
     RowsBeside,
     block_masks,
     decimated_equations,
-    stored,
+    store_rows,
 )
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
@@ -100,12 +100,12 @@ def test_blocks_are_apart_alike_in_size_and_short(count, seed, step):
 def test_a_delay_is_taken_out():
     motion = wide_motion(1)
     late = exact_recording(motion, 3.0 * motion.q + motion.qd, False)
-    made = late.delayed(0.02)
+    made = late.remove_delay(0.02)
     at = np.isclose(motion.time[:, None], made.source.time).any(axis=1)
     later = np.interp(made.source.time + 0.02, motion.time, late.torque[:, 0])
     np.testing.assert_allclose(made.torque[:, 0], later, atol=1e-3)
     np.testing.assert_allclose(made.source.q, motion.q[at])
-    assert late.delayed(0.0) is late
+    assert late.remove_delay(0.0) is late
 
 
 def test_the_truth_solves_the_equations_of_resting_poses():
@@ -117,7 +117,7 @@ def test_the_truth_solves_the_equations_of_resting_poses():
     poses = RestingPoses(Measurement(np.arange(12.0), q, still, tau, still), used)
     recording = Dataset("poses", poses, is_loaded=True)
     assert recording.signals is None
-    assert recording.delayed(0.1) is recording
+    assert recording.remove_delay(0.1) is recording
     columns = Columns(ROBOT, [recording])
     (samples,) = columns.samples(columns.start())
     truth = arm.values(columns)
@@ -129,7 +129,7 @@ def test_the_truth_solves_the_equations_of_resting_poses():
 def test_rows_in_a_file_are_the_rows(monkeypatch):
     """Also after a pickle, and where nothing can be written; short ones stay in memory."""
     samples = [random_samples(seed, 40 + seed) for seed in (0, 1, 2)]
-    found = stored(samples, sum(rows.size for rows in samples[0].rows))
+    found = store_rows(samples, sum(rows.size for rows in samples[0].rows))
     assert [isinstance(each.rows, tuple) for each in found] == [True, False, False]
     for some in (found, pickle.loads(pickle.dumps(found))):
         for each, plain in zip(some, samples):
@@ -140,7 +140,7 @@ def test_rows_in_a_file_are_the_rows(monkeypatch):
         raise OSError("no space left on device")
 
     monkeypatch.setattr(tempfile, "TemporaryFile", full)
-    assert all(each is plain for each, plain in zip(stored(samples, 0), samples))
+    assert all(each is plain for each, plain in zip(store_rows(samples, 0), samples))
 
 
 @given(st.integers(0, 100))

@@ -218,7 +218,7 @@ def test_delay_and_tilt_are_found_together(plant, robot):
 
 
 def test_a_search_that_does_not_settle_ends_with_a_remedy(robot, noisy, monkeypatch):
-    monkeypatch.setattr(fit_module, "_SOUGHT_ROUNDS", 1)
+    monkeypatch.setattr(fit_module, "_AUTO_ROUNDS", 1)
     datasets, options = datasets_of(robot, noisy, delay="auto", tilt="auto")
     with pytest.raises(SysidError, match="delay and tilt do not settle within 1 rounds"):
         fitted(robot, datasets, options)
@@ -243,7 +243,7 @@ def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot
         assert spatial.is_consistent(fit.values[:10])
         wrong = not spatial.is_consistent(fit.free[:10])
         impossible += wrong
-        assert fit.constrained == wrong
+        assert fit.is_constrained == wrong
         if not wrong:
             np.testing.assert_array_equal(fit.values, fit.free)
     assert 0 < impossible < 4
@@ -292,4 +292,4 @@ def test_a_tool_far_larger_than_the_models_link_is_not_pulled_towards_it():
     recording = with_noise(arm.recording(wide_motion(2), False), 1.0, 2)
     fit = fitted(arms.robot_of(model), [recording])
     off = (fit.values[0] - fit.free[0]) / fit_errors(fit).whole.standard_errors[0]
-    assert fit.constrained and 0.3 < abs(off) < 1.0
+    assert fit.is_constrained and 0.3 < abs(off) < 1.0

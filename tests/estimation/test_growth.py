@@ -18,7 +18,7 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.possible_errors import once_possible
 from robot_sysid.estimation.choices import choose
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.identify import Piece, filtered
+from robot_sysid.estimation.identify import Piece, low_pass_recordings
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import open_log
@@ -85,7 +85,7 @@ CASES = [
 def fitter_of_logs(robot, logs):
     """What fits some logs."""
     pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
-    return fitter_of(robot, filtered(robot, pieces, QUESTION.options)[0])
+    return fitter_of(robot, low_pass_recordings(robot, pieces, QUESTION.options)[0])
 
 
 def choice_and_start(fitter):

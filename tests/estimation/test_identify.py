@@ -12,8 +12,8 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import base_parameters, structural_base, traces_of
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.identify import Piece, answer_link, filtered, refit
-from robot_sysid.estimation.identify import tested as validated
+from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings, refit
+from robot_sysid.estimation.identify import validate_datasets as validated
 from robot_sysid.estimation.itself import identify_itself
 from robot_sysid.estimation.result import result_of
 from robot_sysid.records import Source
@@ -40,7 +40,11 @@ def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, noisy)
     ]
     assert cutoffs[1] == cutoffs[2] and len(cutoffs[2]) == 1 and max(cutoffs[1]) < max(cutoffs[0])
     pieces = [Piece("fine", noisy), Piece("coarse", coarse)]
-    notes = [note for note in filtered(robot, pieces, EstimationOptions())[1] if "cut-off" in note]
+    notes = [
+        note
+        for note in low_pass_recordings(robot, pieces, EstimationOptions())[1]
+        if "cut-off" in note
+    ]
     assert [note.split(" Hz ")[1][:8] for note in notes] == ["as anoth", "chosen f"], notes
 
 

@@ -12,9 +12,9 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.recordings import (
     bodies_apart,
+    compare_recordings,
     contradiction,
-    each_recording,
-    logs_compared,
+    payloads_by_recording,
 )
 from robot_sysid.records import Flange
 from tests.estimation.conftest import SIGMA
@@ -29,7 +29,7 @@ FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 
 def test_every_recording_says_the_same_within_its_errors(payload_fit):
-    mass, scatter = payload_fit.value("m(payload)"), each_recording(payload_fit, FLANGE)
+    mass, scatter = payload_fit.value("m(payload)"), payloads_by_recording(payload_fit, FLANGE)
     assert [one.name for one in scatter] == ["log0", "log3", "log1", "log2"]
     assert [one.is_loaded for one in scatter] == [False, False, True, True]
     for one in scatter:
@@ -107,7 +107,7 @@ def logs_of_days(plant, plants, seed=0):
 def compared(plant, robot, *plants):
     logs = logs_of_days(plant, plants)
     datasets, options = datasets_of(robot, *logs, link_uncertainty=2.0)
-    return logs_compared(fitted(robot, datasets, options), [d.name for d in datasets])
+    return compare_recordings(fitted(robot, datasets, options), [d.name for d in datasets])
 
 
 def test_logs_that_agree_are_said_to(plant, robot):
@@ -129,7 +129,7 @@ def test_a_log_of_joints_that_move_in_it_alone_is_no_test_of_the_others(plant, r
     used = np.ones(datasets[0].motion.q.shape, dtype=bool)
     used[:, list(alone)] = False
     first = replace(datasets[0], used=used)
-    tests = logs_compared(fitted(robot, [first, datasets[1]], options), ["a", "b"]).tests
+    tests = compare_recordings(fitted(robot, [first, datasets[1]], options), ["a", "b"]).tests
     assert [each.source[0] for each in tests] == (["a"] if alone else ["a", "b"])
 
 
@@ -187,7 +187,7 @@ def test_the_error_on_another_day_covers_the_friction_of_a_third_log(plant, robo
         *plants, third = (warmer(plant, rng, share) for _ in range(3))
         datasets, options = datasets_of(robot, *logs_of_days(plant, plants, 10 * seed))
         fit = fitted(robot, datasets, options)
-        friction = logs_compared(fit, [d.name for d in datasets]).friction
+        friction = compare_recordings(fit, [d.name for d in datasets]).friction
         names = [name for name in friction.names if not name.startswith("offset")]
         kept = [fit.unknowns.kept_names.index(name) for name in names]
         own = [friction.names.index(name) for name in names]

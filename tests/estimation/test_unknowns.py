@@ -19,7 +19,7 @@ from robot_sysid.estimation.unknowns import (
     WEIGHT,
     ZEROS,
     Question,
-    unknowns,
+    build_unknowns,
 )
 from tests.support.core_fits import KNOWN, choice_of
 from tests.support.payload_logs import four_joint_arm
@@ -33,7 +33,7 @@ def asked(options=PLAIN, columns=COLUMNS, friction="coulomb-viscous-offset-armat
     shown = np.ones(len(columns.names), dtype=bool)
     choice = choice_of(columns.robot, friction)
     torque = np.full(columns.robot.n_joints, 5.0)
-    return unknowns(columns, Question(options, **question), choice, torque, shown)
+    return build_unknowns(columns, Question(options, **question), choice, torque, shown)
 
 
 def causes(found):

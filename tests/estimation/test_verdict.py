@@ -12,7 +12,7 @@ from robot_sysid.estimation import verdict
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.choices import held_out
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.recordings import parts_compared
+from robot_sysid.estimation.recordings import held_out_validation
 from robot_sysid.estimation.verdict import first
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import InertialParameters, Validation
@@ -135,10 +135,10 @@ def test_held_out_torque_may_be_three_times_the_noise(robot, noisy):
     for times, relative, status in ((2.5, 0.1, OK), (3.5, 0.01, OK), (3.5, 0.1, None)):
         errors = {joint: times * each for joint, each in noise.items()}
         test = replace(prediction(relative), rmse_per_joint=errors)
-        found, reasons = first(verdict.unexplained(fit, [test], 0.0, {}), OK)
+        found, reasons = first(verdict.find_misfits(fit, [test], 0.0, {}), OK)
         assert found is (status or Verdict.UNEXPLAINED)
         assert status or "of parts are predicted 3.5 times worse" in reasons[0]
-    coarse, (reason,) = first(verdict.unexplained(fit, [], 0.49, {}), OK)
+    coarse, (reason,) = first(verdict.find_misfits(fit, [], 0.49, {}), OK)
     assert coarse is Verdict.UNEXPLAINED and "49 %" in reason
 
 
@@ -152,17 +152,17 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     used[:, 2] = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
     fit = fitted(robot, [replace(log, used=used)], options)
     judge = held_out(fit)
-    squared, chance = judge.squared(fit.unknowns), judge.chance(fit)
+    squared, chance = judge.squared_errors(fit.unknowns), judge.chance(fit)
     assert np.sum(squared[:, :2]) == pytest.approx(np.sum(chance[:, :2]), rel=0.3)
-    assert parts_compared(fit).rmse_per_joint["joint2"] > 3.0 * fit.noise_per_joint["joint2"]
+    assert held_out_validation(fit).rmse_per_joint["joint2"] > 3.0 * fit.noise_per_joint["joint2"]
     speed, at = log.motion.qd, at[:, None]
     used = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
     fit = fitted(robot, [replace(log, used=used)], options)
-    own = parts_compared(fit)
+    own = held_out_validation(fit)
     assert own.relative_error > verdict.HARMLESS
-    assert first(verdict.unexplained(fit, [own], 0.0, {}), OK) == (OK, ())
+    assert first(verdict.find_misfits(fit, [own], 0.0, {}), OK) == (OK, ())
     told = replace(own, told_enough=True)
-    assert first(verdict.unexplained(fit, [told], 0.0, {}), OK)[0] is Verdict.UNEXPLAINED
+    assert first(verdict.find_misfits(fit, [told], 0.0, {}), OK)[0] is Verdict.UNEXPLAINED
 
 
 @pytest.mark.parametrize("what", ["another joint's torque", "white noise"])
@@ -180,9 +180,9 @@ def test_a_joint_whose_torque_follows_from_nothing_is_named_one_with_noise_is_no
     fit = fit_of(robot, replace(noisy, tau=tau))
     counts = sample_counts(fit.information)
     share = dict(zip(robot.joint_names, np.array(fit_errors(fit).whole.effective) / counts))
-    odd = first(verdict.unexplained(fit, [], 0.0, {}), OK)
+    odd = first(verdict.find_misfits(fit, [], 0.0, {}), OK)
     assert "of the torque of joint2 is unexplained" in odd[1][0]
-    found = first(verdict.unexplained(fit, [], 0.0, share), OK)
+    found = first(verdict.find_misfits(fit, [], 0.0, share), OK)
     assert found == (odd if what != "white noise" else (OK, ())), share
 
 

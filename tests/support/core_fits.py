@@ -11,7 +11,7 @@ from robot_sysid.estimation.choices import CANDIDATES
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import mean_torque
 from robot_sysid.estimation.fit import Fitter
-from robot_sysid.estimation.identify import Piece, answer_link, filtered
+from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.unknowns import Choice, Question
 from robot_sysid.records import DataOrigin, Source
@@ -54,7 +54,7 @@ def result_of_logs(robot, logs, options, kept=None):
     pieces = []
     for number, log in enumerate(logs):
         pieces += [Piece(f"log{number}", piece) for piece in pieces_of(log)]
-    datasets, _ = filtered(robot, pieces, options)
+    datasets, _ = low_pass_recordings(robot, pieces, options)
     return result_of(answer_link(robot, datasets, options, Progress(), kept), ORIGIN)
 
 
@@ -62,7 +62,7 @@ def datasets_of(robot, *logs, **options):
     """(logs filtered, the options)."""
     chosen = EstimationOptions(**{"cutoff": CUTOFF, **options})
     pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
-    return filtered(robot, pieces, chosen)[0], chosen
+    return low_pass_recordings(robot, pieces, chosen)[0], chosen
 
 
 def off_by(found, truth):

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.estimation.algebra.autocorrelation import collect_residuals
-from robot_sysid.estimation.algebra.least_squares import ordinary, solver, weighted
+from robot_sysid.estimation.algebra.least_squares import estimate_noise, ordinary, solver
 from robot_sysid.estimation.algebra.nuisances import with_prior
 from robot_sysid.estimation.algebra.uncertainty import joint_space, uncertainty
 from robot_sysid.solver import identify_parameters
 
-METHODS = {"ols": ordinary, "wls": weighted}
+METHODS = {"ols": ordinary, "wls": estimate_noise}
 
 
 def explained(errors, group, names):
     """The part of the standard errors (p,) that what is known of some nuisances stands for."""
-    spread = np.linalg.norm(group.explained(names, errors.inverse), axis=0)
+    spread = np.linalg.norm(group.covariance_rows(names, errors.inverse), axis=0)
     return np.where(np.isfinite(errors.standard_errors), spread, np.inf)
 
 

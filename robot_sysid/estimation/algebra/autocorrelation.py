@@ -25,27 +25,29 @@ from numpy.typing import NDArray
 from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
 CHANCE = 2.0
-"""Standard errors of an autocorrelation of independent values that are taken for none."""
+"""Standard errors up to which an autocorrelation counts as zero."""
 # Stretches that a residual's energy is compared in.
 _STRETCHES = 25
 # How many channels are transformed at a time: memory against calls.
 _CHANNELS = 4
-# Largest lag that is looked at [samples], and bins over the lags: chosen for cost.
-_MAX_LAG, _LAG_BINS = 2000, 60
-# Slope at a minimum, beside that at the beginning: rounding of squared equations.
+# Largest lag [samples]: chosen for cost.
+_MAX_LAG = 2000
+# Bins over the lags: chosen for cost.
+_LAG_BINS = 60
+# Slope at a minimum, as a share of that at zero: rounding of squared equations.
 _FLAT = 1e-9
 # Rows that are filtered at a time, by one product of matrices: chosen for cost.
 _CHUNK = 32
-# Largest share of a kernel's noise that a fit is said to take out: noise is divided by the rest.
+# Largest share of a kernel's noise that a fit takes out: noise is divided by one minus that.
 _MOST_ABSORBED = 0.8
 
 
 @dataclass(frozen=True)
 class JointResiduals:
-    """What a pass over one joint's samples leaves: sums over lags and kernels.
+    """Sums over lags and kernels from one pass over a joint's samples.
 
     Attributes:
-        columns: (k,) which parameters this joint's equations contain.
+        columns: (k,) indices of the parameters of this joint's equations.
         count: number of samples n.
         decay: (m,) exp(-1 / T_i).
         sums: (1 + m, k, k) the Q_i; the first is Y^T Y. Of fewer rows than columns, (1 + m, n, n).
@@ -53,7 +55,7 @@ class JointResiduals:
         lags: (v,) lags 0, 1, 2, ... [samples].
         products: (v,) mean of r_t r_(t+l) [N^2 m^2].
         hats: (v,) mean of h_(t,t+l), H the matrix that turns this joint's torque into the fit.
-        pairs: (v,) of how many pairs these are means.
+        pairs: (v,) number of pairs in these means.
     """
 
     columns: NDArray[np.int64]
@@ -67,7 +69,7 @@ class JointResiduals:
     basis: Array | None = None
 
     def inside(self, spread: Array) -> Array:
-        """Return what some C (k, k) is to ``sums``: tr Q_i C = tr sums_i inside(C)."""
+        """Return C (k, k) in the coordinates of ``sums``: tr Q_i C = tr sums_i inside(C)."""
         return spread if self.basis is None else self.basis @ spread @ self.basis.T
 
     def energy(self, spread: Array) -> float:
@@ -77,8 +79,8 @@ class JointResiduals:
 
     def score(self, kernels: Array) -> Array:
         """Return sum_i c_i Q_i (k, k) of coefficients c (1 + m,)."""
-        found = np.tensordot(kernels, self.sums, axes=1)
-        return found if self.basis is None else self.basis.T @ found @ self.basis
+        score = np.tensordot(kernels, self.sums, axes=1)
+        return score if self.basis is None else self.basis.T @ score @ self.basis
 
     def __add__(self, other: JointResiduals) -> JointResiduals:
         """Return the sums of both logs' samples, no lag reaching from one into the other.
@@ -99,8 +101,8 @@ class JointResiduals:
             pairs=pairs,
         )
 
-    def shortened(self) -> JointResiduals:
-        """Return it without the lags and time constants above a tenth of the samples."""
+    def shorten(self) -> JointResiduals:
+        """Return the sums without lags and time constants above a tenth of the samples."""
         lags, kernels = _reach(self.count)
         first = slice(lags + 1)
         return replace(
@@ -110,26 +112,31 @@ class JointResiduals:
             **{name: getattr(self, name)[first] for name in ("lags", "products", "hats", "pairs")},
         )
 
-    def absorbed(self, own: Array) -> Array:
+    def absorbed_share(self, hat: Array) -> Array:
         """Return (1 + m,) the share of each kernel's noise that the fit takes out of residuals.
 
-        With H = Y own Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H; own is
-        ``inside`` of w^2 C, weight times the estimate's inverse normal matrix.
+        With H = Y hat Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H.
+
+        Args:
+            hat: (k, k) ``inside`` of w^2 C, weight times the estimate's inverse normal matrix.
         """
-        twice = own @ self.sums[0] @ own
-        lost = 2.0 * np.tensordot(self.sums, own, axes=2) - np.tensordot(self.sums, twice, axes=2)
+        twice = hat @ self.sums[0] @ hat
+        lost = 2.0 * np.tensordot(self.sums, hat, axes=2) - np.tensordot(self.sums, twice, axes=2)
         return np.clip(lost / max(self.count, 1), 0.0, _MOST_ABSORBED)
 
     def fit(self, absorbed: Array, leaked: float) -> Array:
         """Return kernel coefficients c >= 0 (1 + m,) [N^2 m^2].
 
-        The fit takes slow noise out of the residuals in the shape of ``hats``; that is part of what
-        each kernel is expected to look like. Errors that others' noise makes add ``leaked``, a mean
-        square [N^2 m^2].
+        The fit takes slow noise out of the residuals in the shape of ``hats``, which is subtracted
+        from the expected shape of each kernel.
+
+        Args:
+            absorbed: (1 + m,) ``absorbed_share``.
+            leaked: mean square of the errors due to the noise of other joints [N^2 m^2].
         """
         energy = float(self.products[0])
         shape = self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(len(self.lags))
-        seen = self.products - min(leaked, 0.5 * energy) * shape
+        products = self.products - min(leaked, 0.5 * energy) * shape
         if energy <= 0.0:
             return np.zeros(1 + len(self.decay))
         kernels = np.column_stack((self.lags == 0, self.decay ** self.lags[:, None])).astype(float)
@@ -138,11 +145,13 @@ class JointResiduals:
         count = len(self.lags)
         edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(np.int64)
         bins = np.unique(np.clip(np.append(0, edges), 0, count - 1))
-        found = _simplest_fit(_pooled(shapes, bins), _pooled(seen / energy, bins), self.count)
-        return found * seen[0] / float(found @ shapes[0])
+        kernel_shares = _simplest_fit(
+            _sum_bins(shapes, bins), _sum_bins(products / energy, bins), self.count
+        )
+        return kernel_shares * products[0] / float(kernel_shares @ shapes[0])
 
     def effective_samples(self, kernels: Array) -> float:
-        """Return how many independent samples average as well: n gamma(0) / sum_l gamma(l)."""
+        """Return the equivalent number of independent samples, n gamma(0) / sum_l gamma(l)."""
         summed = np.concatenate(([1.0], (1.0 + self.decay) / (1.0 - self.decay)))
         spread = float(kernels @ summed)
         return self.count * float(np.sum(kernels)) / spread if spread > 0.0 else float(self.count)
@@ -156,13 +165,19 @@ def collect_residuals(
     weights: Array,
     to_add: bool = False,
 ) -> list[JointResiduals]:
-    """Return each joint's sums, from one pass: of the estimate (p,) by weights (joints,) [1/(N m)]
-    with C = root root^T, root (p, r); ``to_add`` as in ``joint_residuals``.
+    """Return each joint's sums from one pass over the samples.
+
+    Args:
+        values: (p,) the estimate.
+        root: (p, r) with C = root root^T.
+        weights: (joints,) of the equations [1/(N m)].
+        to_add: as in ``joint_residuals``.
     """
 
     def of(index: int, rows: Array, tau: Array) -> JointResiduals:
         columns = information.joints[index].columns
-        residual, scaled = tau - rows @ values[columns], weights[index] * root[columns]
+        residual = tau - rows @ values[columns]
+        scaled = weights[index] * root[columns]
         return joint_residuals(columns, scaled, rows, residual, to_add)
 
     return list(starmap(of, samples))
@@ -176,27 +191,31 @@ def joint_residuals(
     Lags and time constants stay below a tenth of the number of samples.
 
     Args:
-        columns: which parameters the joint's rows contain.
+        columns: (k,) indices of the parameters of the joint's rows.
         root: (k, r) with w^2 C = root root^T.
-        rows: (N, k) its equations.
+        rows: (N, k) equations of the joint.
         residual: (N,) [N m]; NaN where a sample is left out.
         to_add: keep all lags, however few samples there are.
     """
-    kept = np.isfinite(residual)
-    count = int(np.count_nonzero(kept))
+    is_used = np.isfinite(residual)
+    count = int(np.count_nonzero(is_used))
     lags, kernels = _reach(10 * _MAX_LAG if to_add else count)
     products, pairs = autocovariance(residual, lags)
-    decay, basis = _decay(kernels), None
+    decay = _decay(kernels)
+    basis = None
     if len(rows) < len(columns) and not to_add:
-        basis = np.where(kept[:, None], rows, 0.0)
-        sums, seen = _sums_of_ones(len(rows), kernels), basis @ root
-        hat = seen @ seen.T
+        basis = np.where(is_used[:, None], rows, 0.0)
+        sums = _sums_of_ones(len(rows), kernels)
+        image = basis @ root
+        hat = image @ image.T
         hats = np.array([np.trace(hat, lag) for lag in range(lags + 1)])
     else:
-        sums = _sums(rows, kept, decay)
-        # A few channels at a time: all of a long log's are as large as the log.
-        parts = np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1)
-        hats = np.sum([lagged(np.where(kept[:, None], rows @ p, 0.0), lags) for p in parts], axis=0)
+        sums = _sums(rows, is_used, decay)
+        # A few channels at a time: all channels together would be as large as the log.
+        roots = np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1)
+        hats = np.sum(
+            [lagged_sums(np.where(is_used[:, None], rows @ r, 0.0), lags) for r in roots], axis=0
+        )
     return JointResiduals(
         columns=columns,
         count=count,
@@ -216,70 +235,80 @@ def _decay(kernels: int) -> Array:
 
 @lru_cache(maxsize=2)
 def _sums_of_ones(count: int, kernels: int) -> Array:
-    """Return the Q_i (1 + m, n, n) of rows that are those of a unit matrix."""
-    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    return np.asarray(np.append(0.0, _decay(kernels))[:, None, None] ** apart)
+    """Return the Q_i (1 + m, n, n) of the rows of a unit matrix."""
+    lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    return np.asarray(np.append(0.0, _decay(kernels))[:, None, None] ** lags)
 
 
-def _sums(rows: Array, kept: NDArray[np.bool_], decay: Array) -> Array:
-    """Return the Q_i (1 + m, k, k) of rows y (N, k), zero where they are not kept (N,).
+def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:
+    """Return the Q_i (1 + m, k, k) of rows y (N, k), zero where they are not used (N,).
 
     Half of Q_i - Q_0 is y^T u with the filters u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i).
     """
-    since, each = np.subtract.outer(np.arange(_CHUNK), np.arange(_CHUNK)), decay[:, None, None]
-    powers, width = each ** np.abs(since), rows.shape[1]
-    within, state = np.where(since > 0, powers, 0.0), np.zeros((len(decay), 1, width))
-    normal, half = np.zeros((width, width)), np.zeros((len(decay), width, width))
-    parts = (np.array_split(every, len(rows) // _CHUNK + 1) for every in (rows, kept))
-    for some, counts in zip(*parts):
-        part, size = np.where(counts[:, None], some, 0.0), len(some)
-        passed = within[:, :size, :size] @ part + powers[:, :size, :1] * state
-        normal += part.T @ part
-        half += part.T @ passed
-        state = each * (passed[:, -1:] + part[-1:])
+    lags = np.subtract.outer(np.arange(_CHUNK), np.arange(_CHUNK))
+    factor = decay[:, None, None]
+    powers = factor ** np.abs(lags)
+    width = rows.shape[1]
+    within = np.where(lags > 0, powers, 0.0)
+    state = np.zeros((len(decay), 1, width))
+    normal = np.zeros((width, width))
+    half = np.zeros((len(decay), width, width))
+    chunks = (np.array_split(array, len(rows) // _CHUNK + 1) for array in (rows, is_used))
+    for block, mask in zip(*chunks):
+        chunk = np.where(mask[:, None], block, 0.0)
+        size = len(block)
+        filtered = within[:, :size, :size] @ chunk + powers[:, :size, :1] * state
+        normal += chunk.T @ chunk
+        half += chunk.T @ filtered
+        state = factor * (filtered[:, -1:] + chunk[-1:])
     return np.array([normal, *(normal + half + half.swapaxes(1, 2))])
 
 
 def _reach(count: int) -> tuple[int, int]:
-    """Return (largest lag, number of kernels) that so many samples can show."""
+    """Return (largest lag, number of kernels) for a number of samples."""
     lags = int(np.clip(count // 10, 1, _MAX_LAG))
     return lags, max(int(np.log2(max(lags / 2.0, 1.0))) + 1, 1)
 
 
-def _simplest_fit(shapes: Array, seen: Array, count: int) -> Array:
-    """Return c >= 0 with shapes c ~ seen, without slow kernels that chance alone would call for.
+def _simplest_fit(shapes: Array, products: Array, count: int) -> Array:
+    """Return c >= 0 with shapes c ~ products, without slow kernels that are not significant.
 
     Among the fits with the first 1, 2, ... kernels the one of least Akaike's criterion is taken;
     the variance of an autocovariance is (1 / n) sum_l rho_l^2 (Bartlett 1946).
     """
     size = shapes.shape[1]
-    fits = [non_negative(shapes[:, :m], seen) for m in range(1, size + 1)]
-    variance = (1.0 + 2.0 * float(np.sum(seen[1:] ** 2))) / max(count, 1)
-    scores = [misfit**2 / variance + 2.0 * np.count_nonzero(found) for found, misfit in fits]
-    found = fits[int(np.argmin(scores))][0]
-    full = np.append(found, np.zeros(size - len(found)))
+    fits = [non_negative(shapes[:, :m], products) for m in range(1, size + 1)]
+    variance = (1.0 + 2.0 * float(np.sum(products[1:] ** 2))) / max(count, 1)
+    scores = [misfit**2 / variance + 2.0 * np.count_nonzero(c) for c, misfit in fits]
+    best = fits[int(np.argmin(scores))][0]
+    full = np.append(best, np.zeros(size - len(best)))
     full[0] += float(not np.any(full))
     return full
 
 
-def non_negative(matrix: Array, right: Array) -> tuple[Array, float]:
-    """Return (x >= 0, |A x - b|) of least squares, by MuJoCo, which is there: SciPy's solver takes
-    a tenth of a second and 20 MB to import. It takes over where that one stops too early.
+def non_negative(matrix: Array, right_side: Array) -> tuple[Array, float]:
+    """Return (x >= 0, |A x - b|) of non-negative least squares, A (M, p) and b (M,).
+
+    By MuJoCo, which is imported already: SciPy's solver takes a tenth of a second and 20 MB to
+    import. SciPy takes over where MuJoCo's stops too early.
     """
-    size, goal = matrix.shape[1], matrix.T @ right
-    found, room = np.zeros(size), np.zeros((size, size + 7))
-    given = matrix.T @ matrix, -goal, np.zeros(size), None
-    failed = mujoco.mju_boxQP(found, room, None, *given) < 0
-    slope = goal - matrix.T @ (matrix @ found)
-    uphill = np.max(np.where(found > 0.0, np.abs(slope), slope))
+    size = matrix.shape[1]
+    goal = matrix.T @ right_side
+    x = np.zeros(size)
+    workspace = np.zeros((size, size + 7))
+    failed = (
+        mujoco.mju_boxQP(x, workspace, None, matrix.T @ matrix, -goal, np.zeros(size), None) < 0
+    )
+    slope = goal - matrix.T @ (matrix @ x)
+    uphill = np.max(np.where(x > 0.0, np.abs(slope), slope))
     if failed or uphill > _FLAT * np.max(np.abs(goal)):
         from scipy.optimize import nnls
 
-        found = nnls(matrix, right)[0]
-    return found, float(np.linalg.norm(matrix @ found - right))
+        x = nnls(matrix, right_side)[0]
+    return x, float(np.linalg.norm(matrix @ x - right_side))
 
 
-def _pooled(values: Array, bins: NDArray[np.int64]) -> Array:
+def _sum_bins(values: Array, bins: NDArray[np.int64]) -> Array:
     """Return sums over bins divided by the root of their width: means with equal variance."""
     width = np.diff(np.append(bins, len(values)))
     sums = np.add.reduceat(values, bins, axis=0)
@@ -287,51 +316,58 @@ def _pooled(values: Array, bins: NDArray[np.int64]) -> Array:
 
 
 def memory(residual: Array, repeats: float = 1.0) -> float:
-    """Return ``memory_of`` a residual (K,) that repeats; NaN stands for what is left out."""
+    """Return ``memory_of`` a residual (K,), NaN where a sample is left out.
+
+    Args:
+        repeats: how many times the motion repeats, so that its samples count once only.
+    """
     covariance, pairs = autocovariance(residual, max(len(residual) // 10, 1) - 1)
     return memory_of(covariance, pairs[0] / repeats)
 
 
 def concentration(residual: Array) -> float:
-    """Return by how much less than its rows a residual (K,) counts whose squares stand in bursts.
+    """Return the factor by which bursts reduce the effective number of rows of a residual (K,).
 
-    Of stretches with energies E_b, (sum E_b)^2 / sum E_b^2 count: all of them where the energy is
-    spread evenly, one where a single burst holds it. NaN stands for what is left out.
+    Of B stretches with energies E_b, (sum E_b)^2 / sum E_b^2 count: all of them where the energy is
+    spread evenly, one where a single burst holds it. The residual is NaN where a sample is left
+    out.
     """
     squares = residual[np.isfinite(residual)] ** 2
     if len(squares) < 2 * _STRETCHES or not np.any(squares):
         return 1.0
-    energies = np.array([np.sum(part) for part in np.array_split(squares, _STRETCHES)])
+    energies = np.array([np.sum(stretch) for stretch in np.array_split(squares, _STRETCHES)])
     return float(_STRETCHES * np.sum(energies**2) / np.sum(energies) ** 2)
 
 
 def memory_of(covariance: Array, count: float) -> float:
-    """Return 1 + 2 sum of an autocorrelation, up to where it first falls to what chance brings.
+    """Return 1 + 2 sum of an autocorrelation, up to the first value that is not significant.
 
-    By so much is the variance of a slow sum larger than that of independent values (Bartlett,
-    "On the theoretical specification ... of autocorrelated time-series", 1946). The covariance
-    (v,) is that of values 0, 1, 2, ... apart, ``count`` of them; infinitely many sum it up to where
-    it first falls to zero.
+    That is the factor by which the variance of a mean is larger than that of independent values
+    (Bartlett, "On the theoretical specification ... of autocorrelated time-series", 1946).
+
+    Args:
+        covariance: (v,) autocovariance at lags 0, 1, 2, ... samples.
+        count: number of samples; with infinitely many, the sum ends at the first negative value.
     """
     if not covariance[0] > 0.0:
         return 1.0
-    alike = np.append(covariance, 0.0) / covariance[0]
-    last = int(np.argmax(alike <= CHANCE / np.sqrt(count)))
-    return float(1.0 + 2.0 * np.sum(alike[1:last]))
+    correlation = np.append(covariance, 0.0) / covariance[0]
+    last = int(np.argmax(correlation <= CHANCE / np.sqrt(count)))
+    return float(1.0 + 2.0 * np.sum(correlation[1:last]))
 
 
 def autocovariance(residual: Array, lags: int) -> tuple[Array, Array]:
-    """Return (mean of r_t r_(t+l), of how many pairs) for l = 0 .. lags of a residual (K,).
+    """Return (mean of r_t r_(t+l), number of pairs) for l = 0 .. lags of a residual (K,).
 
-    NaN stands for what is left out.
+    The residual is NaN where a sample is left out.
     """
-    kept = np.isfinite(residual)
-    pairs = np.rint(lagged(kept.astype(float)[:, None], lags))
-    products = lagged(np.where(kept, residual, 0.0)[:, None], lags)
+    is_used = np.isfinite(residual)
+    pairs = np.rint(lagged_sums(is_used.astype(float)[:, None], lags))
+    products = lagged_sums(np.where(is_used, residual, 0.0)[:, None], lags)
     return products / np.maximum(pairs, 1.0), pairs
 
 
-def lagged(signal: Array, lags: int) -> Array:
+def lagged_sums(signal: Array, lags: int) -> Array:
     """Return sum_t s_t . s_(t+l) for l = 0 .. lags of a signal (N, r), by FFT."""
     size = 1 << int(np.ceil(np.log2(max(len(signal) + lags + 1, 2))))
     power = np.sum(np.abs(np.fft.rfft(signal, size, axis=0)) ** 2, axis=1)

@@ -1,16 +1,16 @@
 """Base parameters: the combinations of the links' parameters that joint torques can show.
 
-Of ten parameters per link many act alone in no motion; only their combinations with those of links
-further in do. A QR factorisation with column pivoting finds them (Gautier, "Numerical calculation
-of the base inertial parameters of robots", ICRA 1990): with W P = Q [R1 R2; 0 0], R1 of full rank
-r, the first r columns of W P span all, and
+Of the ten parameters of a link, many change no torque by themselves, but only in combination with
+those of links closer to the base. A QR factorisation with column pivoting finds them (Gautier,
+"Numerical calculation of the base inertial parameters of robots", ICRA 1990): with
+W P = Q [R1 R2; 0 0], R1 of full rank r, the first r columns of W P span all, and
 
     x_base = x_1 + R1^-1 R2 x_2.
 
-Which of them a log needs is told by backward elimination: the one with the largest relative
-standard deviation goes, the rest is fitted again, until the largest is no more than 30 times the
-smallest (Pham, Gautier, "Essential parameters of robots", CDC 1991) or is below 10 %. It is a
-report on the data; the estimate does without it.
+Which of them a log needs follows from backward elimination: the one with the largest relative
+standard deviation is removed and the others are fitted again, until the largest is no more than 30
+times the smallest (Pham, Gautier, "Essential parameters of robots", CDC 1991) or is below 10 %. It
+is a report on the data; the estimate does not use it.
 """
 
 from __future__ import annotations
@@ -31,14 +31,17 @@ ESSENTIAL_RATIO = 30.0
 WELL_KNOWN = 0.1
 """Relative standard deviation below which a parameter is essential in any case."""
 _ROUNDING = 1e-5
-# Share of their size by which columns may differ and still count as alike.
+# Relative difference up to which two columns count as equal.
 _ALIKE = 1e-6
 
 
 @dataclass(frozen=True)
 class BaseCombinations:
-    """Which combinations a regressor shows, x_base = matrix x, matrix (r, p), and which parameter
-    each of them is named after, ``leading`` (r,).
+    """The parameter combinations that a regressor identifies, x_base = matrix x.
+
+    Attributes:
+        matrix: (r, p).
+        leading: (r,) index of the parameter that names each combination.
     """
 
     matrix: Array
@@ -57,10 +60,10 @@ class BaseCombinations:
 
 
 def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
-    """Return those of a regressor (M, p) of links whose parameters have typical sizes (p,)."""
+    """Return the base parameters of a regressor (M, p), with typical parameter sizes (p,)."""
     from scipy.linalg import qr, solve_triangular
 
-    # Of columns that are alike the first one leads, whatever rounding has made of them.
+    # Of equal columns the first one leads, whatever their rounding.
     scale = scale * (1.0 - _ALIKE * np.arange(len(scale)))
     triangle, order = qr(regressor * scale, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(triangle))
@@ -68,34 +71,37 @@ def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
     weights = solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
     weights[np.abs(weights) < _ROUNDING] = 0.0
     matrix = np.zeros((rank, len(order)))
-    first, rest = order[:rank], order[rank:]
+    first = order[:rank]
+    others = order[rank:]
     matrix[np.arange(rank), first] = 1.0
-    matrix[:, rest] = scale[first][:, None] * weights / scale[rest]
+    matrix[:, others] = scale[first][:, None] * weights / scale[others]
     sorting = np.argsort(first)
     return BaseCombinations(matrix[sorting], first[sorting])
 
 
-def essential(base: Array, nuisance: Array, right: Array) -> NDArray[np.bool_]:
+def essential(base: Array, nuisance: Array, right_side: Array) -> NDArray[np.bool_]:
     """Return (r,) which base parameters backward elimination keeps.
 
     Args:
-        base, nuisance, right: (M, r), (M, k) and (M,) whitened columns of the base parameters, of
-            all others, which stay, and right-hand sides.
+        base: (M, r) whitened columns of the base parameters.
+        nuisance: (M, k) whitened columns of all other parameters, which are always fitted.
+        right_side: (M,) whitened right-hand sides.
     """
     from scipy.linalg import qr
 
     span, triangle, _ = qr(nuisance, mode="economic", pivoting=True)
     size = np.abs(np.diag(triangle))
     span = span[:, size > RELATIVE_CUT * np.max(size, initial=0.0)]
-    columns, target = base - span @ (span.T @ base), right - span @ (span.T @ right)
-    kept = np.ones(base.shape[1], dtype=bool)
-    while np.count_nonzero(kept) > 1:
-        length = np.linalg.norm(columns[:, kept], axis=0)
-        scaled = columns[:, kept] / np.where(length > 0.0, length, 1.0)
+    columns = base - span @ (span.T @ base)
+    target = right_side - span @ (span.T @ right_side)
+    is_essential = np.ones(base.shape[1], dtype=bool)
+    while np.count_nonzero(is_essential) > 1:
+        length = np.linalg.norm(columns[:, is_essential], axis=0)
+        scaled = columns[:, is_essential] / np.where(length > 0.0, length, 1.0)
         inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
         values = inverse @ (scaled.T @ target)
         relative = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / np.maximum(np.abs(values), 1e-300)
         if np.max(relative) <= max(ESSENTIAL_RATIO * np.min(relative), WELL_KNOWN):
             break
-        kept[np.flatnonzero(kept)[int(np.argmax(relative))]] = False
-    return kept
+        is_essential[np.flatnonzero(is_essential)[int(np.argmax(relative))]] = False
+    return is_essential

@@ -28,23 +28,23 @@ from robot_sysid.estimation.algebra.nuisances import is_no_chance
 from robot_sysid.records import Array
 
 SHARES = (0.0, *(0.01 * 2.0**k for k in range(8)))
-"""Shares of its size that a number may differ by from log to log, each as likely."""
+"""Grid of differences from log to log, as shares of a number's size, equally likely."""
 COMMON_FREEDOM = 4.0
-"""Differences that the share of a whole kind counts for, beside those of one number."""
+"""Weight of the share of a whole kind, in differences of one number."""
 SURE_DIFFERENCE = 0.999
-"""Probability with which logs must contradict each other: errors of differences are themselves off
-by up to a fifth (measured), which 0.99 would not allow for."""
-# Width of what keeps a number in bounds that a log does not show, in units of its size.
+"""Significance of a contradiction between logs: the errors of differences are themselves off by up
+to a fifth (measured), which 0.99 would not cover."""
+# Prior standard deviation, in sizes, of a number that a log does not identify.
 _UNSEEN = 100.0
 
 
 @dataclass(frozen=True)
 class BetweenLogs:
-    """What L logs say of the same f numbers.
+    """Estimates of the same f numbers from L logs.
 
     Attributes:
         values: (L, f) according to each log, with everything else in common.
-        errors: (L, f) standard errors of these by what logs do not have in common.
+        errors: (L, f) their standard errors due to the noise of each log.
         spread: (f,) standard deviation from log to log, beyond these errors.
         contrasts: (L - 1, f) orthonormal contrasts of the logs.
         noise: (L - 1, f, L - 1, f) covariance of the contrasts that noise makes.
@@ -62,7 +62,7 @@ class BetweenLogs:
         return np.asarray(np.sqrt(np.square(errors) + more * self.spread**2))
 
     def differ(self, numbers: NDArray[np.int64], tests: int) -> bool:
-        """Tell whether the logs contradict each other in some numbers, one of so many tests."""
+        """Tell whether the logs contradict each other in these numbers, as one of several tests."""
         off = self.contrasts[:, numbers].ravel()
         noise = self.noise[:, numbers][:, :, :, numbers].reshape(len(off), len(off))
         squared = float(off @ np.linalg.solve(noise, off))
@@ -72,58 +72,60 @@ class BetweenLogs:
 def compare_logs(
     normals: Sequence[Array],
     prior: Array,
-    places: NDArray[np.int64],
-    usual: Array,
+    indices: NDArray[np.int64],
+    center: Array,
     sizes: Array,
     kinds: NDArray[np.int64],
 ) -> BetweenLogs:
-    """Return what logs say of numbers that may differ between them.
+    """Return estimates of numbers that may differ between logs.
 
     Args:
         normals: per log (p + 1, p + 1) [A b]' [A b] of its equations, weighted.
-        prior: (p + 1, p + 1) the same of what is known beforehand of everything else.
-        places: (f,) of the numbers among the p parameters.
-        usual: (f,) about what they are.
-        sizes: (f,) what counts as their size.
-        kinds: (f,) numbers of those of one kind.
+        prior: (p + 1, p + 1) [A b]' [A b] of the priors of all other parameters.
+        indices: (f,) of the numbers among the p parameters.
+        center: (f,) their values from all logs together.
+        sizes: (f,) their typical sizes.
+        kinds: (f,) the kind of each number, as an integer.
     """
     count = len(normals)
-    values, covariance = _of_each_log(normals, prior, places, usual, sizes)
+    values, covariance = _of_each_log(normals, prior, indices, center, sizes)
     change = _helmert(count)
     contrasts = change @ values
     noise = np.einsum("ia,afbg,jb->ifjg", change, covariance, change, optimize=True)
     spread = _spread(contrasts, noise, sizes, kinds)
 
-    # What contrasts are off by, divided between the logs as each would have it by itself.
+    # The errors of the contrasts are divided between the logs as the errors of each log alone.
     weak = np.diag((_UNSEEN * sizes) ** -2)
-    own = [np.diag(np.linalg.inv(normal[np.ix_(places, places)] + weak)) for normal in normals]
-    whole = np.einsum("ifif->f", noise) / (1.0 - 1.0 / count)
-    errors = np.sqrt(np.array(own) * whole / np.sum(own, axis=0))
+    variances = [
+        np.diag(np.linalg.inv(normal[np.ix_(indices, indices)] + weak)) for normal in normals
+    ]
+    total = np.einsum("ifif->f", noise) / (1.0 - 1.0 / count)
+    errors = np.sqrt(np.array(variances) * total / np.sum(variances, axis=0))
     return BetweenLogs(values, errors, spread, contrasts, noise)
 
 
 def _of_each_log(
-    normals: Sequence[Array], prior: Array, places: NDArray[np.int64], usual: Array, sizes: Array
+    normals: Sequence[Array], prior: Array, indices: NDArray[np.int64], center: Array, sizes: Array
 ) -> tuple[Array, Array]:
     """Return values (L, f) according to each log, and their covariance (L, f, L, f)."""
     size = len(prior)
-    number = len(places)
-    common = np.setdiff1d(np.arange(size - 1), places)
-    whole = np.zeros((len(common) + len(normals) * number + 1,) * 2)
+    number = len(indices)
+    common = np.setdiff1d(np.arange(size - 1), indices)
+    system = np.zeros((len(common) + len(normals) * number + 1,) * 2)
     shared = np.arange(len(common))
-    last = len(whole) - 1
+    last = len(system) - 1
     at = np.append(shared, last)
     rows = np.append(common, size - 1)
-    whole[np.ix_(at, at)] = prior[np.ix_(rows, rows)]
-    rows = np.concatenate((common, places, [size - 1]))
+    system[np.ix_(at, at)] = prior[np.ix_(rows, rows)]
+    rows = np.concatenate((common, indices, [size - 1]))
     for log, normal in enumerate(normals):
-        own = len(common) + log * number + np.arange(number)
-        at = np.concatenate((shared, own, [last]))
-        whole[np.ix_(at, at)] += normal[np.ix_(rows, rows)]
-    matrix, right = eliminate_others(whole, np.arange(len(common), last))
+        of_log = len(common) + log * number + np.arange(number)
+        at = np.concatenate((shared, of_log, [last]))
+        system[np.ix_(at, at)] += normal[np.ix_(rows, rows)]
+    matrix, right_side = eliminate_others(system, np.arange(len(common), last))
     weak = np.tile((_UNSEEN * sizes) ** -2, len(normals))
     covariance = np.linalg.inv(matrix + np.diag(weak))
-    values = covariance @ (right + weak * np.tile(usual, len(normals)))
+    values = covariance @ (right_side + weak * np.tile(center, len(normals)))
     count = len(normals)
     by_log = np.asarray(covariance.reshape(count, number, count, number))
     return np.asarray(values.reshape(count, number)), by_log
@@ -142,14 +144,16 @@ def _spread(contrasts: Array, noise: Array, sizes: Array, kinds: NDArray[np.int6
     variances, axes = np.linalg.eigh(np.einsum("ifjf->fij", noise))
     turned = np.einsum("fij,if->fj", axes, contrasts)
     common = np.zeros(len(sizes))
-    for kind in np.unique(kinds):
-        own = kinds == kind
-        between = np.multiply.outer(np.square(SHARES), sizes[own, None] ** 2)
-        whole = variances[own] + between
-        log_likelihood = -0.5 * np.sum(turned[own] ** 2 / whole + np.log(whole), axis=(1, 2))
+    for label in np.unique(kinds):
+        is_kind = kinds == label
+        between = np.multiply.outer(np.square(SHARES), sizes[is_kind, None] ** 2)
+        variance = variances[is_kind] + between
+        log_likelihood = -0.5 * np.sum(
+            turned[is_kind] ** 2 / variance + np.log(variance), axis=(1, 2)
+        )
         probability = np.exp(log_likelihood - np.max(log_likelihood))
         share = np.sqrt(np.square(SHARES) @ probability / np.sum(probability))
-        common[own] = share * sizes[own]
+        common[is_kind] = share * sizes[is_kind]
     # The expected square of each contrast without its noise.
     gain = common[:, None] ** 2 / (variances + common[:, None] ** 2)
     squares = (gain * turned) ** 2 + gain * variances

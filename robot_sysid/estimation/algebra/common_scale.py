@@ -1,8 +1,9 @@
-"""Whether all torques together read too much or too little, and how often that is doubted.
+"""Whether all torques together read too high or too low, and how often that test is wrong.
 
-Where the model's links are the only witness, torques that all read 10 % too much and links that are
-all 10 % lighter than modelled look alike. A common torque scale is allowed for where a recording
-asks for it, so that right recordings of arms with links that are all off by chance are doubted too.
+Where the model's links are the only reference, torques that all read 10 % too high and links
+that are all 10 % lighter than modelled look alike. A common torque scale is estimated where a
+recording calls for it, so that right recordings of arms whose links are all off by chance raise
+false alarms.
 """
 
 from __future__ import annotations
@@ -13,10 +14,13 @@ import numpy as np
 
 from robot_sysid.records import Array
 
-LEAST_SCALE, RATHER = 0.08, 1.0
-"""Common torque scale that is worth a word, half as much again as links are off by default, and
-standard errors that it has to be away from none: torques that read 15 % too much or too little are
-1.15 and more away, links that are 2 % off at most 0.4 (benchmarks/wrong_log_table)."""
+LEAST_SCALE = 0.08
+"""Common torque scale above which a note is added: one and a half times the default error of links.
+"""
+SIGNIFICANT = 1.0
+"""Standard errors from zero above which the common scale is significant: torques that read 15 % too
+high or too low reach 1.15 and more, links that are 2 % off at most 0.4
+(benchmarks/wrong_log_table)."""
 
 
 def is_worth_a_word(scales: Array, spread: Array) -> bool:
@@ -25,34 +29,37 @@ def is_worth_a_word(scales: Array, spread: Array) -> bool:
 
 
 def _least(spread: Array) -> float:
-    return max(RATHER * sqrt(np.mean(spread)), LEAST_SCALE)
+    return max(SIGNIFICANT * sqrt(np.mean(spread)), LEAST_SCALE)
 
 
-def doubted(before: tuple[Array, Array], after: tuple[Array, Array]) -> tuple[float, Array]:
-    """Return how many right recordings are doubted, of arms as they are thought to be beforehand,
-    and mean products (joints, joints) of D x then.
+def false_alarms(separate: tuple[Array, Array], common: tuple[Array, Array]) -> tuple[float, Array]:
+    """Return the probability that right recordings call for a common scale, for arms drawn from the
+    prior, and the mean products (joints, joints) of D x in that case.
 
-    Estimates x of the scales without a common one become with it
+    Estimates x of the scales with separate priors become with a common scale
 
-        (1 + C_after D) x,   D = K_before - K_after,
+        (1 + C_common D) x,   D = K_separate - K_common,
 
-    K the precision of scales beforehand, C the covariance of what is left. Of x, which is Gaussian,
-    the covariance is what it was beforehand less what is left.
+    K the prior precision of the scales, C their posterior covariance. The covariance of x, which is
+    Gaussian, is the prior covariance minus the posterior one.
 
     Args:
-        before, after: covariance of the scales beforehand and of what is left, both (joints,
-            joints), without a common scale and with it.
+        separate: (prior, posterior) covariance of the scales, (joints, joints) each.
+        common: the same with a common scale.
     """
-    (known, left), (alike, wider) = before, after
-    freed = np.linalg.inv(known) - np.linalg.inv(alike)
-    asked, told = np.mean(np.eye(len(known)) + wider @ freed, axis=0), known - left
-    variance = float(asked @ told @ asked)
-    # A recording that tells nothing of scales leaves rounding.
+    prior, posterior = separate
+    common_prior, common_posterior = common
+    freed = np.linalg.inv(prior) - np.linalg.inv(common_prior)
+    weights = np.mean(np.eye(len(prior)) + common_posterior @ freed, axis=0)
+    products = prior - posterior
+    variance = float(weights @ products @ weights)
+    # Without information on scales, rounding remains.
     if variance <= 0.0:
-        return 0.0, 0.0 * told
-    far, along = _least(wider) / sqrt(variance), told @ asked
+        return 0.0, 0.0 * products
+    far = _least(common_posterior) / sqrt(variance)
+    along = products @ weights
     share = erfc(far / sqrt(2.0))
     # Of a Gaussian beyond L standard deviations, the square is 1 + L phi(L) / (1 - Phi(L)).
     more = far * exp(-0.5 * far**2) * sqrt(2.0 / pi) / share if share else 0.0
-    told = told + more / variance * np.outer(along, along)
-    return share, freed @ told @ freed
+    products = products + more / variance * np.outer(along, along)
+    return share, freed @ products @ freed

@@ -1,13 +1,13 @@
-"""All links' parameters at once, each link a possible rigid body.
+"""Least squares for all links together, each link a physically consistent rigid body.
 
-Minimises, over the ten parameters of every link and everything else that is sought,
+Minimises, over the ten parameters of every link and all other estimated parameters,
 
     1/2 ||A x - b||^2 + sum_i g_i [tr(P0_i^-1 P_i) - log det P_i]
 
 with P_i the pseudo-inertia of link i and P0_i that of a usual body: the log-det divergence of Lee,
 Wensing, Park, "Geometric robot dynamic identification: a convex programming approach", IEEE
-Transactions on Robotics 36(2), 2020, for a whole arm. Priors stand among the equations; g_i is far
-below what data can resolve and only keeps bodies possible, unless a link is to be held near P0_i.
+Transactions on Robotics 36(2), 2020, for a whole arm. Priors are rows of A; g_i is far below
+what data can resolve and only keeps bodies consistent, unless a link is to be held near P0_i.
 
 The problem is convex. A primal-dual method follows g down from where P0 alone decides, in the
 scaling of Nesterov and Todd, in which the matrices and their duals become the same diagonal matrix
@@ -35,33 +35,43 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.identifiability import RELATIVE_CUT, visible_space
 from robot_sysid.records import Array
 
-GAMMAS, HARDLY = (0.1, 0.01, 1e-3, 1e-4), 3.0
-"""Weights of usual bodies that are tried, and how many squared residuals of unit variance hardly
-count: chance alone makes as many as there are parameters."""
-# Eigenvalues of an impossible model's body are lifted to this share of the largest.
+GAMMAS = (0.1, 0.01, 1e-3, 1e-4)
+"""Weights of the usual bodies to be compared."""
+HARDLY = 3.0
+"""Increase of the squared residuals, of unit variance, that is negligible: their expected decrease
+by fitting is the number of parameters."""
+# Eigenvalues of an inconsistent body of the model are raised to this share of the largest.
 _FLOOR = 1e-6
-# What nothing shows stays at zero: 1 would be as strong as the data's sight of a column.
+# Holds parameters without data at zero, in lengths of a column.
 _RIDGE = 1e-5
-# Where the path of gamma begins; how small a step is none, in units of gamma; steps that no problem
-# needs (most take 15 to 30).
-_EASY, _CONVERGED, _MOST_STEPS = 100.0, 1e-6, 1000
+# Gamma at which the path begins.
+_EASY = 100.0
+# Squared length of a step at convergence, in units of gamma.
+_CONVERGED = 1e-6
+# Most steps: problems take 15 to 30.
+_MOST_STEPS = 1000
 _TO_THE_WALL = 0.95
 # How far the products of primal and dual eigenvalues may lag behind their mean.
 _CENTRALITY = 0.02
 # Below this length a step without second-order correction is tried as well.
 _SHORT = 0.5
-# By which share gamma goes down after a step of full length, whatever a bold step promises.
+# Relative decrease of gamma after a step of full length, whatever the predictor allows.
 _EAGER = 0.8
-# How strongly what is not seen is held, beside what is seen.
+# Weight of rows that hold the null space, beside that of the data.
 _PIN = 1e3
-# What rounding resolves of squared residuals, and of the squared length of a step.
-_RESOLUTION, _SHORTEST = 1e-15, 1e-18
+# Rounding of squared residuals.
+_RESOLUTION = 1e-15
+# Rounding of the squared length of a step, as a share of squared residuals.
+_SHORTEST = 1e-18
 
 
 @dataclass(frozen=True)
 class LinksProblem:
-    """What is known beside the data and the priors among its equations: where the ten parameters of
-    each link stand among all, and usual bodies there, zero elsewhere (p,).
+    """The links of a least-squares problem.
+
+    Attributes:
+        links: per link (10,) indices of its parameters.
+        prior: (p,) usual bodies at these indices, zero elsewhere.
     """
 
     links: tuple[NDArray[np.int64], ...]
@@ -69,14 +79,14 @@ class LinksProblem:
 
     @cached_property
     def bodies(self) -> tuple[tuple[Array, Array], ...]:
-        """Each link's usual body, possible, theta (10,), and U (10, 10) with theta + U z."""
-        found = []
+        """Each link's usual body theta (10,), made consistent, and U (10, 10) with theta + U z."""
+        bodies = []
         for link in self.links:
             theta = spatial.lifted_body(self.prior[link], self.prior[link], _FLOOR)
             root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
             units = _components(root @ _BASIS @ root.T) @ _THETAS
-            found.append((theta, units.T))
-        return tuple(found)
+            bodies.append((theta, units.T))
+        return tuple(bodies)
 
 
 End = tuple[float, Array, Array]
@@ -86,34 +96,45 @@ End = tuple[float, Array, Array]
 class ConsistentLinks:
     """Solves A x = b, (M, p) and (M,), residuals of unit variance, for any weight of the model.
 
-    ``first`` is where the path ended first, None before that; ``near``, that of a solved problem
-    much alike, is where to begin.
+    Args:
+        start: ``first`` of a similar problem, at which to begin.
+
+    Attributes:
+        first: the minimiser for the first gamma, None before that.
     """
 
     def __init__(
-        self, matrix: Array, right: Array, problem: LinksProblem, near: End | None = None
+        self, matrix: Array, right_side: Array, problem: LinksProblem, start: End | None = None
     ) -> None:
-        self._matrix, self._right, self._problem = matrix, right, problem
-        self._near = near
+        self._matrix = matrix
+        self._right_side = right_side
+        self._problem = problem
+        self._start = start
         self.first: End | None = None
         self._bodies = np.concatenate(problem.links)
         # All parameters are origin + unit z.
-        length, self._origin = np.linalg.norm(matrix, axis=0), np.zeros(len(problem.prior))
+        length = np.linalg.norm(matrix, axis=0)
+        self._origin = np.zeros(len(problem.prior))
         self._unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
         for link, (theta, units) in zip(problem.links, problem.bodies):
-            self._origin[link], self._unit[np.ix_(link, link)] = theta, units
+            self._origin[link] = theta
+            self._unit[np.ix_(link, link)] = units
         self._others = np.delete(np.arange(len(self._origin)), self._bodies)
-        self._free, rest = self._eliminated()
-        left, singular, directions = np.linalg.svd(rest[:-1, :-1])
-        self._turn, self._singular, self._seen = directions.T, singular, left.T @ rest[:-1, -1]
+        self._free, of_bodies = self._eliminate_others()
+        left, singular, directions = np.linalg.svd(of_bodies[:-1, :-1])
+        self._turn = directions.T
+        self._singular = singular
+        self._projected = left.T @ of_bodies[:-1, -1]
         self._least_seen = np.min(singular) / np.max(singular, initial=_RIDGE)
-        self._squared, self._unseen = float(self._seen @ self._seen), float(rest[-1, -1] ** 2)
+        self._squared = float(self._projected @ self._projected)
+        self._unexplained = float(of_bodies[-1, -1] ** 2)
 
-    def _eliminated(self) -> tuple[Array, Array]:
-        """Return (triangular rows of what is no body, those of bodies alone), right sides last."""
-        count, scaled = len(self._others), self._matrix @ self._unit
-        right = self._right - self._matrix @ self._origin
-        rows = np.column_stack((scaled[:, self._others], scaled[:, self._bodies], right))
+    def _eliminate_others(self) -> tuple[Array, Array]:
+        """Return (triangular rows of all other parameters, those of bodies alone), [A b] each."""
+        count = len(self._others)
+        scaled = self._matrix @ self._unit
+        right_side = self._right_side - self._matrix @ self._origin
+        rows = np.column_stack((scaled[:, self._others], scaled[:, self._bodies], right_side))
         ridge = np.pad(
             _RIDGE * np.eye(count), ((0, len(self._bodies) + 1), (0, len(rows.T) - count))
         )
@@ -122,80 +143,85 @@ class ConsistentLinks:
 
     def _all(self, z: Array) -> Array:
         """Return all parameters (p,) for coordinates of the bodies (k,)."""
-        count, found = len(self._others), np.zeros(len(self._origin))
+        count = len(self._others)
+        values = np.zeros(len(self._origin))
         goal = self._free[:, -1] - self._free[:, count:-1] @ z
-        found[self._bodies], found[self._others] = z, np.linalg.solve(self._free[:, :count], goal)
-        return self._origin + self._unit @ found
+        values[self._bodies] = z
+        values[self._others] = np.linalg.solve(self._free[:, :count], goal)
+        return self._origin + self._unit @ values
 
     def best(self) -> Array:
-        """Return the minimiser (p,) for the largest gamma that hardly costs the data anything.
+        """Return the minimiser (p,) for the largest gamma with a negligible increase of residuals.
 
-        What the data does not show stays with usual bodies then, exactly where that hardly costs
-        anything, and what it does show is not pulled towards them, however much larger a tool is
-        than the model's link.
+        Then, directions without data stay at the usual bodies, exactly where the increase is
+        negligible, and directions with data are not biased towards them, however much larger a tool
+        is than the model's link.
         """
-        firsts, solvers = [], [*self._pinned(), self]
-        for each in solvers:
-            ends = each.path((GAMMAS[0], GAMMAS[-1]))
+        firsts = []
+        solvers = [*self._hold_null_space(), self]
+        for solver in solvers:
+            ends = solver.path((GAMMAS[0], GAMMAS[-1]))
             firsts.append(next(ends))
-            # Nothing leaves less than what no body explains, possible or not.
-            if self._left(firsts[-1]) <= self._unseen + HARDLY:
+            # No body, consistent or not, leaves less than the unexplained residuals.
+            if self._squared_residuals(firsts[-1]) <= self._unexplained + HARDLY:
                 return firsts[-1]
-        allowed = self._left(next(ends)) + HARDLY
-        weaker = chain.from_iterable(each.path(GAMMAS[1:]) for each in solvers)
-        return next(found for found in chain(firsts, weaker) if self._left(found) <= allowed)
+        limit = self._squared_residuals(next(ends)) + HARDLY
+        weaker = chain.from_iterable(solver.path(GAMMAS[1:]) for solver in solvers)
+        return next(x for x in chain(firsts, weaker) if self._squared_residuals(x) <= limit)
 
-    def _pinned(self) -> Iterator[ConsistentLinks]:
-        """Yield the same with all that the data does not show held at the usual bodies."""
+    def _hold_null_space(self) -> Iterator[ConsistentLinks]:
+        """Yield the problem with the null space of A held at the usual bodies, if there is one."""
         if self._least_seen > RELATIVE_CUT:
             return
         space = visible_space(self._matrix)
         rows = _PIN * space.null.T / space.scale
         matrix = np.vstack((self._matrix, rows))
-        yield ConsistentLinks(matrix, np.append(self._right, rows @ self._origin), self._problem)
+        right_side = np.append(self._right_side, rows @ self._origin)
+        yield ConsistentLinks(matrix, right_side, self._problem)
 
-    def _left(self, values: Array) -> float:
+    def _squared_residuals(self, values: Array) -> float:
         """Return the sum of squared residuals."""
-        return float(np.sum((self._matrix @ values - self._right) ** 2))
+        return float(np.sum((self._matrix @ values - self._right_side) ** 2))
 
     def path(self, gammas: Sequence[float]) -> Iterator[Array]:
         """Yield the minimiser (p,) for each of several gammas, largest first.
 
-        None of them is followed below what rounding of the data's part can resolve.
+        A gamma below the rounding of the residuals is raised to it.
 
         Raises:
             SysidError: the method did not converge.
         """
-        end = self.first or self._near or self._beginning()
+        end = self.first or self._start or self._beginning()
         for gamma in (max(gamma, _RESOLUTION * self._squared) for gamma in gammas):
             try:
-                found = self._follow(*end, gamma)
+                end = self._follow(*end, gamma)
             except SysidError:
-                found = self._follow(*self._beginning(), gamma)
-            self.first, end = self.first or found, found
+                end = self._follow(*self._beginning(), gamma)
+            self.first = self.first or end
             yield self._all(end[1])
 
     def _beginning(self) -> End:
-        """Return where usual bodies alone decide."""
+        """Return the usual bodies, which minimise at a large gamma."""
         z = np.zeros(len(self._bodies))
         return _EASY, z, np.repeat(np.sqrt(_EASY) * np.eye(4)[None], len(z) // 10, axis=0)
 
     def _follow(self, t: float, z: Array, duals: Array, gamma: float) -> End:
-        """Return where the path is at gamma, coming from where it is at t."""
+        """Return the minimiser at gamma, starting from the one at t."""
         t = max(t, gamma)
-        length, least = 1.0, max(_CONVERGED * gamma, _SHORTEST * self._squared)
+        length = 1.0
+        least = max(_CONVERGED * gamma, _SHORTEST * self._squared)
         for _ in range(_MOST_STEPS):
             try:
                 cone = ScaledBodies(z, duals)
-                unexplained = self._seen - self._singular * (self._turn.T @ z)
+                unexplained = self._projected - self._singular * (self._turn.T @ z)
                 newton = _Newton(cone, self._singular, unexplained, self._turn)
                 bold = newton.step(gamma)
-                # Where a bold step finds no room but the last one did well, t goes down all the
-                # same.
-                left = min((1.0 - min(1.0, newton.room(bold))) ** 2, 1.0 - _EAGER * length)
-                t = max(gamma, left * t)
+                # Where the predictor is short but the last step was long, t decreases all the same.
+                factor = min((1.0 - min(1.0, newton.step_limit(bold))) ** 2, 1.0 - _EAGER * length)
+                t = max(gamma, factor * t)
                 step, length = newton.best(t, bold)
-                z, duals = z + length * step.direction, cone.moved(length * step.dual)
+                z = z + length * step.direction
+                duals = cone.move_duals(length * step.dual)
             except np.linalg.LinAlgError:
                 break
             if t == gamma and step.size <= least:
@@ -207,30 +233,35 @@ class ConsistentLinks:
 
 
 class ScaledBodies:
-    """The links' K at one point and their duals Z, which are to be t K^-1, both as one diagonal D.
+    """The links' K and their duals Z, which tend to t K^-1, both scaled to the same diagonal D.
 
-    From coordinates z (10 links,) and roots of the duals (links, 4, 4): squared, rounding would
-    hide what is least. LinAlgError where a matrix is not positive definite.
+    Args:
+        z: (10 links,) coordinates.
+        duals: (links, 4, 4) roots of the duals: rounding of the squares would hide the smallest
+            eigenvalues.
+
+    Raises:
+        LinAlgError: a matrix is not positive definite.
     """
 
     def __init__(self, z: Array, duals: Array) -> None:
         bodies = np.eye(4) + np.tensordot(z.reshape(-1, 10), _BASIS, 1)
-        left, self._diagonal, _ = np.linalg.svd(_transposed(duals) @ np.linalg.cholesky(bodies))
+        left, self._diagonal, _ = np.linalg.svd(_transpose(duals) @ np.linalg.cholesky(bodies))
         # G^-1 with G^-1 K G^-T = G^T Z G = D.
-        self._inverse = _transposed(left / np.sqrt(self._diagonal)[:, None, :]) @ _transposed(duals)
-        self._basis = self._inverse[:, None] @ _BASIS @ _transposed(self._inverse)[:, None]
+        self._inverse = _transpose(left / np.sqrt(self._diagonal)[:, None, :]) @ _transpose(duals)
+        self._basis = self._inverse[:, None] @ _BASIS @ _transpose(self._inverse)[:, None]
         self._here = self._diagonal[:, :, None] * np.eye(4)
 
     def rows(self) -> Array:
         """Return (links, 10, 10) rows of each link whose squares are the barrier's curvature."""
-        return _transposed(_components(self._basis))
+        return _transpose(_components(self._basis))
 
     def aim(self, t: float) -> Array:
-        """Return K and its duals (links, 4, 4) as they are to be at t, scaled."""
+        """Return the scaled value (links, 4, 4) of K and of its duals at t."""
         return np.asarray((t / self._diagonal)[:, :, None] * np.eye(4))
 
     def changes(self, step: Array, t: float, correction: Array) -> tuple[Array, Array]:
-        """Return what a step (10 links,) does to K and to the duals, scaled, (links, 4, 4) each."""
+        """Return the scaled changes (links, 4, 4) of K and of the duals by a step (10 links,)."""
         primal = np.einsum("mk,mkij->mij", step.reshape(-1, 10), self._basis)
         return primal, self.aim(t) - self._here - correction - primal
 
@@ -238,10 +269,10 @@ class ScaledBodies:
         """Return the correction (links, 4, 4) for the product of both changes."""
         product = primal @ dual
         both = self._diagonal[:, :, None] + self._diagonal[:, None, :]
-        return np.asarray((product + _transposed(product)) / both)
+        return np.asarray((product + _transpose(product)) / both)
 
-    def room(self, change: Array) -> float:
-        """Return which part of a change leaves the matrices positive definite."""
+    def step_limit(self, change: Array) -> float:
+        """Return the largest factor of a change that leaves the matrices positive definite."""
         roots = np.sqrt(self._diagonal)
         relative = change / (roots[:, :, None] * roots[:, None, :])
         lowest = float(np.min(np.linalg.eigvalsh(relative), initial=0.0))
@@ -250,12 +281,12 @@ class ScaledBodies:
     def centrality(self, primal: Array, dual: Array) -> float:
         """Return the least eigenvalue of a K Z over their mean after scaled changes."""
         roots = [np.linalg.cholesky(self._here + change) for change in (primal, dual)]
-        products = np.linalg.svd(_transposed(roots[0]) @ roots[1], compute_uv=False) ** 2
+        products = np.linalg.svd(_transpose(roots[0]) @ roots[1], compute_uv=False) ** 2
         return float(np.min(products / np.mean(products, axis=1, keepdims=True)))
 
-    def moved(self, change: Array) -> Array:
+    def move_duals(self, change: Array) -> Array:
         """Return roots of the duals (links, 4, 4) after a scaled change."""
-        return np.asarray(_transposed(self._inverse) @ np.linalg.cholesky(self._here + change))
+        return np.asarray(_transpose(self._inverse) @ np.linalg.cholesky(self._here + change))
 
 
 @dataclass(frozen=True)
@@ -269,10 +300,13 @@ class _Step:
 
 
 class _Newton:
-    """Newton's equations at one point, as least squares: squared, rounding would hide what is weak.
+    """Newton's equations at one point, as least squares: rounding of normal equations would hide
+    weak directions.
 
-    The data has singular values (k,), whose axes are the columns of ``turn`` (k, k); (k,) is left
-    unexplained there of what they see.
+    Args:
+        singular: (k,) singular values of the data.
+        unexplained: (k,) residual along each of them.
+        turn: (k, k) their axes, as columns.
     """
 
     def __init__(
@@ -280,9 +314,11 @@ class _Newton:
     ) -> None:
         from scipy.linalg.lapack import dgeqrf, dormqr, dtrtri
 
-        self._cone, self._unexplained, self._turn = cone, unexplained, turn
+        self._cone = cone
+        self._unexplained = unexplained
+        self._turn = turn
         curvature = cone.rows() @ turn.reshape(-1, 10, len(turn))
-        # Q in the few numbers that it is made of: written out, it takes longer than all else.
+        # Q as Householder vectors: to form it would take longer than all other steps.
         packed = dgeqrf(np.vstack((np.diag(singular), curvature.reshape(turn.shape))))[:2]
         self._turned = partial(dormqr, "L", "T", *packed)
         self._inverse, failed = dtrtri(np.triu(packed[0][: len(turn)]))
@@ -290,8 +326,9 @@ class _Newton:
             raise np.linalg.LinAlgError("singular")
 
     def step(self, t: float, bold: _Step | None = None) -> _Step:
-        """Return the step towards t, corrected for what a bolder one showed of second order."""
-        cone, goal = self._cone, self._cone.aim(t)
+        """Return the step towards t, with the second-order correction of a predictor step."""
+        cone = self._cone
+        goal = cone.aim(t)
         correction = 0.0 * goal if bold is None else cone.second_order(bold.primal, bold.dual)
         slope = t * (self._turn.T @ np.tile(_TRACES, len(goal)))
         goal = np.append(self._unexplained, _components(goal - correction))
@@ -300,9 +337,9 @@ class _Newton:
         direction = self._turn @ (self._inverse @ scaled)
         return _Step(direction, *cone.changes(direction, t, correction), float(scaled @ scaled))
 
-    def room(self, step: _Step) -> float:
-        """Return which part of a step stays inside."""
-        return min(self._cone.room(step.primal), self._cone.room(step.dual))
+    def step_limit(self, step: _Step) -> float:
+        """Return the largest factor of a step that stays inside the cone."""
+        return min(self._cone.step_limit(step.primal), self._cone.step_limit(step.dual))
 
     def best(self, t: float, bold: _Step) -> tuple[_Step, float]:
         """Return (step towards t, its length), corrected for second order where that goes far."""
@@ -316,7 +353,7 @@ class _Newton:
 
     def central_length(self, step: _Step) -> float:
         """Return a step length that leaves no eigenvalue of K Z far behind the others."""
-        length = min(1.0, _TO_THE_WALL * self.room(step))
+        length = min(1.0, _TO_THE_WALL * self.step_limit(step))
         for _ in range(_MOST_STEPS):
             if self._cone.centrality(length * step.primal, length * step.dual) >= _CENTRALITY:
                 break
@@ -324,7 +361,7 @@ class _Newton:
         return length
 
 
-def _transposed(matrices: NDArray[Any]) -> NDArray[Any]:
+def _transpose(matrices: NDArray[Any]) -> NDArray[Any]:
     return np.swapaxes(matrices, -1, -2)
 
 

@@ -1,14 +1,14 @@
-"""What the equations can show: rank, condition numbers, and in words what they cannot.
+"""Identifiability: rank, condition numbers, and the unidentifiable combinations in words.
 
 Columns are scaled first, so that units do not decide about rank: one scale for the mass, one for
 the three first moments, one for the six inertias, one for each further parameter. Parameters of
-one unit share a scale, because a column that is weak beside its sisters is weakly seen: an axis
-that is off by a hair shows the first moment along it at a millionth of the others, and scaling
-that up would turn rounding into an estimate. A column that is nothing but rounding noise is set to
-zero.
+one unit share a scale, because a column that is short beside the others of its unit is weakly
+identified: an axis that is off by a hair shows the first moment along it at a millionth of the
+others, and scaling that up would turn rounding into an estimate. A column that is nothing but
+rounding noise is set to zero.
 
-A null space has many bases. The one put into words is sparse: first what lies within the first
-moment or within the inertia alone, then what mixes them, each in reduced row echelon form. A single
+A null space has many bases. The one put into words is sparse: first directions within the first
+moment or within the inertia alone, then mixed ones, each in reduced row echelon form. A single
 parameter that cannot be identified always appears by itself then.
 """
 
@@ -35,7 +35,7 @@ _SAME_UNIT = (slice(1, 4), slice(4, 10))
 
 @dataclass(frozen=True)
 class VisibleSpace:
-    """Singular value decomposition of a column-scaled matrix, cut where nothing shows.
+    """Truncated singular value decomposition of a column-scaled matrix.
 
     Attributes:
         scale: (p,) x = scale * y turns scaled coordinates y into parameters x.
@@ -43,7 +43,7 @@ class VisibleSpace:
         singular: (r,) singular values above the cut, descending.
         right: (p, r) orthonormal basis of the visible y.
         null: (p, p - r) orthonormal basis of the invisible y.
-        zero: (p,) columns that carry no signal at all.
+        zero: (p,) whether a column is rounding noise.
     """
 
     scale: Array
@@ -79,32 +79,35 @@ class VisibleSpace:
 
 
 def visible_space(matrix: Array) -> VisibleSpace:
-    """Decompose a stacked regressor (M, p), inertial columns first, into what it can (not) see."""
+    """Decompose a stacked regressor (M, p), inertial columns first, into visible and null space."""
     scale, zero = column_scale(matrix)
     scaled = np.where(zero, 0.0, matrix * scale)
     missing = max(matrix.shape[1] - len(matrix), 0)
-    left, singular, right = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), False)
+    left_basis, singular, right_basis = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), False)
     rank = int(np.count_nonzero(singular > RELATIVE_CUT * np.max(singular, initial=0.0)))
-    left = left[: len(matrix), :rank]
-    return VisibleSpace(scale, left, singular[:rank], right[:rank].T, right[rank:].T, zero)
+    left_basis = left_basis[: len(matrix), :rank]
+    return VisibleSpace(
+        scale, left_basis, singular[:rank], right_basis[:rank].T, right_basis[rank:].T, zero
+    )
 
 
 def triangle_space(triangle: Array) -> VisibleSpace:
-    """Return ``visible_space`` of an upper triangle (M, p), faster where all of it is seen well:
-    nothing is hidden then, and its inverse is as good a basis as any.
+    """Return ``visible_space`` of an upper triangle (M, p), faster where it is well-conditioned:
+    its null space is empty then, and its inverse serves as the basis.
     """
     size = triangle.shape[1]
     scale, zero = column_scale(triangle)
     if len(triangle) >= size and not np.any(zero | (np.diag(triangle)[:size] == 0.0)):
         inverse = np.asarray(np.linalg.inv(triangle[:size] * scale))
         if np.linalg.norm(inverse) < _WELL_SEEN:
-            left, hidden = np.eye(len(triangle), size), np.zeros((size, 0))
-            return VisibleSpace(scale, left, np.ones(size), inverse, hidden, zero)
+            left = np.eye(len(triangle), size)
+            null = np.zeros((size, 0))
+            return VisibleSpace(scale, left, np.ones(size), inverse, null, zero)
     return visible_space(triangle)
 
 
 def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
-    """Return (scale (p,), zero (p,)): 1 / length of columns (M, p), which are rounding noise.
+    """Return (1 / length (p,) of columns (M, p), whether each column is rounding noise (p,)).
 
     The first ten columns are those of the inertial parameters; those of one unit share the scale
     of the longest.
@@ -117,7 +120,7 @@ def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
 
 
 def analyse_identifiability(information: SquareRootInformation) -> Identifiability:
-    """Tell what the data can see of the terminal link and of its joint's friction.
+    """Return the identifiability of the terminal link and of its joint's friction.
 
     The last joint is the terminal one. The rank counts the ten inertial parameters and that joint's
     Coulomb and viscous friction after all other columns (nuisances) have been eliminated:
@@ -129,15 +132,15 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     joint = information.joints[-1].joint
     interest = np.isin(information.names, [f"coulomb[{joint}]", f"viscous[{joint}]"])
     interest[:N_INERTIAL] = True
-    shown = np.where(space.zero, 0.0, matrix)
+    visible = np.where(space.zero, 0.0, matrix)
     length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
-    singular = np.linalg.svd((shown * space.scale)[:, ~interest], compute_uv=False)
+    singular = np.linalg.svd((visible * space.scale)[:, ~interest], compute_uv=False)
     hidden = int(np.count_nonzero(singular > RELATIVE_CUT * np.max(space.singular, initial=0.0)))
     return Identifiability(
         rank=space.rank - hidden,
         n_parameters=int(np.count_nonzero(interest)),
-        condition_number=_condition(shown[:, interest]),
-        scaled_condition_number=_condition((shown / length)[:, interest]),
+        condition_number=_condition(visible[:, interest]),
+        scaled_condition_number=_condition((visible / length)[:, interest]),
         identified=space.identified,
         unidentifiable=describe(space.null, space.scale, information.names),
     )
@@ -150,9 +153,12 @@ def _condition(matrix: Array) -> float:
     return float(singular[0] / singular[rank - 1]) if rank else float("inf")
 
 
-# What is zero in words; share within which weights are equally large.
-_TOLERANCE, _SAME = 1e-6, 5e-4
-_FIRST_MOMENT, _INERTIA = range(1, 4), range(4, 10)
+# Weight that counts as zero in words.
+_TOLERANCE = 1e-6
+# Relative difference within which weights are equally large.
+_SAME = 5e-4
+_FIRST_MOMENT = range(1, 4)
+_INERTIA = range(4, 10)
 _SINGLE = {
     "m": "mass",
     "hx": "first moment along x",
@@ -171,12 +177,12 @@ def describe(null: Array, scale: Array, names: Sequence[str]) -> tuple[str, ...]
         scale: (p,) parameters = scale * scaled coordinates.
         names: (p,) parameter names, the ten inertial ones first.
     """
-    found = []
+    phrases = []
     for row in (vector * scale for vector in readable_basis(null)):
         first = int(np.argmax(np.abs(row) > (1.0 - _SAME) * np.max(np.abs(row))))
         alone = np.count_nonzero(row) == 1
-        found.append(_single(names[first]) if alone else in_words(row / row[first], first, names))
-    return tuple(found)
+        phrases.append(_single(names[first]) if alone else in_words(row / row[first], first, names))
+    return tuple(phrases)
 
 
 def in_words(weights: Array, first: int, names: Sequence[str]) -> str:
@@ -193,22 +199,22 @@ def in_words(weights: Array, first: int, names: Sequence[str]) -> str:
 def readable_basis(null: Array) -> list[Array]:
     """Return d vectors (p,) that span the null space and have few non-zero entries."""
     size, dimension = null.shape
-    found: list[Array] = []
+    basis: list[Array] = []
     for group in (_FIRST_MOMENT, _INERTIA, range(10), range(size)):
         for candidate in _row_echelon(_within(null, group)):
-            more = np.array([*found, candidate])
-            if len(found) < dimension and np.linalg.matrix_rank(more, _TOLERANCE) > len(found):
-                found.append(candidate)
-    return sorted(found, key=lambda v: int(np.flatnonzero(v)[0]))
+            more = np.array([*basis, candidate])
+            if len(basis) < dimension and np.linalg.matrix_rank(more, _TOLERANCE) > len(basis):
+                basis.append(candidate)
+    return sorted(basis, key=lambda v: int(np.flatnonzero(v)[0]))
 
 
 def _within(null: Array, group: Sequence[int]) -> Array:
-    """Return (p, e) basis of the part of the null space that lives on ``group`` alone."""
+    """Return a basis (p, e) of the part of the null space that is zero outside ``group``."""
     outside = [k for k in range(len(null)) if k not in group]  # setdiff1d imports numpy.ma
-    _, singular, right = np.linalg.svd(null[outside])
+    _, singular, directions = np.linalg.svd(null[outside])
     padded = np.zeros(null.shape[1])
     padded[: len(singular)] = singular
-    basis = null @ right[padded < _TOLERANCE].T
+    basis = null @ directions[padded < _TOLERANCE].T
     basis[outside] = 0.0
     return basis
 
@@ -228,6 +234,6 @@ def _row_echelon(basis: Array) -> list[Array]:
 
 
 def _single(name: str) -> str:
-    kind, _, joint = name.partition("[")
-    words = _SINGLE.get(kind, f"inertia {name}" if name in spatial.PARAMETER_NAMES else kind)
-    return f"{words} of {joint.removesuffix(']')}" if joint else words
+    term, _, joint = name.partition("[")
+    phrase = _SINGLE.get(term, f"inertia {name}" if name in spatial.PARAMETER_NAMES else term)
+    return f"{phrase} of {joint.removesuffix(']')}" if joint else phrase

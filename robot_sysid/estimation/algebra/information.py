@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from robot_sysid.records import Array, JointInformation, SquareRootInformation
 
-# Joints whose equations are squared together: of many joints they share most columns.
+# Joints whose equations are squared together: on a long arm they share most columns.
 _TOGETHER = 8
-# Lifts equations of what nothing shows off zero.
+# Keeps equations of parameters without data invertible.
 _RIDGE = 1e-12
 
 
@@ -29,7 +29,7 @@ class InformationAccumulator:
 
     Args:
         names: (p,) global parameter names.
-        columns: per joint, which global parameters its rows contain.
+        columns: per joint (k,) indices of the parameters of its rows.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class InformationAccumulator:
         self._counts[index] += len(tau)
 
     def result(self) -> SquareRootInformation:
-        """Return what has been collected so far."""
+        """Return the information of all rows added so far."""
         joints = tuple(
             JointInformation(joint, columns, triangle, count)
             for joint, columns, triangle, count in zip(
@@ -60,46 +60,49 @@ class InformationAccumulator:
 
 
 def update_triangle(triangle: Array, rows: Array) -> Array:
-    """Return the triangle (k, k) of all rows so far and the new ones (N, k); fewer than k rows that
-    are not zero, which no triangle makes fewer, as they are.
+    """Return the triangle (k, k) of all rows so far and the new ones (N, k); fewer than k non-zero
+    rows are returned unchanged.
     """
     stacked = np.vstack((triangle, rows)) if len(triangle) else rows
-    there = np.any(stacked != 0.0, axis=1)
-    stacked = stacked if np.all(there) else stacked[there]
+    is_used = np.any(stacked != 0.0, axis=1)
+    stacked = stacked if np.all(is_used) else stacked[is_used]
     is_tall = len(stacked) >= stacked.shape[1]
     return np.asarray(np.linalg.qr(stacked, mode="r")) if is_tall else stacked
 
 
 def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
     """Return (p+1, p+1) [A b]^T [A b] of the equations of ``stacked``."""
-    found, blocks = np.zeros((len(information.names) + 1,) * 2), information.blocks(weights)
-    while some := list(islice(blocks, _TOGETHER)):
-        rows = np.vstack(some)
+    normal = np.zeros((len(information.names) + 1,) * 2)
+    blocks = information.blocks(weights)
+    while batch := list(islice(blocks, _TOGETHER)):
+        rows = np.vstack(batch)
         at = np.flatnonzero(np.any(rows != 0.0, axis=0))
         rows = rows[:, at]
-        gram = rows.T @ rows  # of one array with itself, which is half of the work
-        for own, there in stretches(at):
-            found[there] += gram[own]
-    return found
+        gram = rows.T @ rows  # one array with itself takes half of the time
+        for source, target in stretches(at):
+            normal[target] += gram[source]
+    return normal
 
 
-def eliminate_others(normal: Array, places: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the normal equations (k, k), (k,) of some places of [A b]' [A b] (p + 1, p + 1)."""
-    others = np.setdiff1d(np.arange(len(normal) - 1), places)
-    wanted = np.append(places, len(normal) - 1)
+def eliminate_others(normal: Array, indices: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return the normal equations (k, k), (k,) of k parameters of [A b]' [A b] (p + 1, p + 1)."""
+    others = np.setdiff1d(np.arange(len(normal) - 1), indices)
+    columns = np.append(indices, len(normal) - 1)
     diagonal = np.diag(normal)[others]
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     scaled = scale[:, None] * normal[np.ix_(others, others)] * scale
     scaled[np.diag_indices_from(scaled)] += _RIDGE
-    crossed = scale[:, None] * normal[np.ix_(others, wanted)]
+    crossed = scale[:, None] * normal[np.ix_(others, columns)]
     solved = crossed.T @ np.linalg.solve(scaled, crossed)
-    left = normal[np.ix_(wanted, wanted)] - solved
-    return 0.5 * (left + left.T)[:-1, :-1], left[:-1, -1]
+    remainder = normal[np.ix_(columns, columns)] - solved
+    return 0.5 * (remainder + remainder.T)[:-1, :-1], remainder[:-1, -1]
 
 
 def stretches(at: NDArray[np.int64]) -> list[tuple[Any, Any]]:
-    """Return pairs of parts of a matrix (k, k), and where they stand in a larger one, of places
-    (k,): neighbours together, which is twice as fast as each by itself.
+    """Return pairs of slices that add a matrix (k, k) to a larger one at indices (k,).
+
+    Each pair is (block of the matrix, block of the larger one); contiguous indices share a block,
+    which is twice as fast as single ones.
     """
     ends = [0, *(np.flatnonzero(np.diff(at) != 1) + 1).tolist(), len(at)]
     edges = [pair for pair in zip(ends, ends[1:]) if pair[0] < pair[1]]
@@ -108,29 +111,30 @@ def stretches(at: NDArray[np.int64]) -> list[tuple[Any, Any]]:
 
 
 def sample_counts(information: SquareRootInformation) -> Array:
-    """Return (joints,) how many equations there are of each joint."""
+    """Return (joints,) number of equations of each joint."""
     return np.array([joint.n_samples for joint in information.joints], dtype=float)
 
 
 def residual_errors(information: SquareRootInformation, values: Array) -> dict[str, Any]:
-    """Return what an ``Estimate`` says of the residuals at values (p,)."""
-    squared, counts = information.squared_residuals(values), sample_counts(information)
+    """Return the fields of an ``Estimate`` about the residuals at values (p,)."""
+    squared = information.squared_residuals(values)
+    counts = sample_counts(information)
     joints = [joint.joint for joint in information.joints]
-    each = np.sqrt(squared / np.maximum(counts, 1.0)).tolist()
+    rms = np.sqrt(squared / np.maximum(counts, 1.0)).tolist()
     return {
         "rmse": float(np.sqrt(np.sum(squared) / max(information.n_samples, 1))),
-        "rmse_per_joint": dict(zip(joints, each)),
+        "rmse_per_joint": dict(zip(joints, rms)),
         "samples": {joint.joint: joint.n_samples for joint in information.joints},
     }
 
 
-def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
-    """Return the information of all parts' data together; a prior they have counts once.
+def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
+    """Return the information of all blocks' data; a prior that they share counts once.
 
-    All parts, one at least, have the same parameters and joints.
+    All blocks, one at least, have the same parameters and joints.
     """
-    if len(parts) == 1:
-        return parts[0]
+    if len(blocks) == 1:
+        return blocks[0]
     joints = tuple(
         JointInformation(
             same[0].joint,
@@ -138,47 +142,50 @@ def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
             update_triangle(same[0].triangle[:0], np.vstack([j.triangle for j in same])),
             sum(j.n_samples for j in same),
         )
-        for same in zip(*(part.joints for part in parts))
+        for same in zip(*(block.joints for block in blocks))
     )
-    return SquareRootInformation(parts[0].names, joints, parts[0].prior)
+    return SquareRootInformation(blocks[0].names, joints, blocks[0].prior)
 
 
 def parts_of(
-    whole: SquareRootInformation, parts: Sequence[SquareRootInformation]
+    total: SquareRootInformation, blocks: Sequence[SquareRootInformation]
 ) -> Iterator[SquareRootInformation]:
-    """Yield the parts that a whole is ``combined`` from; what rows are there as they are is shared,
-    which takes half of the memory.
+    """Yield the blocks of which a total is the sum, with the rows that it contains unchanged as
+    views of it, which halves the memory.
     """
-    counts = np.array([[len(joint.triangle) for joint in part.joints] for part in parts])
-    sizes = [joint.triangle.shape for joint in whole.joints]
-    # A triangle would have as many rows as columns.
+    counts = np.array([[len(joint.triangle) for joint in block.joints] for block in blocks])
+    sizes = [joint.triangle.shape for joint in total.joints]
+    # Rows were not made a triangle where they are fewer than the columns.
     shared = [count == rows < width for count, (rows, width) in zip(np.sum(counts, axis=0), sizes)]
-    for part, ends, own in zip(parts, np.cumsum(counts, axis=0), counts):
+    for block, ends, sizes_of_block in zip(blocks, np.cumsum(counts, axis=0), counts):
         joints = tuple(
-            replace(joint, triangle=every.triangle[end - count : end]) if is_there else joint
-            for joint, every, is_there, end, count in zip(
-                part.joints, whole.joints, shared, ends, own
+            replace(joint, triangle=every.triangle[end - count : end]) if is_shared else joint
+            for joint, every, is_shared, end, count in zip(
+                block.joints, total.joints, shared, ends, sizes_of_block
             )
         )
-        yield replace(part, joints=joints)
+        yield replace(block, joints=joints)
 
 
-def restricted(
+def restrict(
     information: SquareRootInformation, names: Sequence[str], held: Array | None = None
 ) -> SquareRootInformation:
-    """Return the data's information about some parameters, the others held at (p,) values or zero.
+    """Return the data's information about named parameters, with the others held at fixed values.
 
-    The order that parameters have in the information is kept.
+    The order of the parameters does not change.
+
+    Args:
+        held: (p,) values of all parameters; zeros by default.
     """
-    wanted, joints = set(names), list[JointInformation]()
-    kept = np.array([name in wanted for name in information.names])
+    joints = []
+    selected = set(names)
+    is_free = np.array([name in selected for name in information.names])
     for joint in information.joints:
-        stay = kept[joint.columns]
-        triangle = joint.triangle[:, np.append(stay, True)]
+        free = is_free[joint.columns]
+        triangle = joint.triangle[:, np.append(free, True)]
         if held is not None:
-            known = joint.triangle[:, :-1][:, ~stay] @ held[joint.columns[~stay]]
-            triangle[:, -1] -= known
-        columns = (np.cumsum(kept) - 1)[joint.columns[stay]]
+            triangle[:, -1] -= joint.triangle[:, :-1][:, ~free] @ held[joint.columns[~free]]
+        columns = (np.cumsum(is_free) - 1)[joint.columns[free]]
         smaller = update_triangle(triangle[:0], triangle)
         joints.append(JointInformation(joint.joint, columns, smaller, joint.n_samples))
-    return SquareRootInformation(tuple(compress(information.names, kept)), tuple(joints))
+    return SquareRootInformation(tuple(compress(information.names, is_free)), tuple(joints))

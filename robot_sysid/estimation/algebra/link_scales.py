@@ -33,16 +33,17 @@ MASS_SCALES = (2.0, 4.0, 8.0)
 """Multiples of the stated share that masses may be off by, each as likely: 10, 20, 40 % of 5 %."""
 COM_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 INERTIA_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-USUAL_COM_SCALE, USUAL_INERTIA_SCALE = 1.5, 2.0
+USUAL_COM_SCALE = 1.5
+USUAL_INERTIA_SCALE = 2.0
 """Medians of the log-normal priors of these scales, whose standard deviation is one octave."""
 EXPECTED = LinkScales(4.0, USUAL_COM_SCALE, USUAL_INERTIA_SCALE)
-"""Scales that are expected where there is no recording yet."""
+"""Expected scales before any recording."""
 LINK_KINDS = ("mass", "centre_of_mass", "inertia")
 
 
 @dataclass(frozen=True)
 class LinkEvidence:
-    """What recordings say of the other links' deviations from the model.
+    """Marginal likelihood of the other links' deviations from the model.
 
     Attributes:
         n_links: L, of links that the model states.
@@ -70,7 +71,7 @@ def link_evidence(
     directions: Array,
     is_stated: NDArray[np.bool_],
 ) -> LinkEvidence:
-    """Return what data and all other priors say of the links that the model states.
+    """Return the evidence of data and all other priors about the links that the model states.
 
     Args:
         information: of the p parameters that are sought, without priors.
@@ -88,8 +89,8 @@ def link_evidence(
     rows = links.rows(information.names)[np.repeat(np.logical_not(is_stated), 10)]
     normal += rows.T @ rows
     stated = np.repeat(is_stated, 10)
-    places = np.array(links.places(information.names))[stated]
-    curvature, pull = eliminate_others(normal, places)
+    indices = np.array(links.indices(information.names))[stated]
+    curvature, pull = eliminate_others(normal, indices)
     pull = pull - curvature @ links.mean[stated]
     count = int(np.count_nonzero(is_stated))
     return LinkEvidence(count, directions.T @ curvature @ directions, directions.T @ pull)
@@ -98,12 +99,12 @@ def link_evidence(
 def average_scales(evidence: LinkEvidence) -> LinkScales:
     """Return the root mean square of each scale over its posterior on the grid.
 
-    Not the most likely one: of a scale that the data tells badly, the errors have to allow for the
+    Not the most likely one: where the data determines a scale badly, the errors have to cover its
     large values, too.
     """
     grid = np.array(list(product(MASS_SCALES, COM_SCALES, INERTIA_SCALES)))
-    usual = np.array([USUAL_COM_SCALE, USUAL_INERTIA_SCALE])
-    log_posterior = -0.5 * np.sum(np.log2(grid[:, 1:] / usual) ** 2, axis=1)
+    medians = np.array([USUAL_COM_SCALE, USUAL_INERTIA_SCALE])
+    log_posterior = -0.5 * np.sum(np.log2(grid[:, 1:] / medians) ** 2, axis=1)
     for point, scales in enumerate(grid.tolist()):
         scale = LinkScales(*scales).of_directions(evidence.n_links)
         log_posterior[point] += evidence.log_likelihood(scale)

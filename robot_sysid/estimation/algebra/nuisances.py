@@ -1,4 +1,4 @@
-"""What is not known of a real arm, as a prior: how much each nuisance may be off.
+"""Priors of nuisances: how far the parameters of a real arm may be off their nominal values.
 
 Nuisances d (the other links' parameters, torque scales, encoder zeros, the direction of gravity)
 are estimated together with the terminal link under d ~ N(d0, F F^T), one group per cause. Where the
@@ -20,7 +20,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import normal_matrix
-from robot_sysid.estimation.algebra.least_squares import decomposed, descended
+from robot_sysid.estimation.algebra.least_squares import solve_normal, solve_rows
 from robot_sysid.records import Array, PriorConflict, RobotModel, SquareRootInformation
 
 ROD = float(np.sqrt(3.0))
@@ -28,20 +28,26 @@ ROD = float(np.sqrt(3.0))
 LEAST_SIZE = 0.02
 """Size that a link has at least, where its prior is made [m]."""
 SURE = 0.99
-"""Probability with which the data must contradict what was thought before it is said."""
+"""Significance at which a contradiction between data and prior is reported."""
 WIDEST = 20.0
-"""Factor that no prior is widened by more than: 20 times 5 % is all."""
-# A member is named with the worst one from this share of its squared deviation on; chosen.
+"""Largest factor of a widened prior: 20 times 5 % is 100 %."""
+# Share of the largest squared deviation above which a member is named too; chosen.
 _SHARE_OF_WORST = 0.3
-# Most rounds until a width rests, and to what; widths for "may be narrower" and "is known".
-_ROUNDS, _SETTLED, _NARROWEST, _FIXED = 30, 1e-3, 0.01, 1e-4
+# Most rounds of widening.
+_ROUNDS = 30
+# Relative change of a width at which it has converged.
+_SETTLED = 1e-3
+# Least factor where a prior may become narrower.
+_NARROWEST = 0.01
+# Factor that holds a group at its mean.
+_FIXED = 1e-4
 
 
 @dataclass(frozen=True)
 class LinkScales:
-    """By how many times the stated share links may be off, in each kind of their numbers.
+    """Multiples of the stated share by which links may be off, for each kind of parameter.
 
-    ``common`` is for what all links have in common.
+    ``common`` is for the errors that all links share.
     """
 
     mass: float = 1.0
@@ -65,12 +71,12 @@ class NuisanceGroup:
     Attributes:
         cause: in words, such as "other links".
         names: (k,) their parameter names.
-        mean: (k,) what they are thought to be.
+        mean: (k,) d0.
         factor: (k, k) F, their covariance is F F^T.
-        members: (k,) whose they are: the link's or the joint's name.
+        members: (k,) the name of each nuisance's link or joint.
         may_widen: whether the data may ask for more than the prior allows.
-        widened: alpha, by how much it did.
-        aspects: makes (m, k) combinations each that may be off while all others are not.
+        widened: alpha.
+        aspects: returns sets of combinations (m, k) that may be off alone.
     """
 
     cause: str
@@ -86,29 +92,29 @@ class NuisanceGroup:
         """Return the prior as equations of unit variance, (k, p+1) [A b] in these parameters."""
         inverse = np.linalg.inv(self.widened * self.factor)
         rows = np.zeros((len(self.names), len(names) + 1))
-        rows[:, self.places(names)] = inverse
+        rows[:, self.indices(names)] = inverse
         rows[:, -1] = inverse @ self.mean
         return rows
 
-    def places(self, names: Sequence[str]) -> list[int]:
-        """Return where the nuisances stand among the parameters ``names``."""
+    def indices(self, names: Sequence[str]) -> list[int]:
+        """Return the indices of the nuisances among the parameters ``names``."""
         return [names.index(name) for name in self.names]
 
-    def explained(self, names: Sequence[str], inverse: Array) -> Array:
-        """Return rows (k, p) whose squares are the part of an estimate's covariance that the prior
-        makes, by its C.
+    def covariance_rows(self, names: Sequence[str], inverse: Array) -> Array:
+        """Return rows (k, p) whose squares are the part of an estimate's covariance that is due to
+        the prior, from C (p, p).
         """
-        return np.asarray(np.linalg.solve(self.widened * self.factor, inverse[self.places(names)]))
+        return np.asarray(np.linalg.solve(self.widened * self.factor, inverse[self.indices(names)]))
 
     def deviations(self, names: Sequence[str], values: Array) -> Array:
-        """Return (k,) by how many prior standard deviations, not widened, each direction is off."""
-        return np.asarray(np.linalg.solve(self.factor, values[self.places(names)] - self.mean))
+        """Return (k,) F^-1 (d - d0), the deviations in prior standard deviations, not widened."""
+        return np.asarray(np.linalg.solve(self.factor, values[self.indices(names)] - self.mean))
 
 
 def with_prior(
     information: SquareRootInformation, groups: Sequence[NuisanceGroup]
 ) -> SquareRootInformation:
-    """Return the information with what was known of the nuisances beforehand."""
+    """Return the information with the priors of the nuisances."""
     if not groups:
         return information
     rows = [group.rows(information.names) for group in groups]
@@ -118,12 +124,12 @@ def with_prior(
 def link_factor(
     thetas: Sequence[Array], share: float, lengths: Sequence[float], scales: LinkScales = AS_STATED
 ) -> Array:
-    """Return F (10 L, 10 L) of L links whose numbers are known to a share.
+    """Return F (10 L, 10 L) of L links whose parameters are known to a share.
 
     Each mass is off by the share, each centre of mass by that share of the link's size, each
-    inertia about the centre of mass by twice the share of its mean moment. A drawing that is wrong
-    is often wrong for all links alike (another density, shells for solids), so that all masses,
-    and all distances of a centre of mass from its joint, have an error of that size in common too.
+    inertia about the centre of mass by twice the share of its mean moment. A drawing is often
+    wrong for all links in the same way (another density, shells for solids), so that all masses,
+    and all distances of a centre of mass from its joint, share an error of that size too.
 
     Args:
         thetas: per link (10,), the model's values.
@@ -138,7 +144,7 @@ def link_factor(
 
 
 def link_lengths(robot: RobotModel, links: Sequence[int]) -> list[float]:
-    """Return how far it is from each link's joint to the next one [m]; 0 for the last link."""
+    """Return the distance from each link's joint to the next one [m]; 0 for the last link."""
     ends = [*(link.translation for link in robot.links[1:]), np.zeros(3)]
     return [float(np.linalg.norm(ends[link])) for link in links]
 
@@ -153,12 +159,12 @@ def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> 
 def link_directions(thetas: tuple[tuple[float, ...], ...], lengths: tuple[float, ...]) -> Array:
     """Return independent errors (10 L, 10 L + 2) of L links for a share of one.
 
-    Columns are each link's mass (1), centre of mass (3) and inertia (6), then what all links have
-    in common: all masses, all distances of a centre of mass from its joint.
+    Columns are each link's mass (1), centre of mass (3) and inertia (6), then the common errors:
+    all masses, all distances of a centre of mass from its joint.
     """
     directions = np.zeros((10 * len(thetas), 10 * len(thetas) + 2))
-    for place, (theta, length) in enumerate(zip(np.array(thetas), lengths)):
-        block = slice(10 * place, 10 * (place + 1))
+    for index, (theta, length) in enumerate(zip(np.array(thetas), lengths)):
+        block = slice(10 * index, 10 * (index + 1))
         directions[block, block], moved = own_errors(theta, 1.0, length)
         com = spatial.com_from_theta(theta)[1]
         distance = float(np.linalg.norm(com))
@@ -168,13 +174,13 @@ def link_directions(thetas: tuple[tuple[float, ...], ...], lengths: tuple[float,
 
 
 def link_aspects(thetas: Sequence[Array], lengths: Sequence[float]) -> tuple[Array, ...]:
-    """Return what picks masses, centres of mass and inertias of L links, (m, 10 L) each."""
-    whole = np.zeros((10 * len(thetas), 10 * len(thetas)))
-    for place, (theta, length) in enumerate(zip(thetas, lengths)):
-        block = slice(10 * place, 10 * (place + 1))
-        whole[block, block] = np.linalg.inv(own_errors(theta, 1.0, length)[0])
+    """Return the rows that select masses, centres of mass and inertias of L links, (m, 10 L)."""
+    selection = np.zeros((10 * len(thetas), 10 * len(thetas)))
+    for index, (theta, length) in enumerate(zip(thetas, lengths)):
+        block = slice(10 * index, 10 * (index + 1))
+        selection[block, block] = np.linalg.inv(own_errors(theta, 1.0, length)[0])
     kinds = np.tile(np.repeat((0, 1, 2), (1, 3, 6)), len(thetas))
-    return tuple(whole[kinds == kind] for kind in range(3))
+    return tuple(selection[kinds == label] for label in range(3))
 
 
 def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]:
@@ -196,129 +202,137 @@ def widened_groups(
     groups: Sequence[NuisanceGroup],
     least: float = 1.0,
 ) -> tuple[NuisanceGroup, ...]:
-    """Return the groups, each as wide as data with torque noise (joints,) [N m] asks for.
+    """Return the groups with the widths that data with torque noise (joints,) [N m] calls for.
 
-    None becomes narrower than ``least`` times what it was.
+    No group becomes narrower than ``least`` times its prior.
     """
-    found = tuple(groups)
-    if least >= 1.0 and not any(group.may_widen for group in found):
-        return found
+    widened = tuple(groups)
+    if least >= 1.0 and not any(group.may_widen for group in widened):
+        return widened
     problem = WithPriors(information, noise)
-    for _ in range(_ROUNDS if found else 0):
-        values, covariance, _ = problem.solve(found)
-        before = found
-        found = tuple(
+    for _ in range(_ROUNDS if widened else 0):
+        values, covariance, _ = problem.solve(widened)
+        previous = widened
+        widened = tuple(
             replace(
                 group,
                 widened=max(
-                    _asked(group, np.eye(len(group.names)), problem.names, values, covariance)[0],
+                    _widening(group, np.eye(len(group.names)), problem.names, values, covariance)[
+                        0
+                    ],
                     least,
                 ),
             )
             if group.may_widen or least < 1.0
             else group
-            for group in before
+            for group in previous
         )
-        if all(abs(a.widened / b.widened - 1.0) < _SETTLED for a, b in zip(found, before)):
+        if all(abs(a.widened / b.widened - 1.0) < _SETTLED for a, b in zip(widened, previous)):
             break
-    return found
+    return widened
 
 
 class WithPriors:
     """Whitened data, to be solved under different priors."""
 
     def __init__(self, information: SquareRootInformation, noise: Array) -> None:
-        self.names, self._weights = information.names, 1.0 / noise
+        self.names = information.names
+        self._weights = 1.0 / noise
         self._data = replace(information, prior=None)
         self._gram = normal_matrix(self._data, self._weights)
 
     def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
         """Return (values (p,), covariance (p, p), misfit of data and priors)."""
-        known = np.vstack((self._gram[:0], *(group.rows(self.names) for group in groups)))
-        size, squares = len(self.names), np.append(self._weights, 1.0) ** 2
-        parts = [(np.append(joint.columns, size), joint.triangle) for joint in self._data.joints]
-        parts.append((np.arange(size + 1), known))
-        found = descended(self._gram + known.T @ known, parts, squares, np.zeros(size))
-        if found is None:
-            found = decomposed(np.vstack((*self._data.blocks(self._weights), known)))
-        values, root = found
-        left = self._weights**2 @ self._data.squared_residuals(values)
-        return values, root @ root.T, float(left + np.sum((known @ np.append(values, -1.0)) ** 2))
+        prior = np.vstack((self._gram[:0], *(group.rows(self.names) for group in groups)))
+        size = len(self.names)
+        squares = np.append(self._weights, 1.0) ** 2
+        blocks = [(np.append(joint.columns, size), joint.triangle) for joint in self._data.joints]
+        blocks.append((np.arange(size + 1), prior))
+        solution = solve_normal(self._gram + prior.T @ prior, blocks, squares, np.zeros(size))
+        if solution is None:
+            solution = solve_rows(np.vstack((*self._data.blocks(self._weights), prior)))
+        values, root = solution
+        residual = self._weights**2 @ self._data.squared_residuals(values)
+        misfit = residual + np.sum((prior @ np.append(values, -1.0)) ** 2)
+        return values, root @ root.T, float(misfit)
 
-    def likely(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, float]:
-        """Return (values (p,), logarithm of how likely priors make the data, but for a constant).
+    def log_evidence(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, float]:
+        """Return (values (p,), log marginal likelihood under the priors up to a constant).
 
-        With C the covariance of what is found, and F of each prior, p is
+        With C the covariance of the estimate, and F of each prior, the likelihood is
         exp(-misfit / 2) |C|^1/2 / |F| (MacKay 1992, eq. 7 and 8).
         """
-        values, spread, misfit = self.solve(groups)
-        known = sum(np.linalg.slogdet(group.widened * group.factor)[1] for group in groups)
-        return values, float(0.5 * (np.linalg.slogdet(spread)[1] - misfit) - known)
+        values, covariance, misfit = self.solve(groups)
+        prior = sum(np.linalg.slogdet(group.widened * group.factor)[1] for group in groups)
+        return values, float(0.5 * (np.linalg.slogdet(covariance)[1] - misfit) - prior)
 
 
-def _asked(
-    group: NuisanceGroup, some: Array, names: Sequence[str], values: Array, covariance: Array
+def _widening(
+    group: NuisanceGroup, aspect: Array, names: Sequence[str], values: Array, covariance: Array
 ) -> tuple[float, float]:
-    """Return the factor by which the data asks to widen a prior, of combinations (m, k) of it.
-
-    The second number is how many of them the data determines, at least one.
-    """
-    root = np.linalg.cholesky(some @ group.factor @ group.factor.T @ some.T)
-    off = np.linalg.solve(root, some @ (values[group.places(names)] - group.mean))
-    determined = max(float(np.sum(_determined(group, some, names, covariance))), 1.0)
+    """Return (alpha, gamma) of combinations (m, k) of a group; gamma is one at least."""
+    root = np.linalg.cholesky(aspect @ group.factor @ group.factor.T @ aspect.T)
+    off = np.linalg.solve(root, aspect @ (values[group.indices(names)] - group.mean))
+    determined = max(float(np.sum(_data_shares(group, aspect, names, covariance))), 1.0)
     return float(min(np.sqrt(np.sum(off**2) / determined), WIDEST)), determined
 
 
-def _determined(
-    group: NuisanceGroup, some: Array, names: Sequence[str], covariance: Array
+def _data_shares(
+    group: NuisanceGroup, aspect: Array, names: Sequence[str], covariance: Array
 ) -> Array:
-    """Return (m,) how much of each direction the data determines, between 0 and 1."""
-    places = group.places(names)
-    root = group.widened * np.linalg.cholesky(some @ group.factor @ group.factor.T @ some.T)
-    left = np.linalg.solve(root, some @ covariance[np.ix_(places, places)] @ some.T)
+    """Return (m,) the share of each combination that the data determines, between 0 and 1."""
+    indices = group.indices(names)
+    root = group.widened * np.linalg.cholesky(aspect @ group.factor @ group.factor.T @ aspect.T)
+    left = np.linalg.solve(root, aspect @ covariance[np.ix_(indices, indices)] @ aspect.T)
     return np.clip(1.0 - np.diag(np.linalg.solve(root, left.T)), 0.0, 1.0)
 
 
 def misfits(
     information: SquareRootInformation, noise: Array, groups: Sequence[NuisanceGroup]
 ) -> tuple[PriorConflict, ...]:
-    """Return the causes that the data asks for more clearly than chance does.
+    """Return the causes whose priors the data contradicts significantly.
 
-    A cause is asked for where leaving it at what it is thought to be makes the misfit worse by more
-    than chi-square allows any of them. It is as wide then as its worst aspect asks for: links of
-    another density contradict their masses alone, which would be lost among ten numbers of each.
-    Noise (joints,) is in N m, groups are as wide as they were used.
+    A cause is contradicted where holding it at its mean increases the misfit by more than
+    chi-square allows for any cause. Its width is then that of its worst aspect: links of another
+    density contradict the prior in their masses alone, which ten parameters per link would hide.
+
+    Args:
+        noise: (joints,) [N m].
+        groups: with the widths of the estimate.
     """
     problem = WithPriors(information, noise)
     values, covariance, with_all = problem.solve(groups)
-    wanted, wider, found = tuple[NuisanceGroup, ...](), (values, covariance), []
+    wide_groups = tuple[NuisanceGroup, ...]()
+    wide_solution = values, covariance
+    conflicts = []
     for index, group in enumerate(groups):
         fixed = [*groups[:index], replace(group, widened=_FIXED), *groups[index + 1 :]]
         gained = problem.solve(fixed)[2] - with_all
-        every = np.eye(len(group.names))
-        freedom = max(float(np.sum(_determined(group, every, problem.names, covariance))), 1.0)
+        identity = np.eye(len(group.names))
+        freedom = max(float(np.sum(_data_shares(group, identity, problem.names, covariance))), 1.0)
         if is_no_chance(gained, freedom, 1.0 - SURE ** (1.0 / len(groups))):
-            if not wanted:
-                wanted = widened_groups(information, noise, groups, _NARROWEST)
-                wider = problem.solve(wanted)[:2]
-            off = group.deviations(problem.names, values)
-            worst, wide = _worst_members(group, off), wanted[index]
-            some = (every, *group.aspects())
-            pairs = [_asked(wide, each, problem.names, *wider) for each in some]
-            # Beyond what chance makes of a group that is as far off as it was thought to be.
+            if not wide_groups:
+                wide_groups = widened_groups(information, noise, groups, _NARROWEST)
+                wide_solution = problem.solve(wide_groups)[:2]
+            worst = _worst_members(group, group.deviations(problem.names, values))
+            pairs = [
+                _widening(wide_groups[index], aspect, problem.names, *wide_solution)
+                for aspect in (identity, *group.aspects())
+            ]
+            # Significant if the prior were right.
             clear = [a for a, free in pairs if is_no_chance(a**2 * free, free, 1.0 - SURE)]
-            asked = max(clear, default=min(pairs[0][0], 1.0))
-            found.append(PriorConflict(group.cause, worst, asked, group.widened))
-    return tuple(found)
+            factor = max(clear, default=min(pairs[0][0], 1.0))
+            conflicts.append(PriorConflict(group.cause, worst, factor, group.widened))
+    return tuple(conflicts)
 
 
 def is_no_chance(squared: float, freedom: float, chance: float) -> bool:
-    """Tell whether chi-square is as large with less than a chance."""
+    """Tell whether chi-square reaches a value with less than the probability ``chance``."""
     return squared > largest_by_chance(freedom, chance)
 
 
 def largest_by_chance(freedom: float, chance: float) -> float:
-    """Return what chi-square exceeds with a chance."""
+    """Return the value that chi-square exceeds with the probability ``chance``."""
     from scipy.special import chdtri
 
     return float(chdtri(freedom, chance))

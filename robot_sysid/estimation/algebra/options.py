@@ -1,4 +1,4 @@
-"""What a user may choose about the estimate."""
+"""Options of the estimate."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from robot_sysid.dynamics.friction import FrictionModel
 
 TORQUE_CHOICES = ("chain", "terminal")
-"""Whose torques are used: those of all joints that carry the link, or the last one's."""
+"""Torques in use: those of all joints that carry the link, or of the last joint only."""
 DEFAULT_TERMINAL = "coulomb-viscous-offset"
-"""Friction beside one joint's torque alone, where a rotor looks like the link about the axis."""
+"""Friction terms with one joint's torque alone, where rotor and link inertia are confounded."""
 CHOSEN = "auto"
 """Friction model that is chosen from the data."""
 
 
-def _uncertainty(usual: float, help: str, unit: str = "%") -> Any:
-    return option(usual, help, "P >= 0", unit=unit)
+def _uncertainty(default: float, help: str, unit: str = "%") -> Any:
+    return option(default, help, "P >= 0", unit=unit)
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class EstimationOptions(OptionRecord):
             from robot_sysid.dynamics.friction import friction_model
 
             friction_model(str(self.friction_model))
-        others = [each for each in given_options(self) if each.key != "torque_from"]
+        others = [entry for entry in given_options(self) if entry.key != "torque_from"]
         if self.torque_from is not None and others:
             raise InputError(
                 f"{others[0].flag} is about measured torques; leave it off with --torque-from "

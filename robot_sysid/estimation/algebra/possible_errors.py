@@ -1,9 +1,9 @@
-"""What errors become once a body has to be possible.
+"""Errors of an estimate whose body is made physically consistent.
 
-Of a plain estimate theta + e, e ~ N(0, C), that no body can have, the best possible one is taken
-(``algebra.consistent_links``). Drawn errors tell what is left of each: T e by linear regression,
-and a rest of covariance R. What else is sought follows the body as it does in C: with G, its
-regression on the body, and E, which picks the body, errors e of all become (1 + G (T - 1) E) e.
+An inconsistent estimate theta + e, e ~ N(0, C), is replaced by the best consistent body
+(``algebra.consistent_links``). Drawn errors show what remains of e: T e by linear regression, and a
+residual of covariance R. The other parameters follow the body as they do in C: with G, their
+regression on the body, and E, which selects the body, errors e of all become (1 + G (T - 1) E) e.
 """
 
 from __future__ import annotations
@@ -21,78 +21,88 @@ from robot_sysid.estimation.algebra.uncertainty import Uncertainty
 from robot_sysid.records import Array
 
 BODIES = "possible bodies"
-"""What the rest is called in results."""
+"""Name of the residual's cause in results."""
 _DRAWS = 60
-"""Errors that are drawn, half of them the others' opposites; of a UR5e's last link, which is hardly
-ever possible, 60 and 1000 tell the same mass to 7 %."""
+"""Number of drawn errors, half of them the negatives of the others; for a UR5e's last link, whose
+plain estimate is hardly ever consistent, 60 and 1000 give the same error of the mass to 7 %."""
 
 
 def once_possible(
-    whole: Uncertainty,
+    uncertainty: Uncertainty,
     causes: Mapping[str, Array],
-    places: NDArray[np.int64],
+    indices: NDArray[np.int64],
     theta: Array,
-    usual: Array,
+    center: Array,
 ) -> tuple[Uncertainty, dict[str, Array]]:
-    """Return errors, whole and by cause, of estimates whose body is a possible one.
+    """Return the errors, all and by cause, of an estimate whose body is made consistent.
 
     Args:
-        causes: cause to rows (m, k) whose squares are the covariance that it explains.
-        places: (10,) of the body among the k that are sought.
+        causes: cause to rows (m, k) whose squares are the covariance due to it.
+        indices: (10,) of the body among the k estimated parameters.
         theta: (10,) of the body.
-        usual: (10,) what such bodies usually are.
+        center: (10,) a plausible body, at the centre of the barrier.
     """
-    own = whole.covariance[np.ix_(places, places)]
-    left = _left(theta, own, usual) if np.all(np.isfinite(whole.standard_errors[places])) else None
-    if left is None:
-        return whole, dict(causes)
-    turn, rest = left
-    along = np.linalg.solve(own, whole.covariance[places])
+    of_body = uncertainty.covariance[np.ix_(indices, indices)]
+    is_known = np.all(np.isfinite(uncertainty.standard_errors[indices]))
+    projection = _projected_errors(theta, of_body, center) if is_known else None
+    if projection is None:
+        return uncertainty, dict(causes)
+    turn, residual = projection
+    along = np.linalg.solve(of_body, uncertainty.covariance[indices])
     change = (turn - np.eye(10)).T @ along
 
-    def changed(rows: Array) -> Array:
-        return rows + rows[:, places] @ change
+    def project(rows: Array) -> Array:
+        return rows + rows[:, indices] @ change
 
-    found = {cause: changed(rows) for cause, rows in causes.items()}
-    found[BODIES] = rest @ along
-    covariance = changed(changed(whole.covariance).T) + found[BODIES].T @ found[BODIES]
+    by_cause = {cause: project(rows) for cause, rows in causes.items()}
+    by_cause[BODIES] = residual @ along
+    covariance = project(project(uncertainty.covariance).T) + by_cause[BODIES].T @ by_cause[BODIES]
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    hidden = np.isinf(whole.standard_errors)
+    hidden = np.isinf(uncertainty.standard_errors)
     return replace(
-        whole,
+        uncertainty,
         covariance=covariance,
-        noise=changed(changed(whole.noise).T),
+        noise=project(project(uncertainty.noise).T),
         standard_errors=np.where(hidden, np.inf, errors),
-    ), found
+    ), by_cause
 
 
 def possible_covariance(theta: Array, covariance: Array) -> Array:
-    """Return what becomes of errors (10, 10) of a body (10,) once it has to be possible."""
-    left = _left(theta, covariance, theta)
-    return covariance if left is None else left[0] @ covariance @ left[0].T + left[1].T @ left[1]
+    """Return the covariance (10, 10) of a body (10,) that is made consistent."""
+    projection = _projected_errors(theta, covariance, theta)
+    if projection is None:
+        return covariance
+    turn, residual = projection
+    return turn @ covariance @ turn.T + residual.T @ residual
 
 
-def _left(theta: Array, covariance: Array, usual: Array) -> tuple[Array, Array] | None:
-    """Return T (10, 10) of a body, and rows (m, 10) whose squares are R; None where all that is
-    drawn is possible, or cannot be made so: plain errors are larger.
+def _projected_errors(theta: Array, covariance: Array, center: Array) -> tuple[Array, Array] | None:
+    """Return T (10, 10) of a body, and rows (m, 10) whose squares are R.
+
+    None where all drawn bodies are consistent, or where one cannot be made so: the plain errors are
+    larger than those of consistent bodies.
     """
     half = np.random.default_rng(0).standard_normal((_DRAWS // 2, 10))
     draws = np.vstack((half, -half))
-    # Of unit covariance exactly: where everything is possible, nothing changes.
+    # Of unit covariance exactly, so that consistent draws change nothing.
     draws = np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _DRAWS), draws.T).T
     try:
         root = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
         return None
-    off, rows, near = draws @ root.T, np.linalg.inv(root), None
-    left, problem = off.copy(), LinksProblem((np.arange(10),), usual)
-    for k in [k for k, each in enumerate(off) if not spatial.is_consistent(theta + each)]:
+    errors = draws @ root.T
+    rows = np.linalg.inv(root)
+    start = None
+    projected = errors.copy()
+    problem = LinksProblem((np.arange(10),), center)
+    for k in [k for k, error in enumerate(errors) if not spatial.is_consistent(theta + error)]:
         try:
-            solver = ConsistentLinks(rows, rows @ (theta + off[k]), problem, near)
-            left[k], near = solver.best() - theta, solver.first
+            solver = ConsistentLinks(rows, rows @ (theta + errors[k]), problem, start)
+            projected[k] = solver.best() - theta
+            start = solver.first
         except SysidError:
             return None
-    if near is None:
+    if start is None:
         return None
-    turn = left.T @ draws @ rows / _DRAWS
-    return turn, (left - off @ turn.T) / np.sqrt(_DRAWS)
+    turn = projected.T @ draws @ rows / _DRAWS
+    return turn, (projected - errors @ turn.T) / np.sqrt(_DRAWS)

@@ -1,14 +1,14 @@
 """How far an estimate may be off: covariance, standard errors, share of data against prior.
 
-The estimate is x = C (Y^T W tau + P d0) with C = (Y^T W Y + P)^-1, P the precision of what was
-known of the nuisances beforehand (``nuisances``), so that its covariance is
+The estimate is x = C (Y^T W tau + P d0) with C = (Y^T W Y + P)^-1, P the prior precision of the
+nuisances (``nuisances``), so that its covariance is
 
     C (sum_j w_j^4 Omega_j + P) C,
 
 Omega_j the covariance of joint j's score Y_j^T e_j: sigma_j^2 Y_j^T Y_j for white noise, more where
-slow noise meets slow motion (``autocorrelation``). The sum splits by cause: C P_c C is what
-nuisances of cause c add. Along directions that neither data nor P show,
-nothing is known: the covariance is zero there, the standard errors are infinite.
+slow noise meets slow motion (``autocorrelation``). The sum splits by cause: C P_c C is the
+contribution of the nuisances of cause c. Directions that neither data nor P identify have zero
+covariance and infinite standard errors.
 """
 
 from __future__ import annotations
@@ -26,17 +26,18 @@ from robot_sysid.records import Array, SquareRootInformation
 
 # Measured: a fourth round changes errors by less than 0.2 % (the third by 0.8 %).
 _ROUNDS = 3
-# Rows per parameter that are made a triangle at once: so the triangle itself costs little.
+# Rows per parameter that are factorised at once: then the previous triangle adds little.
 _AT_ONCE = 2
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What is known about the errors of an estimate.
+    """Errors of an estimate of p parameters.
 
     Attributes:
-        covariance, noise: (p, p) of the whole error, and of the part that torque noise explains.
-        standard_errors: (p,) infinite where only the model's value is known.
+        covariance: (p, p) of the error by all causes.
+        noise: (p, p) of the error by torque noise.
+        standard_errors: (p,) infinite for parameters that are not identifiable.
         data_share: (p,) 1 where the data alone decides, 0 where the prior does.
         inverse: (p, p) C.
         effective: (joints,) number of independent samples.
@@ -49,10 +50,10 @@ class Uncertainty:
     inverse: Array
     effective: tuple[float, ...]
 
-    def with_part(self, part: Array) -> Uncertainty:
-        """Return the same with one more part (p, p) of the whole error."""
-        spread = np.hypot(self.standard_errors, np.sqrt(np.maximum(np.diag(part), 0.0)))
-        return replace(self, covariance=self.covariance + part, standard_errors=spread)
+    def with_part(self, covariance: Array) -> Uncertainty:
+        """Return the errors with one more cause of independent errors, of covariance (p, p)."""
+        spread = np.hypot(self.standard_errors, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+        return replace(self, covariance=self.covariance + covariance, standard_errors=spread)
 
 
 def uncertainty(
@@ -62,14 +63,17 @@ def uncertainty(
     residuals: Sequence[JointResiduals] = (),
     space: VisibleSpace | None = None,
 ) -> Uncertainty:
-    """Return how far an estimate may be off.
+    """Return the errors of an estimate.
 
-    Weights (joints,) are 1 / (what each joint's equations were divided by) [1/(N m)]; ``space`` is
-    ``joint_space``, where it is known. Residuals say how noise is correlated in time; without them
-    it has no memory, and a standard deviation (joints,) [N m].
+    Args:
+        weights: (joints,) of each joint's equations [1/(N m)].
+        noise: (joints,) standard deviation of white noise [N m], without residuals.
+        residuals: each joint's residuals, for noise that is correlated in time.
+        space: ``joint_space``, where it is known.
     """
     space = space or joint_space(information, weights)
-    inverse, score = space.inverse(), np.zeros((len(information.names),) * 2)
+    inverse = space.inverse()
+    score = np.zeros((len(information.names),) * 2)
     effective = sample_counts(information).tolist()
     alone = [_alone(*pair, inverse) for pair in zip(residuals, weights)]
     for _ in range(_ROUNDS if residuals else 0):
@@ -79,13 +83,12 @@ def uncertainty(
         effective = [joint.effective_samples(c) for c, joint in zip(kernels, residuals)]
     if not residuals:
         rows = [joint.triangle[:, :-1] for joint in information.joints]
-        white = (sigma**2 * each.T @ each for sigma, each in zip(noise, rows))
+        white = (sigma**2 * block.T @ block for sigma, block in zip(noise, rows))
         score = _score([j.columns for j in information.joints], white, weights, len(score))
     of_noise = inverse @ score @ inverse
-    # The precision of what the information knew before the data.
     prior = information.prior
-    known = np.zeros((0, len(score))) if prior is None else prior[:, :-1] @ inverse
-    covariance = of_noise + known.T @ known
+    of_prior = np.zeros((0, len(score))) if prior is None else prior[:, :-1] @ inverse
+    covariance = of_noise + of_prior.T @ of_prior
     covariance = 0.5 * (covariance + covariance.T)
     errors = np.where(space.identified, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf)
     # The part of each parameter that lies in the visible directions.
@@ -94,7 +97,7 @@ def uncertainty(
 
 
 def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSpace:
-    """Return what data and prior knowledge see together; its inverse is C."""
+    """Return the space that data and priors identify together; its inverse is C."""
     return triangle_space(whole_triangle(information, weights)[:, :-1])
 
 
@@ -106,15 +109,16 @@ def whole_triangle(information: SquareRootInformation, weights: Array) -> Array:
 
 
 def triangle_of(blocks: Iterable[Array]) -> Array:
-    """Return the triangle of some rows (m, k), of which there is one block at least."""
-    # Of many joints the rows of all are far more than fit into memory several times.
+    """Return the triangle of blocks of rows (m, k), one block at least."""
+    # In batches: the rows of all joints together may exceed the memory.
     waiting: list[Array] = []
     for block in blocks:
         waiting.append(block)
         if sum(map(len, waiting)) > _AT_ONCE * block.shape[1]:
             rows = np.vstack(waiting)
             at = np.any(rows != 0.0, axis=0)
-            waiting, rows = [], rows[:, at]
+            waiting = []
+            rows = rows[:, at]
             triangle = update_triangle(rows[:0], rows)
             waiting = [np.zeros((len(triangle), len(at)))]
             waiting[0][:, at] = triangle
@@ -127,26 +131,26 @@ def _score(
     """Return sum_j w_j^4 Omega_j (p, p)."""
     score = np.zeros((size, size))
     for at, omega, weight in zip(columns, omegas, weights):
-        for own, there in stretches(at):
-            score[there] += weight**4 * omega[own]
+        for source, target in stretches(at):
+            score[target] += weight**4 * omega[source]
     return score
 
 
 def _alone(joint: JointResiduals, weight: float, inverse: Array) -> tuple[Array, Array, float]:
-    """Return what a joint's fit takes out of each kernel, its noise if it is alone, and the energy
-    of the errors that this makes in its torque.
+    """Return (``absorbed_share``, kernel coefficients without the noise of other joints, energy in
+    the torque of the errors due to that noise) of a joint.
     """
-    own = joint.inside(weight**2 * inverse[np.ix_(joint.columns, joint.columns)])
-    absorbed = joint.absorbed(own)
+    hat = joint.inside(weight**2 * inverse[np.ix_(joint.columns, joint.columns)])
+    absorbed = joint.absorbed_share(hat)
     kernels = joint.fit(absorbed, 0.0)
-    errors = own @ np.tensordot(kernels, joint.sums, axes=1) @ own
+    errors = hat @ np.tensordot(kernels, joint.sums, axes=1) @ hat
     return absorbed, kernels, float(np.vdot(errors, joint.sums[0]))
 
 
 def _kernels(
     residuals: Sequence[JointResiduals], alone: Sequence[tuple[Array, Array, float]], spread: Array
 ) -> Iterator[Array]:
-    """Yield each joint's noise; the spread (p, p) of the last round tells what others' adds."""
+    """Yield each joint's kernel coefficients, with the covariance (p, p) of the last round."""
     for joint, (absorbed, kernels, energy) in zip(residuals, alone):
         errors = joint.energy(spread[np.ix_(joint.columns, joint.columns)])
         leaked = (errors - energy) / max(joint.count, 1)

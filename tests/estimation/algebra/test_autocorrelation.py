@@ -41,10 +41,10 @@ def test_sums_of_few_rows_tell_the_same_in_the_rows_themselves(seed):
     residual, own = rng.normal(size=30), 1e-3 * own @ own.T
     residual[7] = np.nan
     few = collected(rows, residual)
-    all_of_them = joint_residuals(np.arange(40), 0.1 * np.eye(40), rows, residual, True).shortened()
+    all_of_them = joint_residuals(np.arange(40), 0.1 * np.eye(40), rows, residual, True).shorten()
     kernels = rng.uniform(size=len(few.sums))
     np.testing.assert_allclose(few.score(kernels), all_of_them.score(kernels), atol=1e-10)
-    shares = [each.absorbed(each.inside(own)) for each in (few, all_of_them)]
+    shares = [each.absorbed_share(each.inside(own)) for each in (few, all_of_them)]
     np.testing.assert_allclose(*shares, atol=1e-12)
 
 
@@ -80,7 +80,7 @@ def test_effective_samples_of_noise_with_a_known_memory(memory):
     count = 40_000
     residual = remembering_noise(rng, count, 1, memory)[:, 0]
     found = collected(np.zeros((count, 1)), residual)
-    kernels = found.fit(found.absorbed(np.zeros((1, 1))), 0.0)
+    kernels = found.fit(found.absorbed_share(np.zeros((1, 1))), 0.0)
     decay = np.exp(-1.0 / memory) if memory else 0.0
     expected = count * (1.0 - decay) / (1.0 + decay)
     assert np.all(kernels >= 0.0)
@@ -98,7 +98,7 @@ def test_an_absorbed_share_is_that_of_the_dense_projection():
     kernels = [np.eye(70), *(decay**lag for decay in found.decay)]
     rest = np.eye(70) - hat
     expected = [1.0 - np.trace(rest @ kernel @ rest) / 70.0 for kernel in kernels]
-    np.testing.assert_allclose(found.absorbed(own), np.clip(expected, 0.0, 0.8), atol=1e-10)
+    np.testing.assert_allclose(found.absorbed_share(own), np.clip(expected, 0.0, 0.8), atol=1e-10)
 
 
 SUMS = ("count", "sums", "products", "hats", "pairs")

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from robot_sysid.estimation.algebra import common_scale
-from robot_sysid.estimation.algebra.common_scale import doubted
+from robot_sysid.estimation.algebra.common_scale import false_alarms
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.unknowns import (
     LINKS,
     SCALES,
     Question,
     Unknowns,
-    independent,
+    independent_prior,
     with_common,
 )
 
@@ -25,13 +25,13 @@ NAMES = (*MASSES, *JOINTS)
 
 def beliefs():
     """Masses are known to 6 and 4 %, scales to 2 %, without and with 15 % in common."""
-    masses = independent(LINKS, MASSES, MASSES, np.array([0.06, 0.04]))
-    scales = independent(SCALES, JOINTS, JOINTS, 0.02)
+    masses = independent_prior(LINKS, MASSES, MASSES, np.array([0.06, 0.04]))
+    scales = independent_prior(SCALES, JOINTS, JOINTS, 0.02)
     return (masses, scales), (masses, with_common(scales, 0.15))
 
 
 def precision(groups):
-    rows = np.vstack([group.explained(NAMES, np.eye(len(NAMES))) for group in groups])
+    rows = np.vstack([group.covariance_rows(NAMES, np.eye(len(NAMES))) for group in groups])
     return rows.T @ rows
 
 
@@ -44,7 +44,7 @@ def test_the_share_is_that_of_drawn_arms(seed, monkeypatch):
     spreads = [np.linalg.inv(rows.T @ rows + precision(each)) for each in (before, after)]
     monkeypatch.setattr(common_scale, "LEAST_SCALE", 0.05)
     known = [each[1].factor @ each[1].factor.T for each in (before, after)]
-    told, products = doubted(*((k, each[2:, 2:]) for k, each in zip(known, spreads)))
+    told, products = false_alarms(*((k, each[2:, 2:]) for k, each in zip(known, spreads)))
     drawn = rng.multivariate_normal(np.zeros(5), np.linalg.inv(precision(before)), 20000)
     seen = drawn @ rows.T + rng.normal(size=(20000, 3))
     scale = np.mean((seen @ rows @ spreads[1])[:, 2:], axis=1)
@@ -60,7 +60,7 @@ def test_the_share_is_that_of_drawn_arms(seed, monkeypatch):
 
 def test_a_recording_that_tells_nothing_of_scales_is_never_doubted():
     known, alike = 4e-4 * np.eye(3), 4e-4 * np.eye(3) + 0.0225
-    assert doubted((known, known), (alike, alike))[0] == 0.0
+    assert false_alarms((known, known), (alike, alike))[0] == 0.0
 
 
 @pytest.mark.parametrize(

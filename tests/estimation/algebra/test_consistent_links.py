@@ -154,7 +154,7 @@ def test_without_weight_the_objective_is_that_of_the_semidefinite_program(seed):
     assert np.sum((matrix @ found - right) ** 2) == pytest.approx(reference, rel=1e-8)
 
 
-@pytest.mark.parametrize("where", [(consistent_links, "_Newton"), (ScaledBodies, "moved")])
+@pytest.mark.parametrize("where", [(consistent_links, "_Newton"), (ScaledBodies, "move_duals")])
 def test_what_rounding_leaves_unsolved_is_an_error_of_ours(monkeypatch, where):
     def singular(*_):
         raise np.linalg.LinAlgError("Singular matrix")

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from robot_sysid.estimation.algebra.information import (
     InformationAccumulator,
-    combined,
-    restricted,
+    combine,
+    restrict,
     update_triangle,
 )
 
@@ -93,7 +93,7 @@ def test_parts_together_are_the_information_of_all_rows(seed, count):
     rng = np.random.default_rng(seed)
     columns, known = [rng.permutation(6)[:3], rng.permutation(6)[:4]], rng.normal(size=(2, 7))
     blocks = [random_blocks(rng, columns, 3) for _ in range(count)]
-    together = combined([replace(filled(columns, part), prior=known) for part in blocks])
+    together = combine([replace(filled(columns, part), prior=known) for part in blocks])
     whole = filled(columns, sum(blocks, []))
     assert together.names == NAMES
     np.testing.assert_array_equal(together.prior, known)
@@ -102,7 +102,7 @@ def test_parts_together_are_the_information_of_all_rows(seed, count):
         np.testing.assert_array_equal(joint.columns, expected.columns)
         normal, other = (t.T @ t for t in (joint.triangle, expected.triangle))
         np.testing.assert_allclose(normal, other, rtol=0.0, atol=1e-12 * (1.0 + np.max(other)))
-    assert combined([whole]).prior is None
+    assert combine([whole]).prior is None
 
 
 @given(SEEDS, st.permutations(range(6)), st.integers(1, 6))
@@ -111,7 +111,7 @@ def test_restricting_holds_the_other_parameters_at_zero(seed, order, count):
     columns = [rng.permutation(6)[:3], rng.permutation(6)]
     information = filled(columns, random_blocks(rng, columns, 5))
     kept = sorted(order[:count])
-    smaller = restricted(information, [NAMES[k] for k in order[:count]])
+    smaller = restrict(information, [NAMES[k] for k in order[:count]])
     assert smaller.names == tuple(NAMES[k] for k in kept)
     values = np.zeros(6)
     values[kept] = rng.normal(size=count)

@@ -119,7 +119,7 @@ def test_priors_are_as_likely_as_the_data_is_under_them(seed):
         covariance = own @ spread @ own.T + 0.1**2 * np.eye(len(own))
         density = scipy.stats.multivariate_normal(own @ mean, covariance)
         expected.append(density.logpdf(apart @ right))
-        found.append(WithPriors(information, np.array([0.1])).likely(groups)[1])
+        found.append(WithPriors(information, np.array([0.1])).log_evidence(groups)[1])
     assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=1e-6, abs=1e-6)
 
 
