@@ -6,7 +6,7 @@
 Arms are drawn as in ``benchmarks.real_arms``, one per model, kind and seed, the same for all causes
 and durations, so that rows can be compared. The cause "right" leaves a log as it is, and has logs
 of 6, 8, 15 and 60 s. Per cause, logs are counted by what the checks before an identification name,
-at any level:
+at any level, and by motors over two joints that the estimate finds:
 
 rightly     a finding has the right name
 tie         none has, but one says that several causes are not told apart
@@ -67,12 +67,13 @@ OTHER_ARM = "the model of another arm"
 
 @dataclass(frozen=True)
 class Answer:
-    """The last link's mass [kg], its stated error, the true mass, whether the verdict trusts it."""
+    """What ``identify`` says of the last link's mass [kg], and motors over two joints it finds."""
 
     mass: float
     error: float
     true_mass: float
     is_trusted: bool
+    motors: tuple[str, ...] = ()
 
     @property
     def is_far(self) -> bool:
@@ -154,7 +155,12 @@ def check_scene(scene: Scene, is_answered: bool) -> Outcome:
     outcome = Outcome(findings, time.process_time() - start, None)
     if outcome.is_stopped or not is_answered:
         return outcome
-    return replace(outcome, answer=identify_scene(scene))
+    answer = identify_scene(scene)
+    # The estimate names these itself, for it knows on which side of the gears sensors are.
+    motors = [
+        Finding("coupling", Level.NOTE, f"a motor turns with {name}") for name in answer.motors
+    ]
+    return replace(outcome, findings=(*findings, *motors), answer=answer)
 
 
 def identify_scene(scene: Scene) -> Answer:
@@ -166,7 +172,8 @@ def identify_scene(scene: Scene) -> Answer:
     link = result.links[-1]
     mass = link.inertial.mass
     true_mass = min(scene.last_masses, key=lambda true: abs(true - mass))
-    return Answer(mass, float(link.errors[0]), true_mass, result.verdict.is_trustworthy)
+    is_trusted = result.verdict.is_trustworthy
+    return Answer(mass, float(link.errors[0]), true_mass, is_trusted, tuple(result.couplings))
 
 
 @dataclass(frozen=True)
