@@ -152,25 +152,26 @@ class Contest:
         quadratic_forms = [off @ p[np.ix_(at, at)] @ off for p in prior.precisions]
         return float(min(quadratic_forms))
 
-    def relabelled(self, divided: Array) -> list[Relabelled]:
+    def relabelled(self, divided: Array, winner: Score | None) -> list[Relabelled]:
         """Return mistakes of columns, the most likely first.
 
         Those that need new rows are tried where the base model does not fit, or is far from the
-        model's links.
+        model's links, and so does the best explanation.
 
         Args:
             divided: (n,) scale that torques were divided by already.
+            winner: of the first round of explanations.
         """
         undone = undone_torques(self.log, self.signals, self.base, self.posterior)
-        by_joint = misfit_by_joint(self.log, self.posterior)
-        share = misfit(self.log, self.posterior)
-        is_gross = share > GROSS or float(np.max(by_joint)) > GROSS_JOINT
-        is_far = is_gross or not self.is_plausible(self.posterior)
+        best = self.posterior if winner is None else winner.posterior
+        by_joint = misfit_by_joint(self.log, best)
+        is_gross = misfit(self.log, best) > GROSS or float(np.max(by_joint)) > GROSS_JOINT
+        is_far = is_gross or not self.is_plausible(best)
         if is_far or abs(np.log(usual_scale(self.log))) > np.log(ODD_SCALE):
             undone += undone_scales(self.log, self.posterior, self.options, divided)
         if is_far:
             undone += undone_columns(self.log, self.signals, self.posterior, self.options)
-        most = max(share, SMALL)
+        most = max(misfit(self.log, self.posterior), SMALL)
         fitting = [m for m in undone if misfit(m.log, m.posterior) <= most]
         plausible = [m for m in fitting if self.is_plausible(m.posterior, m.prior)]
         return sorted(plausible, key=lambda mistake: -mistake.gain)
@@ -364,11 +365,11 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     Args:
         divided: (n,) scale that torques were divided by already.
     """
-    undone = contest.relabelled(divided)
+    rounds = contest.rounds()
+    undone = contest.relabelled(divided, rounds[0][0] if rounds else None)
     odd_unit = odd_unit_finding(contest.log)
     if odd_unit is not None and not (undone and undone[0].name == "order"):
         return [odd_unit]
-    rounds = contest.rounds()
     best_gain = rounds[0][0].gain if rounds else 0.0
     # Undone in all joints and all of it stands for a part of it, or one joint.
     if rounds and undone and undone[0].name == rounds[0][0].explanation.name:
