@@ -224,22 +224,30 @@ def payload_cards(body: BodyEstimate, flange: Flange) -> tuple[Card, ...]:
 
 
 def load_covariance(body: BodyEstimate) -> Array:
-    """Return the covariance (10, 10) of what ``ERROR_NAMES`` names, to first order.
+    """Return the covariance (10, 10) of what ``ERROR_NAMES`` names.
 
-    c = h / m and I_com = I - m (|c|^2 1 - c c^T). Variances are infinite where the mass, the first
-    moment or the inertia is not known.
+    I_com = I - m (|c|^2 1 - c c^T) to first order. c = h / m changes more where the mass is smaller
+    than where it is larger: slopes of c are those to the body that is lighter by one standard
+    error of the mass, and at most twice those of the body itself. Variances are infinite where the
+    mass, the first moment or the inertia is not known.
     """
-    found, one = body.inertial, np.eye(3)
-    known = found.mass > 0.0 and bool(np.all(body.shown[:4]))
-    mass, com = found.mass if known else 1.0, found.com
-    slopes = [com @ com * one - np.outer(com, com)]
-    slopes += [np.outer(e, com) + np.outer(com, e) - 2.0 * (e @ com) * one for e in one]
+    inertial = body.inertial
+    is_place_known = inertial.mass > 0.0 and bool(np.all(body.shown[:4]))
+    mass = inertial.mass if is_place_known else 1.0
+    mass_error = float(np.sqrt(max(body.covariance[0, 0], 0.0)))
+    com = inertial.com
+    identity = np.eye(3)
+    slopes = [com @ com * identity - np.outer(com, com)]
+    slopes += [
+        np.outer(axis, com) + np.outer(com, axis) - 2.0 * (axis @ com) * identity
+        for axis in identity
+    ]
     change = np.eye(10)
-    change[1:4, :4] = np.column_stack((-com, one)) / mass
-    change[4:, :4] = np.column_stack([spatial.six_from_symmetric(each) for each in slopes])
+    change[1:4, :4] = np.column_stack((-com, identity)) / max(mass - mass_error, 0.5 * mass)
+    change[4:, :4] = np.column_stack([spatial.six_from_symmetric(slope) for slope in slopes])
     covariance = change @ body.covariance @ change.T
-    shown = [bool(body.shown[0]), known, known and bool(np.all(body.shown))]
-    hidden = ~np.repeat(shown, [1, 3, 6])
+    is_known = [bool(body.shown[0]), is_place_known, is_place_known and bool(np.all(body.shown))]
+    hidden = ~np.repeat(is_known, [1, 3, 6])
     covariance[hidden] = covariance[:, hidden] = 0.0
     covariance[hidden, hidden] = np.inf
     return covariance

@@ -260,6 +260,22 @@ def test_errors_of_place_and_inertia_follow_from_those_of_theta(seed):
     assert ERROR_NAMES[:5] == ("mass", "com_x", "com_y", "com_z", "Ixx_about_com")
 
 
+@pytest.mark.parametrize("mass_error", [0.1, 0.3, 0.5])
+def test_intervals_of_a_centre_of_mass_hold_where_the_mass_is_hardly_known(mass_error):
+    rng = np.random.default_rng(0)
+    inertia = np.eye(3)
+    com = np.array([0.1, -0.05, 0.2])
+    errors = np.concatenate(([mass_error], np.full(3, 0.005), np.full(6, 1e-6)))
+    is_held = []
+    for mass in 1.0 + mass_error * rng.standard_normal(2000):
+        # Torques show the first moment, whatever the mass is.
+        first_moment = com + errors[1:4] * rng.standard_normal(3)
+        if mass > 0.0:
+            body = body_of(mass, first_moment / mass, inertia, np.diag(errors**2))
+            is_held.append(np.abs(body.inertial.com - com) < 1.96 * load_errors(body)[1:4])
+    assert 0.93 <= np.mean(is_held) <= 0.98
+
+
 @given(SEEDS)
 def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
     body, factor = random_estimate(seed)
