@@ -30,8 +30,10 @@ from robot_sysid.estimation.unknowns import Choice, Question, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, Measurement, Motion, RobotModel
 from robot_sysid.signals.process import LogPiece, ProcessedSignals, process
 
-CUTOFF_HZ = 8.0
-"""Highest cut-off of the low-pass: faster motion says little of links."""
+CUTOFF_HZ, CUTOFF_SHARE = 8.0, 0.6
+"""Highest cut-off of the low-pass, for faster motion says little of links; and cut-off over that
+which suits accelerations: explanations are derivatives of torques that hold these, and noise of
+positions that two columns hold alike would speak for them."""
 WINDOW, MOST_WINDOWS = 16.0, 4
 """Longest window [s], and how many of a long log are looked at, spread evenly."""
 LINK_SCALES = tuple(replace(EXPECTED, mass=scale) for scale in (2.0, 6.0))
@@ -72,7 +74,7 @@ def low_pass(pieces: Sequence[Measurement], cutoff: float | None) -> list[Proces
     signals = []
     for piece in _spread_windows(pieces):
         log_piece = LogPiece.of(piece)
-        cutoff_hz = min(cutoff or log_piece.choice[0], CUTOFF_HZ)
+        cutoff_hz = min(cutoff or CUTOFF_SHARE * log_piece.choice[0], CUTOFF_HZ)
         # Every row is used: those of a joint that is too slow are masked later.
         found = process(log_piece, (), cutoff_hz)
         sure = np.zeros_like(found.turning)

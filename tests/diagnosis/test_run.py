@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.real_arms import ARMS, KINDS, draw_arm
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.run import check_against_model, look_at, require_acceptable
 from robot_sysid.dynamics.newton_euler import LinkDynamics
@@ -26,7 +27,7 @@ from robot_sysid.trajectory import motion_chunks
 from tests.support import arms
 from tests.support.closed_loop_proof import excitation
 from tests.support.log_files import read_measurements
-from tests.support.places import DATA
+from tests.support.places import DATA, MODELS
 from tests.support.wrong_logs import truth_of
 
 AXES = (arms.Z, arms.Y, arms.Y, arms.X)
@@ -237,6 +238,17 @@ def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     motion = next(motion_chunks(excitation(robot, 0, 12.0), 200.0))
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.q.shape)
     log = Measurement(motion.time, np.round(motion.q, 5), None, ArmTorque(robot)(motion) + noise)
+    assert check_against_model(robot, [log]) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not MODELS.exists(), reason="the models of public arms are not here")
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("arm_name", ["xarm7", "ur5e"])
+def test_long_right_logs_of_slow_arms_draw_no_alarm(arm_name, kind):
+    """Rounded positions make most of their noise, and that of accelerations is no delay."""
+    robot = load_robot_model(MODELS / ARMS[arm_name])
+    log = draw_arm(robot, kind, False, 60.0, True, 50).log
     assert check_against_model(robot, [log]) == ()
 
 
