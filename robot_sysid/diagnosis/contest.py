@@ -381,6 +381,8 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
             text = f"this looks like the model of another arm; if it is not, {text}"
         return [Finding(winner.name, winner.level, text)]
     named = name_causes(contest, rounds)
+    # What comes after so many that are too small to tell is what they leave, no cause.
+    clear = name_causes(contest, rounds[:MOST_NAMES])
     last = rounds[-1][0].posterior if rounds else contest.posterior
     if misfit(contest.log, last) > UNEXPLAINED:
         return [unexplained_torque(contest, last)]
@@ -388,25 +390,24 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
         return [implausible_links(contest, last)]
     if len(named) > MOST_NAMES:
         return [too_many_causes(contest, named)]
-    return named
+    return clear
 
 
 def name_causes(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
     """Return a finding per round whose winner is to be told, each explanation once."""
     named: list[Finding] = []
     before = contest.posterior
-    names_said: set[tuple[str, int | None]] = set()
+    already: set[tuple[str, int | None]] = set()
     for ranked in rounds:
-        scores: dict[str, Score] = {}
-        for score in ranked:
-            explanation = score.explanation
-            key = explanation.name, explanation.joint
-            if key not in names_said and contest.is_told(score):
-                scores.setdefault(explanation.name, score)
-                names_said.add(key)
-        if any(score is ranked[0] for score in scores.values()):
-            harmful = [s for s in scores.values() if contest.is_harmful(s, before)]
-            named.append(_finding([*scores.values()], harmful))
+        clear = [score for score in ranked if contest.is_told(score)]
+        clear = [score for score in clear if score.explanation.subject not in already]
+        if any(score is ranked[0] for score in clear):
+            already |= {score.explanation.subject for score in clear}
+            best: dict[str, Score] = {}
+            for score in clear:
+                best.setdefault(score.explanation.name, score)
+            harmful = [score for score in best.values() if contest.is_harmful(score, before)]
+            named.append(_finding([*best.values()], harmful))
         before = ranked[0].posterior
     return named
 

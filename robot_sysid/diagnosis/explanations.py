@@ -67,9 +67,14 @@ class Explanation:
     always: bool = False
 
     @property
+    def subject(self) -> tuple[str, int | None]:
+        """What is told once only: the check, and its joint."""
+        return self.name, self.joint
+
+    @property
     def family(self) -> tuple[object, ...]:
         """What explanations have in common of which only the best is scored further."""
-        return self.name, self.joint, len(self.spread), self.choices
+        return *self.subject, len(self.spread), self.choices
 
     def of_joint(self, joint: int) -> Array | None:
         """Return the columns (K, e) of a joint in units of their priors; None where it has none."""
