@@ -64,7 +64,9 @@ def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command)
 def test_a_warning_stops_unless_it_is_accepted(command):
     said = command.refused("log", "late.csv", "arm.xml", code=1)
     assert "stands still for 2 s" in said and "--accept held" in said
-    printed = command.run("log", "late.csv", "arm.xml", "--accept", "held", "--accept", "contact")
+    printed = command.run(
+        "log", "late.csv", "arm.xml", "--accept", "held", "--accept", "unexplained"
+    )
     assert "warn: the torque of joint joint1 stands still" in printed.out
 
 
