@@ -217,10 +217,11 @@ class Contest:
                 best_of_family.setdefault(offered[k].family, int(k))
         finalists = list(best_of_family.values())[:count]
         scores = [self._score(model, posterior, offered[k], columns[k]) for k in finalists]
-        scores.sort(key=lambda score: -score.gain)
-        if scores and scores[0].gain > MARGIN:
-            scores[0] = self._refined(model, posterior, scores[0])
-        return scores
+        scores = [
+            self._refined(model, posterior, score) if score.gain > MARGIN else score
+            for score in scores
+        ]
+        return sorted(scores, key=lambda score: -score.gain)
 
     def _score(
         self,
@@ -242,13 +243,13 @@ class Contest:
         return Score(explanation, gain, explanation.spread * scaled, errors, sureness, wider, after)
 
     def _refined(self, model: Hypotheses, posterior: Posterior, score: Score) -> Score:
-        """Return the best of the explanations near a winner, or the winner."""
+        """Return the best of the explanations near one, or that one."""
         best = score
         while nearby := best.explanation.nearby():
             columns = transform_columns(model, nearby)
-            # With the winner's noise: beside the model's own, all of them look alike.
-            with_winner = model.at_noise(best.posterior.noise)
-            k = int(np.argmax(screen_gains(model, with_winner, columns)))
+            # With its own noise: beside the model's, all of them look alike.
+            quieter = model.at_noise(best.posterior.noise)
+            k = int(np.argmax(screen_gains(model, quieter, columns)))
             candidate = self._score(model, posterior, nearby[k], columns[k])
             if candidate.gain <= best.gain:
                 break
