@@ -48,7 +48,7 @@ ARMS = {
     "panda": "franka_panda/panda_nohand.xml",
     "gen3": "kinova_gen3/gen3.xml",
     "xarm7": "ufactory_xarm7/xarm7.xml",
-    "fr3": "franka_fr3/fr3.xml",
+    "fr3": "franka_fr3/FrankaFR3_7DoF.urdf",
 }
 USUAL_ARMS = ("ur5e", "iiwa14", "panda", "gen3")
 SENSOR_ARMS = ("iiwa14", "panda", "fr3")

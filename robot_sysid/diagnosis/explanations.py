@@ -279,7 +279,7 @@ def weight_share(fit: Fitted) -> Iterator[Explanation]:
         np.concatenate((fit.weight[:, :, None], fit.last_weight), axis=-1),
         np.append(0.5, parameter_scale(0.1 * total, 0.1)[:4]),
         _says(f"{text}the command", -100.0, "%"),
-        is_possible=lambda v, e: bool(v[0] < -0.05),
+        is_possible=lambda v, e: bool(-1.0 - 3.0 * e[0] < v[0] < -0.05),
     )
 
 
