@@ -269,7 +269,7 @@ class Contest:
     def is_harmful(self, score: Score, before: Posterior) -> bool:
         """Return whether a result that takes no notice of an explanation is not right."""
         explanation = score.explanation
-        if explanation.always or explanation.level is Level.REFUSE:
+        if explanation.harms(score.values) or explanation.level is Level.REFUSE:
             return True
         return self.torque_share(score) > HARMFUL_SHARE or self.moves_link(score, before)
 

@@ -30,6 +30,8 @@ PUSHES = (0.5, 1.5, 3.0, 6.0)
 """Durations of a push [s]."""
 RIPPLES = tuple(range(4, 41, 3))
 """Waves per turn of a ripple."""
+GROSS_ZERO = 0.05
+"""Error of a joint's zero that no estimate allows for [rad]."""
 WARM_UP = (10.0, 30.0, 100.0)
 """Time constants over which friction falls as a gear warms up [s]."""
 
@@ -52,7 +54,8 @@ class Explanation:
         is_possible: whether coefficients (e,) with standard errors (e,) are what the words say;
             else they have no name.
         nearby: makes others of the kind, among which a winner is refined.
-        always: whether its level holds even where the last link comes out as it would without.
+        harms: whether its level holds for coefficients (e,) even where the last link comes out as
+            it would without.
     """
 
     name: str
@@ -64,7 +67,7 @@ class Explanation:
     choices: int = 1
     is_possible: Callable[[Array, Array], bool] = lambda values, errors: True
     nearby: Callable[[], list[Explanation]] = list
-    always: bool = False
+    harms: Callable[[Array], bool] = lambda values: False
 
     @property
     def subject(self) -> tuple[str, int | None]:
@@ -149,6 +152,10 @@ class Fitted:
         return derivative
 
 
+def _always(values: Array) -> bool:
+    return True
+
+
 def _says(text: str, factor: float = 1.0, unit: str = "", shift: float = 0.0) -> Words:
     """Return words in which {} stands for the first coefficient, in a unit, with its error."""
 
@@ -216,7 +223,11 @@ def zeros(fit: Fitted) -> Iterator[Explanation]:
             f"the position of joint {name} reads {{}} too much; correct its zero", 1.0, "rad"
         )
         columns = _columns(fit, [f"zero[{name}]"])
-        yield Explanation("zero", Level.WARN, columns, np.array([0.1]), words)
+        yield Explanation("zero", Level.WARN, columns, np.array([0.1]), words, harms=_is_gross_zero)
+
+
+def _is_gross_zero(values: Array) -> bool:
+    return bool(abs(values[0]) > GROSS_ZERO)
 
 
 def tilt(fit: Fitted) -> Iterator[Explanation]:
@@ -245,9 +256,9 @@ def time_base(fit: Fitted) -> Iterator[Explanation]:
             f"first, {_too_long(v[0] + v[1])} at the end; {advice}"
         )
 
-    yield Explanation("clock", Level.WARN, slope, np.array([0.1]), stretched, always=True)
+    yield Explanation("clock", Level.WARN, slope, np.array([0.1]), stretched, harms=_always)
     both = np.concatenate((slope, slope * fit.time[:, None, None]), axis=-1)
-    yield Explanation("clock", Level.WARN, both, np.full(2, 0.1), drifting, always=True)
+    yield Explanation("clock", Level.WARN, both, np.full(2, 0.1), drifting, harms=_always)
 
 
 def _too_long(share: float) -> str:
@@ -396,7 +407,7 @@ def _push(fit: Fitted, start: int, width: int, choices: int) -> Explanation:
     columns = wave[:, None, None] * np.eye(fit.robot.n_joints)
     level, spread = Level.WARN, fit.log.usual
     return Explanation(
-        "contact", level, columns, spread, words, None, choices, nearby=nearby, always=True
+        "contact", level, columns, spread, words, None, choices, nearby=nearby, harms=_always
     )
 
 
