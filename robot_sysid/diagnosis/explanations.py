@@ -115,8 +115,7 @@ class Fitted:
         self.robot = log.robot
         ends = log.motion.time[[0, -1]]
         self.time = (2.0 * log.motion.time - ends.sum()) / np.ptp(ends)
-        self.values = prior.mean.copy()
-        self.values[prior.kept] += prior.spread * posterior.values[: len(prior.kept)]
+        self.values = prior.parameters(posterior.values)
         explained = [rows @ self.values[at] for rows, at in zip(log.rows, log.places)]
         self.residual = (log.right - np.column_stack(explained)) * log.used
 

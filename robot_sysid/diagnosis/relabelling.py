@@ -380,8 +380,7 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
         change = np.clip(1.0 + _FAR * posterior.values[sought], 0.2, 5.0)
         covariance = _FAR**2 * posterior.covariance[sought, sought] / np.outer(change, change)
         scale = np.clip(scale * change, least, most)
-        values = prior.mean.copy()
-        values[prior.kept] += prior.spread * posterior.values[: len(prior.kept)]
+        values = prior.parameters(posterior.values)
     is_sure = np.sqrt(np.diag(covariance)) < _KNOWN
     # Torque that has nothing of a heavy link is not that of other units.
     sure = np.flatnonzero(is_sure & np.all(is_sure[loaded]))

@@ -249,6 +249,12 @@ class Prior:
     spread: Array
     precisions: tuple[Array, ...]
 
+    def parameters(self, coefficients: Array) -> Array:
+        """Return the parameters (p,) of coefficients in these units, sought ones (k,) first."""
+        values = self.mean.copy()
+        values[self.kept] += self.spread * coefficients[: len(self.kept)]
+        return values
+
 
 def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     """Return the prior of a right log: the estimate's own, and wide friction."""
