@@ -131,14 +131,27 @@ class Contest:
         possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < most
         return possible and self.strain(posterior, prior) < FAR
 
+    def dry_friction(self, posterior: Posterior, prior: Prior) -> tuple[Array, Array]:
+        """Return the Coulomb friction (n,) of each joint and its standard error (n,) [N m]."""
+        names = [f"coulomb[{name}]" for name in self.log.robot.joint_names]
+        places = self.log.columns.at(names)
+        at = np.searchsorted(prior.kept, places)
+        error = prior.spread[at] * np.sqrt(np.diag(posterior.covariance)[at])
+        return prior.parameters(posterior.values)[places], error
+
     def friction_share(self, posterior: Posterior) -> Array:
         """Return (n,) the least likely Coulomb friction, in parts of each joint's torque."""
-        names = [f"coulomb[{name}]" for name in self.log.robot.joint_names]
-        at = np.searchsorted(self.prior.kept, self.log.columns.at(names))
-        spread = self.prior.spread[at]
-        dry = self.prior.mean[self.prior.kept[at]] + spread * posterior.values[at]
-        error = spread * np.sqrt(np.diag(posterior.covariance)[at])
+        dry, error = self.dry_friction(posterior, self.prior)
         return np.asarray(np.maximum(np.abs(dry) - SURE * error, 0.0) / self.log.usual)
+
+    def reverses_friction(self, mistake: Relabelled) -> bool:
+        """Return whether friction that brakes a joint would drive it with a mistake undone.
+
+        Of a joint that links hardly load, all else fits with either sign.
+        """
+        dry, error = self.dry_friction(self.posterior, self.prior)
+        undone, undone_error = self.dry_friction(mistake.posterior, mistake.prior)
+        return bool(np.any((dry > SURE * error) & (undone < -SURE * undone_error)))
 
     def strain(self, posterior: Posterior, prior: Prior | None = None) -> float:
         """Return the sum of squares of prior standard deviations that the other links are off by,
@@ -173,7 +186,12 @@ class Contest:
             undone += undone_columns(self.log, self.signals, self.posterior, self.options)
         most = max(misfit(self.log, self.posterior), SMALL)
         fitting = [m for m in undone if misfit(m.log, m.posterior) <= most]
-        plausible = [m for m in fitting if self.is_plausible(m.posterior, m.prior)]
+        plausible = [
+            mistake
+            for mistake in fitting
+            if self.is_plausible(mistake.posterior, mistake.prior)
+            and not self.reverses_friction(mistake)
+        ]
         return sorted(plausible, key=lambda mistake: -mistake.gain)
 
     def rounds(self) -> list[list[Score]]:
