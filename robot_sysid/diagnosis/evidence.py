@@ -58,27 +58,24 @@ class Transform:
     def __init__(self, log: LogRows) -> None:
         self._windows = log.windows
         self._used = log.used
-        self._bases = {}
         self.frequency = np.empty(len(log.torque))
-        time = log.motion.time
-        self.period = float(np.median(np.diff(time)))
+        self.period = float(np.median(np.diff(log.motion.time)))
         for window in log.windows:
             count = window.stop - window.start
-            turn = np.pi / count * np.arange(count)
-            basis = np.cos(np.outer(turn, np.arange(count) + 0.5)) * np.sqrt(2.0 / count)
-            basis[0] *= np.sqrt(0.5)
-            self._bases[count] = basis
-            self.frequency[window] = turn
+            self.frequency[window] = np.pi / count * np.arange(count)
 
     def of_joint(self, joint: int, rows: Array) -> Array:
         """Return a joint's rows (K, m) transformed."""
+        from scipy.fft import dct
+
         used = rows * self._used[:, joint, None]
-        return np.concatenate([self._bases[w.stop - w.start] @ used[w] for w in self._windows])
+        return np.concatenate([dct(used[w], axis=0, norm="ortho") for w in self._windows])
 
     def undone(self, transformed: Array) -> Array:
         """Return the rows (K, n) of all joints of which some are the transform."""
-        rows = [self._bases[w.stop - w.start].T @ transformed[w] for w in self._windows]
-        return np.concatenate(rows)
+        from scipy.fft import idct
+
+        return np.concatenate([idct(transformed[w], axis=0, norm="ortho") for w in self._windows])
 
 
 class Hypotheses:
