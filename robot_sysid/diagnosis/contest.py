@@ -287,7 +287,8 @@ class Contest:
     def is_harmful(self, score: Score, before: Posterior) -> bool:
         """Return whether a result that takes no notice of an explanation is not right."""
         explanation = score.explanation
-        if explanation.harms(score.values) or explanation.level is Level.REFUSE:
+        is_large = bool(abs(score.values[0]) >= explanation.harmful_from)
+        if is_large or explanation.level is Level.REFUSE:
             return True
         return self.torque_share(score) > HARMFUL_SHARE or self.moves_link(score, before)
 
@@ -322,7 +323,7 @@ def misfit_by_joint(log: LogRows, posterior: Posterior) -> Array:
 def misfit(log: LogRows, posterior: Posterior) -> float:
     """Return the same of all joints, as a part of all torque."""
     slow = misfit_by_joint(log, posterior) * log.usual
-    return float(np.linalg.norm(slow) / np.linalg.norm(np.sqrt(np.mean(log.torque**2, axis=0))))
+    return float(np.linalg.norm(slow) / np.linalg.norm(rms(log.torque)))
 
 
 def transform_columns(

@@ -54,8 +54,8 @@ class Explanation:
         is_possible: whether coefficients (e,) with standard errors (e,) are what the words say;
             else they have no name.
         nearby: makes others of the kind, among which a winner is refined.
-        harms: whether its level holds for coefficients (e,) even where the last link comes out as
-            it would without.
+        harmful_from: size of the first coefficient from which on its level holds even where the
+            last link comes out as it would without.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Explanation:
     choices: int = 1
     is_possible: Callable[[Array, Array], bool] = lambda values, errors: True
     nearby: Callable[[], list[Explanation]] = list
-    harms: Callable[[Array], bool] = lambda values: False
+    harmful_from: float = np.inf
 
     @property
     def subject(self) -> tuple[str, int | None]:
@@ -151,10 +151,6 @@ class Fitted:
         return derivative
 
 
-def _always(values: Array) -> bool:
-    return True
-
-
 def _says(text: str, factor: float = 1.0, unit: str = "", shift: float = 0.0) -> Words:
     """Return words in which {} stands for the first coefficient, in a unit, with its error."""
 
@@ -222,11 +218,9 @@ def zeros(fit: Fitted) -> Iterator[Explanation]:
             f"the position of joint {name} reads {{}} too much; correct its zero", 1.0, "rad"
         )
         columns = _columns(fit, [f"zero[{name}]"])
-        yield Explanation("zero", Level.WARN, columns, np.array([0.1]), words, harms=_is_gross_zero)
-
-
-def _is_gross_zero(values: Array) -> bool:
-    return bool(abs(values[0]) > GROSS_ZERO)
+        yield Explanation(
+            "zero", Level.WARN, columns, np.array([0.1]), words, harmful_from=GROSS_ZERO
+        )
 
 
 def tilt(fit: Fitted) -> Iterator[Explanation]:
@@ -255,9 +249,9 @@ def time_base(fit: Fitted) -> Iterator[Explanation]:
             f"first, {_too_long(v[0] + v[1])} at the end; {advice}"
         )
 
-    yield Explanation("clock", Level.WARN, slope, np.array([0.1]), stretched, harms=_always)
+    yield Explanation("clock", Level.WARN, slope, np.array([0.1]), stretched, harmful_from=0.0)
     both = np.concatenate((slope, slope * fit.time[:, None, None]), axis=-1)
-    yield Explanation("clock", Level.WARN, both, np.full(2, 0.1), drifting, harms=_always)
+    yield Explanation("clock", Level.WARN, both, np.full(2, 0.1), drifting, harmful_from=0.0)
 
 
 def _too_long(share: float) -> str:
@@ -406,7 +400,7 @@ def _push(fit: Fitted, start: int, width: int, choices: int) -> Explanation:
     columns = wave[:, None, None] * np.eye(fit.robot.n_joints)
     level, spread = Level.WARN, fit.log.usual
     return Explanation(
-        "contact", level, columns, spread, words, None, choices, nearby=nearby, harms=_always
+        "contact", level, columns, spread, words, None, choices, nearby=nearby, harmful_from=0.0
     )
 
 
