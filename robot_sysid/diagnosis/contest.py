@@ -125,7 +125,7 @@ class Contest:
 
     def is_plausible(self, posterior: Posterior, prior: Prior | None = None) -> bool:
         """Return whether such links could be those of the arm."""
-        arm = float(np.sum(self.log.robot.thetas[:, 0]))
+        arm = self.log.robot.mass
         most = max(HEAVIEST * arm, self.log.robot.prior.mass + 0.3 * arm)
         mass, error = self.last_mass(posterior, prior)
         possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < most
@@ -401,8 +401,6 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
             text = f"this looks like the model of another arm; if it is not, {text}"
         return [Finding(winner.name, winner.level, text)]
     named = name_causes(contest, rounds)
-    # What comes after so many that are too small to tell is what they leave, no cause.
-    clear = name_causes(contest, rounds[:MOST_NAMES])
     last = rounds[-1][0].posterior if rounds else contest.posterior
     if misfit(contest.log, last) > UNEXPLAINED:
         return [unexplained_torque(contest, last)]
@@ -410,7 +408,8 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
         return [implausible_links(contest, last)]
     if len(named) > MOST_NAMES:
         return [too_many_causes(contest, named)]
-    return clear
+    # What comes after so many that are too small to tell is what they leave, no cause.
+    return name_causes(contest, rounds[:MOST_NAMES])
 
 
 def name_causes(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Finding]:
@@ -484,7 +483,7 @@ def too_many_causes(contest: Contest, named: Sequence[Finding]) -> Finding:
 def implausible_links(contest: Contest, posterior: Posterior) -> Finding:
     """Return that links are none that this arm can have."""
     mass, error = contest.last_mass(posterior)
-    arm = float(np.sum(contest.log.robot.thetas[:, 0]))
+    arm = contest.log.robot.mass
     differences = np.sqrt(contest.strain(posterior) / USUAL_STRAIN)
     text = (
         f"to fit this log, the terminal link would have {with_error(mass, error, 'kg')} on an arm "

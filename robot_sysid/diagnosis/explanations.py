@@ -272,7 +272,7 @@ def delays(fit: Fitted) -> Iterator[Explanation]:
 
 def weight_share(fit: Fitted) -> Iterator[Explanation]:
     """Yield that a part of the links' weight, and of what they carry, is not in the torque."""
-    total = float(np.sum(fit.robot.thetas[:, 0]))
+    total = fit.robot.mass
     text = (
         "{} of the links' weight is missing from the torque: is there a spring balancer that the "
     )
@@ -298,8 +298,8 @@ def _payload_step(fit: Fitted, row: int, spacing: int, choices: int) -> Explanat
     """Return the explanation that the last link's payload changes at a row, one of some that are
     so many rows apart.
     """
-    total = float(np.sum(fit.robot.thetas[:, 0]))
-    reach = sum(float(np.linalg.norm(link.translation)) for link in fit.robot.links)
+    total = fit.robot.mass
+    reach = fit.robot.length
     bodies = np.stack([rows[:, :10] for rows in fit.log.rows], axis=1)
     at = float(fit.log.motion.time[row])
 
@@ -331,7 +331,7 @@ def _more(mass: float, error: float) -> str:
 
 def forces(fit: Fitted) -> Iterator[Explanation]:
     """Yield that something pulls at the last link, or carries a part of it."""
-    total = float(np.sum(fit.robot.thetas[:, 0]))
+    total = fit.robot.mass
     down = float(np.linalg.norm(gravity(fit.robot))) or 9.81
     text = "a constant force of {} acts on the last link, as of a hand, a cable or a spring; take "
     size_says = _size_says(f"{text}it away, and record again", 1.0, "N")

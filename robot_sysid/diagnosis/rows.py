@@ -309,8 +309,6 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
 
 def _last_link_spread(robot: RobotModel) -> Array:
     """Return (10,) how far the last link's parameters may be off: anything may hang on it."""
-    total = sum(max(float(link.theta[0]), 0.0) for link in robot.links)
-    reach = sum(float(np.linalg.norm(link.translation)) for link in robot.links)
     own_size = characteristic_length(robot.prior.theta) if robot.prior.mass > 0.0 else 0.0
     distance = float(np.linalg.norm(robot.prior.com))
-    return parameter_scale(PAYLOAD * total, max(REACH * reach, own_size, distance))
+    return parameter_scale(PAYLOAD * robot.mass, max(REACH * robot.length, own_size, distance))

@@ -204,8 +204,7 @@ def implausible_joints(
     robot: RobotModel, joints: Mapping[str, JointEstimate], torque: Array
 ) -> Iterator[Judged]:
     """Yield friction and rotor inertia too large for this arm, by usual torques (n,) [N m]."""
-    reach = sum(float(np.linalg.norm(link.translation)) for link in robot.links)
-    inertia = sum(float(link.theta[0]) for link in robot.links) * reach**2
+    inertia = robot.mass * robot.length**2
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
         terms = {
             term: figure.value - _SURE * figure.error for term, figure in joints[name].terms.items()

@@ -277,6 +277,16 @@ class RobotModel:
         return np.array([link.theta for link in self.links])
 
     @property
+    def mass(self) -> float:
+        """Mass of its links together [kg]."""
+        return float(np.sum(self.thetas[:, 0]))
+
+    @property
+    def length(self) -> float:
+        """Distances from each joint to the next, added up from the base on [m]."""
+        return sum(float(np.linalg.norm(link.translation)) for link in self.links)
+
+    @property
     def armature(self) -> Array:
         """Rotor inertia (n,) of its joints [kg m^2]."""
         return np.array(self.mj_model.dof_armature[self.dof_index])
