@@ -380,7 +380,10 @@ def screen_gains(
 
 
 def findings(contest: Contest, divided: Array) -> list[Finding]:
-    """Return what a log's contest says of it, or that nothing explains what is left.
+    """Return what is wrong with a log, by its contest; nothing of a right log.
+
+    Columns that are taken for others come first, then explanations, and last what no explanation
+    is made for: torque that is left, and links or causes that no arm has.
 
     Args:
         divided: (n,) scale that torques were divided by already.
@@ -391,7 +394,7 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     if odd_unit is not None and not (undone and undone[0].name == "order"):
         return [odd_unit]
     best_gain = rounds[0][0].gain if rounds else 0.0
-    # Undone in all joints and all of it stands for a part of it, or one joint.
+    # An explanation of the same name is a part of the same fault, or one joint's: no rival of it.
     if rounds and undone and undone[0].name == rounds[0][0].explanation.name:
         best_gain = 0.0
     if undone and undone[0].gain > max(RELABELLED_MARGIN, best_gain - TIE):
