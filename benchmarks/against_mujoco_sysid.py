@@ -30,8 +30,12 @@ from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 from tests.support.core_fits import BASIC, KNOWN, result_of_logs
 
-STEP, SECONDS, TORQUE_NOISE, ENCODER = 0.002, 15.0, 0.05, 1e-4
-PIECE, HORIZON = 0.3, 0.5
+STEP = 0.002
+SECONDS = 15.0
+TORQUE_NOISE = 0.05
+ENCODER = 1e-4
+PIECE = 0.3
+HORIZON = 0.5
 START = {"armature": 0.1, "damping": 1.0, "frictionloss": 0.5, "offset": 0.0}
 BOUNDS = {"armature": (1e-3, 2.0), "damping": (0.0, 20.0), "frictionloss": (0.0, 20.0)}
 NAMES = tuple(f"joint{index}" for index in range(7))
@@ -52,7 +56,8 @@ def spec_of(values=None) -> mujoco.MjSpec:
 
 def with_motors(spec, names) -> mujoco.MjSpec:
     """A model with a motor and a position sensor at each joint, called like it."""
-    joint, affine = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtBias.mjBIAS_AFFINE
+    joint = mujoco.mjtTrn.mjTRN_JOINT
+    affine = mujoco.mjtBias.mjBIAS_AFFINE
     for name in names:
         gain = [1.0] + [0.0] * 9
         spec.add_actuator(name=name, target=name, trntype=joint, gainprm=gain, biastype=affine)
@@ -80,9 +85,12 @@ def recorded(model, robot, seed: int, seconds: float):
     plan = generate_excitation_trajectory(robot, rng, seconds, ArmTorque(robot))[0]
     plan = plan.scaled(np.array([3.0] * 6 + [1.0]))
     clock = np.arange(0.0, seconds, STEP)
-    motion, data = plan.evaluate(clock), mujoco.MjData(model)
+    motion = plan.evaluate(clock)
+    data = mujoco.MjData(model)
     data.qpos[:] = motion.q[0]
-    q, tau, mass = np.empty_like(motion.q), np.empty_like(motion.q), np.empty((7, 7))
+    q = np.empty_like(motion.q)
+    tau = np.empty_like(motion.q)
+    mass = np.empty((7, 7))
     for k in range(len(clock)):
         mujoco.mj_forward(model, data)
         q[k] = data.qpos
@@ -122,10 +130,13 @@ def pieces(model, log, seconds: float):
     """(initial states, torques, positions) of consecutive pieces of (time, q, qd, torque)."""
     clock, q, qd, tau = log
     size = round(seconds / (clock[1] - clock[0]))
-    states, torques, positions = [], [], []
+    states = []
+    torques = []
+    positions = []
     for start in range(50, len(clock) - size - 50, size):
         data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:] = q[start], qd[start]
+        data.qpos[:] = q[start]
+        data.qvel[:] = qd[start]
         state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
         mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         states.append(state)
@@ -251,7 +262,8 @@ def compared() -> dict[str, Side]:
     true = truth(np.random.default_rng(0))
     model = spec_of(true).compile()
     robot = arms.robot_of(spec_of().compile())
-    log, other = recorded(model, robot, 1, SECONDS), recorded(model, robot, 2, SECONDS)
+    log = recorded(model, robot, 1, SECONDS)
+    other = recorded(model, robot, 2, SECONDS)
     print(f"start: held-out rollout error {rollout_error(None, other):.2f} mrad", file=sys.stderr)
     print(f"truth: held-out rollout error {rollout_error(true, other):.2f} mrad", file=sys.stderr)
     by_torques(robot, log)

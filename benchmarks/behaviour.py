@@ -44,7 +44,9 @@ _RUN_ONLY = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d\S*|^\(\d{10}\.\d+\)")
 def real_logs(shared: Path) -> dict[str, str]:
     """Return commands on logs of real arms, by name."""
     data = shared / "data"
-    kuka, tx40, ur10e = data / "kuka_lwr4", data / "tx40", data / "ur10e_payload"
+    kuka = data / "kuka_lwr4"
+    tx40 = data / "tx40"
+    ur10e = data / "ur10e_payload"
     runs = [kuka / f"lwr4_hw{number}_200Hz.csv" for number in (1, 2)]
     pair = f"--empty {ur10e}/empty_100Hz.csv --loaded {ur10e}/loaded_2p805kg_100Hz.csv"
     return {

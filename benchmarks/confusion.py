@@ -55,7 +55,8 @@ RIGHT_DURATIONS = (6.0, 8.0, 15.0, 60.0)
 """Of logs with nothing wrong [s]."""
 NAMINGS = ("rightly", "tie", "withheld", "wrongly", "silent")
 COSTS = ("stopped", "no use", "harmful", "off", "sound")
-FAR, SURE = 0.1, 2.0
+FAR = 0.1
+SURE = 2.0
 """Part of the true mass, and stated errors, by which an answer is off."""
 SHOWN_TEXT = 110
 """Characters of a finding that are printed."""

@@ -22,7 +22,8 @@ EDGE = 2.0
 def motion(rate: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return time, position and exact acceleration."""
     time = np.arange(round(DURATION * rate)) / rate
-    amplitude, phase = rng.uniform(0.1, 0.4, 4), rng.uniform(0.0, 6.0, 4)
+    amplitude = rng.uniform(0.1, 0.4, 4)
+    phase = rng.uniform(0.0, 6.0, 4)
     waves = amplitude * np.sin(np.outer(time, OMEGA) + phase)
     return time, waves.sum(axis=1), -(waves * OMEGA**2).sum(axis=1)
 

@@ -13,7 +13,9 @@ sys.path.insert(0, str(EXAMPLE))
 noise_study = importlib.import_module("noise_study")
 sys.path.remove(str(EXAMPLE))
 
-Noise, NoiseStudy, random_plan = noise_study.Noise, noise_study.NoiseStudy, noise_study.random_plan
+Noise = noise_study.Noise
+NoiseStudy = noise_study.NoiseStudy
+random_plan = noise_study.random_plan
 
 
 def designed_plan(robot, seed=1):

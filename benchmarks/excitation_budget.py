@@ -42,7 +42,8 @@ def search(budget: float, duration: float) -> str:
         return f"refused after {clock() - start:.2f} s: {error}"
     found = design_excitation(design, np.random.default_rng(1))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    taken, gain = clock() - start, found.start_objective / found.objective
+    taken = clock() - start
+    gain = found.start_objective / found.objective
     words = f"{found.n_feasible} of {found.n_drawn} draws feasible, {gain:.2f} times better"
     return f"{taken:.2f} s, {peak:.0f} MB; {words}"
 

@@ -54,14 +54,16 @@ ARMS = (
     MODELS / "franka_panda/panda.xml",
     MODELS / "kuka_iiwa_14/iiwa14.xml",
 )
-RATE, SIGMA = 200.0, 0.3 / np.sqrt(5.0)
+RATE = 200.0
+SIGMA = 0.3 / np.sqrt(5.0)
 """As much information as 0.3 N m at 1 kHz, in a fifth of the time."""
 OPTIONS = EstimationOptions()
 
 
 def beliefs(problem, motion):
     """What the estimate knows beforehand: groups of unknowns, and all values where it begins."""
-    robot, columns = problem.robot, Columns(problem.robot, (), OPTIONS.torques)
+    robot = problem.robot
+    columns = Columns(problem.robot, (), OPTIONS.torques)
     torque = np.sqrt(np.mean(problem.arm_torque(motion) ** 2, axis=0))
     shown = np.ones(len(columns.names), dtype=bool)
     sought = build_unknowns(columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, shown)
@@ -76,9 +78,11 @@ def drawn_links(robot, rng):
     round as well.
     """
     share = 0.01 * OPTIONS.link_uncertainty
-    found, heavier, longer = [], *(share * rng.normal(size=2))
+    found = []
+    heavier, longer = share * rng.normal(size=2)
     for number in other_links(robot):
-        theta, next_joint = robot.links[number].theta, robot.links[number + 1].translation
+        theta = robot.links[number].theta
+        next_joint = robot.links[number + 1].translation
         mass, com, inertia = spatial.com_from_theta(theta)
         _, moves = own_errors(theta, 1.0, float(np.linalg.norm(next_joint)))
         turns = own_errors(theta, share, float(np.linalg.norm(next_joint)))[0][4:, 4:]
@@ -134,7 +138,8 @@ def identified(problem, motion, rng, exact):
     recording = Measurement(motion.time, q, None, tau, None)
     datasets, _ = low_pass_recordings(robot, [Piece("log", recording)], OPTIONS)
     answer = answer_link(robot, datasets, OPTIONS, Progress(), None)
-    fit, theta = answer.fit, values[:10]
+    fit = answer.fit
+    theta = values[:10]
     stated = estimate_of(answer).standard_errors[:10]
     return fit.values[:10] - theta, fit.free[:10] - theta, stated, fit.choice.common_scale > 0.0
 
@@ -152,7 +157,8 @@ def lines(path, runs, exact):
     """The lines of one arm."""
     robot = load_robot_model(path)
     problem = build_problem(robot, LimitOptions(), noise_torque=SIGMA)
-    motion, options = TrajectoryOptions(sample_rate=RATE), ExcitationOptions(workers=1)
+    motion = TrajectoryOptions(sample_rate=RATE)
+    options = ExcitationOptions(workers=1)
     design = Design(problem, options, motion, known_of(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
     after = _posterior(problem, plan, (RATE, OPTIONS, "link"))
@@ -161,7 +167,8 @@ def lines(path, runs, exact):
     then = possible_covariance(robot.prior.theta, after.then.covariance[own])
     both = (1.0 - after.doubted) * covariance + after.doubted * then
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
-    began, found = time.process_time(), []
+    began = time.process_time()
+    found = []
     for seed in range(runs):
         rng = np.random.default_rng([seed, ARMS.index(path)])
         found.append(identified(problem, moves, rng, exact))

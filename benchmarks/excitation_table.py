@@ -74,7 +74,8 @@ def left_by(design, plan):
 def figures(design, information):
     """What some information leaves unknown."""
     covariance = design.criterion.covariance(information)
-    own, scale = np.sqrt(np.diag(covariance)), sizes(design.problem)
+    own = np.sqrt(np.diag(covariance))
+    scale = sizes(design.problem)
     centre = spread_of(design.problem.robot.prior.theta, covariance)[1]
     mean = np.exp(design.criterion.evaluate(information)[0])
     return np.array([own[0], centre, own[9], np.median(own / scale), mean])
@@ -82,10 +83,13 @@ def figures(design, information):
 
 def nearest(robot, plan):
     """Smallest distance of parts that move against each other, without those that overlap."""
-    model, parts = copy.copy(robot.mj_model), parts_by_joints(robot)
-    model.geom_margin[:], model.geom_gap[:] = 0.1, 0.0
+    model = copy.copy(robot.mj_model)
+    parts = parts_by_joints(robot)
+    model.geom_margin[:] = 0.1
+    model.geom_gap[:] = 0.0
     model.body_margin[:] = 0.1
-    data, rest = mujoco.MjData(model), None
+    data = mujoco.MjData(model)
+    rest = None
     data.qpos[:] = robot.reference_qpos
     least = np.inf
     for motion in motion_chunks(plan, 500.0):
@@ -117,12 +121,14 @@ def parts_by_joints(robot):
 
 def line(path, joint, seeds, budget):
     """The table's line of one arm."""
-    robot, motion = load_robot_model(path, joint=joint), TrajectoryOptions()
+    robot = load_robot_model(path, joint=joint)
+    motion = TrajectoryOptions()
     options = ExcitationOptions(workers=1)
     top = options.basis(motion.duration).top_frequency_hz
     problem = build_problem(robot, LimitOptions(), top_frequency_hz=top)
     known = known_of(problem, EstimationOptions(), "link")
-    design, torque = Design(problem, options, motion, known), ArmTorque(robot)
+    design = Design(problem, options, motion, known)
+    torque = ArmTorque(robot)
     sines = np.median(
         [
             left_by(design, generate_excitation_trajectory(robot, rng, 15.0, torque)[0])
@@ -131,11 +137,13 @@ def line(path, joint, seeds, budget):
         axis=0,
     )
     least = figures(design, random_information(problem, known, 1e-6))
-    began, found = time.process_time(), []
+    began = time.process_time()
+    found = []
     for seed in seeds:
         result = design_excitation(design, np.random.default_rng(seed))
         found.append(left_by(design, result.trajectory))
-    spent, best = (time.process_time() - began) / len(seeds), np.median(found, axis=0)
+    spent = (time.process_time() - began) / len(seeds)
+    best = np.median(found, axis=0)
     check = result.limit_check
     neighbours = problem.obstacles.neighbours.distance
     stated = min(check.nearest.distance - check.resolution, neighbours - DISTANCE_RESOLUTION)

@@ -47,7 +47,9 @@ class Study:
     """
 
     def __init__(self, shop: Workshop, names: list[str], seed: int) -> None:
-        self.shop, self.names, self.random = shop, names, random.Random(seed)
+        self.shop = shop
+        self.names = names
+        self.random = random.Random(seed)
         self.old = {name: shop.results(name, 1) for name in names}
         self.new: dict[str, dict[str, bytes]] = {}
         self.time: dict[str, float] = {}
@@ -334,7 +336,8 @@ def folders(study: Study) -> None:
         for what, act in before.items():
             study.shop.fill({})
             act(study.shop.out)
-            run, start = study.shop.start(study.shop.words(name, 2)), time.monotonic()
+            run = study.shop.start(study.shop.words(name, 2))
+            start = time.monotonic()
             run.process.join()
             _tell(study, name, f"{what} ({time.monotonic() - start:.1f} s)", run)
         for result, content in study.new[name].items():
@@ -350,7 +353,8 @@ def folders(study: Study) -> None:
 def _two_at_once(study: Study, name: str) -> None:
     first = study.started(name)
     second = study.shop.start(study.shop.words(name, 1 if name != "report" else 2), "second")
-    codes, errors = (first.code, second.code), [*first.errors, *second.errors]
+    codes = (first.code, second.code)
+    errors = [*first.errors, *second.errors]
     print(f"  {name:16s} {'two at once':28s} {codes}  {' | '.join(errors)[:130]}")
     if name != SEARCH and files_in(study.shop.out) not in (study.new[name], study.old[name]):
         print("    FAULT files of both")

@@ -41,8 +41,13 @@ ARMS = {
     "UR5e": "universal_robots_ur5e/ur5e.xml",
     "xArm 7": "ufactory_xarm7/xarm7_nohand.xml",
 }
-RATE, NOISE, STEP, WRONG = 500.0, 0.1, 1e-4, 0.02
-SINES, DRAWS, FASTEST = (1, 2, 3), 40, 2.0
+RATE = 500.0
+NOISE = 0.1
+STEP = 1e-4
+WRONG = 0.02
+SINES = (1, 2, 3)
+DRAWS = 40
+FASTEST = 2.0
 GOALS = {"armature": 0.03, "coulomb": 0.05, "viscous": 0.05}
 
 
@@ -70,7 +75,8 @@ class Truth:
     def torque(self, motion) -> np.ndarray:
         """(N, n) what the motors give."""
         links = LinkDynamics(self.robot).motion(motion.q, motion.qd, motion.qdd)
-        carried, sign = links.torque(self.thetas), np.sign(motion.qd)
+        carried = links.torque(self.thetas)
+        sign = np.sign(motion.qd)
         level = self.coulomb + self.stribeck * np.exp(-((motion.qd / self.speed) ** 2))
         level = level + self.load * np.abs(carried)
         smooth = self.armature * motion.qdd + self.viscous * motion.qd + self.offset
@@ -131,7 +137,8 @@ def _cell(truth, joint, index, term) -> str:
     if term not in joint.terms:
         return f"{term} MISSING        "
     value, error = joint.terms[term]
-    off, error = value / right - 1.0, error / right
+    off = value / right - 1.0
+    error = error / right
     mark = " " if abs(off) <= GOALS[term] else "!"
     return f"{term} {100 * off:+6.1f} ±{100 * error:4.1f} %{mark}"
 

@@ -56,12 +56,17 @@ ARMS = {
     "ur5e": "universal_robots_ur5e/ur5e.xml",
     "xarm7": "ufactory_xarm7/xarm7.xml",
 }
-RATE, DURATION, STEP = 250.0, 15.0, 1e-4
-NOISE, COLOURED, MEMORY = 0.01, 0.5, 0.1
+RATE = 250.0
+DURATION = 15.0
+STEP = 1e-4
+NOISE = 0.01
+COLOURED = 0.5
+MEMORY = 0.1
 PAYLOAD = spatial.theta_from_com(2.0, np.array([0.02, 0.01, 0.08]), 0.006 * np.eye(3))
 """At the terminal link, which for these arms is the flange's."""
 ORDER = (False, True, True, False)
-STRIBECK, LOSS = 0.3, 0.03
+STRIBECK = 0.3
+LOSS = 0.03
 """Part of Coulomb friction that goes with speed, and of the load that a gear loses."""
 
 
@@ -93,7 +98,9 @@ class Arm:
     """An arm as it was drawn."""
 
     def __init__(self, robot: RobotModel, cell: Cell, rng: np.random.Generator) -> None:
-        self.robot, self.rng, self.bent = robot, rng, cell.bent
+        self.robot = robot
+        self.rng = rng
+        self.bent = cell.bent
         angles = np.radians(cell.tilt) * rng.standard_normal(2)
         self.arm = with_gravity(robot, turned(gravity(robot), angles))
         links = other_links(robot)
@@ -134,7 +141,8 @@ def noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     """White noise, and half as large noise with a memory."""
     from scipy.signal import lfilter
 
-    kept, ahead = np.exp(-1.0 / (RATE * MEMORY)), int(10 * RATE * MEMORY)
+    kept = np.exp(-1.0 / (RATE * MEMORY))
+    ahead = int(10 * RATE * MEMORY)
     drawn = rng.standard_normal((shape[0] + ahead, shape[1]))
     slow = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], drawn, axis=0)[ahead:]
     return rng.standard_normal(shape) + COLOURED * slow
@@ -159,7 +167,8 @@ def body_off(found: BodyEstimate, true: Array) -> Iterator[Off]:
 
 def identified(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
     """How far the numbers of an arm are off, and the causes that are said to be larger."""
-    robot, result = arm.robot, result_of_logs(arm.robot, [arm.log()], options)
+    robot = arm.robot
+    result = result_of_logs(arm.robot, [arm.log()], options)
     found = list(body_off(result.links[-1], arm.thetas[-1]))
     middle = other_links(robot)[len(other_links(robot)) // 2]
     link = next((b for b in result.links if b.joint == robot.joint_names[middle]), None)
@@ -180,7 +189,8 @@ def weighed(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]
         Piece(f"log{k}", arm.log(loaded), loaded, places[k]) for k, loaded in enumerate(ORDER)
     ]
     datasets, _ = low_pass_recordings(arm.robot, sorted(pieces, key=lambda p: p.is_loaded), options)
-    question, flange = Question(options, loaded=True, drifts=True), find_flange(arm.robot, None)
+    question = Question(options, loaded=True, drifts=True)
+    flange = find_flange(arm.robot, None)
     answer, free = answer_payload(arm.robot, datasets, question, Progress(), None)
     result = payload_of(answer, free, flange, ORIGIN)
     assert result.payload is not None

@@ -41,7 +41,8 @@ def calibrated(recording, scale):
 
 def calibration(robot, arm, rng, sets):
     """(scales (n,), how far they may be off (n,) [%]) after sets of recordings with a weight."""
-    scale, sure = np.ones(robot.n_joints), None
+    scale = np.ones(robot.n_joints)
+    sure = None
     for _ in range(sets):
         logs = [
             calibrated(each, scale) for each in recordings(robot, arm, rng, payload=body(WEIGHT))
@@ -49,7 +50,8 @@ def calibration(robot, arm, rng, sets):
         options = EstimationOptions(scale_uncertainty=sure)
         found = weighed(robot, logs, options, known_mass=WEIGHT).payload
         more, errors = np.transpose([found.torque_scale[joint] for joint in robot.joint_names])
-        scale, sure = scale * more, tuple((100.0 * errors / more).tolist())
+        scale = scale * more
+        sure = tuple((100.0 * errors / more).tolist())
     return scale, sure
 
 
@@ -59,7 +61,9 @@ def run(robot, seed, sets):
     arm = ImperfectArm(robot, rng, Imperfections(scale=SCALE))
     scale, sure = calibration(robot, arm, rng, sets)
     off = [abs(scale / arm.scale - 1.0) < 1.96e-2 * np.array(sure)]
-    plain, scaled, promised = [], [], []
+    plain = []
+    scaled = []
+    promised = []
     for mass in PAYLOADS:
         raw = recordings(robot, arm, rng, payload=body(mass))
         plain.append(weighed(robot, raw).payload.body.inertial.mass / mass - 1.0)

@@ -21,7 +21,8 @@ from pathlib import Path
 
 from tests.support.places import GUESS, TRUTH
 
-LENGTHS, RATE = (15.0, 150.0, 1500.0, 3600.0), 1000.0
+LENGTHS = (15.0, 150.0, 1500.0, 3600.0)
+RATE = 1000.0
 LIMIT = 540.0
 """Time after which a run is ended [s]."""
 # Waits for one child, so that its peak memory and its time are those of all children.
@@ -96,7 +97,8 @@ def main(*parts: str) -> None:
             base, memory = run(Path(name), LENGTHS[0])
             for length in LENGTHS:
                 seconds, peak = run(Path(name), length)
-                samples, more = length * RATE, (length - LENGTHS[0]) * RATE
+                samples = length * RATE
+                more = (length - LENGTHS[0]) * RATE
                 added = f"{1e6 * (seconds - base) / more:.1f} us" if more else ""
                 cells = (part, f"{samples:.0f}", f"{seconds:.2f} s")
                 each = (f"{1e6 * seconds / samples:.1f} us", added, f"{peak:.0f} MB")

@@ -37,7 +37,8 @@ def line(study, words, noise) -> str:
     """One line of the table."""
     outcome = study.run(noise, DRAWS)
     bound = study.bound(noise)
-    plain, result = np.mean(outcome.plain_covered), np.mean(outcome.covered)
+    plain = np.mean(outcome.plain_covered)
+    result = np.mean(outcome.covered)
     text = f"  {words:>10} N m, memory {1e3 * noise.memory:3.0f} ms: "
     if noise.memory == 0.0:
         ratio = outcome.over_bound(bound)

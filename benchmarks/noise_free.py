@@ -46,7 +46,8 @@ class Case:
 
     def model(self, tip: float = 1.0) -> str:
         """Return the arm as MJCF, its last link's numbers times ``tip``."""
-        content, friction = "", self.friction
+        content = ""
+        friction = self.friction
         joint = f'range="-2.5 2.5" frictionloss="{0.4 * friction}" damping="{0.1 * friction}"'
         for index in reversed(range(7)):
             inertial = times(TIP, self.tip * tip) if index == 6 else times(LINK, self.others)
@@ -102,7 +103,9 @@ def line(found: dict, truth: np.ndarray) -> str:
 
 def lines(case: Case, rate: float, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
     """Yield (source of the data, its line) of one arm at one sample rate [Hz]."""
-    true, guess, log = folder / "true.xml", folder / "guess.xml", folder / "log.csv"
+    true = folder / "true.xml"
+    guess = folder / "guess.xml"
+    log = folder / "log.csv"
     true.write_text(case.model())
     guess.write_text(case.model(WRONG))
     words = (true, "--sample-rate", rate, "--seed", seed, "--save-measurements", log)

@@ -42,7 +42,8 @@ ORDER = (False, True, True, False)
 USUAL = EstimationOptions()
 
 
-WIDER, SPEED_SHARE = 5.0, 0.9
+WIDER = 5.0
+SPEED_SHARE = 0.9
 """How much wider a wide trajectory is at most, and which share of its speed limit a joint uses."""
 
 

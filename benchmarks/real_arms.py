@@ -55,8 +55,11 @@ SENSOR_ARMS = ("iiwa14", "panda", "fr3")
 """Arms whose torque sensors sit behind the gears."""
 KINDS = ("real", "priors", "exact")
 DURATIONS = (8.0, 20.0, 60.0)
-RATE, STEP = 250.0, 1e-4
-STRIBECK, MEMORY, NOISE = 0.3, 0.95, 0.08
+RATE = 250.0
+STEP = 1e-4
+STRIBECK = 0.3
+MEMORY = 0.95
+NOISE = 0.08
 
 
 @dataclass(frozen=True)

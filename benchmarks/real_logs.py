@@ -41,7 +41,8 @@ from robot_sysid.signals.process import process
 from tests.support.places import DATA, ROOT
 
 PAGE = ROOT / "docs" / "evidence.md"
-BEGIN, END = "<!-- evidence: python -m benchmarks.real_logs -->", "<!-- end of evidence -->"
+BEGIN = "<!-- evidence: python -m benchmarks.real_logs -->"
+END = "<!-- end of evidence -->"
 ROWS = {
     "catalogue": "catalogue model, as it came",
     "friction": "its links, with friction and rotor inertia by least squares",
@@ -92,8 +93,11 @@ def parted(log: str, start: float, end: float) -> tuple:
 
 
 LWR4 = [(f"kuka_lwr4/lwr4_hw{run}_200Hz.csv", 0.0, 99.0) for run in (1, 2, 3)]
-KUKA, TX40, UR10E = "kuka_lwr4/kuka_lwr4.urdf", "tx40/tx40.urdf", "ur10e_payload/ur10e.urdf"
-EMPTY, LOADED = "ur10e_payload/empty_100Hz.csv", "ur10e_payload/loaded_2p805kg_100Hz.csv"
+KUKA = "kuka_lwr4/kuka_lwr4.urdf"
+TX40 = "tx40/tx40.urdf"
+UR10E = "ur10e_payload/ur10e.urdf"
+EMPTY = "ur10e_payload/empty_100Hz.csv"
+LOADED = "ur10e_payload/loaded_2p805kg_100Hz.csv"
 NONE = "not published"
 CASES = (
     Case("KUKA LWR4+, the same motion again", KUKA, LWR4[0], LWR4[1], "3.3 to 4.1 %", rotors=False),
@@ -130,7 +134,8 @@ def as_mjcf(urdf: str) -> str:
 
 def column(case: Case, folder: Path) -> dict[str, str]:
     """What stands in the table below a case; masses under "... mass"."""
-    mjcf, cells = folder / "arm.xml", {"published": case.published}
+    mjcf = folder / "arm.xml"
+    cells = {"published": case.published}
     mjcf.write_text(as_mjcf(case.model))
     for kind, model in (("urdf", DATA / case.model), ("mjcf", mjcf)):
         found = identified(case, model)
@@ -149,7 +154,8 @@ def column(case: Case, folder: Path) -> dict[str, str]:
     plain = LeastSquares(case, found.robot, own.cutoff)
     cells["friction"] = percent(plain.error(plain.solution(links=False), test))
     values = plain.solution()
-    cells["least"], cells["least file"] = percent(plain.error(values, test)), plain.file(values)
+    cells["least"] = percent(plain.error(values, test))
+    cells["least file"] = plain.file(values)
     cells["least mass"] = f"{values[-10]:.3f}"
     stretches = tuple(each for each in (case.empty, case.fitted) if each is not None)
     model, mass = by_rollouts(case.model, stretches, own.cutoff, case.rotors)
@@ -172,7 +178,8 @@ def file_error(model, robot, test) -> float:
     data = mujoco.MjData(model)
     torque = np.empty_like(test.tau)
     for k, (q, qd, qdd) in enumerate(zip(test.q, test.qd, test.qdd)):
-        data.qpos[robot.qpos_index], data.qvel[robot.dof_index] = q, qd
+        data.qpos[robot.qpos_index] = q
+        data.qvel[robot.dof_index] = qd
         data.qacc[robot.dof_index] = qdd
         mujoco.mj_inverse(model, data)
         torque[k] = data.qfrc_inverse[robot.dof_index]
@@ -208,7 +215,8 @@ class LeastSquares:
     """
 
     def __init__(self, case: Case, robot, cutoff: float) -> None:
-        self.robot, self.case = robot, case
+        self.robot = robot
+        self.case = case
         fitted = [(case.fitted, case.empty is not None)]
         fitted += [] if case.empty is None else [(case.empty, False)]
         rows = [self.rows(signals(each, robot.joint_names, cutoff), load) for each, load in fitted]
@@ -223,9 +231,11 @@ class LeastSquares:
         own = np.sign(each.qd), each.qd, each.qdd, np.ones_like(each.qd)
         own = [column[:, :, None] * np.eye(joints) for column in own]
         if self.case.shared:
-            pair, other = list(self.case.shared), list(self.case.shared)[::-1]
+            pair = list(self.case.shared)
+            other = list(self.case.shared)[::-1]
             both = np.zeros((*each.q.shape, 3))
-            both[:, pair, 0], both[:, pair, 1] = each.qdd[:, other], each.qd[:, other]
+            both[:, pair, 0] = each.qdd[:, other]
+            both[:, pair, 1] = each.qd[:, other]
             both[:, pair, 2] = np.sign(each.qd[:, pair].sum(axis=1))[:, None]
             own.append(both)
         whole = np.concatenate((links, *own, is_loaded * links[..., -10:]), axis=-1)
@@ -254,7 +264,8 @@ class LeastSquares:
         links[-1] += values[-10:]
         spec = mujoco.MjSpec.from_string(as_mjcf(self.case.model))
         # What would bend impossible bodies to possible ones of another torque.
-        spec.compiler.balanceinertia, spec.compiler.boundmass = False, 0.0
+        spec.compiler.balanceinertia = False
+        spec.compiler.boundmass = 0.0
         spec.compiler.boundinertia = 0.0
         for link, theta in zip(self.robot.links, links):
             put_body(spec.body(link.body_name), theta)
@@ -276,9 +287,11 @@ def by_rollouts(urdf: str, stretches: tuple, cutoff: float, rotors: bool) -> tup
     from mujoco import sysid
 
     spec = mujoco.MjSpec.from_string(as_mjcf(urdf))
-    joints, last = [joint.name for joint in spec.joints], spec.joints[-1].parent.name
+    joints = [joint.name for joint in spec.joints]
+    last = spec.joints[-1].parent.name
     rollouts.with_motors(spec, joints).option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.timestep, before = rollouts.STEP, spec.compile().body(last).mass[0]
+    spec.option.timestep = rollouts.STEP
+    before = spec.compile().body(last).mass[0]
     bounds = {name: each for name, each in BOUNDS.items() if rotors or name != "armature"}
     params = rollouts.joint_parameters(joints, bounds)
     for stretch in stretches:
@@ -310,7 +323,10 @@ def _inertia(spec, body: str):
 def put_body(body, theta) -> None:
     """Give a body of an ``MjSpec`` ten parameters, whether or not a body can have them."""
     mass, com, inertia = spatial.com_from_theta(theta)
-    body.mass, body.ipos, body.iquat, body.inertia = mass, com, [1, 0, 0, 0], np.zeros(3)
+    body.mass = mass
+    body.ipos = com
+    body.iquat = [1, 0, 0, 0]
+    body.inertia = np.zeros(3)
     body.fullinertia = [*np.diag(inertia), *inertia[np.triu_indices(3, 1)]]
 
 

@@ -78,7 +78,8 @@ class UnmaskedStudy:
     def masked(self, rule):
         """(errors without torque noise, errors with 0.1 N m, share of rows used)."""
         used = rule(self.share, self.speed)
-        study, whole = self.study, self.study.samples
+        study = self.study
+        whole = self.study.samples
         tau = tuple(np.where(keep, t, np.nan) for keep, t in zip(used.T, whole.tau))
         study.samples = replace(whole, tau=tau)
         clean = friction_errors(study, study.identified(study.samples)[0])

@@ -39,7 +39,8 @@ def main(*names: str) -> None:
     np.set_printoptions(precision=4, suppress=True, linewidth=120)
     for name in names or ARMS:
         path, joint = ARMS[name]
-        robot, rng = load_robot_model(MODELS / path, joint=joint), np.random.default_rng(3)
+        robot = load_robot_model(MODELS / path, joint=joint)
+        rng = np.random.default_rng(3)
         arm = servo_arm.other_than(robot, rng)
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "log.csv"
@@ -56,7 +57,8 @@ def main(*names: str) -> None:
 def report(name, arm, robot, outcome, held, spent) -> None:
     """Print one arm."""
     found = outcome.result
-    servos, delay_error = found.fit.servos, found.fit.errors.delay
+    servos = found.fit.servos
+    delay_error = found.fit.errors.delay
     print(f"{name}: {spent:.0f} s; {outcome.failure or 'model written'}")
     print(f"  delay {1e3 * servos.delay:.2f} ± {1e3 * delay_error:.2f} ms, true 20")
     truth = (arm.stiffness, arm.damping, arm.coulomb, arm.armature)
@@ -71,7 +73,8 @@ def report(name, arm, robot, outcome, held, spent) -> None:
     pair = model_servos(robot), servos
     without = play_servos(ServoRollouts(robot), held, pair, "").errors
     for error, bare in zip(found.rollout.errors, without):
-        (late, new), (old, _) = error.overall, bare.overall
+        (late, new) = error.overall
+        (old, _) = bare.overall
         print(
             f"  held out, {error.horizon:g} s: model {old:.4g} rad, model with the delay found "
             f"{late:.4g}, found {new:.4g}: {old / new:.1f} and {late / new:.1f} times smaller"

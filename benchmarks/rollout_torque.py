@@ -35,8 +35,12 @@ ARMS = {
     "xarm7": ("ufactory_xarm7/xarm7_nohand.xml", None),
     "gen3": ("kinova_gen3/gen3.xml", None),
 }
-RATE, SECONDS, LOGS = 500.0, 30.0, 2
-NOISE, STEP, WRONG = 0.1, 1e-4, 0.02
+RATE = 500.0
+SECONDS = 30.0
+LOGS = 2
+NOISE = 0.1
+STEP = 1e-4
+WRONG = 0.02
 
 
 def main(*names: str) -> None:

@@ -46,7 +46,8 @@ class ServoArm:
         positions = np.empty_like(command)
         ticks = np.round(time / TICK).astype(int)
         late = np.round((time + self.delay) / TICK).astype(int)
-        at, asked = -1, command[0]
+        at = -1
+        asked = command[0]
         for tick in range(ticks[-1] + 1):
             sample = np.searchsorted(ticks, tick)
             if ticks[sample] == tick:
@@ -65,7 +66,8 @@ class ServoArm:
 
 def other_than(robot, rng, gain=(0.4, 0.8), friction=(1.5, 3.0), armature=(0.4, 0.8), delay=0.02):
     """An arm whose servos and joints are not those of its model."""
-    n, dofs = robot.n_joints, robot.dof_index
+    n = robot.n_joints
+    dofs = robot.dof_index
     own = actuators_of(robot)
     factor = rng.uniform(*gain, n)
     damping = robot.mj_model.dof_damping[dofs] + np.nan_to_num(own.damping)
@@ -84,8 +86,10 @@ def other_than(robot, rng, gain=(0.4, 0.8), friction=(1.5, 3.0), armature=(0.4, 
 def commands(robot, rng, seconds=40.0, rate=50.0, amplitude=0.5):
     """(time (N,), command (N, n)): sums of sines and steps within the joints' limits."""
     time = np.arange(round(seconds * rate)) / rate
-    lower, upper = np.maximum(robot.limits.lower, -1.5), np.minimum(robot.limits.upper, 1.5)
-    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    lower = np.maximum(robot.limits.lower, -1.5)
+    upper = np.minimum(robot.limits.upper, 1.5)
+    middle = 0.5 * (lower + upper)
+    half = 0.5 * (upper - lower)
     command = np.zeros((len(time), robot.n_joints))
     for joint in range(robot.n_joints):
         for often in rng.uniform(0.1, 0.8, 4):

@@ -35,12 +35,14 @@ from tests.support import arms
 from tests.support.places import DATA, GUESS, MODELS, ROOT, TRUTH
 
 PAGE = ROOT / "docs" / "comparison.md"
-BEGIN, END = "<!-- speed: python -m benchmarks.speed_table -->", "<!-- end of speed -->"
+BEGIN = "<!-- speed: python -m benchmarks.speed_table -->"
+END = "<!-- end of speed -->"
 HEADING = (
     "| Task | With | Processor time | Times | Memory | Error |",
     "| --- | --- | --- | --- | --- | --- |",
 )
-ROUNDS, MANY = 5, (1, 4, 12)
+ROUNDS = 5
+MANY = (1, 4, 12)
 
 
 def row(task: str, who: str, seconds: float, base: float, more: str = " | |") -> str:
@@ -59,7 +61,8 @@ def process(*words: str) -> tuple[float, float]:
 def start_rows() -> Iterator[str]:
     """What a command costs before it does anything, and the Quick Start."""
     with tempfile.TemporaryDirectory() as out:
-        command, task = ("-m", "robot_sysid"), "a process"
+        command = ("-m", "robot_sysid")
+        task = "a process"
         quick = (*command, str(GUESS), "--output-dir", out, "--seed", "0", "--quiet")
         runs = {
             "importing mujoco and numpy": ("-c", "import mujoco, numpy"),
@@ -84,7 +87,8 @@ def log_rows() -> Iterator[str]:
             linear_cost.log(Path(name), length)
             seconds, memory = linear_cost.log(Path(name), length)
             base = base or (seconds, memory)
-            task, more = f"`identify`, 7 joints, {length:g} s at 1 kHz", f"{memory:.0f} MB"
+            task = f"`identify`, 7 joints, {length:g} s at 1 kHz"
+            more = f"{memory:.0f} MB"
             yield row(task, "robot-sysid", seconds, base[0], f"{more}, {memory / base[1]:.1f} | |")
 
 
@@ -111,7 +115,8 @@ def many_rows() -> Iterator[str]:
             before = time.process_time()
             rs.identify(GUESS, logs)
             seconds = time.process_time() - before
-            each, task = seconds / count, f"`rs.identify`, each of {count} logs of 15 s in memory"
+            each = seconds / count
+            task = f"`rs.identify`, each of {count} logs of 15 s in memory"
             yield row(task, "robot-sysid", each, each)
 
 
@@ -120,9 +125,11 @@ def servo_rows() -> Iterator[str]:
     path = MODELS / "so101" / "so101_new_calib.xml"
     if not path.exists():
         return
-    robot, rng = load_robot_model(path, joint="wrist_roll"), np.random.default_rng(1)
+    robot = load_robot_model(path, joint="wrist_roll")
+    rng = np.random.default_rng(1)
     with tempfile.TemporaryDirectory() as name:
-        log, arm = Path(name) / "log.csv", servo_arm.other_than(robot, rng)
+        log = Path(name) / "log.csv"
+        arm = servo_arm.other_than(robot, rng)
         servo_arm.write_log(log, arm, *servo_arm.commands(robot, rng), 0.0015)
         words = ("--joint", "wrist_roll", "--torque-from", "position-error", "--output-dir", name)
         seconds, memory = linear_cost.measured("identify", str(path), str(log), *words)
@@ -137,7 +144,8 @@ def plan_rows() -> Iterator[str]:
     with tempfile.TemporaryDirectory() as name:
         for who, words in (("", ()), (", 24 s asked for", ("--excitation-time-budget", "24"))):
             run = linear_cost.watched(*command, "--output-dir", name, *words)
-            base, gain = base or run, re.search(r"([\d.]+) times better", run[2])
+            base = base or run
+            gain = re.search(r"([\d.]+) times better", run[2])
             found = f"{run[1]:.0f} MB | {gain[1] if gain else '?'} times the best random one |"
             yield row("`plan`, 7 joints, 15 s", f"robot-sysid{who}", run[0], base[0], found)
 
@@ -155,7 +163,8 @@ def sixty_rows() -> Iterator[str]:
     """Sixty joints in a row: the self-test, a simulated arm, a plan."""
     with tempfile.TemporaryDirectory() as name:
         joint = 'range="-2.5 2.5" frictionloss=".4" damping=".1"'
-        sixty, out = Path(name) / "sixty.xml", ("--seed", "0", "--output-dir", f"{name}/out")
+        sixty = Path(name) / "sixty.xml"
+        out = ("--seed", "0", "--output-dir", f"{name}/out")
         sixty.write_text(arms.serial_arm((arms.Z, arms.Y, arms.X) * 20, joint=joint))
         for task, words in (
             ("the model itself", (str(sixty),)),
@@ -188,7 +197,8 @@ PARTS = {
 
 def main(*words: str) -> None:
     """Print the table; put its rows into the page where that is asked for."""
-    asked, rows = [w for w in words if w != "--write"], list[str]()
+    asked = [w for w in words if w != "--write"]
+    rows = list[str]()
     print("\n".join(HEADING), flush=True)
     for part in asked or PARTS:
         for line in PARTS[part]():
@@ -204,7 +214,8 @@ def main(*words: str) -> None:
 def replaced(rows: list[str]) -> list[str]:
     """The page's rows, those of a task that was measured again replaced, new tasks behind."""
     table = PAGE.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0]
-    old, new = dict[str, list[str]](), dict[str, list[str]]()
+    old = dict[str, list[str]]()
+    new = dict[str, list[str]]()
     there = [line for line in table.splitlines() if line.startswith("|")][len(HEADING) :]
     for tasks, lines in ((old, there), (new, rows)):
         for line in lines:

@@ -45,7 +45,8 @@ def is_on_boundary(matrix, right):
 
 @pytest.mark.slow
 def test_objective_equals_the_oracles_on_a_thousand_problems():
-    excess, times = [], []
+    excess = []
+    times = []
     for seed in range(1000):
         matrix, right, prior = random_problem(seed)
         start = time.process_time()

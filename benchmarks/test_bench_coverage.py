@@ -29,7 +29,8 @@ def draw(seed, memory, rate=100.0):
 @pytest.mark.parametrize("method", ["ols", "wls"])
 @pytest.mark.parametrize("memory", [0.0, 0.02, 0.1])
 def test_intervals_cover(method, memory):
-    hits, naive = [], []
+    hits = []
+    naive = []
     for seed in range(DRAWS):
         arm, _, samples, information = draw(seed, memory)
         estimate = identified(information, np.zeros(31), method, samples=samples)
@@ -52,7 +53,8 @@ def test_intervals_cover(method, memory):
 @pytest.mark.slow
 def test_weighted_estimates_reach_the_cramer_rao_bound():
     """One arm, many noises: root mean square error over the bound's standard deviation."""
-    errors, names = {"ols": [], "wls": []}, ("ols", "wls")
+    errors = {"ols": [], "wls": []}
+    names = ("ols", "wls")
     base = SmoothArm(np.random.default_rng(0), 100.0)
     sigma = np.array([0.5, 0.5, 0.3, 0.3, 0.1, 0.1, 0.1])
     for seed in range(DRAWS):

@@ -36,7 +36,8 @@ def log(robot):
 
 def test_both_mean_the_same_arm(robot, model, log):
     """Torques of the model's links: ours against pinocchio's own recursion [N m]."""
-    data, motion = model.createData(), [part[::500] for part in log[1]]
+    data = model.createData()
+    motion = [part[::500] for part in log[1]]
     theirs = [pinocchio.rnea(model, data, *row) for row in zip(*motion)]
     thetas = robot.thetas
     mine = LinkDynamics(robot).motion(*motion).torque(thetas)

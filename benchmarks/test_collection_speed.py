@@ -49,7 +49,9 @@ def bare_loop(robot, measurements):
     at_q, at_v = (slice(int(i[0]), int(i[-1]) + 1) for i in (robot.qpos_index, robot.dof_index))
     for chunk in measurements:
         for q, qd, qdd in zip(chunk.q, chunk.qd, chunk.qdd):
-            data.qpos[at_q], data.qvel[at_v], data.qacc[at_v] = q, qd, qdd
+            data.qpos[at_q] = q
+            data.qvel[at_v] = qd
+            data.qacc[at_v] = qdd
             mujoco.mj_inverse(model, data)
 
 

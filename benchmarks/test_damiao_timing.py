@@ -40,7 +40,9 @@ class SameThreadLink:
     """A link whose arm answers at once, in the caller's thread."""
 
     def __init__(self, arm: SimulatedArm, clock: SystemClock) -> None:
-        self._arm, self._clock, self._start = arm, clock, clock.now()
+        self._arm = arm
+        self._clock = clock
+        self._start = clock.now()
         self._replies = []
 
     def send(self, frame):
@@ -69,9 +71,13 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
     return SimulatedArm(Pendulums(JOINTS), motors), plan
 
 
+def _ignore(message: object) -> None:
+    """Print nothing."""
+
+
 def play(link: GuardedLink, plan: Plan):
-    inspection, silent = inspect_bus(link), lambda _: None
-    return run(link, plan, inspection, StopRequest(), silent, silent)
+    inspection = inspect_bus(link)
+    return run(link, plan, inspection, StopRequest(), _ignore, _ignore)
 
 
 def tell(benchmark, report, rate: float) -> None:

@@ -101,7 +101,8 @@ def ranks() -> None:
             except SysidError as error:
                 print(f"  {name}: no arm ({str(error)[:60]}...)")
                 continue
-            structural, seen = structural_base(robot).rank, rank_of_log(robot)
+            structural = structural_base(robot).rank
+            seen = rank_of_log(robot)
             wrong += structural != seen
             print(f"  {name} to {robot.terminal_joint}: {seen} of {structural}")
     print(f"whole-arm rank differs from the structural rank on {wrong} models")
@@ -128,7 +129,8 @@ def durations() -> dict[str, float]:
     import pinocchio
 
     path = DATA / "kuka_lwr4" / "kuka_lwr4.urdf"
-    robot, model = load_robot_model(path), pinocchio.buildModelFromUrdf(str(path))
+    robot = load_robot_model(path)
+    model = pinocchio.buildModelFromUrdf(str(path))
     log, motion = runs_of.measured(robot)
     runs = {
         "pinocchio's regressor loop and lstsq": lambda: runs_of.pinocchio_fit(

@@ -10,7 +10,9 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.records import Measurement
 from tests.support.core_fits import BASIC, result_of_logs
 
-SAMPLES, RATE, CUTOFF = 15_000, 1000.0, 10.0
+SAMPLES = 15_000
+RATE = 1000.0
+CUTOFF = 10.0
 GIVEN = EstimationOptions(cutoff=CUTOFF, friction_model=BASIC)
 CHOSEN = EstimationOptions(cutoff=CUTOFF)
 
@@ -54,7 +56,8 @@ def pinocchio_regressor(model, data, motion):
 
 def pinocchio_fit(model, data, motion, tau):
     """Least squares of all links with Coulomb and viscous friction and offset, as people do it."""
-    links, qd = pinocchio_regressor(model, data, motion), motion[1]
+    links = pinocchio_regressor(model, data, motion)
+    qd = motion[1]
     samples, joints = qd.shape
     own = [column[:, :, None] * np.eye(joints) for column in (np.sign(qd), qd, np.ones_like(qd))]
     rows = np.concatenate((links, *own), axis=-1).reshape(samples * joints, -1)

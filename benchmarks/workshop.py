@@ -38,7 +38,8 @@ MOTORS = "--export-damiao" + 3 * " --motor-type DM4340"
 OUT = "out"
 INTO = f"--output-dir {OUT}"
 PLAN = f"plan arm.xml --seed {{k}} {SHORT} --save-trajectory {OUT}/plan.json {INTO}"
-SEARCH, EXAMPLE = "plan search", "example"
+SEARCH = "plan search"
+EXAMPLE = "example"
 COMMANDS = {
     "identify itself": f"arm.xml --seed {{k}} {SHORT} {MOTORS} {INTO}",
     "identify log": f"identify arm.xml log{{k}}.csv --bundle {INTO}",
@@ -95,7 +96,8 @@ class Workshop:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.out = folder.absolute(), folder.absolute() / OUT
+        self.folder = folder.absolute()
+        self.out = folder.absolute() / OUT
         self._context = multiprocessing.get_context("fork")
         if (self.folder / "log2.csv").exists():
             return
@@ -116,7 +118,8 @@ class Workshop:
 
     def start(self, words: list[str], label: str = "run") -> Run:
         """Start a command in the folder."""
-        out, err = self.folder / f"{label}.stdout", self.folder / f"{label}.stderr"
+        out = self.folder / f"{label}.stdout"
+        err = self.folder / f"{label}.stderr"
         process = self._context.Process(target=_command, args=(words, self.folder, out, err))
         out.write_text("")
         err.write_text("")

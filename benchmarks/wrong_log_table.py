@@ -99,10 +99,12 @@ def identified(truth, log, folder: Path) -> Outcome:
         result = analysed(config, truth.robot, listener).result
     except SysidError as error:
         return Outcome(error.exit_code, " ".join([*listener.said, str(error)]), None)
-    mass, sigma = result.links[-1].inertial.mass, float(result.links[-1].errors[0])
+    mass = result.links[-1].inertial.mass
+    sigma = float(result.links[-1].errors[0])
     code = 0 if result.verdict.is_trustworthy else 1
     off = mass - float(truth.theta[0])
-    said, file = " ".join((*listener.said, *result.reasons)), result.file
+    said = " ".join((*listener.said, *result.reasons))
+    file = result.file
     errors = 1.0, 1.0
     if file is not None and file.after is not None:
         errors = file.before.relative_error or 0.0, file.after.relative_error or 0.0
@@ -160,7 +162,8 @@ def clean(seeds: Sequence[int]) -> None:
         for seed in seeds:
             found = check_against_model(robot, [truth_of(robot, 1000 + seed).log])
             serious = [each.line() for each in found if each.level is not Level.NOTE]
-            total, alarms = total + 1, alarms + bool(serious)
+            total = total + 1
+            alarms = alarms + bool(serious)
             for line in serious:
                 print(f"  {arm}, seed {1000 + seed}: {line}", flush=True)
     print(f"{alarms} of {total} right logs draw an alarm: {100.0 * alarms / total:.1f} %")
@@ -168,7 +171,9 @@ def clean(seeds: Sequence[int]) -> None:
 
 def models(seeds: Sequence[int]) -> None:
     """Print how many right logs end with a better model, and each that does not."""
-    better, stated, total = 0, [], 0
+    better = 0
+    stated = []
+    total = 0
     with tempfile.TemporaryDirectory() as folder:
         for arm in ARMS:
             robot = robot_of(arm)
@@ -177,7 +182,8 @@ def models(seeds: Sequence[int]) -> None:
                 outcome = identified(truth, truth.log, Path(folder))
                 before, after = outcome.file
                 good = outcome.code == 0 and after < before
-                better, total = better + good, total + 1
+                better = better + good
+                total = total + 1
                 stated.append(outcome.stated)
                 line = f"{arm}, seed {1000 + seed}: exit {outcome.code}, file {before:.2%} -> "
                 tail = "" if good else outcome.said[-160:]

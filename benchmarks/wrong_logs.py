@@ -156,7 +156,8 @@ def saturated(truth):
 def held(truth):
     """A torque channel that stands still for some seconds."""
     tau = truth.log.tau.copy()
-    joint, start = carrying_joint(truth), int(truth.rng.integers(500, 1200))
+    joint = carrying_joint(truth)
+    start = int(truth.rng.integers(500, 1200))
     tau[start : start + 750, joint] = tau[start, joint]
     return _torque(truth, tau)
 
@@ -193,7 +194,8 @@ def scaled(factor):
 
 def one_joint_in_millinewtonmetres(truth):
     """The joint that carries least, with little noise."""
-    tau, sound = truth.log.tau.copy(), truth.rigid + truth.friction
+    tau = truth.log.tau.copy()
+    sound = truth.rigid + truth.friction
     joint = int(np.argmin(np.mean(sound**2, axis=0)))
     noise = 0.02 * np.max(np.abs(sound[:, joint])) * truth.rng.normal(size=len(tau))
     tau[:, joint] = 1e3 * (sound[:, joint] + noise)
@@ -211,7 +213,8 @@ def late_joint(truth):
 
 def hum(truth):
     """A slow sine in one joint's torque, a twelfth of what it carries."""
-    tau, joint = truth.log.tau.copy(), carrying_joint(truth)
+    tau = truth.log.tau.copy()
+    joint = carrying_joint(truth)
     size = 0.12 * float(np.sqrt(np.mean(truth.rigid[:, joint] ** 2)))
     tau[:, joint] += size * np.sin(2.0 * np.pi * 0.47 * truth.log.time)
     return _torque(truth, tau)

@@ -29,7 +29,8 @@ from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajec
 HERE = Path(__file__).resolve().parent
 MODEL = HERE.parent / "examples/kinova/model/kinova_fullinertia_guess.xml"
 SEED = 0
-SINES, OPTIMAL = "tab:gray", "tab:blue"
+SINES = "tab:gray"
+OPTIMAL = "tab:blue"
 
 
 def draw_trajectories(robot: RobotModel, plans: dict[str, MotionPlan], path: Path) -> None:

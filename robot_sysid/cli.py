@@ -115,7 +115,9 @@ def _report(message: str, code: int, debug: bool) -> int:
         import traceback
 
         traceback.print_exc()
-    one_line, beginning, end = " ".join(message.split()), 1500, 400
+    one_line = " ".join(message.split())
+    beginning = 1500
+    end = 400
     if len(one_line) > beginning + end:  # Nobody would read it all.
         one_line = f"{one_line[:beginning]} [...] {one_line[-end:]}"
     with contextlib.suppress(InputError):

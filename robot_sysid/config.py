@@ -23,7 +23,8 @@ from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.simulation.options import SimulatedArmOptions
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")
-EMPTY, LOADED = "A", "B"
+EMPTY = "A"
+LOADED = "B"
 """Letters of ``--order``."""
 
 
@@ -209,7 +210,8 @@ class SysidConfig(Config):
         """Words of a command line: which arm it is, and limits that its motors have to keep."""
         from robot_sysid.damiao.trajectory import LIMITS
 
-        model, limits = self.model, self.limits
+        model = self.model
+        limits = self.limits
         given = {each.key for each in options.given_options(limits)}.intersection(LIMITS)
         kept = options.command_words({key: getattr(limits, key) for key in given}, limits)
         return [str(model.path), *options.command_words(vars(model), model)], kept
@@ -223,8 +225,11 @@ class SysidConfig(Config):
         return replace(self, trajectory=replace(self.trajectory, seed=secrets.randbelow(2**31)))
 
     def _pairs(self) -> Iterator[tuple[bool, str, str]]:
-        plan, logs, torques = self.trajectory, self.log.measurements, self.estimation.torques
-        has_plant, copied = self.arm.plant_model is not None, self.arm.save_measurements is not None
+        plan = self.trajectory
+        logs = self.log.measurements
+        torques = self.estimation.torques
+        has_plant = self.arm.plant_model is not None
+        copied = self.arm.save_measurements is not None
         yield bool(logs) and has_plant, "--measurements", "--plant-model"
         optimal = self.excitation.kind == "optimal"
         is_from_file = plan.file is not None
@@ -236,13 +241,15 @@ class SysidConfig(Config):
         played = self.log.verify_rollout and bool(logs)
         yield played and torques == "terminal", "--verify-rollout", "--torques terminal"
         yield copied and len(logs) > 1, "--save-measurements", "several --measurements"
-        kept, unsought = "friction" in self.output.keep, self.estimation.no_friction
+        kept = "friction" in self.output.keep
+        unsought = self.estimation.no_friction
         yield kept and unsought, "--keep friction", "--no-friction"
         yield is_from_file and optimal, "--trajectory", "--excitation optimal"
         yield is_from_file and has_duration, "--trajectory", "--duration"
 
     def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        log, plan = bool(self.log.measurements), self.trajectory.plan_only
+        log = bool(self.log.measurements)
+        plan = self.trajectory.plan_only
         motion = (self.trajectory, self.excitation, self.limits, self.motors)
         yield not log, "is about a motion; a log brings its own", _given(*motion)
         about_log = [*_given(self.log), *_given(self.estimation, only=("torque_from",))]

@@ -68,7 +68,8 @@ class ColumnsError(InputError):
 
     def __init__(self, message: str, draft: str = "", name: str = "columns.txt") -> None:
         super().__init__(message)
-        self.draft, self.name = draft, name
+        self.draft = draft
+        self.name = name
 
 
 class ModelError(InputError):

@@ -63,9 +63,13 @@ HIGHEST_RATE_HZ = 200.0
 """Rate at which the motion is processed: far above its band. Noise is scaled to it."""
 MOST_SAMPLES = 200_000
 """Samples beyond which processing a motion beforehand would take too long."""
-LONGER, FASTER, BETTER = 4.0, 1.5, 0.5
+LONGER = 4.0
+FASTER = 1.5
+BETTER = 0.5
 """By how much longer and faster, and to which part of the error of the links, remedies are told."""
-_INSTANTS, _FEWEST, _MOST = 10.0, 100, 4000
+_INSTANTS = 10.0
+_FEWEST = 100
+_MOST = 4000
 """Instants of a motion per second that a remedy is worked out from, and at least and at most."""
 _NOISELESS = 1e-4
 """Torque noise that hides nothing [N m]."""
@@ -95,16 +99,19 @@ def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str)
         own[0] = DRIFTS * robot.friction.coulomb[list(problem.rows)]
         own[1] = DRIFTS * robot.friction.viscous[list(problem.rows)]
         return Known(np.zeros((0, 0)), own, asked)
-    choice, question = _choice(problem, options), Question(options)
+    choice = _choice(problem, options)
+    question = Question(options)
     columns = Columns(robot, (), options.torques, choice.couplings)
-    rng, limits = np.random.default_rng(0), problem.limits
+    rng = np.random.default_rng(0)
+    limits = problem.limits
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
     torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))
     choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
     sought = build_unknowns(
         columns, question, choice, torque, np.ones(len(columns.names), dtype=bool)
     )
-    factor, sure = np.zeros((0, 0)), dict[str, float]()
+    factor = np.zeros((0, 0))
+    sure = dict[str, float]()
     for group in sought.groups:
         sure.update(zip(group.names, np.sqrt(np.sum(group.factor**2, axis=1)).tolist()))
         if group.cause == LINKS:
@@ -143,13 +150,22 @@ def expect(
         asked: what is to be identified, see ``Known``.
     """
     how = sample_rate, options, asked
-    robot, known = problem.robot, known_of(problem, options, asked)
-    told, own_size = information.criterion(problem, known), prediction.sizes(problem)
-    of, theta, size, scaled = robot.body_name, robot.prior.theta, own_size, 0.0
+    robot = problem.robot
+    known = known_of(problem, options, asked)
+    told = information.criterion(problem, known)
+    own_size = prediction.sizes(problem)
+    of = robot.body_name
+    theta = robot.prior.theta
+    size = own_size
+    scaled = 0.0
     if asked == "payload":
-        of, theta = f"a payload of {prediction.WEIGHED:g} kg", _PAYLOAD
-        size, scaled = own_size / robot.prior.mass, _read_alike(problem, options)
-    others, missing, doubt = dict[str, float](), "", None
+        of = f"a payload of {prediction.WEIGHED:g} kg"
+        theta = _PAYLOAD
+        size = own_size / robot.prior.mass
+        scaled = _read_alike(problem, options)
+    others = dict[str, float]()
+    missing = ""
+    doubt = None
     try:
         after = _posterior(problem, plan, how)
     except InputError as error:
@@ -162,7 +178,8 @@ def expect(
         causes = {NOISE: covariance}
     else:
         names = PAYLOAD_NAMES if asked == "payload" else PARAMETER_NAMES
-        sought, found = after.sought, after.found
+        sought = after.sought
+        found = after.found
         places = [sought.kept_names.index(name) for name in names]
         own = np.ix_(places, places)
         parts = {cause: rows[:, places] for cause, rows in after.causes.items()}
@@ -202,7 +219,9 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     sample_rate, options, asked = how
     rate = min(sample_rate, HIGHEST_RATE_HZ)
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
-    robot, choice, is_loaded = problem.robot, _choice(problem, options), asked == "payload"
+    robot = problem.robot
+    choice = _choice(problem, options)
+    is_loaded = asked == "payload"
     (dataset,), _ = low_pass_recordings(
         robot, [Piece("", _rehearsal(problem, plan, rate))], options
     )
@@ -330,7 +349,8 @@ def _remedies(
     rate, options, asked = how
     theta = _PAYLOAD if asked == "payload" else problem.robot.prior.theta
     tell = partial(_told, problem, plan, rate)
-    here, quick = tell(known), tell(known, faster=FASTER)
+    here = tell(known)
+    quick = tell(known, faster=FASTER)
 
     def remedy(
         words: str, covariance: Array, *planned: str, loaded: bool = asked == "payload"
@@ -377,7 +397,8 @@ def outlook(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> str:
     a motion that is not designed yet.
     """
     _, options, asked = how
-    known, mass = known_of(problem, options, asked), problem.robot.prior.mass
+    known = known_of(problem, options, asked)
+    mass = problem.robot.prior.mass
     told = information.criterion(problem, known)
     least = told.covariance(information.random_information(problem, known, _NOISELESS))
     least = least if asked == "payload" else possible_covariance(problem.robot.prior.theta, least)

@@ -126,7 +126,8 @@ def save(
     """
     # A known mass weighed the torques: there is nothing to write of such a payload.
     calibrates = result.payload is not None and result.payload.known_mass is not None
-    failure, report = refusal(result) or refused, None
+    failure = refusal(result) or refused
+    report = None
     cards: tuple[Card, ...] = ()
     written: list[Path] = []
     notes: tuple[str, ...] = ()
@@ -192,7 +193,8 @@ def remove_earlier(
 
 
 def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]:
-    cards, recordings = payload_cards(payload.body, payload.flange), payload.recordings
+    cards = payload_cards(payload.body, payload.flange)
+    recordings = payload.recordings
     mass = with_error(payload.body.inertial.mass, float(payload.body.errors[0]), "kg")
     heading = (
         f"Payload of {mass}, identified with {result.robot.path.name} from "

@@ -60,7 +60,8 @@ def of_logs(config: SysidConfig, robot: RobotModel, progress: Progress) -> Analy
 
 
 def _read(config: SysidConfig, robot: RobotModel, progress: Progress) -> _Recorded:
-    options, tests = config.log, []
+    options = config.log
+    tests = []
     logs = []
     for path in options.measurements:
         progress.stage(f"Reading measurements from {path}...")
@@ -82,14 +83,16 @@ def of_plant(
     config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
 ) -> Analysis:
     """Let another model play the real arm, and identify from what its sensors say."""
-    arm, rate = config.arm, config.trajectory.sample_rate
+    arm = config.arm
+    rate = config.trajectory.sample_rate
     assert arm.plant_model is not None
     plant = load_plant(robot, arm.plant_model, config.model.mesh_dir)
     progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")
     rng = np.random.default_rng([seed, _NOISE_STREAM])
     simulation = PlantSimulation(plant, plan, arm, rate, rng)
     count = sample_count(plan.duration, rate)
-    label, chunks = "Collecting measurements", math.ceil(count / CHUNK)
+    label = "Collecting measurements"
+    chunks = math.ceil(count / CHUNK)
     parts, cut = bounded(progress.track(iter(simulation), label, chunks), count)
     if arm.save_measurements is not None:
         whole = simulation if count > MOST_KEPT else parts
@@ -128,7 +131,8 @@ def _filtered(
     notes: Sequence[str],
     tests: Sequence[MeasurementLog] = (),
 ) -> _Recorded:
-    options, others = config.estimation, {}
+    options = config.estimation
+    others = {}
     datasets, said = low_pass_recordings(robot, pieces, options)
     cutoff = datasets[0].signals.cutoff if datasets[0].signals else options.cutoff
     for log in tests:
@@ -142,7 +146,9 @@ def _filtered(
 def _identified(
     config: SysidConfig, robot: RobotModel, recorded: _Recorded, progress: Progress
 ) -> Analysis:
-    options, datasets, notes = config.estimation, recorded.datasets, recorded.notes
+    options = config.estimation
+    datasets = recorded.datasets
+    notes = recorded.notes
     progress.note(*notes)
     kept = config.output.keep + ((FILE_FRICTION, FILE_ROTORS) if options.no_friction else ())
     answer = answer_link(robot, datasets, options, progress, kept, recorded.tests)
@@ -176,7 +182,8 @@ def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> R
 
 def played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> RolloutTest:
     """Return how the model before and the one to be written move beside the arm."""
-    answer, mesh_dir = analysis.answer, config.model.mesh_dir
+    answer = analysis.answer
+    mesh_dir = config.model.mesh_dir
     assert answer is not None
     datasets = analysis.tests or answer.fit.columns.datasets
     signals = [each.signals for each in datasets if each.signals is not None]

@@ -88,7 +88,8 @@ def _datasets(
 ) -> tuple[list[Dataset], tuple[str, ...]]:
     place = np.zeros(len(raw)) if at is None else at
     if config.payload.static:
-        found, told = [], {}
+        found = []
+        told = {}
         for each, where in zip(raw, place.tolist()):
             try:
                 poses, used = resting_poses(each.samples, robot.joint_names)
@@ -120,7 +121,8 @@ def _no_drift(raw: Sequence[RawRecording], known: bool) -> str:
 
 def _recordings(config: PayloadConfig, robot: RobotModel, progress: Progress) -> list[RawRecording]:
     """Return all recordings, empty ones first."""
-    options, found = config.payload, []
+    options = config.payload
+    found = []
     kinds = [(path, False) for path in options.empty] + [(path, True) for path in options.loaded]
     for path, is_loaded in kinds:
         progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
@@ -154,5 +156,6 @@ def drift_shows(recordings: Sequence[RawRecording], at: Array) -> bool:
 
 
 def _scaled(at: Array) -> Array:
-    low, high = float(np.min(at)), float(np.max(at))
+    low = float(np.min(at))
+    high = float(np.max(at))
     return 2.0 * (at - low) / (high - low) - 1.0 if high > low else 0.0 * at

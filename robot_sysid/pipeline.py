@@ -61,8 +61,10 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
         from robot_sysid.servo.run import run_servo
 
         with meshes_not_kept():
-            robot, rest = load(config, progress), (config.model.mesh_dir, progress)
-            folder, read = config.output.output_dir, config.read_files()
+            robot = load(config, progress)
+            rest = (config.model.mesh_dir, progress)
+            folder = config.output.output_dir
+            read = config.read_files()
             return run_servo(robot, config.log, folder, *rest, read)
     with locked_folder(config.output.output_dir, progress):
         robot = load(config, progress)
@@ -170,7 +172,8 @@ def save_plan(
 
 def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
     prediction = predict(config, checked)
-    lines, failure = [*promise(config, checked, prediction)], checked.failure
+    lines = [*promise(config, checked, prediction)]
+    failure = checked.failure
     motor_file = None if failure else motor_writer(config, robot, checked.plan)
     with whole_files() as files:
         paths = () if failure else save_plan(files, config, robot, checked.plan)
@@ -249,7 +252,8 @@ def _of_itself(
     config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
 ) -> Analysis:
     """Simulate the model along the trajectory and identify it, in constant memory."""
-    rate, save_to = config.trajectory.sample_rate, config.arm.save_measurements
+    rate = config.trajectory.sample_rate
+    save_to = config.arm.save_measurements
     result, traces = identify_itself(robot, plan, rate, seed, config.estimation, progress)
     if save_to is not None:
         from robot_sysid.logs.reader import write_measurement_csv
@@ -262,10 +266,16 @@ def _of_itself(
 
 def written(config: Config, robot: RobotModel, found: Analysis, progress: Progress) -> Outcome:
     """Write all results and pass on what writing them had to say."""
-    folder, mesh_dir, result = config.output.output_dir, config.model.mesh_dir, found.result
-    refused, as_body, motor_file, scales = None, None, None, None
+    folder = config.output.output_dir
+    mesh_dir = config.model.mesh_dir
+    result = found.result
+    refused = None
+    as_body = None
+    motor_file = None
+    scales = None
     if isinstance(config, PayloadConfig):
-        as_body, scales = config.payload.as_body, config.payload.save_torque_scale
+        as_body = config.payload.as_body
+        scales = config.payload.save_torque_scale
     elif isinstance(config, SysidConfig):
         motor_file = None if found.plan is None else motor_writer(config, robot, found.plan)
         if config.log.verify_rollout and result.file is not None and result.verdict.writes_model:
@@ -317,7 +327,8 @@ def motor_writer(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> Mo
     rate = config.trajectory.sample_rate
 
     def write(file: TextIO) -> DamiaoExportReport:
-        motion, ids = commands(robot, plan, rate), (motors.can_id, motors.master_id)
+        motion = commands(robot, plan, rate)
+        ids = (motors.can_id, motors.master_id)
         names = robot.joint_names
         return export_damiao_trajectory(motion, motors.motor_type, file, *ids, joint_names=names)
 

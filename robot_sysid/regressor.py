@@ -33,15 +33,18 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
         return sp.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
     motion = sp.symbols("wx wy wz vx vy vz awx awy awz avx avy avz")
-    twist, acceleration = sp.Matrix(motion[:6]), sp.Matrix(motion[6:])
-    omega, v = hat(*twist[:3]), hat(*twist[3:])
+    twist = sp.Matrix(motion[:6])
+    acceleration = sp.Matrix(motion[6:])
+    omega = hat(*twist[:3])
+    v = hat(*twist[3:])
     # ad(V) = [[[omega]x, 0], [[v]x, [omega]x]].
     adjoint = omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
     columns = []
     for k in range(len(PARAMETER_NAMES)):
         m, hx, hy, hz, xx, xy, xz, yy, yz, zz = (int(i == k) for i in range(len(PARAMETER_NAMES)))
         # G = [[I, [h]x], [-[h]x, m 1]].
-        inertia, h = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), hat(hx, hy, hz)
+        inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        h = hat(hx, hy, hz)
         spatial_inertia = inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
         columns.append(spatial_inertia * acceleration - adjoint.T * (spatial_inertia * twist))
     return sp.Matrix.hstack(*columns), motion
@@ -65,13 +68,24 @@ def wrench_regressor(velocity: Array, acceleration: Array) -> Array:
     ax = linear[0] - vy * wz + vz * wy
     ay = linear[1] + vx * wz - vz * wx
     az = linear[2] - vx * wy + vy * wx
-    xx, yy, zz, xy, xz, yz = wx**2, wy**2, wz**2, wx * wy, wx * wz, wy * wz
-    less_x, less_y, less_z = alpha_x - yz, alpha_y - xz, alpha_z - xy
-    more_x, more_y, more_z = alpha_x + yz, alpha_y + xz, alpha_z + xy
+    xx = wx**2
+    yy = wy**2
+    zz = wz**2
+    xy = wx * wy
+    xz = wx * wz
+    yz = wy * wz
+    less_x = alpha_x - yz
+    less_y = alpha_y - xz
+    less_z = alpha_z - xy
+    more_x = alpha_x + yz
+    more_y = alpha_y + xz
+    more_z = alpha_z + xy
     regressor = np.zeros((6, len(PARAMETER_NAMES), len(velocity)))
     regressor[0, 2:] = (az, -ay, alpha_x, less_y, more_z, -yz, yy - zz, yz)
-    regressor[1, 1], regressor[1, 3:] = -az, (ax, xz, more_x, zz - xx, alpha_y, less_z, -xz)
-    regressor[2, 1:3], regressor[2, 4:] = (ay, -ax), (-xy, xx - yy, less_x, xy, more_y, alpha_z)
+    regressor[1, 1] = -az
+    regressor[1, 3:] = (ax, xz, more_x, zz - xx, alpha_y, less_z, -xz)
+    regressor[2, 1:3] = (ay, -ax)
+    regressor[2, 4:] = (-xy, xx - yy, less_x, xy, more_y, alpha_z)
     regressor[3, :4] = (ax, -zz - yy, -less_z, more_y)
     regressor[4, :4] = (ay, more_z, -zz - xx, -less_x)
     regressor[5, :4] = (az, -less_y, more_x, -yy - xx)

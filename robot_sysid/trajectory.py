@@ -19,7 +19,8 @@ from robot_sysid.records.sampling import TrajectoryOptions
 
 FREQUENCY_BAND_HZ = (0.1, 0.6)
 TERMS_PER_JOINT = (3, 5)
-TERMINAL_SHARE, OTHER_SHARE = 0.7, 0.1
+TERMINAL_SHARE = 0.7
+OTHER_SHARE = 0.1
 """Share of its range that the terminal joint's motion uses, and that of every other joint."""
 POSITION_MARGIN = 0.02
 """Share of the range kept free at each position limit."""
@@ -70,10 +71,15 @@ class SineTrajectory:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
         time = np.asarray(time, dtype=float)
         used = np.nonzero(self.amplitude)
-        omega, joints = 2.0 * np.pi * self.frequency_hz[used], np.eye(len(self.center))[used[0]]
-        angle, size = np.outer(time, omega) + self.phase[used], self.amplitude[used]
-        sine, cosine = size * np.sin(angle), size * np.cos(angle)
-        s, ds, dds = sine @ joints, (omega * cosine) @ joints, -(omega**2 * sine) @ joints
+        omega = 2.0 * np.pi * self.frequency_hz[used]
+        joints = np.eye(len(self.center))[used[0]]
+        angle = np.outer(time, omega) + self.phase[used]
+        size = self.amplitude[used]
+        sine = size * np.sin(angle)
+        cosine = size * np.cos(angle)
+        s = sine @ joints
+        ds = (omega * cosine) @ joints
+        dds = -(omega**2 * sine) @ joints
         s, ds, dds = faded(window(time, self.duration, self.fade), (s, ds, dds))
         return Motion(time, self.center + s, ds, dds)
 
@@ -175,7 +181,8 @@ def generate_excitation_trajectory(
 
 def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
     """Return where each joint rests and how far it may go from there (n,), (n,)."""
-    lower, upper = robot.limits.lower, robot.limits.upper
+    lower = robot.limits.lower
+    upper = robot.limits.upper
     limited = np.isfinite(lower) & np.isfinite(upper)
     assumed = np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
     span = np.where(limited, upper - lower, assumed)
@@ -234,7 +241,8 @@ def _fit_torque(
     )
     if not np.any(excess(1.0)[~hopeless] > 1.0):
         return trajectory, notes
-    low, high = np.log2(_SMALLEST_FACTOR), 0.0
+    low = np.log2(_SMALLEST_FACTOR)
+    high = 0.0
     for _ in range(12):
         middle = 0.5 * (low + high)
         fits = not np.any(excess(2.0**middle)[~hopeless] > 1.0)

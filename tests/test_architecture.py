@@ -76,7 +76,9 @@ LIBRARIES = {
 }
 SLOW_TO_IMPORT = {"scipy", "sympy", *LIBRARIES} - {"mujoco"}
 MOST_FILES = 16
-MOST_FUNCTION_LINES, MOST_MODULE_LINES, MOST_NESTING = 60, 600, 3
+MOST_FUNCTION_LINES = 60
+MOST_MODULE_LINES = 600
+MOST_NESTING = 3
 
 BLOCKS = (ast.For, ast.While, ast.If, ast.With, ast.Try)
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
@@ -159,7 +161,8 @@ def circles(sources: Mapping[str, str]) -> Iterator[str]:
     """Yield one line per module that imports itself through others."""
     graph = {m: {i for i in imports(s, sources) if i in sources} - {m} for m, s in sources.items()}
     for start in graph:
-        reached, waiting = set(), list(graph[start])
+        reached = set()
+        waiting = list(graph[start])
         while waiting:
             module = waiting.pop()
             if module not in reached:
@@ -193,7 +196,8 @@ def size_faults(sources: Mapping[str, str]) -> Iterator[str]:
     for module, source in sources.items():
         if source.count("\n") > MOST_MODULE_LINES:
             yield f"{module} has {source.count(chr(10))} lines"
-        code, lines = code_lines(source), source.split("\n")
+        code = code_lines(source)
+        lines = source.split("\n")
         for node in (n for n in nodes_of(source) if isinstance(n, FUNCTIONS)):
             inside = code & set(range(node.lineno, node.end_lineno + 1))
             if len(inside) > MOST_FUNCTION_LINES:

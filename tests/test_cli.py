@@ -175,7 +175,8 @@ def first(command, arm):
 def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
     first, command, arm, monkeypatch
 ):
-    replace, order = os.replace, []
+    replace = os.replace
+    order = []
 
     def interrupted(source, target):
         replace(source, target)

@@ -27,7 +27,8 @@ from tests.motion.test_prediction import a_plan
 from tests.support import arms
 from tests.support.excitation_arms import problem, robot
 
-RATE, SIGMA = 250.0, 0.01
+RATE = 250.0
+SIGMA = 0.01
 # With rotors: an estimate that stops at none spreads less than it could.
 ARM = arms.serial_arm(
     (arms.Z, arms.Y, arms.Y, arms.X),
@@ -75,7 +76,8 @@ def test_of_a_known_arm_the_promise_is_the_spread_of_identifications():
 
 def test_of_an_arm_that_is_not_known_the_whole_error_is_promised():
     options = EstimationOptions()
-    expected, (*_, stated) = promised(options), answered(options, 0).links()
+    expected = promised(options)
+    (*_, stated) = answered(options, 0).links()
     # This model is right, which a recording finds out and a plan cannot know.
     ratio = stated.errors / expected.deviation
     assert np.all((ratio > 0.3) & (ratio < 1.3))
@@ -106,7 +108,8 @@ def test_the_search_makes_small_what_is_promised(options):
 
 
 def test_of_friction_what_identifications_report_is_promised():
-    options, stated = EstimationOptions(), delivered(EstimationOptions(), 0)
+    options = EstimationOptions()
+    stated = delivered(EstimationOptions(), 0)
     errors = dict(zip(stated.names, stated.standard_errors))
     lines = friction_lines(problem(ARM, noise_torque=SIGMA), PLAN, RATE, options)
     for term, line in zip(("coulomb", "viscous"), lines):
@@ -133,7 +136,8 @@ def test_scales_that_are_not_alike_are_averaged_as_the_estimate_does():
 def test_a_payload_weighs_as_surely_as_torques_are_scaled_at_best():
     found = promised(EstimationOptions(scale_uncertainty=6.0)).remedies
     weighed = next(each.mass for each in found if "by difference" in each.words)
-    mass, joints = robot(ARM).prior.mass, robot(ARM).n_joints
+    mass = robot(ARM).prior.mass
+    joints = robot(ARM).n_joints
     assert 0.06 / np.sqrt(joints) * mass < weighed < 0.1 * mass
 
 

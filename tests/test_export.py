@@ -127,7 +127,8 @@ def test_no_result_of_an_earlier_run_stays_and_nothing_else_goes(robot, out):
 @pytest.mark.parametrize("case", ["not trusted", "does not fit", "refused"])
 def test_an_old_model_goes_also_where_this_run_writes_none(robot, out, case):
     write_files(out, EARLIER)
-    result, options = heavier(robot), {}
+    result = heavier(robot)
+    options = {}
     if case == "not trusted":
         result = replace(result, verdict=Verdict.TOO_WEAK)
     elif case == "does not fit":

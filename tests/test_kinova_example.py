@@ -60,7 +60,8 @@ def test_joints_stand_at_the_published_heights_and_turn_in_the_published_sense(f
     np.testing.assert_allclose(data.xanchor[:, 2], heights, atol=2e-5)
     np.testing.assert_allclose(data.site("flange").xpos[2], 1.18739, atol=2e-5)
     np.testing.assert_allclose(data.site("flange").xpos[1], -0.0249, atol=1e-4)
-    down, sideways = [0, 0, -1], [0, 1, 0]
+    down = [0, 0, -1]
+    sideways = [0, 1, 0]
     expected = [down, sideways, down, sideways, down, sideways, down]
     np.testing.assert_allclose(data.xaxis, expected, atol=1e-12)
     outwards = data.site("flange").xpos - data.body("link6").xpos

@@ -149,7 +149,8 @@ MODULES = {
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     """The folder of a package that stands in for it; the working folder holds nothing else."""
-    model, folder = tmp_path / "cache" / "two.xml", tmp_path / "site" / PACKAGE
+    model = tmp_path / "cache" / "two.xml"
+    folder = tmp_path / "site" / PACKAGE
     for path in (model, folder / "any"):
         path.parent.mkdir(parents=True)
     model.write_text(TEXT)

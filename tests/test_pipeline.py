@@ -26,7 +26,8 @@ XML = arms.serial_arm(
 
 class Listener(Progress):
     def __init__(self):
-        self.stages, self.notes = [], []
+        self.stages = []
+        self.notes = []
 
     def stage(self, *messages):
         self.stages += messages

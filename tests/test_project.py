@@ -134,7 +134,8 @@ def tree_paths() -> list[str]:
     """Return the paths drawn in the README's project structure."""
     block = re.search(r"<!-- tree -->\n```text\n(.*?)```", README, re.DOTALL)
     assert block is not None
-    paths, folders = [], []
+    paths = []
+    folders = []
     for line in block[1].splitlines()[1:]:
         match = re.match(r"([│ ]*)[├└]── (\S+)", line)
         if match:

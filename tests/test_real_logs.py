@@ -14,7 +14,8 @@ from robot_sysid.cli import main
 from robot_sysid.model.tendons import CAN_HOLD_ROTORS
 from tests.support.places import DATA, ROOT
 
-KUKA, TX40 = DATA / "kuka_lwr4", DATA / "tx40"
+KUKA = DATA / "kuka_lwr4"
+TX40 = DATA / "tx40"
 
 pytestmark = pytest.mark.skipif(not DATA.exists(), reason="the logs of real arms are not here")
 holds_motors = pytest.mark.skipif(not CAN_HOLD_ROTORS, reason="MuJoCo before 3.2.7")
@@ -64,7 +65,8 @@ def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
 @pytest.mark.slow
 def test_tx40s_rotor_inertia_is_seen(tmp_path):
     """Motor torques: without rotor inertia the error is several times larger."""
-    log, model = TX40 / "tx40_500Hz.csv", TX40 / "tx40.urdf"
+    log = TX40 / "tx40_500Hz.csv"
+    model = TX40 / "tx40.urdf"
     known = [f"--{cause}-uncertainty=0" for cause in ("link", "scale", "zero", "delay", "friction")]
     found = {}
     for terms in ("coulomb-viscous-offset-armature", "coulomb-viscous-offset"):
@@ -116,7 +118,8 @@ def test_where_sensors_sit_behind_the_gears_no_motor_is_found(tmp_path, run):
 @holds_motors
 def test_tx40s_motor_is_found_again_in_its_file(tx40, tmp_path):
     """It is the model's then: nothing is found beside it, and no file is better."""
-    model, log = tx40 / "out" / "updated_model.xml", tx40 / "first.csv"
+    model = tx40 / "out" / "updated_model.xml"
+    log = tx40 / "first.csv"
     code, params = identified(tmp_path, model, log)
     before, after = (params["file"]["torque_error"][which] for which in ("before", "after"))
     assert before < 0.06 and after < 0.06

@@ -59,13 +59,15 @@ def round_body(seed):
 def test_wrench_of_a_free_body_is_mujocos(seed):
     """A free joint takes the force in the world's axes and the moment in the body's."""
     rng = np.random.default_rng(seed)
-    model, rotation = free_body(round_body(seed)), random_rotation(rng)
+    model = free_body(round_body(seed))
+    rotation = random_rotation(rng)
     # Some releases round the axes they find for a fullinertia to six digits.
     theta = body_theta(model, 1)
     data = mujoco.MjData(model)
     omega, alpha, v, linear = rng.normal(size=(4, 3))
     mujoco.mju_mat2Quat(data.qpos[3:], rotation.ravel())
-    data.qvel[:], data.qacc[:] = np.append(rotation @ v, omega), np.append(rotation @ linear, alpha)
+    data.qvel[:] = np.append(rotation @ v, omega)
+    data.qacc[:] = np.append(rotation @ linear, alpha)
     mujoco.mj_inverse(model, data)
     gravity = rotation.T @ model.opt.gravity
     wrench = regressor_of(omega, alpha, v, linear - gravity) @ theta

@@ -179,7 +179,8 @@ def parts_of(place: Place) -> tuple[ast.AST, ...]:
 def leads_to(place: Place) -> frozenset[Place]:
     """Return what a definition names."""
     module, name = place
-    found, own = set(), parts_of(place)
+    found = set()
+    own = parts_of(place)
     local = {n.arg for n in own if isinstance(n, ast.arg)}
     local |= {n.id for n in own if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
     local = local if isinstance(definitions(module)[name], FUNCTIONS) else set()

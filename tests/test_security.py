@@ -15,7 +15,8 @@ import pytest
 from tests.support.arms import X, Y, Z, serial_arm
 from tests.support.places import ROOT
 
-DOCUMENTS, HAZARDS = "mjcf/test_documents.py::", "mjcf/test_hazards.py::"
+DOCUMENTS = "mjcf/test_documents.py::"
+HAZARDS = "mjcf/test_hazards.py::"
 ARRAYS = "logs/formats/test_arrays.py::"
 STOPS = f"{HAZARDS}test_what_would_end_or_stop_the_process_is_refused"
 HELD = {
@@ -119,10 +120,12 @@ LINES = (
 def test_files_are_written_where_a_command_says_and_no_network_is_opened(tmp_path):
     pytest.importorskip("matplotlib")
     (tmp_path / "arm.xml").write_text(serial_arm((Z, Y, X), joint=JOINT))
-    home, temporary = tmp_path / "home", tmp_path / "temporary"
+    home = tmp_path / "home"
+    temporary = tmp_path / "temporary"
     home.mkdir()
     temporary.mkdir()
-    cache, places = home / "cache", {"HOME": str(home), "TMPDIR": str(temporary)}
+    cache = home / "cache"
+    places = {"HOME": str(home), "TMPDIR": str(temporary)}
     settings = {"MPLCONFIGDIR": str(cache), "PYTHONDONTWRITEBYTECODE": "1", "PYTHONPATH": str(ROOT)}
     call = [sys.executable, "-c", WATCHED, *LINES]
     done = subprocess.run(

@@ -36,12 +36,15 @@ def simulated(robot, motion):
 def test_torques_are_mass_matrix_times_acceleration_plus_bias(xml, seed):
     robot = robot_of(xml)
     motion = random_chunk(robot, seed, 1)
-    model, at_v = robot.mj_model, robot.dof_index
+    model = robot.mj_model
+    at_v = robot.dof_index
     data = mujoco.MjData(model)
     data.qpos[:] = robot.reference_qpos
-    data.qpos[robot.qpos_index], data.qvel[at_v] = motion.q[0], motion.qd[0]
+    data.qpos[robot.qpos_index] = motion.q[0]
+    data.qvel[at_v] = motion.qd[0]
     mujoco.mj_forward(model, data)
-    acceleration, inertial = np.zeros(model.nv), np.zeros(model.nv)
+    acceleration = np.zeros(model.nv)
+    inertial = np.zeros(model.nv)
     acceleration[at_v] = motion.qdd[0]
     mujoco.mj_mulM(model, data, inertial, acceleration)
     expected = (inertial + data.qfrc_bias)[at_v]

@@ -122,7 +122,8 @@ def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(seed, noise,
 
 
 def test_data_at_rest_gives_the_prior_or_its_nearest_possible_body():
-    body, names = random_body(np.random.default_rng(0)), tuple("abcdefghij")
+    body = random_body(np.random.default_rng(0))
+    names = tuple("abcdefghij")
     accumulator = InformationAccumulator(names, ["held"], [np.arange(10)])
     accumulator.add(0, np.zeros((20, 10)), np.zeros(20))
     information = accumulator.result()

@@ -37,9 +37,12 @@ def dense(plan, points=4001):
 @st.composite
 def limited_arms(draw, torque=False):
     """An arm whose limits are anything that JointLimits accepts, its rest position anywhere."""
-    lower, upper, velocity = [], [], []
+    lower = []
+    upper = []
+    velocity = []
     for _ in range(3):
-        middle, width = draw(st.floats(-6.0, 6.0)), draw(st.floats(1e-3, 12.0))
+        middle = draw(st.floats(-6.0, 6.0))
+        width = draw(st.floats(1e-3, 12.0))
         open_below, open_above = draw(st.sampled_from([(0, 0), (0, 0), (1, 1), (0, 1), (1, 0)]))
         lower.append(-np.inf if open_below else middle - 0.5 * width)
         upper.append(np.inf if open_above else middle + 0.5 * width)

@@ -130,7 +130,8 @@ def test_another_link_than_the_models_is_found(model, joint):
     robot = load(model, joint)
     heavier, theta = with_heavier_link(robot)
     plant = arms.robot_of(heavier, robot.terminal_joint)
-    options, motion = EstimationOptions(), TrajectoryOptions()
+    options = EstimationOptions()
+    motion = TrajectoryOptions()
     terms = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
     equations = Equations(robot, options.torques, terms)
     motions = motion_chunks(excitation(robot, motion.duration), motion.sample_rate)
@@ -157,7 +158,8 @@ FEW_DRAWS = {"draws": 60, "starts": 1, "rounds": 6, "iterations": 30}
 
 def violations(robot, plan):
     """Sentences on limits of the model that a trajectory breaks at 1 kHz."""
-    limits, torque = robot.limits, ArmTorque(robot)
+    limits = robot.limits
+    torque = ArmTorque(robot)
     for motion in motion_chunks(plan, 1000.0):
         for name, value, limit in (
             ("upper", motion.q, limits.upper),
@@ -172,7 +174,8 @@ def violations(robot, plan):
 @pytest.mark.slow
 @pytest.mark.parametrize(("model", "joint"), TO_PLAN_FOR)
 def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
-    robot, options = load_robot_model(MODELS / model, joint=joint), ExcitationOptions(**FEW_DRAWS)
+    robot = load_robot_model(MODELS / model, joint=joint)
+    options = ExcitationOptions(**FEW_DRAWS)
     problem = build_problem(robot, LimitOptions(), top_frequency_hz=TOP_FREQUENCY_HZ)
     design = Design(problem, options, TrajectoryOptions())
     result = design_excitation(design, np.random.default_rng(1))

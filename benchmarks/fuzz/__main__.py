@@ -40,7 +40,9 @@ def main() -> int:
     target = importlib.import_module(f"benchmarks.fuzz.{given.target}")
     if given.only is not None:
         return _once(target, given)
-    started, found, last = time.time(), Counter[str](), ""
+    started = time.time()
+    found = Counter[str]()
+    last = ""
     for told in run(target, given.inputs, given.seed, given.first):
         if isinstance(told, Finding):
             found[told.kind] += 1

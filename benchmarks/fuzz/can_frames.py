@@ -54,10 +54,8 @@ def _frame(random: Random) -> bytes:
     if random.random() < 0.5:
         data[1:4] = bytes((0, 0x33, random.choice((7, 8, 9, 10, 21, 22, 23, 255))))
     identifier = random.choice((0x11, 0x12, 1, 2, REGISTER_ID, random.getrandbits(11)))
-    flags, length = (
-        random.choice((0, 0, 0, 0, random.getrandbits(8))),
-        random.choice((8, 8, 8, 0, 4)),
-    )
+    flags = random.choice((0, 0, 0, 0, random.getrandbits(8)))
+    length = random.choice((8, 8, 8, 0, 4))
     return identifier.to_bytes(2, "big") + bytes((flags, 0, length)) + bytes(data)
 
 
@@ -88,7 +86,9 @@ class TalkativeBus:
     """A bus with motors that answer, now and then, and on which other frames come between."""
 
     def __init__(self, frames: list[Frame], clock: SimulatedClock) -> None:
-        self._frames, self._clock, self._waiting = deque(frames), clock, deque[Frame]()
+        self._frames = deque(frames)
+        self._clock = clock
+        self._waiting = deque[Frame]()
         self._left = _LONGEST
 
     def send(self, frame: Frame) -> None:
@@ -171,7 +171,8 @@ def _line_read(line: bytes) -> None:
 
 def _through_driver(frames: list[Frame]) -> None:
     """Let python-can's messages become frames; a driver raises what it likes."""
-    clock, waiting = SimulatedClock(), deque(frames)
+    clock = SimulatedClock()
+    waiting = deque(frames)
 
     def recv(timeout: float) -> Any:
         clock.sleep_until(clock.now() + 1e-3)

@@ -15,7 +15,8 @@ class BytesRandom(Random):
     """A generator whose numbers are bytes that somebody else has chosen; zeros behind their end."""
 
     def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
+        self._data = data
+        self._at = 0
         super().__init__(0)
 
     def getrandbits(self, k: int) -> int:
@@ -38,7 +39,8 @@ def fuzz(name: str, seconds: int, seed: int) -> int:
         target = importlib.import_module(f"benchmarks.fuzz.{name}")
     target.case(Random(seed))  # what all inputs are made from is made once
     folder = Path(tempfile.mkdtemp())
-    watch, seen = Watch(folder), set()
+    watch = Watch(folder)
+    seen = set()
 
     def one(data: bytes) -> None:
         kind, text = watch.outcome(target, target.case(BytesRandom(data)))

@@ -113,7 +113,8 @@ def run(target: Target, inputs: int, seed: int, first: int = 0) -> Iterator[Find
     state = mmap.mmap(-1, _STATE.size)
     case_of(target, seed, first)  # what all inputs are made from is made once
     with tempfile.TemporaryDirectory(dir=_memory_folder()) as name:
-        folder, number = Path(name), first
+        folder = Path(name)
+        number = first
         while number < first + inputs:
             end = min(number + BATCH, first + inputs)
             log = folder / "findings"
@@ -162,7 +163,8 @@ def _batch(target: Target, numbers: range, seed: int, folder: Path, state: mmap.
         _STATE.pack_into(state, 0, number, results, refused)
         case = case_of(target, seed, number)
         kind, text = watch.outcome(target, case)
-        results, refused = results + (kind == "result"), refused + (kind == "refused")
+        results = results + (kind == "result")
+        refused = refused + (kind == "refused")
         if kind not in ("result", "refused"):
             watch.note(number, kind, text)
     _STATE.pack_into(state, 0, numbers[-1], results, refused)
@@ -177,7 +179,8 @@ class Watch:
     """Limits of this process and an eye on what it writes; there is no way back from it."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._acts = folder, []
+        self._folder = folder
+        self._acts = []
         self._watching = False
         for name in ("in", "out", "here"):
             (folder / name).mkdir(exist_ok=True)

@@ -23,7 +23,8 @@ from tests.support import log_files, recorded
 ROWS = 24
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
 _ARROW = ("Parquet", "Feather")
-_TEXT, _ARRAYS = (("libfranka", "RTDE", "PlotJuggler"), ("npz", "ALOHA", *_ARROW))
+_TEXT = ("libfranka", "RTDE", "PlotJuggler")
+_ARRAYS = ("npz", "ALOHA", *_ARROW)
 _SLOW = (*(name for name in recorded.FORMS if "ROS" in name), "LeRobot")
 SLOW_SHARE = 0.02
 """Bags and data sets take a tenth of a second, a table a thousandth."""
@@ -107,7 +108,8 @@ def _array(random: Random, name: str) -> bytes:
     shape: tuple[int, ...] = (ROWS,) if name == "time" else (ROWS, columns)
     if random.random() < 0.08:
         shape = random.choice(((), (0,), (ROWS, 3, 3), (1, 3), (3, ROWS), (ROWS,)))
-    kind, step = "<f8", 0.025
+    kind = "<f8"
+    step = 0.025
     if random.random() < 0.15:
         kind = random.choice((">f4", "<i4", "<u1", "|b1", "<c16", "<U4", "<M8[s]"))
     if random.random() < 0.1:

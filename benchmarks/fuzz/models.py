@@ -79,7 +79,8 @@ PUBLIC_SHARE = 0.001
 
 def urdf_arm() -> str:
     """An arm of three links, the last one on a fixed joint."""
-    heavy, light = urdf.inertial(0.5, "0.1 0.2 0.3"), urdf.inertial(0.1)
+    heavy = urdf.inertial(0.5, "0.1 0.2 0.3")
+    light = urdf.inertial(0.1)
     links = {"upper": urdf.inertial(), "fore": heavy, "hand": light + _MESH}
     return urdf.robot(urdf.serial(links, fixed=("hand",)))
 

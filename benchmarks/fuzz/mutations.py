@@ -69,7 +69,8 @@ def damaged(random: Random, data: bytes, most: int = 4) -> bytes:
 
 
 def _damaged_once(random: Random, data: bytes) -> bytes:
-    place, length = random.randint(0, len(data)), 2 ** random.randint(0, 8)
+    place = random.randint(0, len(data))
+    length = 2 ** random.randint(0, 8)
     piece = data[place : place + length]
     kind = random.randint(0, 6)
     if kind == 0:
@@ -107,7 +108,8 @@ def damaged_table(random: Random, text: str, separator: str = ",") -> bytes:
 
 def _damage_rows(random: Random, rows: list[list[str]]) -> None:
     row = random.randrange(min(len(rows), 3) if random.random() < 0.4 else len(rows))
-    cell, kind = random.randrange(len(rows[row])), random.randint(0, 9)
+    cell = random.randrange(len(rows[row]))
+    kind = random.randint(0, 9)
     if kind < 4:
         rows[row][cell] = odd(random)
     elif kind == 4:
@@ -154,7 +156,8 @@ def _damaged_value(random: Random, content: Any) -> Any:
         return content * random.choice(_FACTORS)
     if not keys or random.random() < 0.02:
         return _odd_value(random)
-    key, kind = random.choice(keys), random.random()
+    key = random.choice(keys)
+    kind = random.random()
     if kind < 0.08:
         del content[key]
     elif kind < 0.12 and isinstance(content, list):
@@ -194,7 +197,8 @@ def _damage_element(
     attributes: Sequence[str],
     parts: Sequence[str],
 ) -> None:
-    kind, held = random.random(), list(element.attrib)
+    kind = random.random()
+    held = list(element.attrib)
     parent = element.getparent()
     if kind < 0.4 and held:
         _set(element, random.choice(held), odd(random))

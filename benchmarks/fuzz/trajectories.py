@@ -32,7 +32,8 @@ from tests.support import arms
 
 RATE = 50.0
 TABLE_SHARE = 0.4
-ENOUGH_CHUNKS, LONGEST = 20, 60.0
+ENOUGH_CHUNKS = 20
+LONGEST = 60.0
 
 
 @functools.cache
@@ -46,7 +47,8 @@ def _texts() -> tuple[Any, ...]:
     two = np.ones((2, 2))
     sines = SineTrajectory(np.zeros(2), 0.1 * two, two, two, 1.0, 0.25)
     basis = FourierBasis(1.0, 1.0, 3, 0.25)
-    points, moves = np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]]), np.array([0.5, 0.5])
+    points = np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]])
+    moves = np.array([0.5, 0.5])
     plans = (
         sines,
         at_speed(sines, 0.5),

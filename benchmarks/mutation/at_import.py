@@ -112,7 +112,8 @@ def _try_all(folder: Path, module: str, test: str) -> None:
     source = (ROOT / module).read_text()
     if not survives(folder, test):
         sys.exit(f"{test} fails as it is")
-    count, alive = 0, []
+    count = 0
+    alive = []
     for mutant in mutants(source):
         (folder / module).write_text(mutant)
         count += 1

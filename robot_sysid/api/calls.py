@@ -228,7 +228,8 @@ def information(
         InputError: an option, the model or the log cannot be used, or does not add.
     """
     values = {**options, **_logs(measurements=log)}
-    robot, logs = arm_of(model, values), record_from(LogOptions, values)
+    robot = arm_of(model, values)
+    logs = record_from(LogOptions, values)
     chosen = sums.settled_options(record_from(EstimationOptions, values))
     config = SysidConfig(ModelOptions(path_of(model)), log=logs, estimation=chosen)
     config = config.calibrated(robot.joint_names)
@@ -265,7 +266,8 @@ def identify_from(
         if not isinstance(each, (LogInformation, type(None))) or found is None:
             raise InputError(f"a sum of rs.information is needed, not {type(each).__name__}")
     robot = arm_of(model, options)
-    arm, logs = record_from(ModelOptions, options), LogOptions(measurements=(_ADDED,))
+    arm = record_from(ModelOptions, options)
+    logs = LogOptions(measurements=(_ADDED,))
     config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
     with _quietly() as notes:
         answer = sums.answer_from(robot, found, validation)

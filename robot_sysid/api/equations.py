@@ -73,7 +73,8 @@ def regressor(
         InputError: the model cannot be used, or the arrays do not fit it.
     """
     robot = arm_of(model, options)
-    n, alone = robot.n_joints, np.ndim(q) == 1
+    n = robot.n_joints
+    alone = np.ndim(q) == 1
     motion = [
         checked_array(np.atleast_2d(np.asarray(each, dtype=float)), (None, n), name)
         for name, each in (("q", q), ("qd", qd), ("qdd", qdd))

@@ -179,7 +179,8 @@ def python_words(text: str) -> str:
 
 
 def _keyword(found: re.Match[str]) -> str:
-    flag, word = found[1], found[2]
+    flag = found[1]
+    word = found[2]
     rest = f" {word}" if word else ""
     if flag in _OF_RUNS:
         return flag[2:].replace("-", "_") + rest

@@ -102,7 +102,8 @@ def _asked(say: Say, **values: Any) -> MotorRun:
 
 
 def _played(asked: MotorRun, link: GuardedLink, plan: Plan, say: Say, real: bool) -> PlayReport:
-    stop, inspection = StopRequest(), inspect_bus(link)
+    stop = StopRequest()
+    inspection = inspect_bus(link)
     require_no_stop(asked.met_checks(plan, inspection, real), "not played")
     return asked.play(link, plan, inspection, stop, say, lambda time: None)
 

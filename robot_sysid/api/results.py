@@ -96,7 +96,8 @@ class Identified:
     def standard_errors(self) -> Mapping[str, float]:
         """Parameter name ("m", "hx", ..., "coulomb[joint6]") to whole standard error; infinite
         where the data does not show it. Empty for a simulation of the model itself."""
-        found, payload = self.result, self.result.payload
+        found = self.result
+        payload = self.result.payload
         if payload is not None:
             return dict(zip(PARAMETER_NAMES, payload.body.errors.tolist()))
         errors = found.estimate.standard_errors
@@ -108,7 +109,8 @@ class Identified:
     def friction(self) -> Mapping[str, Mapping[str, float]]:
         """Joint name to friction term ("coulomb", "viscous", ...) to its coefficient."""
         if not self.result.is_measured:
-            estimate, joint = self.result.estimate, self.robot.terminal_joint
+            estimate = self.result.estimate
+            joint = self.robot.terminal_joint
             names = {n.partition("[")[0]: n for n in estimate.names if n.endswith(f"[{joint}]")}
             return {joint: {term: estimate.value(name) or 0.0 for term, name in names.items()}}
         return {
@@ -286,7 +288,8 @@ class PlanResult:
         Raises:
             InputError: matplotlib is not installed.
         """
-        motion, limits = self.sampled(_DRAWN_RATE), self.robot.limits
+        motion = self.sampled(_DRAWN_RATE)
+        limits = self.robot.limits
         bounds = (limits.lower, limits.upper), (-limits.velocity, limits.velocity)
         figure, axes = _axes(self.robot.n_joints, 3)
         for joint, row in enumerate(axes):

@@ -47,7 +47,8 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
             add_help=False,
         )
-        self._example, self._main = example, main
+        self._example = example
+        self._main = main
 
     def format_help(self) -> str:
         """Return the example, then the usage and all options."""
@@ -75,7 +76,8 @@ class Parser(argparse.ArgumentParser):
         words = [action for action in self._actions if not action.option_strings]
         needed = [action for action in words if action.required]
         for action in words:
-            action.nargs, action.required = "*" if action.nargs == "+" else "?", False
+            action.nargs = "*" if action.nargs == "+" else "?"
+            action.required = False
             action.default = None
         stored = [*self._words_in(path)]
         try:
@@ -98,7 +100,8 @@ class Parser(argparse.ArgumentParser):
                 raise InputError(f"{path}: {self.prog} has no option {key}; leave it out")
         # Positional words come first.
         for key in sorted(content, key=lambda key: bool(known[key].option_strings)):
-            action, value = known[key], content[key]
+            action = known[key]
+            value = content[key]
             if isinstance(value, bool) != (action.nargs == 0):
                 takes = "true or false" if action.nargs == 0 else "a value"
                 raise InputError(f"{path}: {key} takes {takes} (got {value!r})")

@@ -18,8 +18,10 @@ from robot_sysid.records.options import OptionRecord, folder, option, record_fro
 
 EXAMPLES = ("kinova",)
 MAIN = ("output_dir",)
-GUESS, TRUTH = "kinova_fullinertia_guess.xml", "kinova_fullinertia.xml"
-LOG, EMPTY_LOG = "true_arm.csv", "empty_arm.csv"
+GUESS = "kinova_fullinertia_guess.xml"
+TRUTH = "kinova_fullinertia.xml"
+LOG = "true_arm.csv"
+EMPTY_LOG = "empty_arm.csv"
 PLAYED = {LOG: TRUTH, EMPTY_LOG: "kinova_empty_gripper.xml"}
 """Log to the model that plays in it."""
 RECORDING = {"duration": 15.0, "sample_rate": 200.0, "noise_torque": 0.1}

@@ -66,7 +66,8 @@ def _checked(
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
-    model, path = record_from(ModelOptions, values), values["path"]
+    model = record_from(ModelOptions, values)
+    path = values["path"]
     robot = load_robot_model(path, model.mesh_dir, model.joint, keyframe=model.keyframe)
     log = open_log(robot, values["log"], options, console)
     console.stage(*map(str, log.notes))  # details are what is asked for here

@@ -78,7 +78,8 @@ def report_of(
 
     The results are in their files already; whatever fails here leaves them there.
     """
-    wanted, traces = output.report or output.plots, outcome.traces
+    wanted = output.report or output.plots
+    traces = outcome.traces
     # A plan, and servos found without torques, have none to draw.
     if traces is None or not (wanted or outcome.result.is_measured):
         return None
@@ -90,7 +91,8 @@ def report_of(
         if not wanted:
             return None
         console.stage("Drawing the report...")
-        page, run = output.report, load_run(output.output_dir)
+        page = output.report
+        run = load_run(output.output_dir)
         written = write_report([run], run.folder, mesh_dir, page, output.plots, console)
     except Exception as error:  # the run is done, and what it found must stand
         cause = str(error) if isinstance(error, SysidError) else f"{type(error).__name__}: {error}"

@@ -260,13 +260,16 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
 
 def _repeatable(config: Config) -> None:
     """Write the file that repeats a run, but not over the one that it was asked with."""
-    path, command = config.output.output_dir / atomic_files.RUN_NAME, PROGRAM
+    path = config.output.output_dir / atomic_files.RUN_NAME
+    command = PROGRAM
     usual: Mapping[str, Any] = {}
     if isinstance(config, PayloadConfig):
         command += " payload"
     elif isinstance(config, SysidConfig) and config.trajectory.plan_only:
         assert config.plan_file is not None
-        path, command, usual = config.plan_file.with_suffix(".toml"), f"{command} plan", PLANNED
+        path = config.plan_file.with_suffix(".toml")
+        command = f"{command} plan"
+        usual = PLANNED
     given = config.output.config
     if given is None or not (path.exists() and path.samefile(given)):
         atomic_files.write_whole(path, text_of(command, config, path, usual))

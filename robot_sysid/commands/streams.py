@@ -15,7 +15,10 @@ from robot_sysid.errors import InputError
 # marks by which text runs from right to left.
 _MARKS = (*range(32), *range(127, 160), *range(0x2028, 0x202F), *range(0x2066, 0x206A))
 _CONTROL = {code: "?" for code in _MARKS if chr(code) != "\t"}
-_GREEN, _YELLOW, _RED, _BOLD = 32, 33, 31, 1
+_GREEN = 32
+_YELLOW = 33
+_RED = 31
+_BOLD = 1
 _COLOURS = {
     **dict.fromkeys(("Not usable", "robot-sysid: error", "STOP"), _RED),
     **dict.fromkeys(("Usable, but", "Usable (", "Usable for", "note", "warn"), _YELLOW),
@@ -54,7 +57,8 @@ def _on_terminal(text: str) -> str:
     import shutil
     import textwrap
 
-    width, indent = shutil.get_terminal_size().columns, len(text) - len(text.lstrip())
+    width = shutil.get_terminal_size().columns
+    indent = len(text) - len(text.lstrip())
     whole = "  " in text.strip() or text.startswith(_COMMANDS)
     if len(text) > width > 20 and not whole:
         rest = " " * (indent + 2)

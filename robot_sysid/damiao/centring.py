@@ -133,5 +133,6 @@ class Centring:
 def torque_step(replies: Replies, acted: MitCommand) -> Array:
     """Return the torque step (n,) that the command just sent makes in each motor [N m]."""
     command = replies.command or acted
-    q, qd = replies.feedback.position, replies.feedback.velocity
+    q = replies.feedback.position
+    qd = replies.feedback.velocity
     return command.motor_torque(q, qd) - acted.motor_torque(q, qd)

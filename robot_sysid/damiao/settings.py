@@ -19,14 +19,17 @@ from robot_sysid.records.options import OptionRecord, option, per_joint, speed_f
 _START_TEMPERATURE = 60.0
 # Stiffness per rated torque [1/rad], and damping per stiffness [s]: between what makers of arms
 # with these motors use for the strong (240 and 5 at 9 N m) and for the weak ones (10 and 1.5 at 3).
-_STIFFNESS, _DAMPING, _LEAST_DAMPING = 20.0, 0.025, 0.05
+_STIFFNESS = 20.0
+_DAMPING = 0.025
+_LEAST_DAMPING = 0.05
 # Of the peak torque: more push than any excitation needs, less than the motor has.
 _PUSH = 2.0 / 3.0
 # Models often lack the rotors' inertia: never less than this share of the usual damping.
 _LEAST_SHARE = 0.4
 _EACH = "one for all or one per joint"
 _BY_TYPE: dict[str, Any] = {"several": True, "usual": "by motor type"}
-_ANGLE, _SPEED = "ANGLE [rad] >= 0", "V [rad/s] > 0"
+_ANGLE = "ANGLE [rad] >= 0"
+_SPEED = "V [rad/s] > 0"
 
 
 def _stiffness(value: float) -> str | None:
@@ -112,7 +115,8 @@ class PlaySettings(OptionRecord):
         is damped less, so that its speed does not settle within a cycle: it would have used up the
         torque step that is to be measured. ``inertia`` (n,) is what each joint moves [kg m^2].
         """
-        n, rate = len(specs), self.rate or default_rate(len(specs), timing)
+        n = len(specs)
+        rate = self.rate or default_rate(len(specs), timing)
         light = np.inf if inertia is None else inertia * rate
         rated = np.array([spec.rated_torque for spec in specs])
         push = _PUSH * np.array([spec.peak_torque for spec in specs])

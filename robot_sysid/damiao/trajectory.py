@@ -103,7 +103,8 @@ def export_damiao_trajectory(
         raise InputError("the trajectory to export has no samples")
     joints = damiao_joints(motor_types, np.shape(first[1])[1], can_ids, master_ids, joint_names)
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
-    rows, (changed, peak_velocity, peak_torque) = 0, np.zeros((3, len(joints)))
+    rows = 0
+    (changed, peak_velocity, peak_torque) = np.zeros((3, len(joints)))
     # Milliseconds where all moments are on their grid.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     with whole_file(path_or_file) as file:
@@ -196,10 +197,12 @@ def rotor_problems(played: DamiaoTrajectory, speed: float, doubt: Array) -> Iter
     where a joint accelerates most to the opposite within a moment, half of it is in the torque that
     is fed forward: less is that of another motion.
     """
-    time, shaken = played.time, np.gradient(played.qd, played.time, axis=0)
+    time = played.time
+    shaken = np.gradient(played.qd, played.time, axis=0)
     for joint, own, tau, unsure in zip(played.joints, shaken.T, played.tau.T, doubt):
         peak = int(np.argmax(np.abs(own)))
-        sign, far = np.sign(own[peak]), np.abs(time - time[peak]) > _MOMENT
+        sign = np.sign(own[peak])
+        far = np.abs(time - time[peak]) > _MOMENT
         other = int(np.argmin(np.where(far, np.inf, sign * own)))
         takes = speed**2 * joint.spec.rotor * abs(own[peak] - own[other])
         fed = sign * (tau[peak] - tau[other])
@@ -240,7 +243,8 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     filled = [(k, row) for k, row in enumerate(lines[number:], number + 1) if row.strip()]
     width = 1 + 3 * n
     table = np.array([_numbers(row, width, path, k) for k, row in filled]).reshape(-1, width)
-    numbers, time = np.array([k for k, _ in filled], int), table[:, 0].copy()
+    numbers = np.array([k for k, _ in filled], int)
+    time = table[:, 0].copy()
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
         raise InputError(f"{path}, near line {numbers[row + 1]}: time does not increase")
     q, qd, tau = (table[:, k::3] for k in (1, 2, 3))
@@ -295,7 +299,8 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
     try:
         can_id = int(pairs["can_id"], 0)
         master_id = int(pairs.get("master_id", str(can_id + MASTER_ID_OFFSET)), 0)
-        motor_type, mode = motor_spec(pairs["motor_type"]).name, pairs["mode"]
+        motor_type = motor_spec(pairs["motor_type"]).name
+        mode = pairs["mode"]
     except InputError as error:
         raise InputError(f"{path}, line {number}: {error}") from None
     except (KeyError, ValueError):
@@ -337,7 +342,8 @@ def limit_excesses(
 # Numbers with four decimals, as the export writes them, are this far from what was meant.
 _ROUNDING = 0.5e-4
 # A tenth of a second hides 1e-4 rad of rounding behind 1e-3 rad/s and is short beside a swing.
-_WINDOW, _LEAST_ROWS = 0.1, 4
+_WINDOW = 0.1
+_LEAST_ROWS = 4
 # Rows on either side whose slopes count as around: a difference quotient is half a row early or
 # late, and one more row is room for where the motion bends.
 _AROUND = 2
@@ -362,7 +368,8 @@ def velocity_mismatch(time: Array, q: Array, qd: Array) -> Mismatch | None:
 def _rows_off(step: Array, slope: Array, qd: Array) -> Iterator[Mismatch]:
     padded = (np.pad(each, ((_AROUND, _AROUND), (0, 0)), mode="edge") for each in (slope, step))
     slopes, steps = (sliding_window_view(each, 2 * _AROUND, axis=0) for each in padded)
-    low, high = slopes.min(axis=-1), slopes.max(axis=-1)
+    low = slopes.min(axis=-1)
+    high = slopes.max(axis=-1)
     # Two rounded positions, of the slope and of what it is compared with, over the shortest step.
     slack = 4.0 * _ROUNDING / steps.min(axis=-1) + _ROUNDING + (high - low)
     off = np.maximum(low - slack - qd, qd - high - slack)
@@ -386,7 +393,8 @@ def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mis
     longest = np.maximum.reduceat(beside, spans)[::2, None]
     parts = 0.5 * (qd[1:] + qd[:-1]) * step, np.abs(np.diff(qd, axis=0))
     way, turns = (np.cumsum(np.insert(each, 0, 0.0, axis=0), axis=0) for each in parts)
-    came, said = q[ends] - q[starts], way[ends] - way[starts]
+    came = q[ends] - q[starts]
+    said = way[ends] - way[starts]
     # Half a row early or late, and a fifth more; then what trapezoids leave out where it bends.
     before = np.vstack([slope[:1], slope])
     sped_up = [np.abs(each[ends] - each[starts]) for each in (slope, before)]
@@ -403,10 +411,12 @@ def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
     if len(time) < 2:
         return
     rate = 1.0 / float(np.median(np.diff(time)))
-    classic, fast = BusTiming(), BusTiming(fd=True)
+    classic = BusTiming()
+    fast = BusTiming(fd=True)
     load = bus_load(n_joints, rate, classic)
     if load > PLANNING_LIMIT:
-        fits, fits_fd = suggested_rate(n_joints, classic), suggested_rate(n_joints, fast)
+        fits = suggested_rate(n_joints, classic)
+        fits_fd = suggested_rate(n_joints, fast)
         yield (
             f"{rate:g} Hz would fill {100 * load:.0f} % of a classic CAN bus "
             f"({100 * bus_load(n_joints, rate, fast):.0f} % of CAN-FD): play the file at "

@@ -31,32 +31,44 @@ from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import percent, with_error
 from robot_sysid.signals.process import ProcessedSignals
 
-MARGIN, RELABELLED_MARGIN, TIE = 15.0, 8.0, 6.0
+MARGIN = 15.0
+RELABELLED_MARGIN = 8.0
+TIE = 6.0
 """Nats by which an explanation has to make a log likelier, and columns that are taken for others,
 of which there are few; nats within which two explanations are as likely."""
-LEAST_SHARE, SURE = 0.015, 3.0
+LEAST_SHARE = 0.015
+SURE = 3.0
 """Part of the torque that an explanation has to explain, and standard errors by which a coefficient
 of it has to be off."""
-MATTERS, HARMFUL_SHARE = 1.0, 0.05
+MATTERS = 1.0
+HARMFUL_SHARE = 0.05
 """Standard errors of the last link that an explanation moves it by, or part of the torque that it
 makes, from which on a result that takes no notice of it is not right."""
 MOST_NAMES = 3
 """How many explanations may come together: more are no explanation."""
-UNEXPLAINED, OTHER_ARM = 0.05, 0.3
+UNEXPLAINED = 0.05
+OTHER_ARM = 0.3
 """Parts of the torque that neither noise nor an explanation accounts for, from which on nothing is
 named, and from which on the model is of another arm: right logs have 0.03 at most."""
-GROSS, GROSS_JOINT, SMALL = 0.05, 0.5, 0.02
+GROSS = 0.05
+GROSS_JOINT = 0.5
+SMALL = 0.02
 """Parts left of the torque and of one joint's from which on relabelled columns are tried, and the
 part of the torque that they may leave even where the log as it is leaves less."""
-USUAL_STRAIN, FAR, ODD_SCALE = 7.0, 40.0, 1.3
+USUAL_STRAIN = 7.0
+FAR = 40.0
+ODD_SCALE = 1.3
 """Strain of links of usual arms, and one that none has whose model is its own; factor between usual
 torque and the model's from which on scales are tried."""
-STRETCHES, CONCENTRATED = 8, 0.4
+STRETCHES = 8
+CONCENTRATED = 0.4
 """Stretches of a log, and the part of all that is left from which on it is of one of them."""
 HEAVIEST = 0.6
 """Mass of a plausible last link, as a part of the arm's."""
 # Explanations that get noise of their own in the first round and later, and from which gain on.
-_REFITTED, _REFITTED_AGAIN, _WORTH = 8, 4, 3.0
+_REFITTED = 8
+_REFITTED_AGAIN = 4
+_WORTH = 3.0
 _MOST_ROUNDS = 5
 
 
@@ -111,7 +123,8 @@ class Contest:
     def __init__(
         self, robot: RobotModel, signals: Sequence[ProcessedSignals], options: EstimationOptions
     ) -> None:
-        self.signals, self.options = signals, options
+        self.signals = signals
+        self.options = options
         self.log = log_rows(robot, signals)
         self.prior = base_prior(self.log, options)
         self.base = Hypotheses(self.log, self.prior)
@@ -201,7 +214,8 @@ class Contest:
         offered = [e for e in explanations(fit) if not self.is_sought(e)]
         columns = transform_columns(self.base, offered)
         winners: list[list[Score]] = []
-        model, posterior = self.base, self.posterior
+        model = self.base
+        posterior = self.posterior
         while len(winners) < _MOST_ROUNDS:
             count = _REFITTED if not winners else _REFITTED_AGAIN
             ranked = self._ranked(model, posterior, offered, columns, count)
@@ -211,7 +225,8 @@ class Contest:
             # Of what is as likely, that which is what its words say.
             alike.sort(key=lambda score: not score.is_possible)
             winners.append(alike)
-            model, posterior = alike[0].hypotheses, alike[0].posterior
+            model = alike[0].hypotheses
+            posterior = alike[0].posterior
         return winners
 
     def is_sought(self, explanation: Explanation) -> bool:

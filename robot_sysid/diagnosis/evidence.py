@@ -23,12 +23,14 @@ from numpy.typing import NDArray
 from robot_sysid.diagnosis.rows import LogRows, Prior
 from robot_sysid.records import Array
 
-SHARES, MEMORIES = (0.4, 0.75, 0.95), (0.15, 0.5, 1.5)
+SHARES = (0.4, 0.75, 0.95)
+MEMORIES = (0.15, 0.5, 1.5)
 """Parts of the noise's power that have a memory, and how long that is [s]; or none has."""
 LEAST_NOISE = 0.003
 """Noise that a joint has at least, as a part of its usual torque: no model is more exact."""
 # Rounds of the noise from nowhere, and from that of a nearby hypothesis.
-_ROUNDS, _MORE_ROUNDS = 5, 2
+_ROUNDS = 5
+_MORE_ROUNDS = 2
 _FIRST_NOISE = 0.05
 
 

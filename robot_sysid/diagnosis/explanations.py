@@ -398,7 +398,8 @@ def _push(fit: Fitted, start: int, width: int, choices: int) -> Explanation:
         )
 
     columns = wave[:, None, None] * np.eye(fit.robot.n_joints)
-    level, spread = Level.WARN, fit.log.usual
+    level = Level.WARN
+    spread = fit.log.usual
     return Explanation(
         "contact", level, columns, spread, words, None, choices, nearby=nearby, harmful_from=0.0
     )

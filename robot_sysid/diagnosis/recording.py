@@ -59,15 +59,19 @@ def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Fi
         yield Finding("too-little", Level.REFUSE, text)
 
 
-LOST, REPEATED = (1.6, 4.0), 0.3
+LOST = (1.6, 4.0)
+REPEATED = 0.3
 """Speed over that of the steps around it, of a step with lost samples (one lost is 2) and of a
 repeated one (0)."""
-FEW, MANY = 0.003, 0.02
+FEW = 0.003
+MANY = 0.02
 """Share of such steps that is warned of, and that is refused."""
 # Length of a step, in usual ones, and its way, in those of the steps around it, of a clock's jump.
-_JUMP, _NO_WAY = 1.75, 1.4
+_JUMP = 1.75
+_NO_WAY = 1.4
 # Ratio to noise of a step that counts, and how many of them say something.
-_CLEAR, _ENOUGH = 8.0, 100
+_CLEAR = 8.0
+_ENOUGH = 100
 
 
 def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
@@ -99,7 +103,9 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 
 WINDOW = 1.0
 """Time over which recorded velocities are summed [s]: a drive's filter does little to such sums."""
-WRONG_TIME, OTHER, ALIKE = 0.03, 0.5, 0.02
+WRONG_TIME = 0.03
+OTHER = 0.5
+ALIKE = 0.02
 """Share by which time is off that is refused; by which velocities are something else; by how
 much joints may differ in it. A right log has 0.001, one whose velocities pass 3 Hz 0.028."""
 
@@ -143,7 +149,8 @@ def _products(pieces: Sequence[Measurement], joint: int) -> Array:
     parts = []
     for piece in pieces:
         assert piece.qd is not None
-        q, qd = piece.q[:, joint], piece.qd[:, joint]
+        q = piece.q[:, joint]
+        qd = piece.qd[:, joint]
         length = max(1, round(WINDOW / usual_period(piece.time)))
         moved = 0.5 * (qd[1:] + qd[:-1]) * np.diff(piece.time)
         summed = np.concatenate(([0.0], np.cumsum(moved)))
@@ -158,7 +165,9 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     """Return per clear step its speed over that around it, and its length over the usual one."""
     step = np.diff(piece.time)
     usual = float(np.median(step))
-    size, along, noise = np.zeros(len(step) - 4), np.zeros(len(step) - 4), 0.0
+    size = np.zeros(len(step) - 4)
+    along = np.zeros(len(step) - 4)
+    noise = 0.0
     for q in piece.q.T:
         way = np.diff(q)
         pace = way * (usual / step)
@@ -181,7 +190,9 @@ OFTEN = 0.005
 # A channel of fewer values has coarse steps, which repeat by themselves.
 _MANY_VALUES = 100
 # Speed of an arm that moves [rad/s]; samples in a row, or in all, that are no chance.
-_MOVING, _RUN, _SEEN = 0.05, 4, 20
+_MOVING = 0.05
+_RUN = 4
+_SEEN = 20
 
 
 def sensor_findings(pieces: Sequence[Measurement], joint_names: Sequence[str]) -> Iterator[Finding]:
@@ -213,7 +224,8 @@ def _at_end(tau: Array, sign: float) -> tuple[float, float]:
     there = sign * tau == end
     near = (sign * tau > end - 0.02 * float(np.ptp(tau))) & ~there
     runs = np.diff(np.flatnonzero(np.diff(np.concatenate(([0], there.view(np.int8), [0])))))
-    count, beside = int(np.sum(there)), int(np.sum(near))
+    count = int(np.sum(there))
+    beside = int(np.sum(near))
     steady = np.max(runs[::2], initial=0) >= _RUN and count > 3 * beside
     clipped = steady or (count >= _SEEN and count > 5 * beside)
     return (float(np.mean(there)) if clipped else 0.0, sign * end)
@@ -225,7 +237,8 @@ def _longest_hold(piece: Measurement, joint: int) -> float:
     edges = np.concatenate(([0], changes + 1, [len(piece)]))
     longest = 0.0
     for start in np.flatnonzero(np.diff(edges) >= _RUN):
-        first, last = edges[start], edges[start + 1] - 1
+        first = edges[start]
+        last = edges[start + 1] - 1
         length = float(piece.time[last] - piece.time[first])
         # An arm that comes back to where it was has moved as well.
         moved = np.max(np.ptp(piece.q[first : last + 1], axis=0))

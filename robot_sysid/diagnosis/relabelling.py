@@ -24,31 +24,41 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.signals.process import ProcessedSignals
 
-REFUSED, WARNED = 1.6, 1.3
+REFUSED = 1.6
+WARNED = 1.3
 """Factors by which torque may be too large or too small before a log is refused, or warned of."""
 UNITS = {1e3: "mN·m", 100.0: "N·cm", 10.197: "kgf·cm", 8.851: "lbf·in"}
 UNITS.update({0.7376: "lbf·ft", 141.6: "ozf·in", 1e-3: "kN·m"})
 """Newton metre in other units."""
-SMALL, ODD_UNIT = 0.6, 20.0
+SMALL = 0.6
+ODD_UNIT = 20.0
 """Size of a torque without gravity over the model's, at most; factor by which one joint's torque
 over the model's is larger than the other joints', where it has a unit of its own."""
 SHORT = 6.0
 """Length of the stretch on which relabelled motions are tried first [s]."""
 # Scales that differ by less have one cause; a unit's scale is met within this factor.
-_SAME, _CLOSE = 1.35, 1.25
+_SAME = 1.35
+_CLOSE = 1.25
 # Torque at the joint per ampere of its motor, at least and at most [N m/A]: a UR10e's is 10 to 12.
 _PER_AMPERE = (2.0, 25.0)
 # Standard deviations of the logarithm of a scale that all joints have and of each joint's own;
 # rounds in which scales are found, and how far they may be from where a round begins, as a share.
-_COMMON_RANGE, _OWN_RANGE, _ROUNDS, _FAR = 4.0, 0.4, 5, 0.7
+_COMMON_RANGE = 4.0
+_OWN_RANGE = 0.4
+_ROUNDS = 5
+_FAR = 0.7
 # Scales of any unit and gear lie between; relative error of a scale beyond which the other joints'
 # is taken; part of the strongest joint's load from which on usual torques say a scale.
-_LEAST, _MOST, _KNOWN, _LOADED = 1e-4, 1e5, 0.3, 0.1
+_LEAST = 1e-4
+_MOST = 1e5
+_KNOWN = 0.3
+_LOADED = 0.1
 # The same part below which a joint's torque is mostly friction.
 _LEAST_LOAD = 0.03
 # Factors by which a scale may differ from the ratio of usual torques, where links make most of the
 # torque and where friction does.
-_FARTHEST, _FRICTION = 3.0, 10.0
+_FARTHEST = 3.0
+_FRICTION = 10.0
 # Best relabellings of a stretch that are scored on the whole log.
 _FINALISTS = 3
 
@@ -87,7 +97,8 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
     kinds = (("torque",), ("position",), ("position", "torque"))
     orders = list(_orders(names))
     for which in kinds:
-        moved, turned = "position" in which, "torque" in which
+        moved = "position" in which
+        turned = "torque" in which
         for joint, name in enumerate(names):
             sign = np.where(np.arange(len(names)) == joint, -1.0, 1.0)
             flip = sign.__mul__

@@ -30,15 +30,18 @@ from robot_sysid.estimation.unknowns import Choice, Question, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, Measurement, Motion, RobotModel
 from robot_sysid.signals.process import LogPiece, ProcessedSignals, process
 
-CUTOFF_HZ, CUTOFF_SHARE = 8.0, 0.6
+CUTOFF_HZ = 8.0
+CUTOFF_SHARE = 0.6
 """Highest cut-off of the low-pass, for faster motion says little of links; and cut-off over that
 which suits accelerations: explanations are derivatives of torques that hold these, and noise of
 positions that two columns hold alike would speak for them."""
-WINDOW, MOST_WINDOWS = 16.0, 4
+WINDOW = 16.0
+MOST_WINDOWS = 4
 """Longest window [s], and how many of a long log are looked at, spread evenly."""
 LINK_SCALES = tuple(replace(EXPECTED, mass=scale) for scale in (2.0, 6.0))
 """How far the other links may be off, which is averaged over."""
-PAYLOAD, REACH = 0.3, 0.15
+PAYLOAD = 0.3
+REACH = 0.15
 """Standard deviation of the last link's mass as a part of the arm's, and its size as a part of the
 arm's reach."""
 FRICTION = {
@@ -47,10 +50,13 @@ FRICTION = {
 }
 """Standard deviation of each friction term, in parts of a joint's usual torque at its usual speed
 and acceleration; of a gear's loss as a share of its load."""
-BUILD_UP, BUILT_UP, UNEVEN = (0.004, 0.02), 0.15, 0.03
+BUILD_UP = (0.004, 0.02)
+BUILT_UP = 0.15
+UNEVEN = 0.03
 """Ways after a reversal over which friction builds up [rad], how much of it does, and dry friction
 that varies over a turn, in parts of the usual torque."""
-WIDE_TILT, WIDE_DELAY = 0.15, 0.04
+WIDE_TILT = 0.15
+WIDE_DELAY = 0.04
 """Standard deviations of what the estimate finds itself where it is asked to [rad, s]."""
 WORTH_A_WORD = 2.0
 """Standard deviation of a delay of which nothing is said [ms]."""
@@ -258,7 +264,8 @@ class Prior:
 
 def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     """Return the prior of a right log: the estimate's own, and wide friction."""
-    columns, robot = log.columns, log.robot
+    columns = log.columns
+    robot = log.robot
     more = 2 + len(BUILD_UP)
     count = len(columns.names)
     mean = np.append(columns.prior, np.zeros(more * robot.n_joints))

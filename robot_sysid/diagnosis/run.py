@@ -22,7 +22,9 @@ from robot_sysid.signals.process import ProcessedSignals
 OF_LINKS = ("torque-scale", "zero", "tilt", "model", "unexplained", "clock", "gravity", "force")
 """Findings that other links than the model's would bring as well."""
 # What is left of a torque that follows from rigid bodies alone, its noise and friction, as parts.
-_EXACT, _QUIET, _FRICTIONLESS = 0.004, 5e-4, 0.002
+_EXACT = 0.004
+_QUIET = 5e-4
+_FRICTIONLESS = 0.002
 
 
 def check_against_model(

@@ -74,8 +74,10 @@ class Equations:
             viscous=np.where(is_known, robot.friction.viscous, 0.0),
         )
         self._armature_sought = np.array(["armature" in model.terms for model in friction])
-        self._links, self._dynamics = tuple(links), LinkDynamics(robot)
-        self._beyond, self._rest = BeyondRigidBodies(robot), robot.thetas
+        self._links = tuple(links)
+        self._dynamics = LinkDynamics(robot)
+        self._beyond = BeyondRigidBodies(robot)
+        self._rest = robot.thetas
         self._rest[[*self._links, -1]] = 0.0
         last = robot.n_joints - 1
         self.rows_of = tuple(range(robot.n_joints)) if torques == "chain" else (last,)
@@ -116,7 +118,8 @@ class Equations:
 
     def rows(self, measurement: Measurement) -> Iterator[tuple[Array, Array]]:
         """Yield (rows (N, k), right-hand side (N,)) per joint of ``joints``."""
-        qd, qdd = measurement.qd, measurement.qdd
+        qd = measurement.qd
+        qdd = measurement.qdd
         if qd is None or qdd is None:
             raise InputError("a log without velocities or accelerations; differentiate it first")
         motion = Motion(measurement.time, measurement.q, qd, qdd)
@@ -139,7 +142,8 @@ class Equations:
         smoothly.
         """
         moved = motion.q, motion.qd, motion.qdd
-        links, rest = self._dynamics.motion(*moved), self._beyond.torque(*moved)
+        links = self._dynamics.motion(*moved)
+        rest = self._beyond.torque(*moved)
         if np.any(self._rest):
             rest = rest + links.torque(self._rest)
         for j, (own, beyond) in zip(self.rows_of, self._columns(links)):
@@ -151,7 +155,8 @@ class Equations:
         rotors and shared motors that are sought
         [N m]. ``carried`` (N,) is the torque that each joint's gear transmits [N m].
         """
-        qd, qdd = motion.qd, motion.qdd
+        qd = motion.qd
+        qdd = motion.qdd
         known = self._known_friction.torque(qd)
         known -= np.where(self._armature_sought, self._robot.armature * qdd, 0.0)
         shared = [(each.ratios, each.columns(qd, qdd).T) for each in self._motors]
@@ -166,7 +171,8 @@ class Equations:
         """Yield the part (N, k) of the rows of each joint of ``joints`` that is made by a gravity
         (3,) [m/s^2] at positions (N, n), which is linear in it.
         """
-        still, dynamics = np.zeros_like(q), LinkDynamics(self._robot, gravity)
+        still = np.zeros_like(q)
+        dynamics = LinkDynamics(self._robot, gravity)
         each = self._columns(dynamics.motion(q, still, still))
         for places, (own, beyond) in zip(self.columns, each):
             rows = np.zeros((len(q), len(places)))

@@ -76,10 +76,14 @@ def inverse_dynamics(
     addresses (n,) in qpos and qvel; the others stay as ``data`` has them.
     """
     tau = np.empty_like(q)
-    qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
+    qpos = data.qpos
+    qvel = data.qvel
+    qacc = data.qacc
     at_q, at_v = chain
     for k in range(len(q)):
-        qpos[at_q], qvel[at_v], qacc[at_v] = q[k], qd[k], qdd[k]
+        qpos[at_q] = q[k]
+        qvel[at_v] = qd[k]
+        qacc[at_v] = qdd[k]
         mujoco.mj_inverse(model, data)
         tau[k] = data.qfrc_inverse[at_v]
     return tau
@@ -124,6 +128,7 @@ class BeyondRigidBodies:
 
 def _as_slice(index: Any) -> Any:
     """Return a slice where the addresses are consecutive: several times faster to write to."""
-    first, count = int(index[0]), len(index)
+    first = int(index[0])
+    count = len(index)
     consecutive = np.array_equal(index, np.arange(first, first + count))
     return slice(first, first + count) if consecutive else index

@@ -80,7 +80,8 @@ class LinksMotion:
         (N, n) from that by ``joint_twists``, by links' ``velocity`` and ``acceleration``, and by
         how links turn in the base's frame, (6, n, N) each.
         """
-        (speed, change), own = (each.T for each in rates), self.joint_twists
+        (speed, change) = (each.T for each in rates)
+        own = self.joint_twists
         moves = (np.stack(each, axis=1) for each in (self.velocity, self.acceleration))
         here, faster = map(self._from_links, moves)
         velocity, acceleration = (np.einsum("inba,bin->ain", self.to_links, x) for x in twists)
@@ -100,7 +101,8 @@ class LinksMotion:
 
         Samples of one number stand side by side in memory.
         """
-        joints, samples = len(self.velocity), self.velocity[0].shape[1]
+        joints = len(self.velocity)
+        samples = self.velocity[0].shape[1]
         columns = np.zeros((joints, len(links), N_PARAMETERS, samples))
         jacobian = np.empty((joints, 6, samples))
         for link in range(max(links, default=-1) + 1):
@@ -134,21 +136,25 @@ class LinksMotion:
         on as V and A do, and d_j Ad(T_j^-1) = -ad(S_j) Ad(T_j^-1).
         """
         samples, count = qd.shape
-        twists, slopes = np.zeros((2, 6, 0, samples)), np.zeros((samples, count, count))
+        twists = np.zeros((2, 6, 0, samples))
+        slopes = np.zeros((samples, count, count))
         bodies = []
         for link, theta in enumerate(thetas):
-            screw, here = self.screws[link][:, None], self.velocity[link][:, None]
+            screw = self.screws[link][:, None]
+            here = self.velocity[link][:, None]
             twists = np.einsum("abn,mbjn->majn", self.steps[link], twists)
             twists[1] -= bracket(screw[:, None], twists[0] * qd[:, link])
             moves = self.velocity[link], self.acceleration[link]
             own = -np.stack([bracket(screw, each) for each in moves])
             twists = np.concatenate((twists, own[:, :, None]), axis=2)
-            inertia, (velocity, acceleration) = _inertia(theta), twists
+            inertia = _inertia(theta)
+            (velocity, acceleration) = twists
             change = np.tensordot(inertia, acceleration, 1)
             change -= bracket_transposed(velocity, np.tensordot(inertia, here, 1))
             change -= bracket_transposed(here, np.tensordot(inertia, velocity, 1))
             bodies.append(change)
-        wrench, turned = np.zeros((6, samples)), np.zeros((6, count, samples))
+        wrench = np.zeros((6, samples))
+        turned = np.zeros((6, count, samples))
         for link in reversed(range(count)):
             wrench = wrench + _wrench(thetas[link], self.velocity[link], self.acceleration[link])
             turned[:, : link + 1] += bodies[link]
@@ -165,7 +171,8 @@ class LinkDynamics:
     """
 
     def __init__(self, robot: RobotModel, gravity: Array | None = None) -> None:
-        self._home, self._slides = robot.reference, robot.is_slide
+        self._home = robot.reference
+        self._slides = robot.is_slide
         self._screws = tuple(link.screw for link in robot.links)
         # ad(S), and what Ad(T^-1) has of 1, sin d and 1 - cos d, by that at home.
         self._brackets = [_lower(skew(screw[:3]), skew(screw[3:])) for screw in self._screws]
@@ -187,7 +194,8 @@ class LinkDynamics:
         velocity, acceleration = np.zeros((2, 6, len(q)))
         acceleration[3:] = -self._gravity
         turns = (q - self._home).T
-        sines, versines = np.where(self._slides[:, None], turns, np.sin(turns)), 1.0 - np.cos(turns)
+        sines = np.where(self._slides[:, None], turns, np.sin(turns))
+        versines = 1.0 - np.cos(turns)
         for i, screw in enumerate(self._screws):
             grown = np.stack((np.ones(len(q)), sines[i], versines[i]))
             step = np.tensordot(self._steps[i], grown, 1)

@@ -86,11 +86,13 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array, level: Array | None
 
     Without the gravity ``level`` (3,) that tilts are told from, the arm's own is that.
     """
-    here, found = gravity(robot), []
+    here = gravity(robot)
+    found = []
     axes = tilt_axes(here if level is None else level, here)
     down = np.cross(axes, here).T
     for some in np.array_split(q, len(q) // _MOST_TURNED + 1):
-        twice, still = np.tile(some, (2, 1)), np.zeros((2 * len(some), q.shape[1]))
+        twice = np.tile(some, (2, 1))
+        still = np.zeros((2 * len(some), q.shape[1]))
         dynamics = LinkDynamics(robot, np.repeat(down, len(some), axis=1))
         found.append(np.split(dynamics.motion(twice, still, still).torque(thetas), 2))
     return np.moveaxis(np.concatenate(found, axis=1), 0, -1)
@@ -100,6 +102,7 @@ def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
     """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad], of links
     known as theta (n, 10).
     """
-    dynamics, width = LinkDynamics(robot), 12 * motion.q.shape[1] ** 2
+    dynamics = LinkDynamics(robot)
+    width = 12 * motion.q.shape[1] ** 2
     parts = in_parts(width, motion.q, motion.qd, motion.qdd)
     return np.concatenate([-dynamics.motion(*each).slopes(thetas, each[1]) for each in parts])

@@ -64,7 +64,8 @@ def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
 
 def com_from_theta(theta: Array) -> tuple[float, Array, Array]:
     """Return (mass, centre of mass (3,), inertia about it (3, 3)); a massless body keeps c = 0."""
-    mass, h = float(theta[0]), np.asarray(theta[1:4], dtype=float)
+    mass = float(theta[0])
+    h = np.asarray(theta[1:4], dtype=float)
     com = h / mass if mass != 0.0 else np.zeros(3)
     return mass, com, symmetric_from_six(theta[4:10]) - _steiner(mass, com)
 
@@ -100,7 +101,8 @@ def roll_pitch_yaw(rotation: Array) -> Array:
     locked = cosine < _LOCKED
     yaw = 0.0 if locked else np.arctan2(rotation[1, 0], rotation[0, 0])
     # Near a right angle yaw is mostly rounding; the roll that fits this yaw makes up for it.
-    s, c = np.sin(yaw), np.cos(yaw)
+    s = np.sin(yaw)
+    c = np.cos(yaw)
     roll = np.arctan2(
         s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1]
     )
@@ -119,7 +121,9 @@ def quaternion(rotation: Array) -> Array:
 def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:
     """Express theta (10,) of frame B in A, by axes R_AB (3, 3) and origin (3,) of B in A [m]."""
     sigma = np.zeros((4, 4))
-    sigma[:3, :3], sigma[:3, 3], sigma[3, 3] = rotation, translation, 1.0
+    sigma[:3, :3] = rotation
+    sigma[:3, 3] = translation
+    sigma[3, 3] = 1.0
     return theta_from_pseudo_inertia(sigma @ pseudo_inertia(theta) @ sigma.T)
 
 

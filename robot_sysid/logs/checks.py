@@ -49,24 +49,31 @@ _LEFT_OUT = {
 _ALWAYS = 1
 _FEWEST_ROWS = 10
 # A sampling period outside this range is read in the wrong unit of time: 1 to 1000 Hz are usual.
-_LONGEST_STEP, _SHORTEST_STEP = 0.5, 1e-5
+_LONGEST_STEP = 0.5
+_SHORTEST_STEP = 1e-5
 # 100 samples per second do for a slow arm, 30 hardly ever (docs/logs.md) [Hz].
 _SLOW_RATE = 50.0
 # A joint's own stamp is a few periods from the row's, of whatever slow log [s].
 _OTHER_CLOCK = 0.1
 # No arm's joint reaches this [rad/s]; a log in degrees passes it at an easy half radian per second.
-_FAST, _OFTEN = 30.0, 0.01
+_FAST = 30.0
+_OFTEN = 0.01
 # Moved by so much at rest, a joint is as many full turns from the model's zero (chosen).
-_TURN, _TURNS = 2.0 * np.pi, 3.0
+_TURN = 2.0 * np.pi
+_TURNS = 3.0
 # A speed over this time is none of noise [s]; rows this dense are of time in a longer unit: arms
 # record at 4 kHz at most [s] (both chosen).
-_WINDOW, _DENSE = 0.1, 2.4e-4
+_WINDOW = 0.1
+_DENSE = 2.4e-4
 # Nor this, with a step that no encoder's noise makes [rad/s, rad]; a speed per step is noisier.
-_JUMP_SPEED, _JUMP = 100.0, 0.5
+_JUMP_SPEED = 100.0
+_JUMP = 0.5
 # A joint that moves less does not move; while it stands still, encoders do not stray further [rad].
-_AT_REST, _STILL = 0.01, 0.002
+_AT_REST = 0.01
+_STILL = 0.002
 # Rests shorter than this at either end, or than this part of the log, are no news [s].
-_SHORT_REST, _SHORT_PART = 0.5, 0.02
+_SHORT_REST = 0.5
+_SHORT_PART = 0.02
 # Limits are written with three or more digits [rad].
 _LIMIT_MARGIN = 1e-3
 
@@ -75,7 +82,8 @@ def check_log(name: str, rows: LogRows, robot: RobotModel, in_radians: bool) -> 
     """Run every check over a log's rows; return one sentence for what is worth knowing, or raise
     InputError with all that is wrong but not what only follows from another fault.
     """
-    notes, faults = list[str](), list[str]()
+    notes = list[str]()
+    faults = list[str]()
 
     def passes(check: Callable[[LogRows, RobotModel], Iterable[str] | None]) -> bool:
         before = len(faults)
@@ -203,7 +211,8 @@ def _seconds(period: float) -> str:
 
 def require_radians(rows: LogRows, robot: RobotModel) -> None:
     """Refuse positions or speeds that no arm has in radians and seconds, and say what they are."""
-    time, q = rows.samples.time, rows.samples.q
+    time = rows.samples.time
+    q = rows.samples.q
     largest = np.maximum(np.max(q, axis=0), -np.min(q, axis=0))
     limit = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
     reach = np.where(np.isfinite(limit), np.maximum(2.0 * limit, 2.0 * np.pi), 4.0 * np.pi)
@@ -236,7 +245,8 @@ def _often_fast(q: Array, step: Array) -> Mask:
 
 def _why_fast(time: Array, q: Array, name: str, fast: Mask) -> str:
     """Return what makes positions (N, n) of some joints (n,) fast, and what to do about it."""
-    step, period = np.diff(time), usual_period(time)
+    step = np.diff(time)
+    period = usual_period(time)
     what = f"joint {name} would often exceed {_FAST:g} rad/s"
     if period < _DENSE:
         return f"time steps of {period:.3g} s are so short that {what}{_seconds(period)}"
@@ -263,7 +273,8 @@ def _why_fast(time: Array, q: Array, name: str, fast: Mask) -> str:
 
 def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
     """Refuse single positions no joint can reach within one step."""
-    least, each = np.maximum(_JUMP, _JUMP_SPEED * np.diff(rows.samples.time)), []
+    least = np.maximum(_JUMP, _JUMP_SPEED * np.diff(rows.samples.time))
+    each = []
     for name, q in zip(robot.joint_names, rows.samples.q.T):
         jumps = np.abs(np.diff(q)) > least
         if np.any(jumps):
@@ -274,7 +285,8 @@ def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
 
 def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield notes on joints and moments without motion; refuse an arm that is at rest."""
-    time, q = rows.samples.time, rows.samples.q
+    time = rows.samples.time
+    q = rows.samples.q
     span = np.ptp(q, axis=0)
     if np.all(span < _AT_REST):
         rest = f"the arm is at rest, no joint moves by more than {span.max():.2g} rad"

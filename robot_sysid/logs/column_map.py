@@ -132,7 +132,8 @@ def _counted(title: str) -> list[str]:
     found = re.fullmatch(r"#(\d{1,5})\s*-\s*#?(\d{1,5})", title)
     if not found:
         return [title]
-    first, last = int(found[1]), int(found[2])
+    first = int(found[1])
+    last = int(found[2])
     step = 1 if last >= first else -1
     return [f"#{number}" for number in range(first, last + step, step)]
 
@@ -217,7 +218,8 @@ def draft(
         "are columns one after the other.",
     ]
     for kind in ("time", "position", "velocity", asked):
-        found, joints = (known or {}).get(kind), 1 if kind == "time" else len(joint_names)
+        found = (known or {}).get(kind)
+        joints = 1 if kind == "time" else len(joint_names)
         columns = [f"#{each.index + 1}" for each in found or ()]
         if found or kind != "velocity":
             lines.append(f"{kind} = {', '.join(columns or [_OPEN] * joints)}")
@@ -278,13 +280,16 @@ class _Columns:
         self, first_row: Sequence[str], known: dict[str, Sequence[Source] | None]
     ) -> ColumnMap:
         """Return the map, or raise InputError; what is recognised is noted as known."""
-        declared, count = self._chosen.columns, len(self._joints)
+        declared = self._chosen.columns
+        count = len(self._joints)
         # What the file names in full need not be recognised, and cannot be ambiguous.
         settled = {kind for kind, columns in declared.items() if len(columns) == count}
-        nothing, kinds = naming.read_title(""), [naming.joint_kind(t) for t in self._titles]
+        nothing = naming.read_title("")
+        kinds = [naming.joint_kind(t) for t in self._titles]
         readable = [nothing if kind in settled else t for t, kind in zip(self._titles, kinds)]
         found = naming.match_joints(readable, self._joints, first_row)
-        faults, time = list[str](), None
+        faults = list[str]()
+        time = None
         sources: dict[str, tuple[Source, ...] | None] = {}
         other = "torque" if self._commanded else "command"
         for kind in (kind for kind in naming.QUANTITIES if kind != other):
@@ -297,7 +302,8 @@ class _Columns:
             raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(self._texts)}")
         used = {s.index for group in (*sources.values(), [time]) for s in group or () if s}
         unused = tuple(text for index, text in enumerate(self._texts) if index not in used)
-        position, torque = sources["position"], sources[self.asked]
+        position = sources["position"]
+        torque = sources[self.asked]
         if position is None or torque is None:
             raise InputError(f"position and {self.asked} cannot be left out; {naming.REMEDY}")
         has_unit = self._chosen.angle_unit or all(self._titles[s.index].unit for s in position)
@@ -364,11 +370,15 @@ class _Columns:
 
     def _lookup(self, text: str) -> tuple[int, float]:
         """Return (column, factor) of "title", "-title" or "0.5 * title" in a columns file."""
-        title, factor, scaled = text, 1.0, _SCALED.fullmatch(text)
+        title = text
+        factor = 1.0
+        scaled = _SCALED.fullmatch(text)
         if text not in self._texts and scaled:
-            title, factor = scaled.group(2).strip(), float(scaled.group(1))
+            title = scaled.group(2).strip()
+            factor = float(scaled.group(1))
         elif text not in self._texts and text.startswith("-"):
-            title, factor = text[1:].strip(), -1.0
+            title = text[1:].strip()
+            factor = -1.0
         texts = self._texts
         if re.fullmatch(r"#\d+", title) and title not in texts:
             texts = [f"#{k + 1}" for k in range(len(texts))]
@@ -378,7 +388,8 @@ class _Columns:
 
     def _source(self, kind: str, joint: int, index: int, factor: float) -> Source:
         """Return a column with its factor to SI, by its title or else the declared units."""
-        title, chosen = self._titles[index], self._chosen
+        title = self._titles[index]
+        chosen = self._chosen
         is_time = kind in ("time", "joint_time")
         known = naming.UNITS["time" if is_time else kind]
         is_angle = kind != "torque" and not self._is_slide[joint]

@@ -51,7 +51,8 @@ _CURRENT = frozenset({"current", "currents"})
 _AMPERES = _words("a amp amps ampere amperes")
 _JOINED = {" q dot ": " qd ", " q ddot ": " qdd ", " dot q ": " qd ", " ddot q ": " qdd "}
 
-_DEGREE, _RPM = math.pi / 180, math.pi / 30
+_DEGREE = math.pi / 180
+_RPM = math.pi / 30
 _IN_SI = {
     "time": {1.0: "s sec secs second seconds", 1e-3: "ms msec millis", 1e-6: "us usec µs micros"}
     | {1e-9: "ns nsec nanos"},
@@ -136,9 +137,11 @@ def with_meaning(
     for title in titles:
         rests = (rest for _, rest in _rests(title, joint_names))
         rest = min(rests, key=lambda rest: len(rest.words), default=title)
-        unit, stands_for = rest.unit, title.stands_for
+        unit = rest.unit
+        stands_for = title.stands_for
         if currents and title.is_current:
-            unit, stands_for = "" if unit in _AMPERES else unit, "torque"
+            unit = "" if unit in _AMPERES else unit
+            stands_for = "torque"
         elif currents and "torque" in title.kinds:
             stands_for = ""
         elif commanded and rest.is_command:
@@ -257,7 +260,8 @@ def _rests(title: Title, joint_names: Sequence[str]) -> Iterator[tuple[int, Titl
     """
     text = title.text.strip()
     for joint, name in sorted(enumerate(joint_names), key=lambda pair: -len(pair[1])):
-        behind, before = text[len(name) :], text[: -len(name)]
+        behind = text[len(name) :]
+        before = text[: -len(name)]
         if text.startswith(name) and behind and not behind[0].isalnum():
             yield joint, read_title(behind)
         elif text.endswith(name) and before and not before[-1].isalnum():

@@ -85,7 +85,9 @@ def open_log(
     """Recognise, check and open a log of an arm, or raise InputError; one that is open stays so."""
     if isinstance(source, MeasurementLog):
         return source
-    path, names, slides = Path(source), robot.joint_names, robot.is_slide.tolist()
+    path = Path(source)
+    names = robot.joint_names
+    slides = robot.is_slide.tolist()
     table = source if isinstance(source, LogTable) else open_table(path, names, options)
     found = _columns(table, path, robot, options)
     tables = (CONSTANTS, options.torque_constants), (SCALE, options.torque_scale)
@@ -106,7 +108,8 @@ def _columns(
     table: LogTable, path: Path, robot: RobotModel, options: LogOptions
 ) -> column_map.ColumnMap:
     """Return what each column of a log is, declared or recognised."""
-    names, slides = robot.joint_names, robot.is_slide.tolist()
+    names = robot.joint_names
+    slides = robot.is_slide.tolist()
     choices = column_map.parse_units(options.units) if options.units else column_map.ColumnChoices()
     if options.columns:
         choices = choices.over(column_map.read_columns_file(Path(options.columns), names))
@@ -205,7 +208,8 @@ _READ_TWICE = "a log is read twice: write it to a file, or pipe it into this com
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
     """Return a recording as a table."""
     path = _piped() if path == STANDARD_INPUT else path
-    is_folder, start = os.path.isdir(path), b""  # Path.is_dir raises where a name is too long
+    is_folder = os.path.isdir(path)  # Path.is_dir raises where a name is too long
+    start = b""
     try:
         if not is_folder:
             refuse_special_file(path, _READ_TWICE)

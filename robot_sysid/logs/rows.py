@@ -21,7 +21,10 @@ from robot_sysid.records import Array, Measurement
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.resampling import Thinning
 
-UNREADABLE, MISSING, REPEATED, WRAPPED = "unreadable", "missing", "repeated", "wrapped"
+UNREADABLE = "unreadable"
+MISSING = "missing"
+REPEATED = "repeated"
+WRAPPED = "wrapped"
 BACKWARDS = "backwards"
 _TURN = 2.0 * np.pi
 # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
@@ -78,16 +81,19 @@ def read_rows(
     """Read all rows of a log; a joint that is a slide (n,) has no full turn."""
     cleaner = _Cleaner(table, columns, is_slide)
     wanted = [source.index for source in columns.sources()]
-    thinning, kept = None, _Kept([1, 1, *map(len, columns.groups())])
+    thinning = None
+    kept = _Kept([1, 1, *map(len, columns.groups())])
     begun: list[Array] = []
     for block in followed(table, wanted, progress or Progress()):
-        rows, expected = cleaner.clean(block), cleaner.n_read / max(block.done, 1e-9)
+        rows = cleaner.clean(block)
+        expected = cleaner.n_read / max(block.done, 1e-9)
         if thinning is None:
             # The first rows tell how many there will be, and in which steps of time.
             begun = [np.concatenate((*begun, rows))]
             if len(begun[0]) < 2 or (len(begun[0]) < BLOCK and block.done < 1.0):
                 continue
-            rows, begun = begun[0], []
+            rows = begun[0]
+            begun = []
             thinning = Thinning.of(rows[:, 1], expected)
         kept.add(thinning.push(rows), int(expected / thinning.every))
     for rows in begun:
@@ -108,11 +114,13 @@ class _Kept:
 
     def __init__(self, widths: Sequence[int]) -> None:
         self._parts = [np.empty((0, width)) for width in widths]
-        self._ends, self._count = np.cumsum(widths)[:-1], 0
+        self._ends = np.cumsum(widths)[:-1]
+        self._count = 0
 
     def add(self, rows: Array, expected: int) -> None:
         """Take the next rows (R, C) of about so many in all."""
-        start, self._count = self._count, self._count + len(rows)
+        start = self._count
+        self._count = self._count + len(rows)
         if self._count > len(self._parts[0]):
             # The lines of a file are not all of one length; room that is not used takes no memory.
             most = max(self._count, expected + expected // 10)
@@ -130,7 +138,8 @@ class _Kept:
 
 def followed(table: LogTable, columns: Sequence[int], progress: Progress) -> Iterator[Block]:
     """Yield the blocks of a log, and tell how far it is read."""
-    label, rows = f"Reading {table.path.name}", 0
+    label = f"Reading {table.path.name}"
+    rows = 0
     for block in table.blocks(columns):
         yield block
         rows += len(block.lines)
@@ -143,36 +152,43 @@ class _Cleaner:
 
     def __init__(self, table: LogTable, columns: ColumnMap, is_slide: Sequence[bool]) -> None:
         self._word = table.word
-        self._columns, self._turning = columns, ~np.array(is_slide)
+        self._columns = columns
+        self._turning = ~np.array(is_slide)
         self._factors = np.array([source.factor for source in columns.sources()])
         self._n = len(columns.position)
-        self._piece, self._offset = 0, 0.0
+        self._piece = 0
+        self._offset = 0.0
         self._last: Array | None = None
         self._turns = np.zeros(self._n)
-        self.n_read, self.foreign = 0, 0
+        self.n_read = 0
+        self.foreign = 0
         self.empty = np.zeros(len(self._factors), dtype=int)
         kinds = UNREADABLE, MISSING, REPEATED, BACKWARDS, WRAPPED
         self.odd = {kind: Odd() for kind in kinds}
 
     def clean(self, block: Block) -> Array:
         """Return the usable rows (R, 2 + C) of a block: line, time, then the wanted columns."""
-        lines, cells = block.lines, block.cells.copy()
+        lines = block.lines
+        cells = block.cells.copy()
         np.multiply(cells, self._factors, out=cells, where=np.isfinite(cells))
         if self._columns.time is None:
             count = self.n_read + self.foreign + np.arange(len(cells))
             cells = np.column_stack((count / float(self._columns.rate or 1.0), cells))
         usable = self._usable(block, cells)
-        lines, cells = lines[usable], cells[usable]
+        lines = lines[usable]
+        cells = cells[usable]
         if len(cells):
             if block.piece != self._piece:
                 # A piece has a clock of its own; it is put behind the one before.
-                self._piece, self._turns = block.piece, np.zeros(self._n)
+                self._piece = block.piece
+                self._turns = np.zeros(self._n)
                 if self._last is not None and self._columns.time is not None:
                     self._offset = float(self._last[0] + APART - cells[0, 0])
                 self._last = None
             cells[:, 0] += self._offset
             later = self._later(lines, cells[:, 0])
-            lines, cells = lines[later], cells[later]
+            lines = lines[later]
+            cells = cells[later]
         if len(cells):
             self._unwrap(lines, cells)
         return np.column_stack((lines, cells))

@@ -55,7 +55,9 @@ class Asset:
 
 def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> AssetFolders:
     """Return where the assets of an MJCF document are; ``mesh_dir`` replaces its meshdir."""
-    mesh, texture, strip = ".", ".", "false"
+    mesh = "."
+    texture = "."
+    strip = "false"
     for compiler in document.settings("compiler"):
         both = compiler.get("assetdir")
         mesh = compiler.get("meshdir") or both or mesh
@@ -64,7 +66,8 @@ def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> Asse
     given = None if mesh_dir is None else Path(mesh_dir).absolute()
     meshes, textures = (_joined(document.path.parent, name) for name in (mesh, texture))
     if given is not None:
-        meshes, textures = given, textures if os.path.isdir(textures) else given
+        meshes = given
+        textures = textures if os.path.isdir(textures) else given
     return AssetFolders(meshes, textures, strip.lower() == "true", given is not None)
 
 
@@ -155,7 +158,8 @@ def relocated_text(edits: Edits, folder: Path | None, mesh_dir: Path | None = No
     """Return the UTF-8 text of an edited document as it must read in another folder; None makes
     every path absolute and inlines all includes. References that cannot be found stay as they are.
     """
-    document, edits.folder = edits.document, folder
+    document = edits.document
+    edits.folder = folder
     assets = find_assets(document, mesh_dir)
     if document.kind == "urdf":
         return _renamed(edits, [(a, reference(a.path, folder) if a.path else None) for a in assets])

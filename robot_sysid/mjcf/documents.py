@@ -25,7 +25,8 @@ _DEEPEST = 50
 """Includes in one another; no model at hand has more than three."""
 _DEEPEST_ELEMENT = 256
 """Elements in one another, as libxml2 allows them; Python's own stack ends at 1000."""
-LARGEST_FILE, MOST_ELEMENTS = 100_000_000, 20_000
+LARGEST_FILE = 100_000_000
+MOST_ELEMENTS = 20_000
 """Bytes of a file, and elements with all includes: the largest arm at hand has 317, and MuJoCo
 takes 12 s for 10 000 bodies."""
 _START_TAG = re.compile(rb"""<[^\s/>]+(?:[^>"']|"[^"]*"|'[^']*')*>""")
@@ -192,7 +193,8 @@ def _read(path: Path, known: dict[Path, SourceFile], depth: int = 0) -> SourceFi
 
 
 def _read_include(node: Node, known: dict[Path, SourceFile], depth: int) -> SourceFile:
-    above, name = node.file.path, node.get("file")
+    above = node.file.path
+    name = node.get("file")
     where = f"{above}, line {node.line}"
     if not name:
         raise ModelError(f"{where}: <include> without a file attribute")
@@ -244,11 +246,13 @@ def _as_utf8(raw: bytes, path: Path) -> bytes:
 
 def _parse(file: SourceFile, most: int) -> None:
     """Find the elements of a file, which may have so many."""
-    text, path = file.text, file.path
+    text = file.text
+    path = file.path
     if text.find(b"<!ENTITY", max(0, text.find(b"<!DOCTYPE"))) >= 0 and b"<!DOCTYPE" in text:
         remedy = "which can hide an attack; remove its <!DOCTYPE ...>"
         raise ModelError(f"{path} declares XML entities, {remedy}")
-    parser, above = expat.ParserCreate("utf-8"), list[Node]()
+    parser = expat.ParserCreate("utf-8")
+    above = list[Node]()
 
     def opened(name: str, attributes: dict[str, str]) -> None:
         start = parser.CurrentByteIndex
@@ -258,7 +262,9 @@ def _parse(file: SourceFile, most: int) -> None:
         if len(file.elements) >= most:
             fault = f"more than the {MOST_ELEMENTS} elements that are read"
             raise ModelError(f"{path}: {fault}, includes counted; take out what is no arm")
-        name, line, end = name.rpartition(":")[2], parser.CurrentLineNumber, tag.end()
+        name = name.rpartition(":")[2]
+        line = parser.CurrentLineNumber
+        end = tag.end()
         node = Node(file, name, attributes, line, start, end, end, end)
         file.elements.append(node)
         for parent in above[-1:]:
@@ -266,11 +272,14 @@ def _parse(file: SourceFile, most: int) -> None:
         above.append(node)
 
     def closed(name: str) -> None:
-        node, closing = above.pop(), parser.CurrentByteIndex
+        node = above.pop()
+        closing = parser.CurrentByteIndex
         if not text.endswith(b"/>", node.start, node.inner_start):
-            node.inner_end, node.end = closing, text.index(b">", closing) + 1
+            node.inner_end = closing
+            node.end = text.index(b">", closing) + 1
 
-    parser.StartElementHandler, parser.EndElementHandler = opened, closed
+    parser.StartElementHandler = opened
+    parser.EndElementHandler = closed
     try:
         parser.Parse(masked_comments(text), True)
     except expat.ExpatError as error:
@@ -282,7 +291,8 @@ def masked_comments(text: bytes) -> bytes:
 
     MuJoCo's reader accepts ``--`` inside a comment, which strict XML parsers refuse.
     """
-    pieces, position = [], 0
+    pieces = []
+    position = 0
     while (start := text.find(b"<!--", position)) >= 0:
         end = text.find(b"-->", start + 4)
         if end < 0:  # a search for each further comment would take the square of the length

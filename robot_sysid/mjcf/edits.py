@@ -64,7 +64,8 @@ class Edits:
 
     def set_compiler(self, values: Mapping[str, str]) -> None:
         """Set attributes of the compiler: in a URDF of every one, which lose their meshdir."""
-        compilers, is_urdf = self.document.settings("compiler"), self.document.kind == "urdf"
+        compilers = self.document.settings("compiler")
+        is_urdf = self.document.kind == "urdf"
         for node in compilers if is_urdf else compilers[:1]:
             for name, value in values.items():
                 self.set(node, name, value)
@@ -84,7 +85,8 @@ class Edits:
 
     def append(self, node: Node, *lines: str) -> None:
         """Put lines of text last into an element, indented one step deeper."""
-        text, indent = node.file.text, _own_line(node)
+        text = node.file.text
+        indent = _own_line(node)
         added = b"".join(indent + b"  " + line.encode() for line in lines)
         end = len(text[node.inner_start : node.inner_end].rstrip()) + node.inner_start
         edit = Edit(end, end, added + (indent if end == node.inner_end else b""))
@@ -112,7 +114,8 @@ class Edits:
 
     def _settings_edits(self) -> Iterator[Edit]:
         """Yield the edit that adds the settings; MuJoCo reads one ``<mujoco>`` of a URDF only."""
-        root, new = self.document.root, [each.encode() for each in self.settings]
+        root = self.document.root
+        new = [each.encode() for each in self.settings]
         if not new:
             return
         if self.document.kind != "urdf":
@@ -165,7 +168,8 @@ def attributes(values: Mapping[str, str]) -> str:
 
 def _attribute_edit(node: Node, name: str, value: str | None) -> Iterator[Edit]:
     """Yield the edit, if one is needed, that gives an element an attribute; None takes it away."""
-    text, end = node.file.text, node.inner_start - (2 if node.is_empty_tag else 1)
+    text = node.file.text
+    end = node.inner_start - (2 if node.is_empty_tag else 1)
     matches = _ATTRIBUTE.finditer(text, node.start, node.inner_start)
     found = next((m for m in matches if m.group(1) == name.encode()), None)
     new = b"" if value is None else attributes({name: value}).encode()

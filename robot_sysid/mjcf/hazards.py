@@ -26,12 +26,16 @@ MOST_COPIES = 3000
 """Copies of a part; MuJoCo takes the square of their number, a minute for 20 000."""
 # Bytes per cell, and per byte of a file, as measured with MuJoCo 4.0: three colours in the
 # compiler and in the model, a height field's floats four times.
-_NUMBER, _TEXEL, _HEIGHT, _FILE = 16.0, 6.0, 16.0, 2.0
+_NUMBER = 16.0
+_TEXEL = 6.0
+_HEIGHT = 16.0
+_FILE = 2.0
 # Per triangle of a mesh: a quarter of what a plan takes, and three times what the model keeps.
 _TRIANGLE = 450.0
 # An OBJ file is read line by line only where it may have more triangles; bytes of a line that is
 # cut into words.
-_FEW, _LONG = 20_000, 100_000
+_FEW = 20_000
+_LONG = 100_000
 _CELLS = {"hfield": ("nrow", "ncol"), "numeric": ("size",), "user": ("dim",)}
 _COPIED = ("replicate", "composite", "flexcomp")
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -51,7 +55,9 @@ def refuse_hazards(
     """Raise ModelError for a document that MuJoCo must not even be shown; return the memory that it
     takes [bytes] with all that it attaches, but for what it is attached by and what is known.
     """
-    own, attached, known = document.path.resolve(), Counter[str](), {} if known is None else known
+    own = document.path.resolve()
+    attached = Counter[str]()
+    known = {} if known is None else known
     needed: list[tuple[float, str]] = []
     for node, times in _repeated(document, document.root, 1.0):
         needed.append((_stated(node), f"<{node.tag}> in line {node.line}"))
@@ -60,7 +66,8 @@ def refuse_hazards(
         _refuse_pipes(document, asset)
         if asset.path is None:
             continue
-        path, tag = asset.path.resolve(), asset.node.tag
+        path = asset.path.resolve()
+        tag = asset.node.tag
         form = (asset.node.get("content_type") or path.suffix).lower()
         memory = _of_file(path, tag, form) if os.access(path, os.R_OK) else 0.0
         if tag == "model" and path.suffix.lower() in SUFFIXES:
@@ -105,7 +112,8 @@ def _stated(node: Node) -> float:
         counts = (_product(v) for name, v in node.attributes.items() if name != "memory")
         return max([0.1 * _bytes(node), *(_NUMBER * count for count in counts)])
     if node.tag == "texture":
-        width, flat = _product(node.get("width")), node.get("type") == "2d"
+        width = _product(node.get("width"))
+        flat = node.get("type") == "2d"
         return _TEXEL * width * (_product(node.get("height")) if flat else 6.0 * width)
     return _NUMBER * math.prod(_product(node.get(name)) for name in _CELLS.get(node.tag, ("",)))
 
@@ -180,7 +188,8 @@ def _triangles(path: Path, form: str) -> float:
 
 def _unpacks_beyond(png: BinaryIO, most: float) -> bool:
     """Return whether the data of a PNG file is longer than so many bytes."""
-    unpacker, seen = zlib.decompressobj(), 0
+    unpacker = zlib.decompressobj()
+    seen = 0
     png.seek(len(_PNG))
     while seen <= most and len(head := png.read(8)) == 8:
         length, kind = struct.unpack(">I4s", head)

@@ -61,9 +61,11 @@ def changed_model_text(
 
 
 def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
-    document, written = edits.document, list[Node]()
+    document = edits.document
+    written = list[Node]()
     for body in change.bodies:
-        found, theta = find_element(document, "body", body.label), body.plan.theta
+        found = find_element(document, "body", body.label)
+        theta = body.plan.theta
         inertial.check_settings(document, found, theta)
         addition = "; ".join(filter(None, (body.addition, body.plan.note)))
         edits.comment(found, _comment(f"body '{body.label}'", change.rmse, addition))
@@ -91,7 +93,8 @@ def _comment(what: str, rmse: float, addition: str) -> str:
 
 def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
     """Add the new body of a change."""
-    document, joint = edits.document, f"{body.name}_joint"
+    document = edits.document
+    joint = f"{body.name}_joint"
     carrier = find_element(document, "body", body.carrier)
     inertial.check_settings(document, carrier, body.theta, gets_child=True)
     is_urdf = document.kind == "urdf"
@@ -105,10 +108,12 @@ def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
         )
     comment = _comment(f"body '{body.name}'", change.rmse, body.words)
     own = _inertial(document, body.theta, change.principal)
-    name, place = attributes({"name": body.name}), numbers(body.translation)
+    name = attributes({"name": body.name})
+    place = numbers(body.translation)
     if is_urdf:
         # All links of a URDF stand side by side.
-        parent, child = attributes({"link": body.carrier}), attributes({"link": body.name})
+        parent = attributes({"link": body.carrier})
+        child = attributes({"link": body.name})
         turn = numbers(spatial.roll_pitch_yaw(body.rotation))
         fixed = (
             f'<joint{attributes({"name": joint})} type="fixed"><parent{parent}/>'
@@ -135,7 +140,8 @@ def _write_gravity(edits: Edits, gravity: tuple[float, float, float], rmse: floa
     stating = [option for option in options if option.get("gravity")]
     before = (stating[-1].get("gravity") if stating else None) or _MUJOCOS_OWN
     words = f"in place of {before}, because the arm does not stand as the file said"
-    comment, text = _comment("gravity", rmse, words), numbers(np.asarray(gravity))
+    comment = _comment("gravity", rmse, words)
+    text = numbers(np.asarray(gravity))
     if not options:
         edits.settings += [comment, f'<option gravity="{text}"/>']
         return
@@ -155,7 +161,8 @@ def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
 
 def write_joint(edits: Edits, change: JointChange) -> None:
     """Give a joint its new numbers, or raise ExportError where the file cannot hold them."""
-    document, is_urdf = edits.document, edits.document.kind == "urdf"
+    document = edits.document
+    is_urdf = edits.document.kind == "urdf"
     further = {"nonlinear damping": min(change.polynomial)} if change.polynomial else {}
     _require_resistance(f"joint '{change.label}'", {**change.numbers, **further})
     node = find_element(document, "joint", change.label)
@@ -180,7 +187,8 @@ def write_joint(edits: Edits, change: JointChange) -> None:
 
 def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
     """Give a fixed tendon its new numbers, or add it; ExportError where the file cannot hold it."""
-    document, joints = edits.document, list(change.coefficients)
+    document = edits.document
+    joints = list(change.coefficients)
     what = f"motor that turns {' and '.join(joints)}"
     _require_resistance(f"the {what}", change.numbers)
     written = {name: number(value) for name, value in change.numbers.items()}
@@ -215,7 +223,8 @@ def write_actuator(edits: Edits, change: ActuatorChange) -> None:
     document = edits.document
     written = (node for section in document.tagged("actuator") for node in section.children())
     node = next(islice(written, change.actuator, None), None)
-    kp, kv = number(change.stiffness), number(change.damping)
+    kp = number(change.stiffness)
+    kv = number(change.damping)
     gains = {
         "position": {"kp": kp, "kv": kv},
         "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},

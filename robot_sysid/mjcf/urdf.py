@@ -22,7 +22,8 @@ from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.records import Array
 
 _READABLE_MESHES = (".stl", ".obj", ".msh")
-_MINIMUM_MASS, _MINIMUM_INERTIA = 1e-6, 1e-9
+_MINIMUM_MASS = 1e-6
+_MINIMUM_INERTIA = 1e-9
 """What a moving link gets that weighs nothing [kg, kg m^2]: MuJoCo refuses less than 1e-15."""
 LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
@@ -41,7 +42,8 @@ def compilable_urdf(
     edits.set_compiler({"fusestatic": "false", "strippath": "false"})
     inertias = link_inertias(document)
     for link in document.tagged("link"):
-        inertial, turn = link.child("inertial"), link.inner("inertial", "origin", "rpy")
+        inertial = link.child("inertial")
+        turn = link.inner("inertial", "origin", "rpy")
         if inertial and np.any(_floats(turn)) and not _lacks_inertia(link):
             # MuJoCo 3.3 ignores the rpy of an inertial.
             text = urdf_inertial_about_com(*inertias[str(link.get("name"))])
@@ -58,7 +60,8 @@ def compilable_urdf(
 
 def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     """Name all meshes by their place; leave out shapes whose mesh is not usable. Yields notes."""
-    document, collisions = edits.document, set()
+    document = edits.document
+    collisions = set()
     from_geometry = any(c.get("inertiafromgeom") == "true" for c in document.settings("compiler"))
     uses = {use.node: use for use in find_assets(document, mesh_dir)}
     shapes = [(link, node) for link in document.tagged("link") for node in link.children()]
@@ -72,7 +75,8 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
             continue
         edits.replace(shape, "", keep_lines=True)
         if shape.tag == "collision":
-            name, path = unusable[0].name, unusable[0].path
+            name = unusable[0].name
+            path = unusable[0].path
             if link.child("inertial") is None or from_geometry:
                 why = f"in a format MuJoCo cannot read ({path.suffix})" if path else "not found"
                 raise ModelError(

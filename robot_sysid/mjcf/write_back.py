@@ -16,7 +16,9 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records import Array, SubtreeBody
 
-NOTHING, SLACK, MARGIN = 1e-6, 1e-10, 1e-11
+NOTHING = 1e-6
+SLACK = 1e-10
+MARGIN = 1e-11
 """Mass, relative to the link's, below which a difference is only rounding; how far, relative to its
 size, a body may be from possible before it is refused; how far inside the possible it is written,
 some 4e4 roundings, because MuJoCo refuses what these put outside."""
@@ -62,9 +64,12 @@ def plan_write_back(
         most_inflated: by how much all three moments may be inflated, because they are not known any
             better [kg m^2].
     """
-    top, mass, tolerance = bodies[0], float(composite[0]), (least_moment, most_inflated)
+    top = bodies[0]
+    mass = float(composite[0])
+    tolerance = (least_moment, most_inflated)
     lumped: tuple[SubtreeBody, ...] = ()
-    scaled, scale = lumped, 1.0
+    scaled = lumped
+    scale = 1.0
     beside = _sum(bodies[1:])
     if possible_body(composite - beside, mass, *tolerance) is None:
         below = [body for body in bodies[1:] if np.any(body.theta)]
@@ -72,7 +77,8 @@ def plan_write_back(
         hanging = tuple(body for body in below if not body.welded)
         beside = _sum(hanging)
         if possible_body(composite - beside, mass, *tolerance) is None:
-            scale, scaled = _largest_scale(composite, beside), hanging
+            scale = _largest_scale(composite, beside)
+            scaled = hanging
     rest = composite - scale * beside
     own = possible_body(rest, mass, *tolerance)
     if own is None or scale < NOTHING:
@@ -89,7 +95,8 @@ def _sum(bodies: Sequence[SubtreeBody]) -> Array:
 def _largest_scale(composite: Array, hanging: Array) -> float:
     """Return the largest part, below 1, of bodies that leaves a possible rest; 0 for none."""
     # Possible bodies are a convex set: what leaves one is an interval that begins at nothing.
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     for _ in range(60):  # down to the last digit
         middle = (low + high) / 2.0
         leaves_a_body = possible_body(composite - middle * hanging, float(composite[0])) is not None

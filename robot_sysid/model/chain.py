@@ -24,7 +24,8 @@ from robot_sysid.records.options import PerJoint, per_joint
 
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 _JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
-_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _ONLY_THESE = "only hinge and slide joints can be identified"
 RIVAL_SHARE = 0.6
@@ -114,7 +115,8 @@ def find_terminal_joint(mj_model: Any) -> int:
 
 def _require_end(mj_model: Any, arm: Run) -> None:
     """Raise where the last joint of a run may not be the arm's: a jaw, a loose tool, a ball."""
-    last, joint = arm[-1], joint_label(mj_model, arm[-1])
+    last = arm[-1]
+    joint = joint_label(mj_model, arm[-1])
     behind = [j for j in range(mj_model.njnt) if _parent(mj_model, j) == last]
     if len(behind) == 1 and not is_hinge_or_slide(mj_model, behind[0]):
         raise ModelError(
@@ -174,7 +176,8 @@ def resolve_joint(mj_model: Any, name: str) -> int:
     return joint
 
 
-_BASE, _LEAST_ARM = 3, 3
+_BASE = 3
+_LEAST_ARM = 3
 """Joints of a base (two directions and a turn), and those that must remain for the rest to be an
 arm; three can show all ten parameters."""
 _PERPENDICULAR = 1e-6

@@ -103,7 +103,8 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
         if document.kind == "urdf":
             mj_model, notes = _compile_urdf(document, mesh_dir)
         else:
-            mj_model, notes = _compile_mjcf(document, mesh_dir), ()
+            mj_model = _compile_mjcf(document, mesh_dir)
+            notes = ()
     if _CACHE is not None and mujoco.mj_getCacheCapacity(_CACHE) == 0:
         # The last model that was read is kept too, all that was read of it: let it be a small one.
         mujoco.MjModel.from_xml_string("<mujoco/>")
@@ -169,7 +170,8 @@ _BALANCE = (
 def _one_line(document: ModelDocument, error: BaseException) -> str:
     text = str(error).strip()
     first = re.sub(r"^(XML )?Error: ", "", text.splitlines()[0] if text else "unknown error")
-    name, line = _NAME.search(text), _LINE.search(text)
+    name = _NAME.search(text)
+    line = _LINE.search(text)
     where = [f"'{name.group(1).strip()}'"] if name and name.group(1).strip() else []
     where += [f"line {line.group(1)}"] if line and line.group(1) != "0" else []
     place = f" ({', '.join(where)})" if where else ""
@@ -206,7 +208,8 @@ def restore_exact_inertias(
         # balanceinertia keeps the trace too, and only touches what breaks the triangle inequality.
         if body <= 0 or moments[0] + moments[1] < moments[2]:
             continue
-        size, compiled = float(np.trace(inertia)), inertia_about_com(mj_model, body)
+        size = float(np.trace(inertia))
+        compiled = inertia_about_com(mj_model, body)
         turned = abs(float(np.trace(compiled)) - size) <= _SAME_TRACE * size
         if turned and np.max(np.abs(compiled - inertia)) > _ALREADY_EXACT * size:
             mj_model.body_inertia[body] = moments

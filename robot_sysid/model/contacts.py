@@ -23,13 +23,15 @@ from robot_sysid.records import Array, Motion, RobotModel
 CHECK_RATE_HZ = 40.0
 """How often a trajectory is checked; at 2 rad/s and 0.5 m that is every 25 mm."""
 
-_POSITIONS, _JOINTS_BETWEEN = 7, 3
+_POSITIONS = 7
+_JOINTS_BETWEEN = 3
 """Positions of each joint that tell whether two bodies can part; at most so many joints apart."""
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
     """Return the positions (n,), (n,) between which each joint can be; a turn where unlimited."""
-    lower, upper = robot.limits.lower, robot.limits.upper
+    lower = robot.limits.lower
+    upper = robot.limits.upper
     return (
         np.where(np.isfinite(lower), lower, robot.reference - np.pi),
         np.where(np.isfinite(upper), upper, robot.reference + np.pi),
@@ -59,7 +61,8 @@ def neighbours(mj_model: Any) -> NDArray[np.bool_]:
     or is fixed to the body that does: the arm's base and its housing are, a table in the same world
     is not.
     """
-    weld, bodies = mj_model.body_weldid, np.arange(mj_model.nbody)
+    weld = mj_model.body_weldid
+    bodies = np.arange(mj_model.nbody)
     parent = mj_model.body_parentid[weld]
     carries = (weld[:, None] == weld[parent]) & (weld[:, None] != weld)
     below = np.array([np.isin(bodies, subtree(mj_model, int(body))) for body in bodies])

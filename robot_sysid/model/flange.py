@@ -71,13 +71,16 @@ _Frames = Mapping[str, Flange]
 
 def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
     """Return all sites, and all bodies, that are fixed to the terminal body."""
-    mj_model, top = robot.mj_model, robot.body_id
+    mj_model = robot.mj_model
+    top = robot.body_id
     data = posed(mj_model, robot.reference_qpos)
-    axes, origin = data.xmat[top].reshape(3, 3), data.xpos[top]
+    axes = data.xmat[top].reshape(3, 3)
+    origin = data.xpos[top]
     fixed = {body.body_id: body.name for body in robot.bodies if body.welded}
 
     def frame(words: str, carrier: int, xmat: Array, xpos: Array) -> Flange:
-        rotation, translation = axes.T @ xmat.reshape(3, 3), axes.T @ (xpos - origin)
+        rotation = axes.T @ xmat.reshape(3, 3)
+        translation = axes.T @ (xpos - origin)
         return Flange(words, rotation, translation, robot.body_name, carrier)
 
     sites = {}
@@ -92,7 +95,8 @@ def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
 
 def _likely(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
     """Return the frame that is called like a flange, with a note on the choice."""
-    terminal, beside = bodies[robot.body_name], {**bodies}
+    terminal = bodies[robot.body_name]
+    beside = {**bodies}
     del beside[robot.body_name]
     for pattern in _LIKELY:
         # A site counts more than a body.

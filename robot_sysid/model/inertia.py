@@ -16,7 +16,8 @@ from robot_sysid.records import ArmLink, Array, SubtreeBody
 
 def body_theta(mj_model: Any, body_id: int) -> Array:
     """Return theta (10,) of one compiled body in its own frame, inertia about its origin."""
-    mass, com = float(mj_model.body_mass[body_id]), mj_model.body_ipos[body_id]
+    mass = float(mj_model.body_mass[body_id])
+    com = mj_model.body_ipos[body_id]
     return spatial.theta_from_com(mass, com, inertia_about_com(mj_model, body_id))
 
 
@@ -77,10 +78,13 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
     data = posed(mj_model, qpos)
     mujoco.mj_comPos(mj_model, data)
     bodies = [int(mj_model.jnt_bodyid[joint]) for joint in chain]
-    links, before, origin = [], np.eye(3), np.zeros(3)
+    links = []
+    before = np.eye(3)
+    origin = np.zeros(3)
     turn, slide = np.zeros((2, 3, mj_model.nv))
     for index, body in enumerate(bodies):
-        here, place = data.xmat[body].reshape(3, 3), data.xpos[body]
+        here = data.xmat[body].reshape(3, 3)
+        place = data.xpos[body]
         mujoco.mj_jacBody(mj_model, data, slide, turn, body)
         column = np.array([turn, slide])[..., int(mj_model.jnt_dofadr[chain[index]])]
         # Without what later chain joints move.
@@ -95,7 +99,8 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
                 theta=np.sum([np.zeros(10), *(part.theta for part in own)], axis=0),
             )
         )
-        before, origin = here, place
+        before = here
+        origin = place
     return tuple(links)
 
 

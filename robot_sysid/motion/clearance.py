@@ -42,7 +42,8 @@ DEEPEST_TOUCH = 1e-3
 deeper they collide, and no motion may start there."""
 _TOUCH_ROOM = 1e-4
 """How much deeper than at rest a touching pair may get: how well depths are known [m]."""
-_NEIGHBOUR_POSTURES, _FINER = 181, 41
+_NEIGHBOUR_POSTURES = 181
+_FINER = 41
 """How many positions of a joint tell whether its neighbours are harmless; more where nearest."""
 MOST_GROUPS = 31
 """Bits there are for groups of geoms."""
@@ -70,9 +71,11 @@ class _Nearest:
     """
 
     def __init__(self, count: int) -> None:
-        self.slack, self.distance = np.full(count, HORIZON), np.full(count, np.inf)
+        self.slack = np.full(count, HORIZON)
+        self.distance = np.full(count, np.inf)
         self.normal, self.point = np.zeros((2, count, 3))
-        self.bodies, self.space = np.zeros((count, 2), dtype=int), np.full(count, -1)
+        self.bodies = np.zeros((count, 2), dtype=int)
+        self.space = np.full(count, -1)
 
 
 class Slack(NamedTuple):
@@ -135,11 +138,13 @@ class Clearance:
         near = self._nearest(q, frames=frames)
         # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
         axes, anchors = (each[:, self._joints].transpose(2, 0, 1) for each in frames)
-        normal, point = near.normal.T[:, :, None], near.point.T[:, :, None]
+        normal = near.normal.T[:, :, None]
+        point = near.point.T[:, :, None]
         lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
         rates = np.sum(axes * lever, axis=0)
         # A joint changes the distance only if it moves one body and not the other.
-        part, joint = self._part[near.bodies], np.arange(q.shape[1])
+        part = self._part[near.bodies]
+        joint = np.arange(q.shape[1])
         side = (joint < part[:, 1:]).astype(float) - (joint < part[:, :1])
         return Slack(near.slack, side * rates)
 
@@ -154,7 +159,8 @@ class Clearance:
 
     def closest(self, q: Array) -> Closest:
         """Return the tightest distance at one configuration q (n,)."""
-        near, label = self._nearest(q[None]), ""
+        near = self._nearest(q[None])
+        label = ""
         first, second = near.bodies[0].tolist()
         if near.space[0] >= 0 and self._spaces is not None:
             space = self._spaces.spaces[near.space[0]]
@@ -168,7 +174,8 @@ class Clearance:
         """The same arm, with each slack the whole distance of a pair, and without half-spaces."""
         other = copy.copy(self)
         other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
-        other._spaces, other.rates = None, self.rates * self.is_solid
+        other._spaces = None
+        other.rates = self.rates * self.is_solid
         return other
 
     def _label(self, first: int, second: int) -> str:
@@ -191,7 +198,8 @@ class Clearance:
 
     def _learn_pairs(self, clearance: float) -> Mapping[str, Sequence[str]]:
         """Settle the distance each pair has to keep, from what it has at rest, where the arm is."""
-        distances, part = dict[tuple[int, int], float](), self._part
+        distances = dict[tuple[int, int], float]()
+        part = self._part
         for distance, (a, b) in zip(*self._contact_bodies()):
             if part[a] != part[b]:  # else they do not move against each other
                 pair = (min(int(a), int(b)), max(int(a), int(b)))
@@ -212,7 +220,8 @@ class Clearance:
         """Let what is near a boundary at rest keep half that distance; return what is beyond."""
         left = []
         for each, _, (height,), _ in spaces.heights(self._data.xpos[None], self._data.xmat[None]):
-            required, body = spaces.required[each], spaces.solids[each].body
+            required = spaces.required[each]
+            body = spaces.solids[each].body
             for k in np.flatnonzero((height <= 0.0) & np.isfinite(required)).tolist():
                 left.append((spaces.spaces[k], body_label(self._model, body), -float(height[k])))
             required[:] = np.minimum(required, np.maximum(0.0, KEPT_SHARE * height))
@@ -237,7 +246,9 @@ class Clearance:
         """Note the least distances (nbody, nbody) of pairs with just this joint between them, and
         return the position in which one of them is nearest.
         """
-        q, nearest, at = rest.copy(), np.inf, float(rest[joint])
+        q = rest.copy()
+        nearest = np.inf
+        at = float(rest[joint])
         for q[joint] in positions:
             self._place(q)
             distance, bodies = self._contact_bodies()
@@ -257,7 +268,9 @@ class Clearance:
         Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs, and tells
         the joints' frames, axes and anchors (2, N, joints of the model, 3), where there is room.
         """
-        near, spaces, data = _Nearest(len(q)), self._spaces, self._data
+        near = _Nearest(len(q))
+        spaces = self._spaces
+        data = self._data
         places, turns = (np.empty((len(q), self._model.nbody, width)) for width in (3, 9))
         for k, position in enumerate(q):
             self._place(position)
@@ -265,7 +278,8 @@ class Clearance:
                 self._note_contact(near, k, budget)
             # Whole arrays: choosing from each posture's takes ten times as long.
             if spaces is not None:
-                places[k], turns[k] = data.xpos, data.xmat
+                places[k] = data.xpos
+                turns[k] = data.xmat
             if frames is not None:
                 frames[:, k] = data.xaxis, data.xanchor
         if spaces is not None:
@@ -282,23 +296,31 @@ class Clearance:
         k = int(slack.argmin())
         if slack[k] < near.slack[at]:
             contact = self._data.contact[k]
-            near.slack[at], near.distance[at], near.bodies[at] = slack[k], distance[k], bodies[k]
-            near.normal[at], near.point[at] = contact.frame[:3], contact.pos
+            near.slack[at] = slack[k]
+            near.distance[at] = distance[k]
+            near.bodies[at] = bodies[k]
+            near.normal[at] = contact.frame[:3]
+            near.point[at] = contact.pos
 
     def _note_spaces(
         self, spaces: HalfSpaces, places: Array, turns: Array, near: _Nearest, budget: Array | None
     ) -> None:
         """Note the half-spaces that are nearest, where one is; frames of all bodies as MuJoCo's."""
         for each, at, height, lowest in spaces.heights(places, turns, HORIZON):
-            body, slack = spaces.solids[each].body, height - spaces.required[each]
+            body = spaces.solids[each].body
+            slack = height - spaces.required[each]
             which = np.argmin(slack, axis=1)
             least = slack[np.arange(len(at)), which]
             if budget is not None:
                 budget[self._rows[0, body]] = min(budget[self._rows[0, body]], np.min(least))
             own = np.flatnonzero(least < near.slack[at])
-            to, by = at[own], which[own]
-            near.slack[to], near.distance[to], near.space[to] = least[own], height[own, by], by
-            near.normal[to], near.point[to] = spaces.normals[by], lowest[own, by]
+            to = at[own]
+            by = which[own]
+            near.slack[to] = least[own]
+            near.distance[to] = height[own, by]
+            near.space[to] = by
+            near.normal[to] = spaces.normals[by]
+            near.point[to] = lowest[own, by]
             near.bodies[to] = 0, body
 
 
@@ -364,7 +386,9 @@ def approach_rates(robot: RobotModel, data: Any, part: Any) -> Array:
     holds for all pairs.
     """
     n = robot.n_joints
-    reach, joint, pairs = _reach(robot, data, part), np.arange(n), []
+    reach = _reach(robot, data, part)
+    joint = np.arange(n)
+    pairs = []
     for low, high in map(sorted, np.ndindex(n + 1, n + 1)):
         pairs.append(np.where((low <= joint) & (joint < high), reach[:, high], 0.0))
     return np.vstack((pairs, np.max(pairs, axis=0)))
@@ -372,7 +396,8 @@ def approach_rates(robot: RobotModel, data: Any, part: Any) -> Array:
 
 def _reach(robot: RobotModel, data: Any, part: Any) -> Array:
     """Return (n, n + 1): how far part l can get from the axis of joint j; 1 for a slide's rate."""
-    n, mj_model = robot.n_joints, robot.mj_model
+    n = robot.n_joints
+    mj_model = robot.mj_model
     anchors = data.xanchor[mj_model.dof_jntid[robot.dof_index]]
     travel = np.where(robot.is_slide, robot.limits.upper - robot.limits.lower, 0.0)
     travel[~np.isfinite(travel)] = _UNLIMITED_TRAVEL
@@ -380,7 +405,8 @@ def _reach(robot: RobotModel, data: Any, part: Any) -> Array:
     reach = np.zeros((n, n + 1))
     for outer in range(1, n + 1):
         # How far from its joint the geoms and origins of this part reach.
-        bodies, anchor = part == outer, anchors[outer - 1]
+        bodies = part == outer
+        anchor = anchors[outer - 1]
         geoms = np.flatnonzero(bodies[mj_model.geom_bodyid])
         centers = np.linalg.norm(data.geom_xpos[geoms] - anchor, axis=1)
         origins = np.linalg.norm(data.xpos[bodies] - anchor, axis=1)

@@ -101,12 +101,15 @@ class PredictedInformation:
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Information:
         """Return the information of one sample per row of q, qd, qdd (N, n)."""
-        move, used, links = self.dynamics.motion(q, qd, qdd), list(self.joints), list(self.links)
+        move = self.dynamics.motion(q, qd, qdd)
+        used = list(self.joints)
+        links = list(self.links)
         twists = [np.stack(each, axis=1)[:, links] for each in (move.velocity, move.acceleration)]
         # Of each sample, all links' wrenches in the base's frame side by side, (N, 6, 10 L).
         own_frame = body_wrench(*twists).transpose(2, 3, 0, 1)
         wrench = (move.to_links[links].swapaxes(-1, -2) @ own_frame).transpose(1, 2, 0, 3)
-        wrench, joint_twists = wrench.reshape(len(q), 6, -1), move.joint_twists[:, used]
+        wrench = wrench.reshape(len(q), 6, -1)
+        joint_twists = move.joint_twists[:, used]
         rows = np.empty((len(used), len(q), self.theta.size))
         np.matmul(joint_twists.transpose(2, 1, 0), wrench, out=rows.swapaxes(0, 1))
         self._keep_carried(rows)
@@ -146,7 +149,9 @@ class PredictedInformation:
         smooth = np.tanh(qd / rounded)
         sign = np.where(speed > 0.0, smooth, np.sign(qd))
         slope = np.where(speed > 0.0, (1.0 - smooth**2) / rounded, 0.0)
-        root, one, none = np.sqrt(np.abs(qd)), np.ones_like(qd), np.zeros_like(qd)
+        root = np.sqrt(np.abs(qd))
+        one = np.ones_like(qd)
+        none = np.zeros_like(qd)
         bend = 0.5 * np.abs(sign) / np.maximum(root, _STILL)
         size = np.where(np.isfinite(self.own), self.own, 1.0).T[:, None]
         load = np.abs(torque)
@@ -176,7 +181,9 @@ class PredictedInformation:
         by_speed, by_acceleration, by_torque = (np.sum(adjoint * slope, axis=2) for slope in slopes)
         rows_adjoint += by_torque[:, :, None] * self.theta.ravel()
         self._keep_carried(rows_adjoint)
-        used, links, by_sample = list(self.joints), list(self.links), rows_adjoint.swapaxes(0, 1)
+        used = list(self.joints)
+        links = list(self.links)
+        by_sample = rows_adjoint.swapaxes(0, 1)
         screws, turns, *by_twists = np.zeros((4, *move.joint_twists.shape))
         screws[:, used] = (by_sample @ wrench.swapaxes(1, 2)).transpose(2, 1, 0)
         felt = move.joint_twists[:, used].transpose(2, 0, 1) @ by_sample
@@ -196,7 +203,8 @@ class PredictedInformation:
 def _coefficients() -> tuple[Array, Array]:
     """Return the constants of Y6 = A V' + B V V: (60, 6) and (60, 6, 6), symmetric in V V."""
     # By polarisation, so that there is one derivation only.
-    one, none = np.eye(6), np.zeros((6, 6))
+    one = np.eye(6)
+    none = np.zeros((6, 6))
     linear = wrench_regressor(none, one).reshape(60, 6)
     pairs = np.array([one[k] + one[m] for k in range(6) for m in range(6)])
     both = wrench_regressor(pairs, np.zeros_like(pairs)).reshape(60, 6, 6)
@@ -240,7 +248,8 @@ class Criterion:
         """Return (T, S): theta = T x for the first ``count`` unknowns x, with all others at their
         best, and S the precision of x, priors included.
         """
-        seen, others = self.seen.shape[1], len(self.factor)
+        seen = self.seen.shape[1]
+        others = len(self.factor)
         change = np.zeros((len(information), seen + others))
         change[:10, :seen] = self.seen
         change[10 : 10 + others, seen:] = self.factor
@@ -312,7 +321,8 @@ def criterion(problem: ExcitationProblem, known: Known) -> Criterion:
     That is found from unrelated positions, velocities and accelerations, a fixed set of random
     numbers. What such data cannot see, no trajectory of these joints can.
     """
-    scale, information = np.diag(problem.scale), random_information(problem, known)
+    scale = np.diag(problem.scale)
+    information = random_information(problem, known)
     told = Criterion(scale, known.factor, known.asked).eliminated(information, 10)[1]
     values, vectors = np.linalg.eigh(told)
     seen = scale @ vectors[:, values > _HIDDEN * values[-1]]

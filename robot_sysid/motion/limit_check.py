@@ -32,27 +32,33 @@ from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProb
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel
 from robot_sysid.trajectory import SineTrajectory, sample_times
 
-LEAST_RATE_HZ, FEW_RATE_HZ = 1000.0, 100.0
+LEAST_RATE_HZ = 1000.0
+FEW_RATE_HZ = 100.0
 """How densely a motion is checked, and by how few samples most that break a limit are told."""
-CLEARANCE_RESOLUTION, DISTANCE_RESOLUTION = 1e-3, 1e-4
+CLEARANCE_RESOLUTION = 1e-3
+DISTANCE_RESOLUTION = 1e-4
 """How exactly the clearance that is told is that of the tightest moment; the least distance [m]."""
-EXACT_UP_TO, LEAST_EXACT = 15.0, 3e-3
+EXACT_UP_TO = 15.0
+LEAST_EXACT = 3e-3
 """Duration up to which it is that exact [s]; less where longer, but never less than this [m]."""
 TOUCH = 1e-6
 """How far a clearance may be missed [m]: MuJoCo's tolerance for distances of convex shapes. How far
 approaching takes is rounded, so that two ways of looking find a motion that just keeps it 1e-9 m
 apart."""
-SMALLEST, BISECTIONS = 2.0**-9, 4
+SMALLEST = 2.0**-9
+BISECTIONS = 4
 """Share of a random motion below which it is not made smaller; halvings of the last factor of 2."""
 RESERVE = 1e-4
 """Share of speed and acceleration limits that is left for peaks between samples: of a 0.6 Hz motion
 at 1 kHz 1 - cos(pi 0.6 / 1000) = 2e-6 is missed; a window bends ten times more."""
 FINEST_RATE_HZ = 4000.0
 """How densely clearance is tested where it is tight: 0.5 mm at 2 m/s."""
-MOST_TOGETHER, WORTH_SKIPPING = 64, 4
+MOST_TOGETHER = 64
+WORTH_SKIPPING = 4
 """Samples that are looked at together where the arm may move too fast to leave out more than some:
 each of them takes a quarter of the time then."""
-WHOLE, SHORTEST_PERIOD = 1e-9, 1.0
+WHOLE = 1e-9
+SHORTEST_PERIOD = 1.0
 """How near a number of samples must be to a whole one; a period with enough of them [s]."""
 
 
@@ -157,9 +163,11 @@ def scaled_to_limits(
     factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(share, RESERVE))
     if keeps_limits(problem, plan.scaled(factors), rate):
         return plan.scaled(factors), factors
-    high, low = 1.0, 0.5
+    high = 1.0
+    low = 0.5
     while low > SMALLEST and not keeps_limits(problem, plan.scaled(low * factors), rate):
-        high, low = low, 0.5 * low
+        high = low
+        low = 0.5 * low
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
         fits = keeps_limits(problem, plan.scaled(middle * factors), rate)
@@ -236,14 +244,19 @@ def _tightest(
     configuration returned by more than the resolution [m]. An end at ``stop_below`` saves the rest
     of the tests.
     """
-    best, when, at_q = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0]
+    best = np.inf
+    when = 0.0
+    at_q = plan.evaluate(np.zeros(1)).q[0]
     # What is known to be tight lets the search pass quickly by all that is not.
     for motion in _motions(plan, FEW_RATE_HZ, _spans(plan)) if resolution < np.inf else ():
         slacks = obstacles.slack(motion.q).value
         at = int(np.argmin(slacks))
         if slacks[at] < best:
-            best, when, at_q = float(slacks[at]), float(motion.time[at]), motion.q[at]
-    budget, known_until = {-1: -np.inf}, 0.0
+            best = float(slacks[at])
+            when = float(motion.time[at])
+            at_q = motion.q[at]
+    budget = {-1: -np.inf}
+    known_until = 0.0
     for motion in _motions(plan, FINEST_RATE_HZ, _spans(plan)):
         approach = _Approach(np.abs(motion.qd), obstacles.rates)
         has_jumped = motion.time[0] > known_until + 2.0 / FINEST_RATE_HZ
@@ -252,18 +265,21 @@ def _tightest(
         while at < len(motion.time) and best >= stop_below:
             some = motion.q[at : at + ahead]
             slacks = obstacles.slack(some).value if ahead > 1 else np.zeros(1)
-            at, first = at + len(slacks) - 1, at
+            first = at
+            at = first + len(slacks) - 1
             slacks[-1], room = obstacles.slack_at(motion.q[at])
             least = first + int(np.argmin(slacks))
             if slacks[least - first] < best:
-                best, when = float(slacks[least - first]), float(motion.time[least])
+                best = float(slacks[least - first])
+                when = float(motion.time[least])
                 at_q = motion.q[least]
             # What can neither be missed nor lower than the lowest need not be looked at.
             floor = best - resolution if best < -TOUCH else max(-TOUCH, best - resolution)
             near = np.flatnonzero(np.isfinite(room))
             left = zip(near.tolist(), np.maximum(0.0, room[near] - floor).tolist())
             budget = {row: float(approach.path(row)[at]) + more for row, more in left}
-            at, before = max(at + 1, approach.used_up(budget)), at
+            before = at
+            at = max(before + 1, approach.used_up(budget))
             ahead = min(2 * ahead, MOST_TOGETHER) if at - before <= WORTH_SKIPPING else 1
         budget = {row: left - float(approach.path(row)[-1]) for row, left in budget.items()}
         known_until = motion.time[-1]
@@ -274,7 +290,8 @@ class _Approach:
     """How far pairs may approach at speeds (N, n), worked out for those that are near alone."""
 
     def __init__(self, speed: Array, rates: Array) -> None:
-        self._speed, self._rates = speed, rates
+        self._speed = speed
+        self._rates = rates
         self._paths: dict[int, Array] = {}
 
     def path(self, row: int) -> Array:
@@ -292,7 +309,8 @@ class _Approach:
 
 
 # Farther than this is as good as any distance, and nearer than that counts as a touch [m].
-_FAR, _TOUCH = 0.2, 2e-3
+_FAR = 0.2
+_TOUCH = 2e-3
 
 
 def as_one(first: RobotModel, second: RobotModel) -> RobotModel:
@@ -326,7 +344,8 @@ class BetweenArms:
         model.geom_margin[:] = model.body_margin[:] = _FAR
         model.geom_gap[:] = 0.0
         self._data = posed(model, first.reference_qpos)
-        both, arms = as_one(first, second), (first, second)
+        both = as_one(first, second)
+        arms = (first, second)
         self._at_q = both.qpos_index
         self._arm = np.zeros(model.nbody, int)
         for number, arm in enumerate(arms, start=1):

@@ -32,9 +32,11 @@ acceleration limit."""
 FEWEST_HARMONICS = 3
 LONGEST_PERIOD = 60.0
 """A longer motion repeats itself, so that a search costs in proportion to its length [s]."""
-USUAL_JOINTS, USUAL_EVALUATIONS = 10, 400
+USUAL_JOINTS = 10
+USUAL_EVALUATIONS = 400
 """Joints up to which a search is as thorough as it can be; what a long round of it evaluates."""
-FEWEST_DRAWS, FEWEST_EVALUATIONS = 5, 20
+FEWEST_DRAWS = 5
+FEWEST_EVALUATIONS = 20
 """Those of the search of an arm with more joints."""
 WORTH_WORKERS = 5.0
 """Time budget from which on it pays to start other processes, which takes each a second [s]."""

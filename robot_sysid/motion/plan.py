@@ -57,7 +57,8 @@ class MotionRequest:
     @property
     def is_checked(self) -> bool:
         """Whether the motion has to keep all limits: it is played or kept, or limits were given."""
-        plan, asked = self.trajectory, {given.key for given in given_options(self.limits)}
+        plan = self.trajectory
+        asked = {given.key for given in given_options(self.limits)}
         kept = plan.plan_only or plan.save is not None or plan.file is not None
         return self.played or kept or self.is_designed or bool(asked - {"max_velocity"})
 
@@ -122,7 +123,8 @@ def _new_plan(
     request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
 ) -> CheckedPlan:
     """Return the trajectory with the limits it has to keep; checked where making it took that."""
-    options, rng = request.trajectory, np.random.default_rng(seed)
+    options = request.trajectory
+    rng = np.random.default_rng(seed)
     if options.file is not None:
         from robot_sysid.motion.trajectories import load_trajectory
 
@@ -161,7 +163,8 @@ def _random(
     problem = _problem(request, robot) if request.is_checked else None
     arm = robot
     if problem is not None:
-        torque, qpos = problem.limits.torque / trajectory.TORQUE_MARGIN, robot.reference_qpos.copy()
+        torque = problem.limits.torque / trajectory.TORQUE_MARGIN
+        qpos = robot.reference_qpos.copy()
         qpos[robot.qpos_index] = problem.rest
         arm = replace(robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos)
     plan, notes = trajectory.generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
@@ -172,7 +175,8 @@ def _random(
 
     smaller, factors = scaled_to_limits(problem, plan, rate)
     if np.min(factors) < 1.0:
-        share, joint = 100.0 * np.min(factors), robot.joint_names[int(np.argmin(factors))]
+        share = 100.0 * np.min(factors)
+        joint = robot.joint_names[int(np.argmin(factors))]
         progress.note(
             f"motion scaled down to keep all limits and clearances, most at {joint}: {share:.3g} %"
         )
@@ -207,7 +211,8 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
     from robot_sysid.motion.static import gentle_problem, startable
 
-    is_new, basis = request.trajectory.file is None, request.excitation.basis
+    is_new = request.trajectory.file is None
+    basis = request.excitation.basis
     band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
     noise = request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
     uncertainty = request.link_uncertainty

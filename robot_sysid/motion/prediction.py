@@ -29,7 +29,8 @@ LOOSE_SHARE = 0.2
 """A predicted standard deviation above this share of the parameter's size is called loose."""
 _TOLD_PART = 0.2
 """Part of the whole error from which a cause is told: 4 % of its square."""
-_DIAGONAL, _OFF_DIAGONAL = (0, 4, 7, 9), {5: (4, 7), 6: (4, 9), 8: (7, 9)}
+_DIAGONAL = (0, 4, 7, 9)
+_OFF_DIAGONAL = {5: (4, 7), 6: (4, 9), 8: (7, 9)}
 """Which parameters are compared with themselves: mass and moments; which with two others."""
 _SAME_POSE = 1e-6
 """How near to the model's pose a start counts as it [rad or m]."""
@@ -117,7 +118,8 @@ class Prediction:
 
 def sizes(problem: ExcitationProblem) -> Array:
     """Return (10,) the magnitudes that errors of the terminal link are compared with."""
-    theta, scale = problem.robot.prior.theta, problem.scale
+    theta = problem.robot.prior.theta
+    scale = problem.scale
     size = np.where((theta > 0.0) & np.isin(np.arange(10), _DIAGONAL), theta, scale)
     for k, (i, j) in _OFF_DIAGONAL.items():
         size[k] = np.sqrt(size[i] * size[j])
@@ -230,8 +232,10 @@ def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]
         ]
         reach = f"{check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
         yield f"  {name:{width}s}  position {reach}  {'  '.join(parts)}"
-    fastest, limit = check.largest[-1], problem.limits.tool_speed
-    share, when = _share_text(fastest, limit), f"at {check.time[-1]:.2f} s"
+    fastest = check.largest[-1]
+    limit = problem.limits.tool_speed
+    share = _share_text(fastest, limit)
+    when = f"at {check.time[-1]:.2f} s"
     yield f"Fastest point of the tool: {fastest:.2f} m/s{share} {when}"
 
 
@@ -270,7 +274,8 @@ def _space_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
     """Say where the moving parts get to, and what comes near what."""
     lower, upper, lowest = swept_space(problem.robot, spread_motion(plan, _MOST_POSTURES).q)
     # Rounded outwards, to a centimetre.
-    lower, upper = np.floor(100.0 * lower) / 100.0, np.ceil(100.0 * upper) / 100.0
+    lower = np.floor(100.0 * lower) / 100.0
+    upper = np.ceil(100.0 * upper) / 100.0
     sides = [f"{axis} {low:+.2f} to {high:+.2f}" for axis, low, high in zip("xyz", lower, upper)]
     yield f"Swept box: {', '.join(sides)} m; the lowest point is one of {lowest}"
     if not problem.has_floor:
@@ -278,7 +283,8 @@ def _space_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
         reach = f"gets {below:.2f} m below z = 0" if below else "stays above z = 0"
         advice = "--keep-out 0 0 1 0 keeps all parts above it"
         yield f"The model has no floor: this motion {reach}; {advice}"
-    nearest, tightest = check.nearest, check.closest
+    nearest = check.nearest
+    tightest = check.closest
     if np.isfinite(nearest.distance):
         place = f"between {nearest.label} at {nearest.time:.2f} s"
         yield f"Clearance: {_at_least(nearest.distance, check.resolution)} mm {place}"
@@ -309,7 +315,8 @@ def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
         listed = ", ".join(f"{name} {reserve:.2g}" for name, reserve in pairs if reserve > 0.0)
         yield f"Torque reserve for errors of the links (--link-uncertainty), up to: {listed}"
     left, joint = problem.load_left(motion)
-    name, kept = problem.joint_names[joint], problem.reserve
+    name = problem.joint_names[joint]
+    kept = problem.reserve
     reserved = f" (--payload-reserve {kept:g} kept)" if kept > 0.0 else ""
     room = np.floor(100.0 * left) / 100.0
     yield f"Torque left: a load of {room:.2f} kg at the tool's tip, then {name} is full{reserved}"

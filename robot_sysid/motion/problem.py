@@ -38,7 +38,10 @@ RESERVE_WORDS = ", with the reserve for errors of the links"
 """What the name of a torque limit ends with that a reserve is kept of."""
 _LEVEL = 0.9
 """Cosine of the slope up to which a plane that is asked for says where the ground is."""
-MODEL, ASKED, ASSUMED, NONE = "the model", "the options", "an assumption", "nothing"
+MODEL = "the model"
+ASKED = "the options"
+ASSUMED = "an assumption"
+NONE = "nothing"
 """Where a limit may come from."""
 
 
@@ -107,9 +110,11 @@ class Tool:
     def speed_vjp(self, twist: Array, weight: Array) -> Array:
         """Return the gradient (6, N) of sum(weight * speed) with respect to the twists."""
         speeds, velocity = self._speeds(twist)
-        at, each = np.argmax(speeds, axis=0), np.arange(twist.shape[1])
+        at = np.argmax(speeds, axis=0)
+        each = np.arange(twist.shape[1])
         along = _unit(velocity[:, at, each])
-        point, turning = self.points[at].T, _unit(twist[:3]) * self.radius[at]
+        point = self.points[at].T
+        turning = _unit(twist[:3]) * self.radius[at]
         return weight * np.concatenate((spatial.cross(point, along) + turning, along))
 
     def _speeds(self, twist: Array) -> tuple[Array, Array]:
@@ -215,7 +220,8 @@ class ExcitationProblem:
 
         Infinite where no torque is limited, negative where the arm alone is beyond a limit.
         """
-        torque, more = self.arm_torque(motion), self.torque_per_kilogram(motion)
+        torque = self.arm_torque(motion)
+        more = self.torque_per_kilogram(motion)
         limit = self.limits.torque - self.torque_reserve(motion)
         room = np.where(more >= 0.0, limit - torque, limit + torque)
         room = np.where(np.abs(torque) > limit, limit - np.abs(torque), room)
@@ -245,7 +251,8 @@ class ExcitationProblem:
         speed of the tool's fastest point. The torques and the speed of the tool are zero where
         nothing limits them, unless they are asked for.
         """
-        needed, fastest = np.zeros_like(motion.q), np.zeros(len(motion.q))
+        needed = np.zeros_like(motion.q)
+        fastest = np.zeros(len(motion.q))
         if torque or np.any(np.isfinite(self.limits.torque)):
             needed = self.torque(motion)
         if tool or np.isfinite(self.limits.tool_speed):
@@ -314,7 +321,8 @@ def build_problem(
 
 def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
     """Return position limits with the margin taken off; an assumed range where there are none."""
-    lower, upper = robot.limits.lower, robot.limits.upper
+    lower = robot.limits.lower
+    upper = robot.limits.upper
     assumed = 0.5 * np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
     lower = np.where(np.isfinite(lower), lower, np.minimum(robot.reference, upper) - assumed)
     upper = np.where(np.isfinite(upper), upper, np.maximum(robot.reference, lower) + assumed)
@@ -326,7 +334,9 @@ def _limits(
     robot: RobotModel, options: LimitOptions, top_frequency_hz: float | None
 ) -> tuple[MotionLimits, Mapping[str, NDArray[np.str_]]]:
     """Return the limits, and per family in ``LIMIT_NAMES`` where that of each joint comes from."""
-    own, slide, asked = robot.limits, robot.is_slide, options.max_acceleration
+    own = robot.limits
+    slide = robot.is_slide
+    asked = options.max_acceleration
     top = np.inf if top_frequency_hz is None else min(top_frequency_hz, TOP_FREQUENCY_HZ)
     natural = 2.0 * np.pi * top * own.velocity
     lower, upper = _position_limits(robot)

@@ -46,7 +46,8 @@ class Solid:
         solid = mj_model.geom_contype[geoms] | mj_model.geom_conaffinity[geoms]
         chosen = geoms[solid != 0] if np.any(solid) else geoms
         origin = int(len(chosen) == 0)
-        points, spread = [np.zeros((origin, 3))], [np.zeros((origin, 3, 3))]
+        points = [np.zeros((origin, 3))]
+        spread = [np.zeros((origin, 3, 3))]
         for geom in chosen:
             corners, axes = _shape(mj_model, int(geom))
             matrix = np.zeros(9)
@@ -54,10 +55,12 @@ class Solid:
             turn = matrix.reshape(3, 3)
             points.append(mj_model.geom_pos[geom] + corners @ turn.T)
             spread.append(np.tile(turn * axes, (len(corners), 1, 1)))
-        self.points, self.spread = np.concatenate(points), np.concatenate(spread)
+        self.points = np.concatenate(points)
+        self.spread = np.concatenate(spread)
         self.radius = np.max(np.linalg.norm(self.spread, axis=1), axis=1)
         kept = _on_the_hull(self.points, self.radius)
-        self.points, self.spread = self.points[kept], self.spread[kept]
+        self.points = self.points[kept]
+        self.spread = self.spread[kept]
         self.radius = self.radius[kept]
         self._round = np.flatnonzero(self.radius)
         self._spreads = self.spread[self._round].transpose(1, 0, 2).reshape(3, -1)
@@ -69,7 +72,8 @@ class Solid:
 
     def farthest(self, directions: Array) -> Array:
         """Return the points (K, 3) farthest along unit directions (K, 3), in the body's frame."""
-        heights, round_ones = directions @ self.points.T, self._round
+        heights = directions @ self.points.T
+        round_ones = self._round
         if len(round_ones):
             turned = (directions @ self._spreads).reshape(len(directions), -1, 3)
             heights[:, round_ones] += np.sqrt(np.einsum("kpb,kpb->kp", turned, turned))
@@ -91,7 +95,9 @@ def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
 
 def _shape(mj_model: Any, geom: int) -> tuple[Array, Array]:
     """Return corners (P, 3) of a geom, and half axes (3,) of what is round about each [m]."""
-    kind, size, axes = int(mj_model.geom_type[geom]), mj_model.geom_size[geom], np.zeros(3)
+    kind = int(mj_model.geom_type[geom])
+    size = mj_model.geom_size[geom]
+    axes = np.zeros(3)
     if kind == _TYPES.mjGEOM_PLANE:
         return np.zeros((0, 3)), axes
     if kind in (_TYPES.mjGEOM_MESH, _TYPES.mjGEOM_SDF):
@@ -107,7 +113,8 @@ def _shape(mj_model: Any, geom: int) -> tuple[Array, Array]:
 
 def _hull_vertices(mj_model: Any, mesh: int) -> Array:
     """Return the vertices (P, 3) of a mesh; of its convex hull where MuJoCo has computed one."""
-    first, count = int(mj_model.mesh_vertadr[mesh]), int(mj_model.mesh_vertnum[mesh])
+    first = int(mj_model.mesh_vertadr[mesh])
+    count = int(mj_model.mesh_vertnum[mesh])
     vertices = np.array(mj_model.mesh_vert[first : first + count], dtype=float)
     graph = int(mj_model.mesh_graphadr[mesh])
     if graph < 0:
@@ -166,21 +173,25 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
 
     At chain positions q (N, n), in axes of the world.
     """
-    model, data = robot.mj_model, posed(robot.mj_model, robot.reference_qpos)
+    model = robot.mj_model
+    data = posed(robot.mj_model, robot.reference_qpos)
     solids = solids_of(model, np.flatnonzero(parts_of(robot)).tolist())
-    bodies, reach = [solid.body for solid in solids], np.full((len(solids), 6), -np.inf)
+    bodies = [solid.body for solid in solids]
+    reach = np.full((len(solids), 6), -np.inf)
     for part in np.array_split(q, 1 + len(q) // _AT_ONCE):
         frames = np.empty((len(part), len(bodies), 4, 3))
         for posture, frame in zip(part, frames):
             data.qpos[robot.qpos_index] = posture
             mujoco.mj_kinematics(model, data)
-            frame[:, 0], frame[:, 1:] = data.xpos[bodies], data.xmat[bodies].reshape(-1, 3, 3)
+            frame[:, 0] = data.xpos[bodies]
+            frame[:, 1:] = data.xmat[bodies].reshape(-1, 3, 3)
         for k, solid in enumerate(solids):
             directions = (_AXES @ frames[:, k, 1:]).reshape(-1, 3)
             height = np.sum(solid.farthest(directions) * directions, axis=1).reshape(-1, 6)
             highest = np.max(height + frames[:, k, 0] @ _AXES.T, axis=0, initial=-np.inf)
             reach[k] = np.maximum(reach[k], highest)
-    lowest, (*upper, x, y, z) = int(np.argmax(reach[:, 5])), np.max(reach, axis=0)
+    lowest = int(np.argmax(reach[:, 5]))
+    (*upper, x, y, z) = np.max(reach, axis=0)
     return -np.array([x, y, z]), np.array(upper), body_label(model, bodies[lowest])
 
 
@@ -192,11 +203,13 @@ def mounting_height(robot: RobotModel, rest: Array) -> tuple[Array, float, list[
     ground is. None without gravity, or where more of the arm than its first link is below at rest
     (n,): such an arm hangs, or stands at an edge.
     """
-    model, parts = robot.mj_model, parts_of(robot)
+    model = robot.mj_model
+    parts = parts_of(robot)
     down = np.array(model.opt.gravity, dtype=float)
     if not np.any(down):
         return None
-    up, qpos = -down / np.linalg.norm(down), robot.reference_qpos.copy()
+    up = -down / np.linalg.norm(down)
+    qpos = robot.reference_qpos.copy()
     qpos[robot.qpos_index] = rest
     data = posed(model, qpos)
     carrier = int(model.body_parentid[np.flatnonzero(parts)[0]])
@@ -238,15 +251,18 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
 
     In the terminal body's frame [m]. All of the link is within the convex hull of these balls.
     """
-    data, body = posed(robot.mj_model, robot.reference_qpos), robot.body_id
+    data = posed(robot.mj_model, robot.reference_qpos)
+    body = robot.body_id
     solids = solids_of(robot.mj_model, subtree(robot.mj_model, body))
     axes = data.xmat[body].reshape(3, 3)
-    points, radius = [np.zeros((0, 3))], [np.zeros(0)]
+    points = [np.zeros((0, 3))]
+    radius = [np.zeros(0)]
     for solid in solids:
         place = data.xpos[solid.body] + solid.points @ data.xmat[solid.body].reshape(3, 3).T
         points.append((place - data.xpos[body]) @ axes)
         radius.append(solid.radius)
-    all_points, all_radius = np.vstack(points), np.concatenate(radius)
+    all_points = np.vstack(points)
+    all_radius = np.concatenate(radius)
     kept = _on_the_hull(all_points, all_radius)
     return all_points[kept], all_radius[kept]
 

@@ -31,7 +31,9 @@ from robot_sysid.motion.trajectories import LineTrajectory, straight_way
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import TORQUE_MARGIN
 
-STARTS, PARENTS, SPREADS = 1000, 50, (0.1, 0.05, 0.02, 0.01, 0.005)
+STARTS = 1000
+PARENTS = 50
+SPREADS = (0.1, 0.05, 0.02, 0.01, 0.005)
 """Poses that are tried at a time; how many of the lightest get others near them, and how near one
 after the other, as share of the joints' ranges."""
 EASY_SHARE = 0.8
@@ -49,25 +51,33 @@ GENTLE = 0.6
 """Speed that no joint exceeds between poses, however fast it could be [rad/s or m/s]."""
 UNSURE_SHARE = 0.5
 """Share of the torque limits that weighing uses: the arm may need twice what its model says."""
-SHORTEST_MOVE, RESERVE = 0.6, 1.05
+SHORTEST_MOVE = 0.6
+RESERVE = 1.05
 """Shortest way between two points [s], and how much longer than needed each takes."""
-CANDIDATES, PLACES_ON_A_WAY = 3000, 24
-_MOST_SLOWER, _SLOWER = 12, 1.25
+CANDIDATES = 3000
+PLACES_ON_A_WAY = 24
+_MOST_SLOWER = 12
+_SLOWER = 1.25
 """How often a motion that breaks a limit is slowed down, and by how much: 15 times in all."""
 _TINY = 1e-6
 """Information before the first pose, whose own is singular: a millionth of what noise leaves."""
 
-SLOWEST, FASTEST = 0.02, 1.0
+SLOWEST = 0.02
+FASTEST = 1.0
 """Speeds of the first and the last sweep [rad/s]; the last is lower where limits ask for it."""
-SPEEDS, CRUISE = 6, 0.8
+SPEEDS = 6
+CRUISE = 0.8
 """How many speeds, and how long each is held at a time [s] where the joint has room."""
 SHARE = 0.8
 """Share of the limits of speed and acceleration that sweeps use."""
 SHORTEST_RAMP = 0.15
 """Time in which a sweep's speed rises [s]: 30 samples at the 200 Hz that ``expected`` looks at."""
-WIDEST, LEAST_ROOM = 1.0, 0.02
+WIDEST = 1.0
+LEAST_ROOM = 0.02
 """Farthest that a joint leaves its rest position, and way below which it is not swept [rad]."""
-_STEP, _MOST_SMALLER, _SMALLER = 0.01, 8, 0.7
+_STEP = 0.01
+_MOST_SMALLER = 8
+_SMALLER = 0.7
 """Step of looking for room [rad]; how often sweeps that break a limit are made smaller: to 6 %."""
 
 
@@ -82,7 +92,8 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     worst = int(np.argmax(share))
     if share[worst] < 1.0 and not collisions:
         return problem
-    joint, allowed = problem.joint_names[worst], problem.limits.torque[worst]
+    joint = problem.joint_names[worst]
+    allowed = problem.limits.torque[worst]
     if collisions:
         reason = f"at rest the model is in a collision: {'; '.join(collisions)}"
         remedy = (
@@ -149,7 +160,9 @@ def _held(problem: ExcitationProblem) -> Iterator[Array]:
     """Yield poses (n,) that keep torque limits and clearances: easy ones first, then near ones."""
     # From near the model's to anywhere, more of them where holding is easy; the random numbers are
     # fixed, so that the start does not depend on any seed.
-    lower, upper, rng = problem.limits.lower, problem.limits.upper, np.random.default_rng(0)
+    lower = problem.limits.lower
+    upper = problem.limits.upper
+    rng = np.random.default_rng(0)
     anywhere = rng.uniform(lower, upper, (STARTS, problem.n_joints))
     nearness = np.linspace(1.0 / STARTS, 1.0, STARTS)[:, None]
     poses = problem.rest + nearness * (anywhere - problem.rest)
@@ -176,8 +189,10 @@ def design_poses(
 ) -> LineTrajectory:
     """Return a motion through informative poses within all limits, or raise InputError: too few."""
     # Random poses that leave room to approach them from both sides.
-    lower, upper = problem.limits.lower + 2.0 * APPROACH, problem.limits.upper - 2.0 * APPROACH
-    lower, upper = np.minimum(lower, problem.rest), np.maximum(upper, problem.rest)
+    lower = problem.limits.lower + 2.0 * APPROACH
+    upper = problem.limits.upper - 2.0 * APPROACH
+    lower = np.minimum(lower, problem.rest)
+    upper = np.maximum(upper, problem.rest)
     poses = lower + rng.uniform(size=(CANDIDATES, problem.n_joints)) * (upper - lower)
     sides = (-APPROACH, 0.0, APPROACH)
     poses = poses[np.all([_fits(problem, poses + side) for side in sides], axis=0)]
@@ -237,13 +252,15 @@ def _through(
     problem: ExcitationProblem, poses: list[Array], dwell: float, slower: float
 ) -> LineTrajectory:
     """Return the motion: to below a pose, rest in it, to above it, rest in it again, and on."""
-    points, dwells = [problem.rest], [0.0]
+    points = [problem.rest]
+    dwells = [0.0]
     for pose in poses:
         points += [pose - APPROACH, pose, pose + APPROACH, pose]
         dwells += [0.0, dwell, 0.0, dwell]
     points.append(problem.rest)
     dwells.append(0.0)
-    steps, limits = np.abs(np.diff(points, axis=0)), problem.limits
+    steps = np.abs(np.diff(points, axis=0))
+    limits = problem.limits
     by_speed = trajectories.PEAK_SPEED * steps / np.minimum(limits.velocity, GENTLE)
     by_acceleration = np.sqrt(trajectories.PEAK_ACCELERATION * steps / limits.acceleration)
     times = np.maximum(np.max(np.maximum(by_speed, by_acceleration), axis=1), SHORTEST_MOVE)
@@ -267,7 +284,8 @@ def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
 
 def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
     """Return a motion that sweeps every joint that has room, or raise InputError if none has."""
-    wide, share = np.array([_free_way(problem, joint) for joint in range(problem.n_joints)]), 1.0
+    wide = np.array([_free_way(problem, joint) for joint in range(problem.n_joints)])
+    share = 1.0
     for _ in range(_MOST_SMALLER):
         plan = _swept(problem, share * wide, share)
         if keeps_limits(problem, plan):
@@ -294,7 +312,8 @@ def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
 
 def _free_way(problem: ExcitationProblem, joint: int) -> Array:
     """Return how far (2,) a joint may go down (negative) and up from rest, the others resting."""
-    found, ends = np.zeros(2), (problem.limits.lower[joint], problem.limits.upper[joint])
+    found = np.zeros(2)
+    ends = (problem.limits.lower[joint], problem.limits.upper[joint])
     for side, (sign, end) in enumerate(zip((-1.0, 1.0), ends)):
         room = min(abs(end - problem.rest[joint]), WIDEST)
         steps = np.arange(0.0, max(room, _STEP), _STEP)
@@ -307,7 +326,8 @@ def _free_way(problem: ExcitationProblem, joint: int) -> Array:
 
 def _swept(problem: ExcitationProblem, wide: Array, share: float) -> LineTrajectory:
     """Return the sweeps of all joints; ``wide`` (n, 2) is how far each may go."""
-    points, speeds = [problem.rest], [0.0]
+    points = [problem.rest]
+    speeds = [0.0]
     for joint, (down, up) in enumerate(wide):
         if up - down < LEAST_ROOM:
             continue
@@ -336,7 +356,9 @@ def _timed(
     """Return the motion along lines at speeds (P - 1,), shorter ways at what is needed for them."""
     ways = np.diff(points, axis=0)
     kept = np.any(ways != 0.0, axis=1)
-    points, ways, speeds = points[np.append(True, kept)], ways[kept], speeds[kept]
+    points = points[np.append(True, kept)]
+    ways = ways[kept]
+    speeds = speeds[kept]
     joint = np.argmax(np.abs(ways), axis=1)
     length = np.max(np.abs(ways), axis=1)
     hardest = SHARE * share * problem.limits.acceleration[joint]

@@ -28,7 +28,8 @@ from robot_sysid.records import Array, Motion, MotionPlan, check_arrays
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.trajectory import Series, SineTrajectory, faded, motion_chunks, smooth_step, window
 
-PEAK_SPEED, PEAK_ACCELERATION = 2.1875, 7.5132
+PEAK_SPEED = 2.1875
+PEAK_ACCELERATION = 7.5132
 """Largest first and second derivative of a smooth step from 0 to 1 in unit time (its maxima)."""
 PEAK_OF_RAMP = 1.875
 """Largest derivative of the rise of a sweep's speed from 0 to 1 in unit time: 30 / 16."""
@@ -73,7 +74,8 @@ class FourierBasis:
 
     def evaluate(self, time: Array) -> Series:
         """Return the functions and their first and second derivatives (N, 2 K + 1)."""
-        time, base = np.asarray(time, dtype=float), 2j * np.pi * self.base_frequency_hz
+        time = np.asarray(time, dtype=float)
+        base = 2j * np.pi * self.base_frequency_hz
         # exp(i k W t) by products, which are far cheaper than sines.
         waves = np.vander(np.exp(base * time), self.harmonics + 1, increasing=True)
         turned = (waves * (base * np.arange(self.harmonics + 1.0)) ** k for k in range(3))
@@ -164,11 +166,14 @@ class LineTrajectory:
         if self.ramps is None:
             step = np.diff(self.points, axis=0)[at]
             w, dw, ddw = smooth_step(gone / length)
-            dw, ddw = dw / length, ddw / length**2
+            dw = dw / length
+            ddw = ddw / length**2
         else:
             step = self.speeds[at]
             w, dw, ddw = _cruise(gone, length, self.ramps[at])
-        w, dw, ddw = w[:, None], dw[:, None], ddw[:, None]
+        w = w[:, None]
+        dw = dw[:, None]
+        ddw = ddw[:, None]
         return Motion(time, self.points[at] + w * step, dw * step, ddw * step)
 
 
@@ -185,9 +190,11 @@ def _cruise(gone: Array, length: Array, ramp: Array) -> Series:
     rises as 10 x^3 - 15 x^4 + 6 x^5 does from 0 to 1.
     """
     near = np.minimum(gone, length - gone)
-    x, falls = np.minimum(near / ramp, 1.0), gone > near
+    x = np.minimum(near / ramp, 1.0)
+    falls = gone > near
     way = ramp * x**4 * (2.5 + x * (x - 3.0)) + np.maximum(near - ramp, 0.0)
-    speed, bend = x**3 * (10.0 + x * (6.0 * x - 15.0)), 30.0 * (x * (1.0 - x)) ** 2
+    speed = x**3 * (10.0 + x * (6.0 * x - 15.0))
+    bend = 30.0 * (x * (1.0 - x)) ** 2
     return np.where(falls, length - ramp - way, way), speed, np.where(falls, -bend, bend) / ramp
 
 

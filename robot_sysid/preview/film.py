@@ -50,7 +50,8 @@ class Shown:
 def shown_plan(problem: ExcitationProblem, plan: MotionPlan) -> Shown:
     """Return a planned motion with its limits."""
     motion = plan.evaluate(np.linspace(0.0, plan.duration, _count(plan.duration)))
-    limits, largest = problem.limits, problem.limits.largest
+    limits = problem.limits
+    largest = problem.limits.largest
     torque = problem.torque(motion)
     clearances = problem.obstacles.distances
     near = np.array([min(clearances.slack_at(q)[0], _FARTHEST) for q in motion.q])
@@ -86,13 +87,17 @@ def _shares(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Strip
 
 
 # Multiples of sixteen, which every player can show.
-_SIZE, _PANEL = (640, 480), 400
+_SIZE = (640, 480)
+_PANEL = 400
 _GIF_STEP = 2
 """Every which picture goes into a .gif: half of them, for it packs each one for itself."""
 NO_DISPLAY = "--view needs a display and there is none here; --video FILE.mp4 renders without one"
 _PAUSE = 1.0
 """Rest before the viewer plays the motion again [s]."""
-_INK, _LINE, _LIMIT, _CURSOR = "#1b1f24", "#0b62a8", "#b02a1c", (176, 42, 28)
+_INK = "#1b1f24"
+_LINE = "#0b62a8"
+_LIMIT = "#b02a1c"
+_CURSOR = (176, 42, 28)
 
 
 def require_film(path: Path) -> None:
@@ -118,7 +123,8 @@ def write_film(robot: RobotModel, shown: Shown, path: Path, progress: Progress) 
     options: dict[str, Any] = {"fps": RATE, "codec": "libx264", "quality": 7}
     if is_gif:
         options = {"mode": "I", "duration": 1000.0 * step / RATE, "loop": 0}
-    frames, (strips, columns) = range(0, len(shown.time), step), _strips(shown)
+    frames = range(0, len(shown.time), step)
+    (strips, columns) = _strips(shown)
     with whole_files() as files, Studio(robot, *_SIZE) as studio:
         studio.look_at_arm(shown.q[:: max(1, len(shown.q) // 50)])
         writer: Any

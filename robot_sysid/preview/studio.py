@@ -63,14 +63,17 @@ class Studio:
         self.robot = robot
         self._model = copy.copy(robot.mj_model)
         shown = self._model.vis.global_
-        shown.offwidth, shown.offheight = width, height
+        shown.offwidth = width
+        shown.offheight = height
         # MuJoCo has made its own choice when it was imported, without trying what works here.
         chooser = sys.modules[mujoco.Renderer.__module__].gl_context
         chooser.GLContext = importlib.import_module(f"mujoco.{name}").GLContext
         self.data = mujoco.MjData(self._model)
         self._renderer = mujoco.Renderer(self._model, height, width)
-        self.scene, self.camera = self._renderer.scene, mujoco.MjvCamera()
-        self.camera.azimuth, self.camera.elevation = 135.0, -15.0
+        self.scene = self._renderer.scene
+        self.camera = mujoco.MjvCamera()
+        self.camera.azimuth = 135.0
+        self.camera.elevation = -15.0
         self.pose(robot.reference)
 
     def __enter__(self) -> Studio:
@@ -94,7 +97,8 @@ class Studio:
         for flag in (flags.mjRND_SKYBOX, flags.mjRND_HAZE, flags.mjRND_SHADOW):
             self.scene.flags[flag] = False
         # A white wall closes the view; MuJoCo's own background is black.
-        ahead, far = self.scene.camera[0].forward, 4.0 * float(self.camera.distance)
+        ahead = self.scene.camera[0].forward
+        far = 4.0 * float(self.camera.distance)
         near, behind = (self.camera.lookat + (far + side) * ahead for side in (-0.01, 0.01))
         self._connect(mujoco.mjtGeom.mjGEOM_CYLINDER, 4.0 * far, _WHITE, near, behind)
         self.scene.geoms[self.scene.ngeom - 1].emission = 1.0
@@ -106,12 +110,14 @@ class Studio:
 
     def look(self, at: Array, distance: float) -> None:
         """Point the camera at a place (3,) from a distance [m]; holds from the next pose on."""
-        self.camera.lookat, self.camera.distance = at, distance
+        self.camera.lookat = at
+        self.camera.distance = distance
 
     def look_at_arm(self, postures: Array) -> None:
         """Point the camera so that the arm stays in the picture in all postures (N, n)."""
         points = np.concatenate([self._corners(q) for q in postures])
-        low, high = np.min(points, axis=0), np.max(points, axis=0)
+        low = np.min(points, axis=0)
+        high = np.max(points, axis=0)
         self.look(0.5 * (low + high), 0.75 * float(np.linalg.norm(high - low)) + 0.1)
         self.pose(postures[0])
 

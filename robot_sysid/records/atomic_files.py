@@ -21,9 +21,14 @@ from robot_sysid.special_files import refuse_special_file
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Kind of model file to the name of the written model: a URDF stays one."""
-PARAMS_NAME, PLAN_NAME, DAMIAO_NAME = "params.json", "trajectory.json", "damiao_trajectory.csv"
-CARD_NAME, SERVO_NAME, RUN_NAME = "payload_card.txt", "servo.json", "run.toml"
-LOCK_NAME, PREFIX = ".robot-sysid.lock", ".robot-sysid-"
+PARAMS_NAME = "params.json"
+PLAN_NAME = "trajectory.json"
+DAMIAO_NAME = "damiao_trajectory.csv"
+CARD_NAME = "payload_card.txt"
+SERVO_NAME = "servo.json"
+RUN_NAME = "run.toml"
+LOCK_NAME = ".robot-sysid.lock"
+PREFIX = ".robot-sysid-"
 
 
 class WholeFiles:
@@ -175,7 +180,8 @@ def only_run_in(folder: Path) -> Iterator[None]:
 
     The folder is created; an empty one goes again when the block ends with an error.
     """
-    outputs, lock = WholeFiles(), folder / LOCK_NAME
+    outputs = WholeFiles()
+    lock = folder / LOCK_NAME
     try:
         with _refusals(folder):
             outputs.create_folder(folder)

@@ -262,7 +262,8 @@ _TYPES: Mapping[str, Callable[[str], Any]] = {
 
 
 _PER_JOINT = "one per joint"
-_WHOLE, _FILE = ((Integral,), "a whole number"), ((os.PathLike,), "a path")
+_WHOLE = ((Integral,), "a whole number")
+_FILE = ((os.PathLike,), "a path")
 _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
     "float": ((Real,), "a number"),
     "int": _WHOLE,

@@ -192,7 +192,8 @@ class DataOrigin:
         return f"{self.source.value} {self.detail}".rstrip()
 
 
-OPEN, CLOSED = "open loop", "closed loop"
+OPEN = "open loop"
+CLOSED = "closed loop"
 """Measured torques alone; a servo that holds the model near the measured motion, or commands."""
 
 

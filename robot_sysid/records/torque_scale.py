@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from robot_sysid.records import Array
 
 VERSION = 2
-SCALE, CONSTANTS = "torque_scale", "torque_constants"
+SCALE = "torque_scale"
+CONSTANTS = "torque_constants"
 Factors = Union[PerJoint, Path]
 """One number for all joints, one per joint, or the file that lists them by name."""
 

@@ -108,9 +108,13 @@ def table(header: Sequence[str], rows: Iterable[Sequence[Any]], note: str = "") 
     return Table(tuple(header), tuple(texts[:: step or 1]), note)
 
 
-INK, GRID = "#1b1f24", "#d3d7dc"
-BEFORE, AFTER, TRUTH = "#b3540a", "#0b62a8", "#0a7a5c"
-MEASURED, OTHER = "#6b7178", "#8a3f9a"
+INK = "#1b1f24"
+GRID = "#d3d7dc"
+BEFORE = "#b3540a"
+AFTER = "#0b62a8"
+TRUTH = "#0a7a5c"
+MEASURED = "#6b7178"
+OTHER = "#8a3f9a"
 _NAMES = ("ink", "grid", "before", "after", "truth", "measured", "other")
 VARIABLES = dict(zip((INK, GRID, BEFORE, AFTER, TRUTH, MEASURED, OTHER), _NAMES))
 """Colour to the name of its variable in the page's style."""
@@ -298,7 +302,8 @@ def bars(
     What is not finite is not drawn.
     """
     axes = canvas.subplots()
-    height, places = 0.8 / len(series), -np.arange(len(groups), dtype=float)
+    height = 0.8 / len(series)
+    places = -np.arange(len(groups), dtype=float)
     for k, (name, lengths, colour) in enumerate(series):
         style = {"facecolor": colour, "edgecolor": INK, "alpha": 0.8, "hatch": HATCHES[k]}
         drawable = np.where(np.isfinite(lengths), lengths, 0.0)

@@ -82,7 +82,9 @@ def _prose(text: str) -> str:
     return re.sub("`([^`]*)`", r"<code>\1</code>", held)
 
 
-REPORT_NAME, COMPARISON_NAME, PLOTS_NAME = "report.html", "comparison.html", "plots"
+REPORT_NAME = "report.html"
+COMPARISON_NAME = "comparison.html"
+PLOTS_NAME = "plots"
 
 
 def save_data(folder: Path, traces: Traces, result: str) -> None:
@@ -107,9 +109,11 @@ def write_report(
     shown, or nothing can be written.
     """
     require_writable(destination)
-    about, name = runs[0].name, REPORT_NAME
+    about = runs[0].name
+    name = REPORT_NAME
     if len(runs) > 1:
-        about, name = f"{len(runs)} runs", COMPARISON_NAME
+        about = f"{len(runs)} runs"
+        name = COMPARISON_NAME
     sections = sections_of(runs, mesh_dir, progress)
     written = []
     with whole_files() as files:

@@ -29,7 +29,8 @@ from robot_sysid.results.record import PAYLOAD, Figure
 DATA_NAME = "report_data.npz"
 MOST = 2000
 """Instants that are kept for drawing: more than a figure has pixels across."""
-BINS, SPEED_BINS = 31, 24
+BINS = 31
+SPEED_BINS = 24
 """Bars of a histogram and bins of speed: as many as a figure of 11 cm shows."""
 LONGEST_LAG = 2.0
 """Up to which lag the autocorrelation is computed [s]: friction remembers for tenths of it."""
@@ -145,7 +146,8 @@ def histogram(residual: Array) -> dict[str, Array]:
 
     What is farther out is counted in the outermost bins.
     """
-    edges, counts = [], []
+    edges = []
+    counts = []
     for column in residual.T:
         known = column[np.isfinite(column)]
         reach = _WIDE * float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
@@ -306,7 +308,8 @@ def load_run(folder: Path) -> Run:
         if data is not None and data.result != fingerprint(path):
             raise InputError(f"{folder / DATA_NAME} belongs to another run; {_REMEDY}")
     except InputError as error:
-        data, missing = None, (f"measured and predicted torques cannot be drawn: {error}",)
+        data = None
+        missing = (f"measured and predicted torques cannot be drawn: {error}",)
     try:
         content = {key: _restored(value) for key, value in content.items()}
         bodies = _bodies(content, None if data is None or not len(data.truth) else data.truth)

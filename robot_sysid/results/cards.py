@@ -209,7 +209,8 @@ def payload_cards(body: BodyEstimate, flange: Flange) -> tuple[Card, ...]:
     """
     payload = body.inertial
     inertia, groups = _groups(payload)
-    errors, said = load_errors(body), _error_texts(body)
+    errors = load_errors(body)
+    said = _error_texts(body)
     cards = [_plain_card(groups, flange, errors, said)]
     for form in FORMS:
         values = _filled(form.values, groups)
@@ -301,10 +302,13 @@ def _groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
     # Rounding of an inertia about a distant origin hides a small one about the centre of mass.
     rounding = _NOTHING * abs(mass) * float(com @ com)
     if np.max(np.abs(moments)) <= rounding:
-        inertia, moments, axes = np.zeros((3, 3)), np.zeros(3), np.eye(3)
+        inertia = np.zeros((3, 3))
+        moments = np.zeros(3)
+        axes = np.eye(3)
     if np.ptp(moments) <= rounding + _NOTHING * np.max(np.abs(moments)):
         # Any axes will do: those of the frame, not those that rounding has.
-        moments, axes = np.diag(inertia), np.eye(3)
+        moments = np.diag(inertia)
+        axes = np.eye(3)
     slack = _EDGE * float(np.sum(np.abs(moments))) + rounding
     beyond = max(-float(np.min(moments)), float(2.0 * np.max(moments) - np.sum(moments)))
     if mass <= 0.0 or beyond > slack:
@@ -372,7 +376,8 @@ def _texts(value: Any) -> list[str]:
 def _plain_card(
     groups: Mapping[str, Any], flange: Flange, errors: Array, said: Mapping[str, str]
 ) -> Card:
-    place, turn = flange.translation, spatial.quaternion(flange.rotation)
+    place = flange.translation
+    turn = spatial.quaternion(flange.rotation)
     known = [each if np.isfinite(each) else None for each in errors.tolist()]
     values = {
         "flange": flange.name,
@@ -407,13 +412,19 @@ def _plain_card(
 
 def _error_texts(body: BodyEstimate) -> dict[str, str]:
     """Return what is said of the errors of each group of numbers in ``_groups``."""
-    errors, (_, moments, turns) = load_errors(body), principal_moments(body)
-    com, inertia = errors[1:4], errors[4:]
-    mass, place = f"mass {_listed(errors[:1], 'kg')}", f"centre of mass {_listed(com, 'm')}"
-    elements, principal, axes = NOT_KNOWN, NOT_KNOWN, NOT_KNOWN
+    errors = load_errors(body)
+    (_, moments, turns) = principal_moments(body)
+    com = errors[1:4]
+    inertia = errors[4:]
+    mass = f"mass {_listed(errors[:1], 'kg')}"
+    place = f"centre of mass {_listed(com, 'm')}"
+    elements = NOT_KNOWN
+    principal = NOT_KNOWN
+    axes = NOT_KNOWN
     if np.all(np.isfinite(inertia)):
         named = ", ".join(f"{name[1:]} {each:.2g}" for name, each in zip(INERTIA, inertia))
-        elements, principal = f"inertia {named} kg m^2", f"moments {_listed(moments, 'kg m^2')}"
+        elements = f"inertia {named} kg m^2"
+        principal = f"moments {_listed(moments, 'kg m^2')}"
         axes = f"turn about the axes X, Y, Z {_listed(turns, 'degrees')}"
     return {
         "kg": mass,

@@ -47,13 +47,16 @@ def result_lines(result: Result, links: bool = False) -> list[str]:
 def block_lines(result: Result) -> list[str]:
     """Return the block "Identified parameters: ..." or "Identified payload ..." line by line."""
     if result.payload is not None:
-        rows, payload = asked_rows(result), result.payload
+        rows = asked_rows(result)
+        payload = result.payload
         ball = [f"  {NOT_KNOWN}"]
         unseen = len(rows) > 1 and not np.all(payload.body.shown)
         heading = f"Identified payload, in the frame of {payload.flange.name}:"
         return [heading, *table_lines(rows), *(ball if unseen else [])]
-    estimate, joint = result.estimate, result.robot.terminal_joint
-    found, slides = estimate.inertial, joint in result.robot.slides
+    estimate = result.estimate
+    joint = result.robot.terminal_joint
+    found = estimate.inertial
+    slides = joint in result.robot.slides
     theta = without_rounding(found.theta, found.scale)
     moment, inertia = (_listed(values) for values in (theta[1:4], theta[4:]))
     friction = [(term, estimate.value(f"{term}[{joint}]")) for term in ("coulomb", "viscous")]
@@ -189,7 +192,9 @@ def _sensor_lines(result: Result) -> Iterator[str]:
 
 
 def _error_lines(result: Result) -> Iterator[str]:
-    fits, file, told = result.validation, result.file, set()
+    fits = result.validation
+    file = result.file
+    told = set()
     if file is not None:
         own = {test.source: test for test in reversed(fits[1:])}
         if file.after is not None and fits:
@@ -210,13 +215,15 @@ def _error_lines(result: Result) -> Iterator[str]:
 
 def _beside(on: str, file: Validation, fit: Validation) -> Iterator[str]:
     """Yield by how much the fit, which has terms that a file cannot hold, predicts better."""
-    new, fitted = file.relative_error, fit.relative_error
+    new = file.relative_error
+    fitted = fit.relative_error
     if new is not None and fitted is not None and abs(fitted - new) > _CLOSE * new:
         yield f"The fit itself reaches a torque error of {percent(fitted)} on {on}"
 
 
 def _details(result: Result) -> Iterator[str]:
-    parts, least = result.body.mass_causes.items(), _SMALL * float(result.body.errors[0])
+    parts = result.body.mass_causes.items()
+    least = _SMALL * float(result.body.errors[0])
     causes = sorted((item for item in parts if item[1] > least), key=lambda item: -item[1])
     if np.isfinite(least) and causes:
         yield "Error of the mass by cause, kg: " + ", ".join(f"{k} {v:.2g}" for k, v in causes)
@@ -362,7 +369,8 @@ class BeforeAfter:
     @property
     def cells(self) -> tuple[str, ...]:
         """The row as text, one cell per heading."""
-        error, known = self.error, self.error is not None and np.isfinite(self.error)
+        error = self.error
+        known = self.error is not None and np.isfinite(self.error)
         return (
             self.name,
             "" if self.before is None else figure(self.before, error),
@@ -387,8 +395,10 @@ def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
 
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     """Return the rows of ten inertial parameters; an error of zero is none that is stated."""
-    found, before = body.inertial, None if body.before is None else body.before.theta
-    pairs, shares = _from_to(before, found.theta, found.scale), body.data_share.tolist()
+    found = body.inertial
+    before = None if body.before is None else body.before.theta
+    pairs = _from_to(before, found.theta, found.scale)
+    shares = body.data_share.tolist()
     rows = zip(spatial.PARAMETER_NAMES, pairs, body.errors.tolist(), THETA, shares)
     return [BeforeAfter(LABELS[n], *pair, error or None, *rest) for n, pair, error, *rest in rows]
 
@@ -429,14 +439,16 @@ def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
     """Yield the inertia about the centre of mass; none where it is not known."""
-    errors, about = load_errors(body)[4:], spatial.six_from_symmetric(body.inertial.inertia_com)
+    errors = load_errors(body)[4:]
+    about = spatial.six_from_symmetric(body.inertial.inertia_com)
     for name, error, value in zip(INERTIA, errors.tolist(), about.tolist()):
         if np.isfinite(error):
             yield BeforeAfter(f"inertia {name[1:]} about it", None, value, error, "kg·m²")
 
 
 def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
-    joint, estimate = result.robot.terminal_joint, result.estimate
+    joint = result.robot.terminal_joint
+    estimate = result.estimate
     model = result.joints[joint].before if joint in result.joints else {}
     for term, words in (("coulomb", "Coulomb friction"), ("viscous", "viscous friction")):
         value = estimate.value(f"{term}[{joint}]")

@@ -116,7 +116,9 @@ def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
 
 
 def _asked(result: Result) -> dict[str, Any]:
-    estimate, joint, payload = result.estimate, result.robot.terminal_joint, result.payload
+    estimate = result.estimate
+    joint = result.robot.terminal_joint
+    payload = result.payload
     entries = inertial_entries((estimate if payload is None else payload.total).inertial)
     seen = not estimate.identifiability.unidentifiable
     return {
@@ -226,10 +228,12 @@ def _written_terms(result: Result, name: str) -> Mapping[str, Figure]:
 
 def _bam(joint: JointEstimate, written: Mapping[str, Figure]) -> dict[str, Any] | None:
     """Return what BAM's load_model_from_dict reads, but for the actuator's name."""
-    terms, figures = set(joint.friction_model.split("-")) - {"none"}, joint.terms
+    terms = set(joint.friction_model.split("-")) - {"none"}
+    figures = joint.terms
     if terms - {"coulomb", "viscous", "offset", "armature", "stribeck", "load"}:
         # BAM has no such curve: the nearest Coulomb and viscous friction, as in the file.
-        terms, figures = {"coulomb", "viscous", "armature"}, written
+        terms = {"coulomb", "viscous", "armature"}
+        figures = written
     if "coulomb" not in figures:
         return None
     number = 1 + ("stribeck" in terms) + 2 * ("load" in terms)
@@ -245,7 +249,8 @@ def _bam(joint: JointEstimate, written: Mapping[str, Figure]) -> dict[str, Any] 
 
 
 def _fit(result: Result) -> dict[str, Any]:
-    estimate, errors = result.estimate, result.estimate.standard_errors
+    estimate = result.estimate
+    errors = result.estimate.standard_errors
     seen = estimate.identifiability
     words = {True: "identified", False: "from_model"}
     return {
@@ -267,7 +272,10 @@ def _fit(result: Result) -> dict[str, Any]:
 
 
 def _beside(result: Result) -> dict[str, Any]:
-    base, data, robot, rows = result.base, result.data, result.robot, None
+    base = result.base
+    data = result.data
+    robot = result.robot
+    rows = None
     if base is not None:
         names = ("combination", "value", "standard_error", "essential")
         columns = (base.combinations, base.values, base.standard_errors, base.essential)
@@ -292,7 +300,8 @@ def _beside(result: Result) -> dict[str, Any]:
 def _strict(value: Any) -> Any:
     """Return what strict JSON can hold: a figure gets its 95 % interval, a record its names."""
     if isinstance(value, Figure):
-        found, reach = value.value, _SURE * value.error
+        found = value.value
+        reach = _SURE * value.error
         interval = [found - reach, found + reach]
         return _strict({"value": found, "standard_error": value.error, "interval": interval})
     if is_dataclass(value) and not isinstance(value, type):

@@ -85,7 +85,10 @@ def write_model(result: Result, target: ModelTarget, as_body: str | None = None)
         target = replace(target, mesh_dir=None)
     found = {} if result.file is None else result.file.joints
     joints, notes = _that_fit(robot, _joint_changes(robot, found))
-    payload, welded, words, beside = result.payload, None, "", np.zeros(10)
+    payload = result.payload
+    welded = None
+    words = ""
+    beside = np.zeros(10)
     if payload is not None:
         carried = payload.flange.from_flange(payload.body.inertial.theta)
         words = (
@@ -93,11 +96,13 @@ def write_model(result: Result, target: ModelTarget, as_body: str | None = None)
         )
         words += "" if np.all(payload.body.shown) else ", inertia not known,"
         if as_body is not None:
-            welded, beside = _welded(robot, payload, as_body, words), carried
+            welded = _welded(robot, payload, as_body, words)
+            beside = carried
             words = "without the payload"
         else:
             thetas[-1] += carried
-            errors[-1], words = payload.total.errors, f"with {words} in it"
+            errors[-1] = payload.total.errors
+            words = f"with {words} in it"
     if result.model_kind == "urdf" and result.couplings:
         lacking = f"without the motor that turns with {', '.join(result.couplings)}"
         words = "; ".join(filter(None, (words, f"{lacking}, which no URDF can hold")))
@@ -269,7 +274,8 @@ def _write(
     robot: RobotModel, change: ModelChange, target: ModelTarget, thetas: Array
 ) -> tuple[str, ...]:
     """Write the draft and compare it, compiled, with links (n, 10); withdraw it where it fails."""
-    welded, written = change.welded, [body.plan.theta for body in change.bodies]
+    welded = change.welded
+    written = [body.plan.theta for body in change.bodies]
     written += [] if welded is None else [welded.theta]
     exact = all(map(verification.reads_fullinertia_exactly, written))
     change = replace(change, principal=not exact)
@@ -277,7 +283,8 @@ def _write(
     try:
         draft = target.files.write(target.path, text)
         compiled = verification.verify_written_model(robot.mj_model, draft, change).mj_model
-        motion, path = target.checkpoints, target.path
+        motion = target.checkpoints
+        path = target.path
         verification.require_reproduction(robot, thetas, change, compiled, motion, path)
     except BaseException:
         target.files.withdraw(target.path)
@@ -300,7 +307,8 @@ def versions() -> dict[str, str]:
     }
 
 
-BUNDLE_NAME, ASSETS = "bundle", "assets"
+BUNDLE_NAME = "bundle"
+ASSETS = "assets"
 """Folder in the output folder, and the folder in it that meshes and textures go to."""
 
 
@@ -359,7 +367,9 @@ def _bundled(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
     names: dict[Path, str] = {}
     for path in dict.fromkeys(asset.path for asset in assets if asset.path is not None):
         # Two files never get one name, not even on a disk that knows no capital letters.
-        taken, number, name = {other.lower() for other in names.values()}, 1, path.name
+        taken = {other.lower() for other in names.values()}
+        number = 1
+        name = path.name
         while f"{folder}{name}".lower() in taken:
             number += 1
             name = f"{path.stem}_{number}{path.suffix}"

@@ -14,7 +14,8 @@ from robot_sysid import records
 from robot_sysid.dynamics.friction import Coupling
 from robot_sysid.records import Array, InertialParameters, RolloutTest, Validation
 
-LINK, PAYLOAD = "link", "payload"
+LINK = "link"
+PAYLOAD = "payload"
 """Questions: the terminal link with every other link around it, or what came on to it."""
 
 
@@ -312,13 +313,15 @@ class Result:
         if self.links:
             return self.links[-1]
         exact = np.zeros((10, 10)), np.ones(10, dtype=bool), np.zeros(10)
-        robot, found = self.robot, self.estimate.inertial
+        robot = self.robot
+        found = self.estimate.inertial
         return BodyEstimate(robot.body_name, found, *exact, before=robot.prior)
 
     @property
     def known_to(self) -> float | None:
         """Whole standard error of the asked body's mass, as a part of it; None where not known."""
-        error, mass = float(self.body.errors[0]), self.body.inertial.mass
+        error = float(self.body.errors[0])
+        mass = self.body.inertial.mass
         return error / mass if self.is_measured and np.isfinite(error) and mass > 0.0 else None
 
     @property

@@ -27,7 +27,8 @@ from robot_sysid.simulation import playback
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0)
 """Lengths of time over which the models are played [s]."""
-HELD_OUT_SHARE, LAST_FIFTH = 0.2, "the last fifth of every log, which was not fitted for it"
+HELD_OUT_SHARE = 0.2
+LAST_FIFTH = "the last fifth of every log, which was not fitted for it"
 """Part of each log, its end, that is not fitted: the fifth that cross-validation leaves out too."""
 SERVO_WORDS = (
     f"measured torques and a critically damped servo of {playback.SERVO_RATE:g} Hz towards the "
@@ -77,7 +78,8 @@ def compare(
     before: RobotModel, after: RobotModel, pieces: Sequence[Measurement], held_out: str
 ) -> RolloutTest:
     """Play two models of an arm on the same pieces."""
-    errors, notes = [], []
+    errors = []
+    notes = []
     servo = playback.stated_servo((before, after), pieces) if pieces else None
     for horizon in HORIZONS:
         windows = playback.starts(pieces, horizon)
@@ -99,7 +101,8 @@ def compare(
 
 def split_time(signals: ProcessedSignals | Measurement) -> float:
     """Return from when on a log is held out [s]."""
-    start, end = float(signals.time[0]), float(signals.time[-1])
+    start = float(signals.time[0])
+    end = float(signals.time[-1])
     return end - HELD_OUT_SHARE * (end - start)
 
 

@@ -172,7 +172,8 @@ def _gains(result: Result) -> Iterator[str]:
     if result.payload is not None and result.payload.known_mass is not None:
         yield "torque scales follow from the known mass"
         return
-    share, cause = result.known_to, largest_cause(result.body)
+    share = result.known_to
+    cause = largest_cause(result.body)
     known_to = "the mass alone is not known"
     if share is not None and share < UNKNOWN:
         known_to = f"the mass is known to {percent(share)}"
@@ -187,7 +188,9 @@ def largest_cause(body: BodyEstimate) -> str:
 
 
 def _next(result: Result) -> str:
-    body, payload, share = result.body, result.payload, result.known_to
+    body = result.body
+    payload = result.payload
+    share = result.known_to
     if payload is not None and payload.known_mass is not None:
         return "give these scales to every later run with --torque-scale"
     cause = largest_cause(body)
@@ -217,7 +220,8 @@ def limitations(result: Result) -> tuple[str, ...]:
 
 
 def _sentences(result: Result) -> Iterator[str]:
-    estimate, body = result.estimate, result.body
+    estimate = result.estimate
+    body = result.body
     if estimate.identifiability.unidentifiable:
         listed = "; ".join(estimate.identifiability.unidentifiable)
         yield Detail(f"not visible in these torques, kept from the model: {listed}")
@@ -267,7 +271,8 @@ def _conflicts(result: Result) -> Iterator[str]:
 
 
 def _negative_friction(result: Result) -> Iterator[str]:
-    clear, given = [], False
+    clear = []
+    given = False
     for name, joint in result.joints.items():
         model = friction_model(joint.friction_model)
         bounded = {term for term, bound in zip(model.terms, model.non_negative) if bound}

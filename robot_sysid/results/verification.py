@@ -129,7 +129,8 @@ def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
             advice = _ADVICE.get(field, "no model was written")
             yield _Asked(f"joint '{joint.label}'", field, at, value, advice)
     for servo in change.actuators:
-        at, owner = (servo.actuator,), f"actuator number {servo.actuator}"
+        at = (servo.actuator,)
+        owner = f"actuator number {servo.actuator}"
         yield _Asked(owner, "actuator_gainprm", (*at, 0), servo.stiffness, _OWN_GAINS)
         bias = (0.0, -servo.stiffness, -servo.damping)
         yield _Asked(owner, "actuator_biasprm", (*at, slice(3)), bias, _OWN_GAINS)
@@ -152,7 +153,8 @@ def verify_written_model(original: Any, written: Path, change: ModelChange) -> C
 
 def require_change(original: Any, found: Any, change: ModelChange) -> None:
     """Raise ExportError unless a compiled model is the original one with a change made."""
-    new, welded = None, change.welded
+    new = None
+    welded = change.welded
     if welded is not None:
         new = mujoco.mj_name2id(found, int(mujoco.mjtObj.mjOBJ_BODY), welded.name)
         if new < 0 or found.nbody != original.nbody + 1:
@@ -194,7 +196,8 @@ def require_same_model(
     ``changed`` fields, and for the one body, if any, that the other model has more, by its id, and
     tendons that it has more, behind the others.
     """
-    theirs, skipped = dict(compiled_fields(other)), DERIVED | PATHS
+    theirs = dict(compiled_fields(other))
+    skipped = DERIVED | PATHS
     if other.ntendon > original.ntendon:
         skipped |= {"ntendon", "nwrap", "nJten", *_NAMES, *(n for n in theirs if n[:5] == "name_")}
         for name, value in compiled_fields(original):
@@ -270,10 +273,12 @@ def _same(name: str, ours: Any, theirs: Any, changed: Collection[int], new: int 
         theirs = np.where((theirs == ours + 1) & (ours >= new), ours, theirs)
     if changed:
         keep = [i for i in range(len(ours)) if i not in changed]
-        ours, theirs = ours[keep], theirs[keep]
+        ours = ours[keep]
+        theirs = theirs[keep]
     if name == "actuator_biasprm":
         # Damping from a dampratio is computed from the inertia the actuator moves.
-        ours, theirs = np.delete(ours, 2, axis=1), np.delete(theirs, 2, axis=1)
+        ours = np.delete(ours, 2, axis=1)
+        theirs = np.delete(theirs, 2, axis=1)
     return bool(np.array_equal(ours, theirs, equal_nan=ours.dtype.kind == "f"))
 
 

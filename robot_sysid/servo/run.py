@@ -38,7 +38,8 @@ WITHOUT_TORQUE = (
 UNITS = {"gain": "N·m/rad", "damping": "N·m·s/rad", "frictionloss": "N·m", "armature": "kg·m²"}
 """What is found of a joint, in the order of ``Servos``, and its unit."""
 _KEYS = ("before", "value", "standard_error", "source")
-OFTEN, UNSURE = 0.2, 0.5
+OFTEN = 0.2
+UNSURE = 0.5
 """Share of time at its limit from which on that is said, and relative error from which on only the
 ratios of a joint's numbers are; chosen, nothing else depends on them."""
 _POSITIONS = 200
@@ -48,7 +49,9 @@ _POSITIONS = 200
 # much is alike, followed, off.
 MOVES = 0.02
 _SLOPES = {"degrees": 180.0 / np.pi, "steps of 4096 a turn": 4096 / (2 * np.pi)}
-_ALIKE, _FOLLOWS, _OFFSET = 0.98, 0.5, 0.3
+_ALIKE = 0.98
+_FOLLOWS = 0.5
+_OFFSET = 0.3
 
 
 def commanded_pieces(logs: Sequence[MeasurementLog], joints: Sequence[str]) -> list[Measurement]:
@@ -116,10 +119,12 @@ def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
     reach = min(3 * MOST_PERIODS, min(len(q) for q, _ in pairs) // 4)
     found = []
     for lag in range(-reach, reach + 1):
-        first, last = max(0, lag), min(0, lag)
+        first = max(0, lag)
+        last = min(0, lag)
         same = [(q[first : len(q) + last], c[-last : len(c) - first]) for q, c in pairs]
         position, asked = (np.concatenate([v - np.mean(v) for v in side]) for side in zip(*same))
-        own, both = float(position @ position), float(position @ asked)
+        own = float(position @ position)
+        both = float(position @ asked)
         norm = np.sqrt(own) * float(np.linalg.norm(asked))
         alike, slope = (abs(both) / norm, both / own) if norm > 0.0 else (0.0, 0.0)
         found.append((alike, -abs(lag), lag, slope))
@@ -154,7 +159,8 @@ class ServoIdentification:
     @property
     def numbers(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Joint to name, as in ``UNITS``, to what was found; before is NaN where there is none."""
-        names, servos = self.robot.joint_names, (self.fit.servos, self.fit.errors)
+        names = self.robot.joint_names
+        servos = (self.fit.servos, self.fit.errors)
         before, value, error = (s.vector() for s in (model_servos(self.robot), *servos))
         source = np.where(self.fit.seen | (value != before), "identified", "from_model")
         columns = (column.tolist() for column in (before, value, error, source))
@@ -163,10 +169,13 @@ class ServoIdentification:
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
         """Return what the joints and the position actuators of the model get."""
-        own, joints, servos = actuators_of(self.robot), [], []
+        own = actuators_of(self.robot)
+        joints = []
+        servos = []
         for k in np.flatnonzero(self.moves).tolist():
             gain, damping, friction, armature = self.fit.servos.vector()[:-1].reshape(4, -1)[:, k]
-            kv, gear = float(own.share[k] * damping), float(own.gear[k]) ** 2
+            kv = float(own.share[k] * damping)
+            gear = float(own.gear[k]) ** 2
             rest = float(armature), float(damping) - kv, float(friction)
             joints.append(JointChange(self.robot.joint_names[k], *rest))
             if self.has_servo[k]:
@@ -200,7 +209,8 @@ class ServoIdentification:
 
 def servo_lines(found: ServoIdentification) -> list[str]:
     """Return the block line by line."""
-    delay, error = found.fit.servos.delay, found.fit.errors.delay
+    delay = found.fit.servos.delay
+    error = found.fit.errors.delay
     return [
         "Servos, friction and rotor inertia, before -> after, ± one standard error:",
         f"  {WITHOUT_TORQUE}.",
@@ -308,12 +318,15 @@ def identify_servos(
         progress.stage(f"Reading commands and positions from {path}...")
         return open_log(robot, path, replace(logs, commanded=True), progress)
 
-    opened, other = [read(path) for path in logs.measurements], logs.validation_measurements
-    pieces, words = commanded_pieces(opened, robot.joint_names), LAST_FIFTH
+    opened = [read(path) for path in logs.measurements]
+    other = logs.validation_measurements
+    pieces = commanded_pieces(opened, robot.joint_names)
+    words = LAST_FIFTH
     fitted, held = search.parted(pieces)
     if other is not None:
         held = commanded_pieces([read(other)], robot.joint_names)
-        fitted, words = pieces, "the validation log"
+        fitted = pieces
+        words = "the validation log"
     moves = moving(pieces)
     period = float(np.median([usual_period(piece.time) for piece in pieces]))
     q = np.concatenate([piece.q for piece in pieces])
@@ -348,7 +361,9 @@ def _write(
     robot: RobotModel, found: ServoIdentification, target: ModelTarget, refused: str | None
 ) -> Outcome:
     """Write servo.json and, where the new model moves more like the arm, that."""
-    path, failure, notes = target.path.parent / atomic_files.SERVO_NAME, refused, found.notes
+    path = target.path.parent / atomic_files.SERVO_NAME
+    failure = refused
+    notes = found.notes
     written = [path]
     if refused is None:
         try:
@@ -359,7 +374,8 @@ def _write(
     found = replace(found, notes=notes)
     target.files.write(path, json_text(found.entries()))
     lines = (*servo_lines(found), f"Results saved to {folder_text(path.parent)}")
-    score, model = found.rollout.score, f"{target.path.name} in place of {robot.path}"
+    score = found.rollout.score
+    model = f"{target.path.name} in place of {robot.path}"
     times = "not known" if score is None else f"{score:.2g} times those before"
     use = f"Usable: position errors of the model, played on what was not fitted, are {times}"
     verdict = two_lines(use, f"load {model}") if failure is None else (f"Not usable: {failure}",)

@@ -28,18 +28,27 @@ from robot_sysid.simulation.servos import ServoRollouts, Servos, Window, actuato
 SERVO_WORDS = "the log's commands through the model's servos, both late by the delay that was found"
 # Windows: time step of rollouts, at most, length, what does not count at the beginning, where the
 # state is known from steps of the encoder, the parabolas that give it [s]; how many are fitted.
-STEP, LENGTH, SETTLED, SMOOTHED = 0.002, 3.0, 0.6, 0.12
+STEP = 0.002
+LENGTH = 3.0
+SETTLED = 0.6
+SMOOTHED = 0.12
 FITTED = 24
 # Largest delay that is sought, in sampling periods.
 MOST_PERIODS = 10
 # Factors on the gains of the start that are tried beforehand, in so many windows: luck decides
 # where a servo with a larger one is at its limit all the time.
-GAINS, _FEW = (0.03, 0.1, 0.3, 1.0, 3.0), 6
+GAINS = (0.03, 0.1, 0.3, 1.0, 3.0)
+_FEW = 6
 # The search: how many times its usual size a number may be, below which part of that steps are no
 # longer shares of it, the weak pull towards the start (a factor of twelve), rounds of a search;
 # step of differences: a servo that is at its limit again and again is rough over smaller ones.
-WIDEST, SOFT, PULL, MOST_ROUNDS = 100.0, 0.3, 2.5, 8
-_STEP, _SETTLED, _LEAST_SIZE = 0.04, 1e-4, 1e-3
+WIDEST = 100.0
+SOFT = 0.3
+PULL = 2.5
+MOST_ROUNDS = 8
+_STEP = 0.04
+_SETTLED = 1e-4
+_LEAST_SIZE = 1e-3
 # Standard error, in units, from which on thrice it is as large as a number usually is: not seen.
 UNSEEN = 1.0 / 3.0
 _FRICTION = 2  # Where friction stands in ``Servos``.
@@ -47,7 +56,9 @@ _FRICTION = 2  # Where friction stands in ``Servos``.
 _UNKNOWN_RATE = 20.0
 # How far the links' masses, which are trusted, may be off; what of a joint's torque a model does
 # not explain at best (both docs/rollout.md); the links' share below which only ratios are seen.
-LINKS_WRONG, UNEXPLAINED, LEAST_SHARE = 0.02, 0.005, 0.1
+LINKS_WRONG = 0.02
+UNEXPLAINED = 0.005
+LEAST_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -83,7 +94,8 @@ class Problem:
         window = np.repeat(np.arange(len(times)), [len(time) for time in times])
         at = np.concatenate(times) / (self.edges[1] - self.edges[0])
         step = np.minimum(at.astype(int), len(self.edges) - 2)
-        beyond, target = (at - step)[:, None], np.concatenate(measured)
+        beyond = (at - step)[:, None]
+        target = np.concatenate(measured)
         found = (
             (1.0 - beyond) * q[window, step] + beyond * q[window, step + 1] - target
             for q in self.played(choices)
@@ -141,7 +153,8 @@ def play_servos(
     rollouts: ServoRollouts, pieces: Sequence[Measurement], pair: Sequence[Servos], held_out: str
 ) -> RolloutTest:
     """Play two models (before, after) on held-out pieces, over every horizon that is there."""
-    errors, notes = [], ["open loop was not played: no torque was measured"]
+    errors = []
+    notes = ["open loop was not played: no torque was measured"]
     for horizon in HORIZONS:
         try:
             problem = problem_of(rollouts, pieces, MOST_WINDOWS, horizon, 0.0)
@@ -199,9 +212,11 @@ def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.b
     Positions (m, n) stand for all, the period is that of samples [s]; numbers of joints that do not
     move (n,) are left as they are.
     """
-    own, (gravity, inertia) = model_servos(robot), _gravity_and_inertia(robot, q)
+    own = model_servos(robot)
+    (gravity, inertia) = _gravity_and_inertia(robot, q)
     inertia += own.armature
-    stiffness, usual = inertia * _UNKNOWN_RATE**2, 0.2 * inertia * _UNKNOWN_RATE
+    stiffness = inertia * _UNKNOWN_RATE**2
+    usual = 0.2 * inertia * _UNKNOWN_RATE
     stiffness = np.where(np.isnan(own.stiffness), stiffness, own.stiffness)
     damping = np.where(own.damping > 0.0, own.damping, usual)
     start = replace(own, stiffness=stiffness, damping=damping, delay=period)
@@ -222,7 +237,8 @@ def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.b
 
 def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return (n,) the largest torque of gravity and the mean inertia that each joint moves."""
-    thetas, dynamics = robot.thetas, LinkDynamics(robot)
+    thetas = robot.thetas
+    dynamics = LinkDynamics(robot)
     at_rest = dynamics.motion(q, 0.0 * q, 0.0 * q).torque(thetas)
     found = []
     for unit in np.eye(q.shape[1]):
@@ -236,7 +252,8 @@ def better_start(problem: Problem, scale: Scale) -> Scale:
 
     InputError where no servo follows these commands.
     """
-    start, delays = scale.start, scale.size.delay * np.arange(0.0, MOST_PERIODS + 1.0)
+    start = scale.start
+    delays = scale.size.delay * np.arange(0.0, MOST_PERIODS + 1.0)
     grid = [(gain, delay) for gain in GAINS for delay in delays]
     choices = [replace(start, stiffness=g * start.stiffness, delay=float(d)) for g, d in grid]
     # Absolute: where a stiff servo comes off its limit, single windows run off and rule squares.
@@ -273,7 +290,8 @@ def searched(slopes_of: Slopes, scale: Scale, progress: Progress) -> Servos:
     """
     from scipy.optimize import least_squares
 
-    problem, bounds = slopes_of.problem, scale.bounds()
+    problem = slopes_of.problem
+    bounds = scale.bounds()
     origin = x = np.clip(scale.unknowns(scale.start), *bounds)
     done = 0.0
 
@@ -292,7 +310,9 @@ def searched(slopes_of: Slopes, scale: Scale, progress: Progress) -> Servos:
 
     settled = {"xtol": _SETTLED, "ftol": _SETTLED, "max_nfev": MOST_ROUNDS}
     for stage in ("First search", "Second search"):
-        done, before, sigma = 0.0, x, _sigma(problem.errors([scale.servos(x)])[0])
+        done = 0.0
+        before = x
+        sigma = _sigma(problem.errors([scale.servos(x)])[0])
         x = least_squares(residuals, x, jacobian, bounds, args=(sigma, stage), **settled).x
         progress.advance(stage, 1.0, 1.0, "")
         if np.array_equal(x, before):  # as the same search would end again
@@ -320,7 +340,8 @@ class Slopes:
     """Derivatives of a problem's errors; those for the last servos are kept, number by number."""
 
     def __init__(self, problem: Problem) -> None:
-        self.problem, self._at = problem, b""
+        self.problem = problem
+        self._at = b""
         self._known: dict[int, Array] = {}
 
     def __call__(self, scale: Scale, servos: Servos) -> Array:
@@ -330,14 +351,17 @@ class Slopes:
         changes. Friction changes by as much as is usual: behind a stiff servo luck makes more than
         a little friction.
         """
-        x, free = servos.vector(), np.flatnonzero(scale.free)
+        x = servos.vector()
+        free = np.flatnonzero(scale.free)
         if self._at != x.tobytes():
-            self._at, self._known = x.tobytes(), {}
+            self._at = x.tobytes()
+            self._known = {}
         step = np.where(np.arange(len(x)) // len(servos.stiffness) == _FRICTION, 1.0, _STEP)
         step *= _unit(scale, servos)
         new = [k for k in free.tolist() if k not in self._known]
         for k, one in zip(new, np.eye(len(x))[new]):
-            low, high = np.maximum(x - step * one, 0.0), x + step * one
+            low = np.maximum(x - step * one, 0.0)
+            high = x + step * one
             errors = self.problem.errors([Servos.of(low), Servos.of(high)])
             self._known[k] = (errors[1] - errors[0]) / (high - low)[k]
         return np.stack([self._known[k] for k in free.tolist()], axis=-1)
@@ -355,15 +379,19 @@ def judged(slopes_of: Slopes, scale: Scale, servos: Servos) -> ServoFit:
     would change, which is twice what half a step changes. What is known beforehand of each number
     is its unit, as far as the search pulls.
     """
-    problem, free, joints = slopes_of.problem, np.flatnonzero(scale.free), len(servos.stiffness)
+    problem = slopes_of.problem
+    free = np.flatnonzero(scale.free)
+    joints = len(servos.stiffness)
     unit = _unit(scale, servos)[free]
     residuals = problem.errors([servos])[0]
     halves = np.linspace(0.0, problem.edges[-1], 2 * len(problem.edges) - 1)
     drift = 2.0 * (residuals - replace(problem, edges=halves).errors([servos])[0])
     sigma = _sigma(residuals)
-    normal, bias = np.eye(len(free)) / PULL**2, np.zeros(len(free))
+    normal = np.eye(len(free)) / PULL**2
+    bias = np.zeros(len(free))
     score = normal.copy()
-    slopes, moves = slopes_of(scale, servos) * unit, problem.moves()
+    slopes = slopes_of(scale, servos) * unit
+    moves = problem.moves()
     for joint in range(joints):
         rows = slopes[:, joint] / sigma[joint]
         own = (free % joints == joint) & (free < 4 * joints)
@@ -376,7 +404,8 @@ def judged(slopes_of: Slopes, scale: Scale, servos: Servos) -> ServoFit:
     inverse = np.linalg.inv(normal)
     variance = np.diag(inverse @ score @ inverse) + (inverse @ bias) ** 2
     spread = np.sqrt(np.minimum(variance, PULL**2))
-    errors, seen = np.zeros(len(scale.free)), np.zeros(len(scale.free), dtype=bool)
+    errors = np.zeros(len(scale.free))
+    seen = np.zeros(len(scale.free), dtype=bool)
     seen[free] = spread < UNSEEN
     errors[free] = np.where(seen[free], spread, np.maximum(spread, 1.0)) * unit
     return ServoFit(servos, Servos.of(errors), seen, sigma)
@@ -397,7 +426,8 @@ def usual_share(rows: Array, moves: NDArray[np.bool_]) -> Array:
 
 def links_share(robot: RobotModel, pieces: Sequence[Measurement], servos: Servos) -> Array:
     """Return (n,) the links' torque, gravity and inertia, over that of all, root mean squares."""
-    thetas, parts = robot.thetas, []
+    thetas = robot.thetas
+    parts = []
     for piece in pieces:
         q, qd = smoothed(piece)
         qdd = np.gradient(qd, piece.time, axis=0)
@@ -427,7 +457,8 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
 
 def at_limit(problem: Problem, servos: Servos) -> Array:
     """Return (n,) the share of time in which each servo asks for more than its limit."""
-    over, limit = [], actuators_of(problem.rollouts.robot).limit
+    over = []
+    limit = actuators_of(problem.rollouts.robot).limit
     for (window, _, _), q in zip(problem.windows, next(problem.played([servos]))):
         asked = window.controls(servos.delay, problem.edges) - q[:-1]
         over.append(np.abs(servos.stiffness * asked) > limit)

@@ -30,12 +30,15 @@ _HARMLESS = 5e-5
 _NEARLY_BEST = 1.25
 # The arm moves at frequencies that hold this share of the squared speed; the cut-off is at most so
 # many times the highest of them (docs/measurements.md, tests/signals/test_cutoff.py).
-_MOSTLY, _WIDEST = 0.99, 15.0
+_MOSTLY = 0.99
+_WIDEST = 15.0
 # Share of rows with a new reading below which readings come slower than rows.
-_HELD, _REGULAR = 0.6, 0.5
+_HELD = 0.6
+_REGULAR = 0.5
 # An octave with less than this part of the squared speed below it is a gap; what the arm's motion
 # still has beyond ends at so many times its frequency.
-_EMPTY, _WELL_BEYOND = 1e-4, 10.0
+_EMPTY = 1e-4
+_WELL_BEYOND = 10.0
 # A band counts as motion where it stands this far above the noise, which chance does not.
 _CLEARLY = 6.0
 # Share of an encoder's steps beside which the reading stays the same, up to which the steps are
@@ -83,13 +86,15 @@ def choose_cutoff(spectra: Spectra) -> tuple[float, float, str]:
     lowest = 4.0 * half_width_times_cutoff / (_TRIMMED * spectra.count / rate)
     candidates = np.geomspace(min(lowest, highest), highest, 40)
     # The highest frequency that the arm moves at; all where it does not move.
-    frequency, motion = spectra.frequency, spectra.motion
+    frequency = spectra.frequency
+    motion = spectra.motion
     fastest = frequency[_speed_index(frequency, motion) if np.any(motion) else -1]
     candidates = candidates[candidates <= max(candidates[0], _WIDEST * fastest)]
     errors = np.array([_error(c, spectra) for c in candidates])
     fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
     best = candidates[fit[-1]]
-    sigma, expected = spectra.position_noise, float(np.sqrt(errors[fit[-1]]))
+    sigma = spectra.position_noise
+    expected = float(np.sqrt(errors[fit[-1]]))
     reason = f"cut-off {best:.3g} Hz chosen from the data: position noise {sigma.min():.2g} to "
     reason += f"{sigma.max():.2g} rad, expected error of the acceleration {percent(expected)}"
     return float(best), expected, reason
@@ -119,12 +124,14 @@ def spectra_of(q: Array, rate: float, steps: Array) -> Spectra | None:
     # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
     level = 1.05 * np.median(power[high] / shape[high, None], axis=0)
     noise = level * shape[:, None]
-    stairs, stepped = np.zeros_like(power), np.any(steps, axis=0)
+    stairs = np.zeros_like(power)
+    stepped = np.any(steps, axis=0)
     if np.any(stepped):
         stairs[:, stepped] = _acceleration_spectrum(steps[:, stepped], rate, length)[1]
     motion = _motion(frequency, power, np.maximum(noise, stairs))
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
-    motion, noise = np.sum(motion, axis=1), np.sum(noise, axis=1)
+    motion = np.sum(motion, axis=1)
+    noise = np.sum(noise, axis=1)
     return Spectra(rate, len(q), length, frequency, motion, noise, level)
 
 
@@ -135,7 +142,9 @@ def _without_repeats(q: Array, steps: Array, rate: float) -> tuple[Array, Array,
     noise at every frequency.
     """
     fresh = np.concatenate(([True], np.any(q[1:] != q[:-1], axis=1)))
-    share, row, kept = float(np.mean(fresh)), np.arange(len(q)), np.flatnonzero(fresh)
+    share = float(np.mean(fresh))
+    row = np.arange(len(q))
+    kept = np.flatnonzero(fresh)
     if share > _HELD or len(kept) < _SHORTEST:
         return q, steps, rate
     waits = np.diff(kept)
@@ -243,6 +252,7 @@ def _smooth(power: Array) -> Array:
 def _error(cutoff: float, spectra: Spectra) -> float:
     """Return the expected squared error of acceleration as a part of its mean square."""
     kernel = design_low_pass(cutoff, spectra.rate).kernel
-    gain, total = np.abs(np.fft.rfft(kernel, spectra.length))[1:], np.sum(spectra.motion)
+    gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:]
+    total = np.sum(spectra.motion)
     wrong = (1.0 - gain) ** 2 @ spectra.motion + gain**2 @ spectra.noise
     return float(wrong / total) if total > 0.0 else float(wrong)

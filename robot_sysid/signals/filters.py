@@ -30,9 +30,11 @@ times. That is 80 dB; the rest makes up for the formulas being approximate for s
 _TRANSITION = 1.2
 # Of what is smooth, so many samples a decimated one, least and most: twelve times the cut-off, or
 # what fits the decimation better (chosen).
-_STRIDES, _MOST_STRIDES = 6, 9
+_STRIDES = 6
+_MOST_STRIDES = 9
 # Of the weights for them: frequencies per weight, what those above three cut-offs count (chosen).
-_RESPONSES, _BEYOND = 12, 1e-5
+_RESPONSES = 12
+_BEYOND = 1e-5
 CHUNK = 2048
 """Samples at a time: what fits into a cache."""
 # Samples of half a kernel that no log has: three hours at 1 kHz.
@@ -76,7 +78,8 @@ class LowPass:
         """
         if stride == 1:
             return self
-        rate, half = self.rate / stride, self.half_width // stride
+        rate = self.rate / stride
+        half = self.half_width // stride
         frequency = np.linspace(0.0, rate / 2.0, _RESPONSES * half)
         counts = np.where(frequency <= 3.0 * self.cutoff, 1.0, _BEYOND)[:, None]
 
@@ -95,7 +98,8 @@ class LowPass:
 
         By Fourier transforms of overlapping blocks (Oppenheim, Schafer, sec. 8.7.3).
         """
-        width, count = len(self.kernel), max(0, len(values) - len(self.kernel) + 1)
+        width = len(self.kernel)
+        count = max(0, len(values) - len(self.kernel) + 1)
         if width == 1:
             return self.kernel[0] * values
         size = 1 << (4 * width).bit_length()
@@ -232,7 +236,8 @@ def advanced(values: Array, samples: float) -> tuple[Array, int]:
     stencil = np.sinc(at) * window
     inner = _correlated(values, stencil / stencil.sum())
     first = SHIFT_REACH + max(0, -whole)
-    start, stop = max(0, whole), len(inner) + min(0, whole)
+    start = max(0, whole)
+    stop = len(inner) + min(0, whole)
     return inner[start:stop], first
 
 
@@ -242,7 +247,8 @@ def _correlated(values: Array, stencil: Array, order: int = 0, scale: float = 1.
     Sum_k s_k x_k = -sum_k S_k (x_(k+1) - x_k), S_k = s_0 + ... + s_k. Neighbours' differences have
     no rounding errors, which the square of the rate would make large.
     """
-    reach, count = len(stencil) - 1, max(0, len(values) - len(stencil) + 1)
+    reach = len(stencil) - 1
+    count = max(0, len(values) - len(stencil) + 1)
     out = np.zeros((count, *np.shape(values)[1:]))
     for _ in range(order):
         stencil = -np.cumsum(stencil)[:-1]

@@ -17,14 +17,16 @@ from robot_sysid.records import Array, Measurement
 
 STILL = 2e-3
 """How far a joint may move while it rests: several steps of a coarse encoder (chosen) [rad]."""
-LEAST_REST, SETTLING = 0.9, 0.35
+LEAST_REST = 0.9
+SETTLING = 0.35
 """Shortest rest that counts, and how much of its beginning and end is left out [s]: a slow start or
 stop looks like rest, and friction is that of the motion there."""
 WINDOW = 0.1
 """Stretch of time within which it does not move further (chosen) [s]."""
 SAME_POSE = 0.02
 """How far apart two rests in the same pose may be (chosen) [rad]."""
-APPROACH, LEAST_APPROACH = 0.3, 1e-3
+APPROACH = 0.3
+LEAST_APPROACH = 1e-3
 """Time before a rest in which a joint's direction is taken [s], and its least motion [rad]."""
 FEWEST_POSES = 5
 """Fewer say little of mass and centre of mass, four unknowns, and nothing of their errors."""
@@ -60,7 +62,8 @@ def resting_poses(
 
 def _rests(samples: Measurement) -> Iterator[Array]:
     """Yield (1 + 3 n,) of each rest: its time, mean position and torque, direction of approach."""
-    time, q = samples.time, samples.q
+    time = samples.time
+    q = samples.q
     # The ends of each run of samples around which all joints stay within STILL.
     still = np.concatenate(([False], _is_still(time, q), [False])).astype(int)
     for first, last in np.flatnonzero(np.diff(still)).reshape(-1, 2).tolist():

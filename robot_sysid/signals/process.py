@@ -138,7 +138,8 @@ class ProcessedSignals:
                 are enough (``LowPass.at_every``).
         """
         stride = self.low_pass.stride if smooth else 1
-        low_pass, size = self.low_pass.at_every(stride), min(most, CHUNK) * stride
+        low_pass = self.low_pass.at_every(stride)
+        size = min(most, CHUNK) * stride
         parts: defaultdict[int, list[Array]] = defaultdict(list)
         decimators: defaultdict[int, Decimator] = defaultdict(lambda: Decimator(low_pass))
         for start in range(0, len(self), size):
@@ -162,11 +163,14 @@ class ProcessedSignals:
         """
         less = FINE_REACH - 1 if self.exact else 0
         low_pass = replace(self.low_pass if self.exact else self.flat, step=self.low_pass.step)
-        reach, centres = low_pass.half_width + less, self.low_pass.centres(len(self))
+        reach = low_pass.half_width + less
+        centres = self.low_pass.centres(len(self))
         rows = np.flatnonzero((centres >= reach) & (centres < len(self) - reach))
         at = centres[rows]
         whole = slice(at[0] - reach, at[-1] + reach + 1) if len(rows) else slice(0)
-        q, qd, qdd = self.q[whole], self.qd[whole], self.qdd[whole]
+        q = self.q[whole]
+        qd = self.qd[whole]
+        qdd = self.qdd[whole]
         if not self.exact:
             return rows, Motion(self.time[at], *map(low_pass.decimated, (q, qd, qdd)))
         inner = slice(less, len(q) - less)
@@ -259,7 +263,8 @@ def process(
         cutoff: of the low-pass [Hz]; None chooses it from the data.
         chosen_by: where a cut-off that is not chosen here comes from, in words.
     """
-    uniform, expected = resampled(measurement), 0.0
+    uniform = resampled(measurement)
+    expected = 0.0
     piece = LogPiece.of(measurement)
     if cutoff is None:
         cutoff, expected, reason = piece.choice
@@ -273,10 +278,12 @@ def process(
             f"{low_pass.cutoff:.3g} Hz, which needs {needed / low_pass.rate:.3g} s; record longer"
         )
     corners = _corners(uniform, low_pass)
-    flat, reach = replace(low_pass, kernel=np.ones(1)), FINE_REACH
+    flat = replace(low_pass, kernel=np.ones(1))
+    reach = FINE_REACH
     if corners is None:
         flat, reach = _exact_enough(low_pass, uniform, piece.spectra)
-    q, lost = flat.filtered(uniform.q), flat.half_width + reach
+    q = flat.filtered(uniform.q)
+    lost = flat.half_width + reach
     # Low-passed motion at each sample leans on those up to lost away.
     holes = np.concatenate(([0], np.cumsum(uniform.gap > _HARMLESS_GAP / cutoff)))
     bridged = holes[2 * lost + 1 :] > holes[: len(holes) - 2 * lost - 1]
@@ -290,7 +297,8 @@ def process(
     time = uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate
     bridged = bridged if corners is None else bridged | corners
     # A view would keep the torque of the whole log.
-    q, tau = q[reach:-reach], uniform.tau[lost:-lost].copy()
+    q = q[reach:-reach]
+    tau = uniform.tau[lost:-lost].copy()
     unsure = bridged, slow, turning
     signals = ProcessedSignals(time, q, qd, qdd, tau, *unsure, low_pass, flat, (), expected)
     notes = (*uniform.notes, Detail(reason), *_notes(signals, joint_names))
@@ -335,7 +343,8 @@ def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | 
         return None
     # At the ends of its reach a corner is where the two may agree by chance.
     corners = np.convolve(apart > _CORNER * usual, np.ones(5), "same") > 0.0
-    count, width = np.concatenate(([0], np.cumsum(corners))), len(low_pass.kernel)
+    count = np.concatenate(([0], np.cumsum(corners)))
+    width = len(low_pass.kernel)
     clean = count[width:] == count[:-width]
     return corners if np.mean(clean) >= _MOSTLY else None
 

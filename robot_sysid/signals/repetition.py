@@ -55,9 +55,12 @@ class Visits:
         D is 1 where the motion does not repeat as a whole; M is what the memory of a joint's own
         residuals does to the variance of a slow sum.
         """
-        again, own, each = [], [], np.unique(self.probes)
+        again = []
+        own = []
+        each = np.unique(self.probes)
         for left in residuals:
-            residual, twice = np.nan_to_num(left), 0.0
+            residual = np.nan_to_num(left)
+            twice = 0.0
             squared = float(np.sum(residual[each] ** 2))
             if self.repeats >= 1.0 and squared > 0.0:
                 twice = float(residual[self.probes] @ residual[self.others]) / squared
@@ -128,7 +131,8 @@ class RowSample:
         names = [each.name for each in fields(self) if each.name != "total"]
         both = {name: np.concatenate([getattr(s, name) for s in (self, other)]) for name in names}
         order = np.argsort(both["drawn"], kind="stable")[:MOST_ROWS]
-        log, place = both["log"][order], both["place"][order]
+        log = both["log"][order]
+        place = both["place"][order]
         if np.any((log[1:] == log[:-1]) & (place[1:] == place[:-1])):
             raise InputError("the same log is in both parts of a sum; add each log once")
         total = self.total + other.total
@@ -144,7 +148,8 @@ class RowSample:
 
         Where few of very many rows are sampled, chance makes it too large rather than too small.
         """
-        size, found = len(self.drawn), np.ones(self.residual.shape[1])
+        size = len(self.drawn)
+        found = np.ones(self.residual.shape[1])
         off = self.q - np.mean(self.q, axis=0)
         scale = np.concatenate([scales(off), scales(self.qd)])
         state = np.hstack([off, self.qd]) / scale
@@ -171,5 +176,6 @@ def sampled(motion: Motion, residual: Array, log: int) -> RowSample:
     # The last row has no next one; it is as far from the one before.
     moved = np.vstack([moved, moved[-1:]])
     q, qd, qdd, moved = (each[chosen] for each in (motion.q, motion.qd, motion.qdd, moved))
-    numbers, left = np.full(len(chosen), log, dtype=np.uint64), np.nan_to_num(residual[chosen])
+    numbers = np.full(len(chosen), log, dtype=np.uint64)
+    left = np.nan_to_num(residual[chosen])
     return RowSample(drawn[chosen], numbers, chosen, q, qd, qdd, moved, left, len(drawn))

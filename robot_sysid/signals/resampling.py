@@ -234,7 +234,8 @@ def bounded(
     """
     if count <= MOST_KEPT:
         return (join_measurements(chunks),), ()
-    parts, thinning = [], None
+    parts = []
+    thinning = None
     for each in chunks:
         thinning = thinning or Thinning.of(each.time, count)
         rows = thinning.push(np.column_stack((each.time, each.time, each.q, each.tau)))

@@ -40,7 +40,8 @@ DEFAULT_TIMESTEP = 5e-4
 def forward_copy(plant: RobotModel) -> Any:
     """Return a copy of the plant's compiled model set up to be stepped as described above."""
     model = analysis_copy(plant.mj_model)
-    flags, disable = int(model.opt.disableflags), mujoco.mjtDisableBit
+    flags = int(model.opt.disableflags)
+    disable = mujoco.mjtDisableBit
     for name in ("EQUALITY", "LIMIT", "ACTUATION"):
         flags |= int(getattr(disable, f"mjDSBL_{name}"))
     model.opt.disableflags = flags & ~int(disable.mjDSBL_CONSTRAINT)
@@ -58,7 +59,8 @@ def placed(plant: RobotModel, model: Any, data: Any, q: Array, qd: Array) -> Non
     """Forget the past and put the chain at positions and velocities (n,), the rest at rest."""
     mujoco.mj_resetData(model, data)
     data.qpos[:] = plant.reference_qpos
-    data.qpos[plant.qpos_index], data.qvel[plant.dof_index] = q, qd
+    data.qpos[plant.qpos_index] = q
+    data.qvel[plant.dof_index] = qd
 
 
 class ArmStepper:
@@ -75,7 +77,9 @@ class ArmStepper:
     def __init__(
         self, robot: RobotModel, q: Array | None = None, timestep: float = DEFAULT_TIMESTEP
     ) -> None:
-        self._robot, self.n_joints, self.timestep = robot, robot.n_joints, timestep
+        self._robot = robot
+        self.n_joints = robot.n_joints
+        self.timestep = timestep
         self._model = forward_copy(robot)
         self._model.dof_damping[:] = 0.0
         self._data = posed(self._model, robot.reference_qpos)
@@ -141,7 +145,8 @@ class ArmStepper:
 
     def _dynamics(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain."""
-        data, dofs = self._data, self._robot.dof_index
+        data = self._data
+        dofs = self._robot.dof_index
         data.qpos[self._robot.qpos_index] = q
         data.qvel[dofs] = qd
         mujoco.mj_fwdPosition(self._model, data)
@@ -158,7 +163,9 @@ class ArmStepper:
         # A joint slides in the direction it has, or would take without friction; one that would
         # turn round against its own friction sticks instead, until that needs more than fc. So does
         # a motor that turns several joints.
-        fc, rubs, along = self._coulomb, self._coulomb > 0.0, self._rubs_along
+        fc = self._coulomb
+        rubs = self._coulomb > 0.0
+        along = self._rubs_along
         of_friction = response @ along.T
         crossed = along @ of_friction
         without = along @ free

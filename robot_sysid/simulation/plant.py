@@ -124,7 +124,8 @@ def _hinges_and_slides(mj_model: Any) -> list[str]:
 
 def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
     """Return in words how the chain of a plant differs from the robot's; empty if it does not."""
-    ours, theirs = robot.joint_names, plant.joint_names
+    ours = robot.joint_names
+    theirs = plant.joint_names
     if ours != theirs:
         return (f"{', '.join(theirs)} instead of {', '.join(ours)}",)
     kinds = ("hinge", "slide")

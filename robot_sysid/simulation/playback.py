@@ -73,7 +73,8 @@ class Roller:
     """
 
     def __init__(self, robot: RobotModel, model: Any) -> None:
-        self._robot, self.model = robot, model
+        self._robot = robot
+        self.model = model
         self._pool: Any = None
         threads = processors() if _has_threads() else 1
         self._data = [mujoco.MjData(model) for _ in range(threads)]
@@ -90,7 +91,9 @@ class Roller:
         return q
 
     def _threaded(self, inputs: Inputs) -> Array:
-        robot, model, data = self._robot, self.model, self._data
+        robot = self._robot
+        model = self.model
+        data = self._data
         starts = np.empty((len(inputs.q), mujoco.mj_stateSize(model, _FULL)))
         for start, q, qd in zip(starts, inputs.q, inputs.qd):
             placed(robot, model, data[0], q, qd)
@@ -109,7 +112,9 @@ class Roller:
 
     def _stepped(self, inputs: Inputs) -> Array:
         """Do what ``mujoco.rollout`` does, step by step."""
-        robot, model, data = self._robot, self.model, self._data[0]
+        robot = self._robot
+        model = self.model
+        data = self._data[0]
         q: Array = np.full(inputs.torque.shape, math.nan)
         for row, steps in enumerate(inputs.torque):
             placed(robot, model, data, inputs.q[row], inputs.qd[row])
@@ -154,11 +159,13 @@ def pieces_of_signals(signals: ProcessedSignals, first: float = -np.inf) -> list
     """Return what can be played, low-passed, of a log from a time [s] on, cut at its long holes."""
     half = signals.low_pass.half_width
     inner = slice(half, len(signals) - half)
-    time, bridged = signals.time[inner], signals.bridged[inner]
+    time = signals.time[inner]
+    bridged = signals.bridged[inner]
     tau = signals.low_pass.filtered(signals.tau)
     usable = np.flatnonzero((time >= first) & ~bridged)
     runs = np.split(usable, np.flatnonzero(np.diff(usable) > 1) + 1)
-    q, qd = signals.q[inner], signals.qd[inner]
+    q = signals.q[inner]
+    qd = signals.qd[inner]
     return [Measurement(time[run], q[run], qd[run], tau[run]) for run in runs if len(run) > 1]
 
 

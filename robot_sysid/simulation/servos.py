@@ -107,13 +107,15 @@ def _of_joint(model: Any, joint: int) -> tuple[int, float, float, float, float]:
         limit = abs(gear) * float(np.max(np.abs(model.actuator_forcerange[first])))
     if not _is_position(model, first):
         return first, gear, np.nan, np.nan, limit
-    kp, kv = model.actuator_gainprm[first, 0], -model.actuator_biasprm[first, 2]
+    kp = model.actuator_gainprm[first, 0]
+    kv = -model.actuator_biasprm[first, 2]
     return first, gear, float(gear**2 * kp), float(gear**2 * kv), limit
 
 
 def _is_position(model: Any, actuator: int) -> bool:
     """Tell whether an actuator's force is Kp (control - length) - kv speed."""
-    kp, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator, :2]
+    kp = model.actuator_gainprm[actuator, 0]
+    bias = model.actuator_biasprm[actuator, :2]
     fixed = int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
     affine = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
     return bool(fixed and affine and kp > 0.0 and bias[0] == 0.0 and bias[1] == -kp)
@@ -121,7 +123,9 @@ def _is_position(model: Any, actuator: int) -> bool:
 
 def model_servos(robot: RobotModel) -> Servos:
     """Return the model's own numbers, never late; gains are NaN where it has no position servo."""
-    model, dofs, actuators = robot.mj_model, robot.dof_index, actuators_of(robot)
+    model = robot.mj_model
+    dofs = robot.dof_index
+    actuators = actuators_of(robot)
     damping = model.dof_damping[dofs] + np.nan_to_num(actuators.damping)
     rest = model.dof_frictionloss[dofs], model.dof_armature[dofs]
     return Servos(actuators.stiffness, damping, *rest, 0.0)
@@ -143,9 +147,12 @@ def servo_copy(robot: RobotModel, timestep: float) -> Any:
 
 def set_servos(model: Any, robot: RobotModel, servos: Servos) -> None:
     """Give a ``servo_copy`` these servos and joints; whatever it had before is gone."""
-    dofs, actuators = robot.dof_index, actuators_of(robot)
-    model.dof_armature[dofs], model.dof_frictionloss[dofs] = servos.armature, servos.frictionloss
-    kv, driven = actuators.share * servos.damping, actuators.index != NONE
+    dofs = robot.dof_index
+    actuators = actuators_of(robot)
+    model.dof_armature[dofs] = servos.armature
+    model.dof_frictionloss[dofs] = servos.frictionloss
+    kv = actuators.share * servos.damping
+    driven = actuators.index != NONE
     model.dof_damping[dofs] = servos.damping - kv
     at = actuators.index[driven]
     model.actuator_gear[at] = 0.0
@@ -198,7 +205,8 @@ class ServoRollouts:
         """Yield positions (W, S + 1, n) of each choice of servos in W windows of one length, whose
         steps have these edges (S + 1,) from the start of a window [s].
         """
-        robot, model = self.robot, self._roller.model
+        robot = self.robot
+        model = self._roller.model
         model.opt.timestep = edges[1] - edges[0]
         q, qd = (np.stack([getattr(w, name) for w in windows]) for name in ("q", "qd"))
         delays = {servos.delay for servos in choices}

@@ -13,7 +13,8 @@ from robot_sysid.records.torque_scale import write_torque_scale
 from tests.support import pages
 from tests.support.places import ROOT
 
-CUTOFF, TERMS = 8.0, "coulomb-viscous-offset-armature"
+CUTOFF = 8.0
+TERMS = "coulomb-viscous-offset-armature"
 
 
 @pytest.fixture(scope="module")

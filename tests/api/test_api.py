@@ -128,7 +128,8 @@ def test_a_saved_result_is_that_of_the_command(workshop, result, tmp_path):
 
 def test_a_spec_has_the_result_in_it(result):
     pytest.importorskip("mujoco", minversion="3.2.5")
-    compiled, file = result.spec().compile(), result.result.file
+    compiled = result.spec().compile()
+    file = result.result.file
     assert compiled.body_subtreemass[result.robot.body_id] == pytest.approx(file.thetas[-1][0])
     coulomb = [file.joints[joint]["coulomb"].value for joint in result.robot.joint_names]
     np.testing.assert_allclose(compiled.dof_frictionloss[result.robot.dof_index], coulomb)
@@ -163,7 +164,8 @@ def test_a_plot_shows_every_joint(result, monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_a_payload_is_the_difference(workshop, tmp_path):
-    model, logs = workshop / "arm.xml", (workshop / "log.csv", workshop / "loaded.csv")
+    model = workshop / "arm.xml"
+    logs = (workshop / "log.csv", workshop / "loaded.csv")
     found = rs.payload(model, *logs)
     arrays = rs.read_log(logs[1], model)
     assert rs.payload(model, [logs[0]], [arrays]).mass == found.mass
@@ -183,7 +185,8 @@ def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(
         return found.to_dict()["payload"]["torque_scale"]
 
     vague = {"scale_uncertainty": 50.0}
-    plain, divided = scales(**vague), scales(**vague, torque_scale=1.02)
+    plain = scales(**vague)
+    divided = scales(**vague, torque_scale=1.02)
     assert plain["joint1"]["standard_error"] < 0.01
     for joint, each in plain.items():
         again = divided[joint]["value"] - each["value"]

@@ -88,7 +88,8 @@ def test_a_spec_is_identified_like_its_file(tmp_path):
     spec = mujoco.MjSpec.from_file(str(path))
     mesh_dir = spec.meshdir
     quick = {"seed": 1, "duration": 1.0}
-    from_file, from_spec = rs.identify(path, **quick), rs.identify(spec, **quick)
+    from_file = rs.identify(path, **quick)
+    from_spec = rs.identify(spec, **quick)
     np.testing.assert_allclose(from_spec.theta, from_file.theta, rtol=1e-4, atol=1e-6)
     assert spec.meshdir == mesh_dir
     assert from_spec.spec().compile().ngeom == spec.compile().ngeom

@@ -36,7 +36,8 @@ def quickly(monkeypatch):
 
 
 def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
-    said, record = [], tmp_path / "measured.csv"
+    said = []
+    record = tmp_path / "measured.csv"
     options = {"model": model, "simulate": True, "record": record, "rate": 250}
     report = rs.motors.play(trajectory, **options, say=said.append)
     assert report.cycles == 126 and "enabling the motors" in said
@@ -81,7 +82,8 @@ def test_an_arm_that_is_held_plays_nothing(model):
 @pytest.fixture
 def arm(monkeypatch):
     """Two motors on a bus in simulated time."""
-    arm, clock = two_motor_arm(), ScriptedClock()
+    arm = two_motor_arm()
+    clock = ScriptedClock()
     monkeypatch.setattr(execution.bus, "SystemClock", lambda: clock)
 
     def opened(address, timing, clock, tell):

@@ -38,8 +38,11 @@ class SimulatedBus:
     """
 
     def __init__(self):
-        self.arm, self.clock, self.wire = two_motor_arm(), ScriptedClock(), None
-        self.rates, self.impossible = [], []
+        self.arm = two_motor_arm()
+        self.clock = ScriptedClock()
+        self.wire = None
+        self.rates = []
+        self.impossible = []
 
     def open(self, address, timing, clock, tell):
         self.rates.append(timing.bitrate)
@@ -57,7 +60,8 @@ class SimulatedBus:
 @pytest.fixture
 def person(monkeypatch):
     """(what a person at the keyboard says, callables are called; what was asked)."""
-    answers, asked = [], []
+    answers = []
+    asked = []
 
     def say(prompt):
         asked.append(prompt)

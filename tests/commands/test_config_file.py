@@ -34,7 +34,8 @@ def written(kind, sample):
 @pytest.mark.parametrize("name", QUESTIONS)
 def test_every_option_that_is_written_is_read_again(name, tmp_path):
     kind = PayloadConfig if name == "payload" else SysidConfig
-    taken, file = option_samples.keys_of(build_parser(name)), tmp_path / "run.toml"
+    taken = option_samples.keys_of(build_parser(name))
+    file = tmp_path / "run.toml"
     logs = {"measurements": (Path("log.csv"),)} if name == "identify" else {}
     for sample in option_samples.samples(kind):
         if sample.option.key in taken:

@@ -184,7 +184,8 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_fi
     out = command.run("identify", path, servo_log, *SERVOS).out
     folder = path.parent / "sysid_output"
     schemas.check(folder / "servo.json")
-    content, truth = json.loads((folder / "servo.json").read_text()), servo_logs.TRUTH
+    content = json.loads((folder / "servo.json").read_text())
+    truth = servo_logs.TRUTH
     assert "none measured" in content["torque"] and "No torque was measured" in out
     assert content["delay"]["value"] == pytest.approx(truth.delay, abs=0.002)
     terms = {"gain": truth.stiffness, "damping": truth.damping}
@@ -211,7 +212,8 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_fi
 
 
 def test_what_cannot_be_used_is_said_in_one_line(command, arm_file, recorded, servo_log, tmp_path):
-    path, (time, q, asked) = arm_file(servo_logs.XML), recorded
+    path = arm_file(servo_logs.XML)
+    (time, q, asked) = recorded
     said = command.run("identify", path, servo_log, code=2).err
     assert "torque" in said and "identify --torque-from position-error" in said
     still = servo_logs.write(tmp_path / "still.csv", time, 0.0 * q, asked)

@@ -29,7 +29,8 @@ def late(log):
 
 @pytest.fixture(scope="module")
 def folder(truth, tmp_path_factory):
-    folder, log = tmp_path_factory.mktemp("log"), truth.log
+    folder = tmp_path_factory.mktemp("log")
+    log = truth.log
     (folder / "arm.xml").write_text(ARM)
     logs = {"log": log, "wrong": replace(log, tau=1e3 * log.tau), "late": late(log)}
     for name, each in logs.items():

@@ -192,7 +192,8 @@ def test_a_driver_that_does_not_return_ends_the_program(capsys, monkeypatch):
 
 def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch):
     """Held with Ctrl-S, or broken in a way that nobody thought of."""
-    ended, released = [], threading.Event()
+    ended = []
+    released = threading.Event()
     monkeypatch.setattr(motors_asked.os, "_exit", ended.append)
     monkeypatch.setattr(motors_asked, "_PATIENCE", 0.01)
     for printing in (lambda *_: released.wait(20.0), lambda *_: 1 / 0):
@@ -238,7 +239,8 @@ NARROW = 'range="-.3 .3"'
 
 def refused_by(capsys, folder, trajectory, path):
     """What play and simulate refuse with, and check has to say: the same."""
-    record, files = folder / "measured.csv", set(folder.iterdir())
+    record = folder / "measured.csv"
+    files = set(folder.iterdir())
     said = []
     for arguments in (
         ("play", trajectory, "--model", path, "--dry-run"),
@@ -347,7 +349,8 @@ def test_a_motor_that_cannot_hold_is_named_before_anything_moves(capsys, bus, le
 def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     capsys, no_real_time, trajectory, model, tmp_path, monkeypatch, quickly
 ):
-    read, load = [], parser.load_robot_model
+    read = []
+    load = parser.load_robot_model
     monkeypatch.setattr(parser, "load_robot_model", lambda *a: read.append(a) or load(*a))
     record = tmp_path / "measured.csv"
     arguments = ("--model", model, "--play", "--fd", "--rate", "250", "--record", record)
@@ -362,7 +365,8 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
 
 
 def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, model):
-    address, fd = ("--interface", "virtual", "--channel", "c"), ("--fd",)
+    address = ("--interface", "virtual", "--channel", "c")
+    fd = ("--fd",)
     spaced = model.rename(model.with_name("an arm.xml"))
     arm = ("--model", str(spaced), "--joint", "joint1")
     code, out, err = run(capsys, "simulate", trajectory, *arm, *address, *fd, "--for", "2")
@@ -395,7 +399,8 @@ SIDE = """<body name="{side}" pos="0 {y} .5">
 @pytest.fixture
 def both_arms(tmp_path):
     """Function: words for two arms that bend towards each other, from so far apart [m]."""
-    table, paths = tmp_path / "map.csv", []
+    table = tmp_path / "map.csv"
+    paths = []
     write_joint_map(table, [map_line(f"{s}_j", s, 1, 0x11) for s in ("right", "left")])
     for name, duration in (("first", 0.5), ("second", 0.3)):
         (tmp_path / name).mkdir()
@@ -403,7 +408,8 @@ def both_arms(tmp_path):
         paths.append(written(tmp_path / name, (time, q, qd, 0.0 * q)))
 
     def words(apart):
-        path, ends = tmp_path / "two.xml", (("left", 0.5 * apart, 1), ("right", -0.5 * apart, -1))
+        path = tmp_path / "two.xml"
+        ends = (("left", 0.5 * apart, 1), ("right", -0.5 * apart, -1))
         bodies = "".join(SIDE.format(side=s, y=y, way=way) for s, y, way in ends)
         head = "<mujoco><compiler angle='radian'/><worldbody>"
         path.write_text(f"{head}{bodies}</worldbody></mujoco>")
@@ -414,13 +420,15 @@ def both_arms(tmp_path):
 
 
 def test_both_arms_of_a_model_are_played_in_one_run(capsys, both_arms, tmp_path, quickly):
-    record, words = tmp_path / "measured.csv", both_arms(0.4)
+    record = tmp_path / "measured.csv"
+    words = both_arms(0.4)
     mirrored = map_line("left_j", "left", 1, 0x11, -1, 0.4)
     write_joint_map(tmp_path / "map.csv", [map_line("right_j", "right", 1, 0x11), mirrored])
     code, out, err = run(capsys, *words, "--verbose", "--record", record)
     assert (code, err) == (0, "") and "the limits of two.xml, and the arms apart" in out
     columns = read_recording(record).columns
-    left, right = columns["left_j_pos"], columns["right_j_pos"]
+    left = columns["left_j_pos"]
+    right = columns["right_j_pos"]
     assert len(left) == 126 and np.max(left) > 0.045 and np.max(right) > 0.045
     assert np.max(np.abs(right[-40:])) < 5e-3
 
@@ -455,7 +463,8 @@ def test_both_arms_are_held_in_one_run(capsys, both_arms, bus, tmp_path):
     """Each bends by another angle, and its weight is carried: stiffness alone sinks by 0.1 rad."""
     *_, model, _, table = both_arms(1.0)[:-1]
     both = ("--joint", "left_j", "--also-joint", "right_j", "--model", model, "--joint-map", table)
-    arms, start = [load_robot_model(model, None, f"{s}_j") for s in ("left", "right")], [0.5, -0.3]
+    arms = [load_robot_model(model, None, f"{s}_j") for s in ("left", "right")]
+    start = [0.5, -0.3]
     stand_on_two_buses(bus, 0.0)
     bus.arm.mechanism = ArmStepper(as_one(*arms), np.array(start), 4e-3)
     buses = ("--channel", "left", "--channel", "right", *SOFT, "--yes", "--for", "0.5")
@@ -564,7 +573,8 @@ def small_files_only():
 def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(model, tmp_path, trouble):
     """The frames themselves show that each motor braked before it was disabled."""
     trajectory = written(tmp_path, swing(2, duration=6.0, amplitude=0.4))
-    record, frames = tmp_path / "measured.csv", tmp_path / "frames.log"
+    record = tmp_path / "measured.csv"
+    frames = tmp_path / "frames.log"
     with simulator(trajectory, model) as device:
         play = subprocess.Popen(
             [

@@ -80,7 +80,8 @@ def test_a_zero_is_set_after_two_questions(capsys, bus, person):
 
 
 def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, person):
-    motor, asked = bus.motors[0], bytes([READ, frames.PMAX])
+    motor = bus.motors[0]
+    asked = bytes([READ, frames.PMAX])
     answer = motor.handle
     motor.handle = lambda frame, time: None if frame.data[2:4] == asked else answer(frame, time)
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
@@ -155,7 +156,8 @@ def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
 def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, arm_file):
     """The first joint has motor 2, mirrored; the second one motor 1."""
     waiting, asked = person
-    model, output = arm_file(arms.serial_arm((arms.Z, arms.Y))), tmp_path / "map.csv"
+    model = arm_file(arms.serial_arm((arms.Z, arms.Y)))
+    output = tmp_path / "map.csv"
     q = bus.arm.mechanism.q
 
     def turned(j, way):
@@ -181,7 +183,8 @@ def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, arm_file):
 
 def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, arm_file):
     waiting, _ = person
-    model, output = arm_file(arms.serial_arm((arms.Z, arms.Y))), tmp_path / "map.csv"
+    model = arm_file(arms.serial_arm((arms.Z, arms.Y)))
+    output = tmp_path / "map.csv"
 
     def both():
         bus.arm.mechanism.q += 0.5

@@ -26,7 +26,8 @@ POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
 
 @pytest.mark.parametrize("name", PARSERS)
 def test_every_option_arrives_as_the_value_that_was_typed(name):
-    parser, words = PARSERS[name], POSITIONAL.get(name, ["arm.xml"])
+    parser = PARSERS[name]
+    words = POSITIONAL.get(name, ["arm.xml"])
     kind = PayloadConfig if name == "payload" else SysidConfig
     samples = [*option_samples.samples(kind)]
     taken = option_samples.keys_of(parser())
@@ -112,7 +113,8 @@ ASKED = {
 @pytest.mark.parametrize("typed", ASKED)
 def test_commands_options_values_and_files_are_completed(typed, tmp_path):
     (tmp_path / "log.csv").touch()
-    line, answer = f"robot-sysid {typed}", tmp_path / "answer"
+    line = f"robot-sysid {typed}"
+    answer = tmp_path / "answer"
     asking = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer)}
     asking.update(COMP_LINE=line, COMP_POINT=str(len(line)), _ARGCOMPLETE_IFS="\n")
     call = [sys.executable, "-m", "robot_sysid"]

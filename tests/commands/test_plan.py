@@ -61,7 +61,8 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(command,
 
 @pytest.mark.usefixtures("unpredicted")
 def test_ctrl_c_without_a_terminal_keeps_the_best_motion(command, arm_file, monkeypatch):
-    path, told = arm_file(arms.THREE), []
+    path = arm_file(arms.THREE)
+    told = []
 
     def interrupt(console, line):
         told.append(line)
@@ -108,7 +109,8 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(comma
     """A limit that the motion cannot keep is never left out."""
     pulled = arms.THREE.replace("<option ", '<option gravity="9.81 0 0" ')
     # One that can hang down, and one that cannot.
-    path, stiff = arm_file(pulled), pulled.replace('"-2.5 2.5"', '"-.1 .1"')
+    path = arm_file(pulled)
+    stiff = pulled.replace('"-2.5 2.5"', '"-.1 .1"')
     too_weak = (*SINES, "--max-torque", "100,0.5,100")
     message = command.refused("plan", arm_file(stiff, "stiff.xml"), *too_weak)
     takes = "holding still takes 4.37 N·m (0.76 of it for errors of the links, --link-uncertainty)"

@@ -38,7 +38,8 @@ def test_a_missing_library_is_said_before_the_run(command, arm, monkeypatch, lib
 
 def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch):
     """A second run that ends while the first still counts its residuals."""
-    folder, kept = arm.parent / "sysid_output", page.report_data
+    folder = arm.parent / "sysid_output"
+    kept = page.report_data
 
     def slowly(*what):
         (folder / "params.json").write_text((folder / "params.json").read_text() + "\n")

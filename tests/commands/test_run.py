@@ -82,11 +82,13 @@ def test_a_plan_is_used_by_arms_with_its_joints_alone(command, arm):
 
 def test_an_exported_motion_obeys_what_was_asked_for(command, arm):
     """From the file that would be played, held against the numbers that were typed."""
-    box, plane = (-0.13, 0.13, -0.13, 0.13, 1.0, 2.0), (1.0, 0.0, 0.0, -0.09)
+    box = (-0.13, 0.13, -0.13, 0.13, 1.0, 2.0)
+    plane = (1.0, 0.0, 0.0, -0.09)
     limits = ("--max-velocity", "0.3", "--max-acceleration", "1", "--workspace", *box)
     limits += ("--keep-out", *plane)
     command.run(arm, *SHORT, *limits, *EXPORT, "--save-trajectory", "new.json")
-    robot, saved = arms.robot_of(TUBES), load_trajectory(arm.parent / "new.json").plan
+    robot = arms.robot_of(TUBES)
+    saved = load_trajectory(arm.parent / "new.json").plan
     found = witness.peaks(robot, saved)
     assert 0.0 < np.max(found.velocity) <= 0.3 and np.max(found.acceleration) <= 1.0
     assert witness.distance_to_plane(robot, saved, plane, "link0") >= 0.0
@@ -100,7 +102,8 @@ def test_an_exported_motion_obeys_what_was_asked_for(command, arm):
 
 
 def test_more_samples_than_anybody_can_wait_for_are_refused_at_once(command, arm):
-    plan, started = arm.with_name("plan.json"), time.monotonic()
+    plan = arm.with_name("plan.json")
+    started = time.monotonic()
     plan.write_text(json.dumps({**json.loads(plan.read_text()), "duration": 1e12}))
     for words in (("--speed", "1e-12"), ("--trajectory", plan)):
         message = command.refused(arm, *words)

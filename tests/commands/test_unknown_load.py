@@ -12,7 +12,8 @@ import pytest
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
 
 KINOVA = Path(__file__).resolve().parents[2] / "examples" / "kinova" / "model"
-GUESS, TRUTH = KINOVA / "kinova_fullinertia_guess.xml", KINOVA / "kinova_fullinertia.xml"
+GUESS = KINOVA / "kinova_fullinertia_guess.xml"
+TRUTH = KINOVA / "kinova_fullinertia.xml"
 MOTORS = ["--motor-type", "DM4340"] * 7
 PEAK = 27.0
 TRUE_MASS = 1.51714643

@@ -48,7 +48,8 @@ class ArmBus:
     """What BusLink needs of a python-can bus, with a simulated arm on it, in simulated time."""
 
     def __init__(self, clock, arm=None):
-        self._clock, self._arm = clock, arm
+        self._clock = clock
+        self._arm = arm
         self.waiting = []
 
     def send(self, message, timeout):
@@ -166,7 +167,8 @@ def test_a_garbled_line_is_a_lost_frame_and_several_within_a_second_are_an_error
 
 def test_a_driver_that_does_not_return_is_told_and_a_busy_one_is_not(monkeypatch):
     monkeypatch.setattr("robot_sysid.damiao.bus._LOOK", 1e-3)
-    told, ended = [], threading.Event()
+    told = []
+    ended = threading.Event()
 
     def tell(words, last):
         told.append((words, last))
@@ -177,7 +179,8 @@ def test_a_driver_that_does_not_return_is_told_and_a_busy_one_is_not(monkeypatch
         def send(self, *_, timeout=None):
             assert ended.wait(20.0)
 
-    watch, clock = DriverWatch(tell), SystemClock()
+    watch = DriverWatch(tell)
+    clock = SystemClock()
     busy = BusLink([ArmBus(clock, two_motor_arm())], clock, watch)
     until = clock.now() + 0.2
     while clock.now() < until:
@@ -229,7 +232,9 @@ class OneBus(ArmBus):
 
     def __init__(self, clock, *messages):
         super().__init__(clock)
-        self._messages, self.sent, self.closed = list(messages), [], False
+        self._messages = list(messages)
+        self.sent = []
+        self.closed = False
 
     def send(self, message, timeout):
         self.sent.append(bytes(message.data))
@@ -292,14 +297,16 @@ def test_a_full_queue_is_tried_again_within_the_cycle(clock):
 
     class Queue:
         def __init__(self, full):
-            self.full, self.calls = full, []
+            self.full = full
+            self.calls = []
 
         def send(self, message, timeout):
             self.calls.append(clock.now())
             if len(self.calls) <= self.full:
                 raise can.CanOperationError("Failed to transmit", errno.ENOBUFS)
 
-    once, always = Queue(1), Queue(10**9)
+    once = Queue(1)
+    always = Queue(10**9)
     BusLink([once], clock).send(Frame(1, bytes(8)))
     assert len(once.calls) == 2 and once.calls[1] - once.calls[0] < 1e-3
     with pytest.raises(LinkError, match="check the motors' power, the wiring and the termination"):

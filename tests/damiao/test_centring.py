@@ -15,7 +15,8 @@ PERIOD = 0.01
 def replies_of(q, qd, time, command):
     """The answers of a cycle, in which the motors took a new command."""
     n = len(q)
-    codes, nothing = np.zeros(n, int), np.zeros(n)
+    codes = np.zeros(n, int)
+    nothing = np.zeros(n)
     answered = np.isfinite(q)
     feedback = Feedback(codes, codes, q, qd, nothing, codes, codes)
     return Replies(answered, time, feedback, answered, command)
@@ -29,9 +30,12 @@ def stiff(position, kp=100.0, kd=2.0):
 
 def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
     """The fundamental of a held sine lags by half a period and is lower by sinc."""
-    frequency, kp, count = 5.0, 100.0, 400
+    frequency = 5.0
+    kp = 100.0
+    count = 400
     angular = 2.0 * np.pi * frequency
-    centring, still = Centring(PERIOD), np.zeros(1)
+    centring = Centring(PERIOD)
+    still = np.zeros(1)
     times = PERIOD * np.arange(count)
     positions = np.sin(angular * times)
     torques = [
@@ -52,7 +56,8 @@ def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
 
 def one_period(mobility, stiffness, damping, torques, start):
     """Positions and velocities (2, n) after each short step of a period of held torques."""
-    h, n = PERIOD / len(torques), len(start[0])
+    h = PERIOD / len(torques)
+    n = len(start[0])
     resistance = 0.5 * h * mobility * (damping + 0.5 * h * stiffness)
     after = np.linalg.inv(np.eye(n) + resistance)
     before = np.eye(n) - resistance
@@ -68,7 +73,8 @@ def one_period(mobility, stiffness, damping, torques, start):
 
 def sampled_ripple(mobility, stiffness, damping, step, growth, time):
     """Positions and velocities of the motion that sawteeth of torque make and that recurs."""
-    fine, n = 2000, len(step)
+    fine = 2000
+    n = len(step)
     share = ((np.arange(fine)[:, None] + 0.5) / fine - time / PERIOD) % 1.0
     torques = step * (0.5 - share) + 0.5 * growth * (share**2 - share + 1.0 / 6.0)
     arm = mobility, stiffness, damping
@@ -86,9 +92,11 @@ def sampled_ripple(mobility, stiffness, damping, step, growth, time):
 @pytest.mark.parametrize("damping", [0.05, 1.0, 20.0])
 def test_ripple_is_the_periodic_response_to_steps_at_their_moments(damping, stiffness):
     mobility = np.linalg.inv([[0.05, 0.01], [0.01, 0.008]])
-    viscous, kd = np.array([0.02, 0.3]), damping * np.array([1.0, 0.4])
+    viscous = np.array([0.02, 0.3])
+    kd = damping * np.array([1.0, 0.4])
     kp = stiffness * np.array([1.0, 0.6])
-    step, time = np.array([0.7, -0.4]), np.array([0.001, 0.0025])
+    step = np.array([0.7, -0.4])
+    time = np.array([0.001, 0.0025])
     growth = np.array([0.1, 0.3])
     ripple = SamplingRipple(lambda q: mobility, viscous)
     expected = sampled_ripple(mobility, kp, kd + viscous, step, growth, time)
@@ -108,7 +116,8 @@ def test_a_step_leaves_a_twelfth_of_its_impulse_where_nothing_damps():
 
 def test_a_model_without_inertia_tells_nothing_of_ripple():
     ripple = SamplingRipple(lambda q: np.full((1, 1), np.inf), np.zeros(1))
-    still, command = np.zeros(1), stiff(np.zeros(1))
+    still = np.zeros(1)
+    command = stiff(np.zeros(1))
     motion = ripple.motion(still, command, np.ones(1), still, still, PERIOD)
     np.testing.assert_array_equal(motion, 0.0)
 
@@ -123,7 +132,8 @@ def test_a_missing_answer_leaves_the_other_joints_torques_as_they_are():
             silent = np.array([False, k in silent_cycles])
             q = np.where(silent, np.nan, 0.0)
             stamps = np.where(silent, np.nan, time + k * PERIOD)
-            acted, sent = stiff(np.full(2, 0.01 * k)), stiff(np.full(2, 0.01 * (k + 1)))
+            acted = stiff(np.full(2, 0.01 * k))
+            sent = stiff(np.full(2, 0.01 * (k + 1)))
             step, centre = centring.torques(replies_of(q, q, stamps, sent), acted)
             np.testing.assert_array_equal(np.isfinite(centre), ~silent)
             assert centre[0] == pytest.approx(0.5 * step[0], rel=0.2)

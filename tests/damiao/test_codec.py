@@ -25,7 +25,8 @@ TYPES = sorted(MOTORS)
 NAMES = st.lists(st.sampled_from(TYPES), min_size=1, max_size=6)
 SEEDS = st.integers(0, 2**32 - 1)
 FIELDS = ("position", "velocity", "kp", "kd", "torque")
-KP_STEP, KD_STEP = KP_MAX / 4095, KD_MAX / 4095
+KP_STEP = KP_MAX / 4095
+KD_STEP = KD_MAX / 4095
 
 
 def scaling_of(*names: str) -> Scaling:
@@ -71,10 +72,12 @@ def test_known_feedback_has_known_values(limits, p, v, t):
 @given(names=NAMES, seed=SEEDS, shape=st.lists(st.integers(0, 3), max_size=2))
 def test_many_joints_and_samples_survive_within_half_a_step(names, seed, shape):
     """As a whole trajectory or one by one, each joint in the scaling of its own type."""
-    rng, n = np.random.default_rng(seed), len(names)
+    rng = np.random.default_rng(seed)
+    n = len(names)
     scaling = scaling_of(*names)
     p, v, t = (rng.uniform(-0.8, 0.8, (*shape, n)) * limit for limit in scaling.limits.T)
-    kp, kd = rng.uniform(0.0, KP_MAX, (*shape, n)), rng.uniform(0.01, KD_MAX, (*shape, n))
+    kp = rng.uniform(0.0, KP_MAX, (*shape, n))
+    kd = rng.uniform(0.01, KD_MAX, (*shape, n))
     frames = encode_mit(MitCommand(p, v, kp, kd, t), scaling)
     assert frames.shape == (*shape, n, 8)
     back = decode_mit(frames, scaling)
@@ -102,12 +105,15 @@ def test_decoding_and_encoding_a_command_gives_its_bytes_back(name, raw):
 @given(names=NAMES, seed=SEEDS)
 def test_feedback_survives_within_a_step_and_half_a_step_centred(names, seed):
     """A motor drops the fraction, and says its limit where the truth is beyond it."""
-    rng, n, scaling = np.random.default_rng(seed), len(names), scaling_of(*names)
+    rng = np.random.default_rng(seed)
+    n = len(names)
+    scaling = scaling_of(*names)
     truth = rng.uniform(-1.3, 1.3, (3, n)) * scaling.limits.T
     codes = rng.integers(0, 16, (4, n))
     sent = Feedback(codes[0], codes[1], *truth, codes[2] + 40, codes[3] + 50)
     frames = encode_feedback(sent, scaling)
-    plain, centred = decode_feedback(frames, scaling), decode_feedback(frames, scaling, True)
+    plain = decode_feedback(frames, scaling)
+    centred = decode_feedback(frames, scaling, True)
     inside = np.clip(truth, -scaling.limits.T, scaling.limits.T)
     for field, value, step in zip(("position", "velocity", "torque"), inside, scaling.steps):
         late = value - getattr(plain, field)
@@ -138,7 +144,8 @@ def test_what_is_beyond_its_limit_by_a_millionth_of_it_is_refused(field, sign):
 
 def test_the_message_names_the_joint_that_is_out_of_range():
     """The first sample is fine; motor 2 has limits of its own."""
-    one, velocity = np.ones((2, 3)), np.ones((2, 3))
+    one = np.ones((2, 3))
+    velocity = np.ones((2, 3))
     velocity[1, 1] = 31.0
     scaling = Scaling([(13.0, 40.0, 29.0), (12.5, 30.0, 10.0), (13.0, 40.0, 29.0)])
     expected = "velocity 31 of motor number 2 is outside its range, limit 30"

@@ -24,7 +24,9 @@ from robot_sysid.damiao.protocol.frames import (
 from robot_sysid.errors import SysidError
 
 # Typed from the maker's protocol description.
-SET_ZERO, CLEAR_ERROR, STORE = 0xFE, 0xFB, 0xAA
+SET_ZERO = 0xFE
+CLEAR_ERROR = 0xFB
+STORE = 0xAA
 
 
 @pytest.mark.parametrize("code", [SET_ZERO, CLEAR_ERROR, 0x00, 0xFF])
@@ -39,7 +41,8 @@ def test_harmful_register_operations_are_refused(operation):
         refuse_harmful(Frame(REGISTER_ID, bytes([1, 0, operation, 1, 0, 0, 0, 0])))
 
 
-CLASSIC, FD = BusTiming(), BusTiming(fd=True)
+CLASSIC = BusTiming()
+FD = BusTiming(fd=True)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,8 @@ from tests.support.damiao_rig import swing, trajectory_file
 MOTOR = "DM10010L"
 JOINTS = ("joint0", "joint1", "joint2")
 # Beside the limit by more than four printed decimals of a position and a velocity make.
-INSIDE, BEYOND = st.floats(0.05, 0.98), st.floats(1.02, 2.5)
+INSIDE = st.floats(0.05, 0.98)
+BEYOND = st.floats(1.02, 2.5)
 SHARES = INSIDE | BEYOND
 RATES = st.sampled_from([100.0, 123.4, 250.0, 300.0, 1000.0])
 SPEEDS = st.floats(0.2, 1.0)
@@ -109,7 +110,8 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
 
 def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, rate=1000.0):
     """At 1 kHz the fourth decimal of a position is 0.1 rad/s."""
-    velocity, time = 0.7654, np.arange(50) / rate
+    velocity = 0.7654
+    time = np.arange(50) / rate
     q = np.tile((velocity * time)[:, None], 3)
     free = np.full(3, np.inf)
     robot = replace(arm, limits=JointLimits(-free, free, np.full(3, velocity + 1e-4), free))
@@ -119,7 +121,8 @@ def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, rate=100
 
 def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
     time, q, qd, tau = swing(3, duration=1.0, amplitude=0.98)
-    free, narrow = np.full(3, np.inf), np.array([0.3, 2.0, 2.0])
+    free = np.full(3, np.inf)
+    narrow = np.array([0.3, 2.0, 2.0])
     robot = replace(arm, limits=JointLimits(-narrow, narrow, free, free))
     (check,) = checked(written(folder, (time, -q, -qd, tau)), 0.5, robot)
     assert check.severity == STOP
@@ -225,7 +228,8 @@ def test_where_the_arm_is_parked_and_each_way_are_compared_too(folder, angle):
 def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
     """The ball of 0.02 m goes round at 0.5 m; it may not come above y = 0.3 m."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
-    low, high = turn(0.5), turn(1.0)
+    low = turn(0.5)
+    high = turn(1.0)
     for limits in (
         LimitOptions(keep_out=((0.0, -1.0, 0.0, -0.3),), clearance=0.0, below_base=True),
         LimitOptions(workspace=(-1.0, 1.0, -1.0, 0.3, -1.0, 1.0), clearance=0.0, below_base=True),
@@ -288,7 +292,8 @@ def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(arm,
     assert " --max-torque " in refused(tmp_path, arm, heavy_motion(arm))[0]
 
 
-LIGHT, HEAVY = arms.THREE, arms.THREE.replace('mass=".8"', 'mass="8"')
+LIGHT = arms.THREE
+HEAVY = arms.THREE.replace('mass=".8"', 'mass="8"')
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,8 @@ def lifted():
 
 def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(tmp_path):
     """The recording is the same as that of a motor that sits straight."""
-    plain, odd = rig(tmp_path, name="plain").run(), rig(tmp_path, name="odd")
+    plain = rig(tmp_path, name="plain").run()
+    odd = rig(tmp_path, name="odd")
     odd.mount(1, direction=-1, offset=0.6, torque_ratio=1.3)
     odd.run()
     assert plain.error is None and odd.error is None
@@ -70,7 +71,9 @@ def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, how):
 def test_a_motor_that_another_program_has_enabled_is_refused_or_taken_over_when_asked(tmp_path):
     """Left alone it would go on driving while the run says that all motors are disabled."""
     gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
-    gripper.status, gripper.position, gripper.registers[TIMEOUT] = ENABLED, 0.3, 9e4
+    gripper.status = ENABLED
+    gripper.position = 0.3
+    gripper.registers[TIMEOUT] = 9e4
     run = rig(tmp_path, extra_motors=[gripper], others="limp").run()
     assert "motor 8 is enabled by another program and not in the trajectory" in str(run.error)
     run.assert_never_moved()
@@ -144,7 +147,8 @@ def test_an_arm_is_parked_slowly(tmp_path, where, target):
 
 
 def test_joints_go_one_after_the_other_where_that_is_the_way(tmp_path):
-    run, approach = rig(tmp_path, start=[0.1, -0.1], orders=ORDERS[1:]), []
+    run = rig(tmp_path, start=[0.1, -0.1], orders=ORDERS[1:])
+    approach = []
     speeds = fastest_after(run, f"moving to the first point, {ORDERS[1]}")
     run.during("playing", 0.0, lambda r: approach.extend(speeds)).run(settle=0.0)
     slower, faster = np.sort(approach, axis=1).T
@@ -190,7 +194,8 @@ def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
 def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
     rows = [map_line(f"left_{k}", "can0", k, k + 16, 1) for k in (1, 2)]
     rows += [map_line(f"right_{k}", "can1", k, k + 16, 1) for k in (1, 2)]
-    joints, right = damiao_joints(["DM4340"] * 2, 2), ["right_1", "right_2"]
+    joints = damiao_joints(["DM4340"] * 2, 2)
+    right = ["right_1", "right_2"]
     with pytest.raises(InputError, match="right_1 on can1; open it with --channel can1"):
         map_joints(joints, rows, ["can0"], right)
     assert [j.can_id for j in map_joints(joints, rows, ["can1"], right)] == [1, 2]

@@ -15,7 +15,8 @@ from tests.support.clocks import ScriptedClock
 def test_deadlines_stay_on_one_grid_and_lateness_does_not_add_up(delays):
     clock = ScriptedClock()
     timer = CycleTimer(clock, 0.004, 1.0)
-    start, last = timer.next_deadline, -1.0
+    start = timer.next_deadline
+    last = -1.0
     for delay in delays:
         deadline = timer.wait()
         cycle = (deadline - start) / 0.004

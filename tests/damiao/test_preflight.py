@@ -101,7 +101,8 @@ def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(n
 
 def test_a_joint_that_its_motor_would_shake_is_noted():
     """A DM10010 makes torque in steps of 0.1 N m: 1.6 rad/s within a cycle for a bare wrist."""
-    types, inertia = ["DM10010", "DM4310"], np.array([1.3e-4, 1.3e-4])
+    types = ["DM10010", "DM4310"]
+    inertia = np.array([1.3e-4, 1.3e-4])
     shaken = [c for c in checks_of(rows_of(2), types, inertia=inertia) if "will shake" in c.text]
     assert [c.severity for c in shaken] == [NOTE] and shaken[0].text.startswith("motor 1 moves")
     assert not any("shake" in c.text for c in checks_of(rows_of(2), types))

@@ -61,7 +61,8 @@ def cycles(draw, n):
 def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory):
     """The printed digits suffice to find the very codes the motor sent."""
     types = data.draw(st.lists(st.sampled_from(sorted(MOTORS)), min_size=1, max_size=4))
-    n, scaling = len(types), Scaling(MOTORS[t].limits for t in types)
+    n = len(types)
+    scaling = Scaling(MOTORS[t].limits for t in types)
     rows = data.draw(cycles(n))
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
     with recorder_for(path, types) as recorder:
@@ -117,7 +118,8 @@ def test_the_identification_reads_it_directly(tmp_path):
 
 def one_cycle(n, value=1.0):
     """Arguments of ``MeasurementRecorder.write`` for n joints."""
-    same, codes = np.full(n, value), np.ones(n, dtype=int)
+    same = np.full(n, value)
+    codes = np.ones(n, dtype=int)
     feedback = Feedback(codes, codes, same, same, same, codes, codes)
     replies = Replies(codes > 0, same, feedback, codes > 0)
     return 0.0, 0.0, replies, MitCommand(*[same] * 5)
@@ -170,7 +172,8 @@ def test_an_error_is_written_at_the_end(tmp_path):
 
 
 def test_frames_are_written_beside_the_recording_or_where_that_was_asked_for():
-    row, raw = Path("a/m.csv"), Path("r.asc")
+    row = Path("a/m.csv")
+    raw = Path("r.asc")
     found = [RecordingOptions(*given).frames for given in ((), (row,), (None, raw), (row, raw))]
     assert found == [None, Path("a/m.log"), raw, raw]
 
@@ -207,7 +210,9 @@ def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
     acted, sent, q, qd, tmp_path_factory
 ):
     """A motor samples at the end of one command; the next one steps its torque at that moment."""
-    q, qd, code = np.array([q]), np.array([qd]), np.array([1])
+    q = np.array([q])
+    qd = np.array([qd])
+    code = np.array([1])
     before, after = (command.motor_torque(q, qd) for command in (acted, sent))
     feedback = Feedback(code, code, q, qd, before, code, code)
     replies = Replies(code > 0, np.zeros(1), feedback, code > 0, sent)
@@ -228,7 +233,8 @@ def test_what_goes_wrong_is_kept_and_nothing_is_done_after_it(threaded, error):
     def fail():
         raise error
 
-    done, aside = [], Aside(threaded)
+    done = []
+    aside = Aside(threaded)
     for k in range(20):
         aside(lambda k=k: done.append(k))
     aside(fail)
@@ -240,7 +246,8 @@ def test_what_goes_wrong_is_kept_and_nothing_is_done_after_it(threaded, error):
 
 def test_somebody_who_does_not_answer_is_not_waited_for():
     """A terminal held with Ctrl-S: handing over goes on at once, and the end does not wait long."""
-    held, moved = threading.Event(), []
+    held = threading.Event()
+    moved = []
     aside = Aside(threaded=True)
     aside(held.wait)
     for _ in range(10):

@@ -60,7 +60,8 @@ def test_gains_and_feed_forward_torque_rise_together_in_a_fifth_of_the_ramp(rig)
     q = np.full((50, 1), 0.5)
     motion = np.arange(50) / 250, q, 0 * q, 0 * q + GRAVITY * np.sin(0.5)
     run = rig(1, motion=motion, start=[0.5], ramp_time=0.3, **USUAL)
-    told, exchange = [], MotorSession.exchange
+    told = []
+    exchange = MotorSession.exchange
 
     def watched(self, command, *rest, **options):
         told.append((command.kp[0], command.torque[0]))
@@ -114,7 +115,8 @@ def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, opcode):
     run = rig(watchdog=0.0, allowed=Permissions(watchdog=0.1))
     for each in run.motors:
         answering_writes_with(opcode, each)
-    seen, timeout = [], frames.TIMEOUT
+    seen = []
+    timeout = frames.TIMEOUT
     run.during("playing", 0.1, lambda r: seen.append(r.motors[1].registers[timeout])).run()
     assert run.error is None and run.states() == [DISABLED] * 2
     assert seen == [2000.0]
@@ -123,7 +125,8 @@ def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, opcode):
 
 def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(rig):
     plain = rig(name="plain").run().recording.joint_values("tau")
-    faults, allowed = [fault("tmax", 0, 20.0)], Permissions(register_limits=True)
+    faults = [fault("tmax", 0, 20.0)]
+    allowed = Permissions(register_limits=True)
     run = rig(faults=faults, allowed=allowed).run()
     assert run.error is None and run.states() == [DISABLED] * 2
     recording = run.assert_nothing_lost()
@@ -144,7 +147,8 @@ def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):
     """Each line of the manual is found in a run, in its order."""
     text = (ROOT / "docs" / "damiao.md").read_text(encoding="utf-8")
     block = text.partition("## The frames of a run")[2].partition("```text\n")[2].split("```")[0]
-    motion, allowed = swing(1, duration=1.0), Permissions(watchdog=0.1)
+    motion = swing(1, duration=1.0)
+    allowed = Permissions(watchdog=0.1)
     run = Rig(tmp_path, 1, motion=motion, watchdog=0.0, allowed=allowed)
     run.arm.mechanism.timestep = 2e-3
     run.run()
@@ -250,7 +254,8 @@ def strong(q, qd, tau):
 
 
 def drifting(q, qd, tau):
-    q[:, 0], qd[:, 0] = 0.0, 9.0
+    q[:, 0] = 0.0
+    qd[:, 0] = 9.0
     qd[[0, -1], 0] = 0.0
 
 
@@ -366,7 +371,9 @@ def test_a_damping_that_would_be_sent_as_zero_is_refused(rig):
 # --- faults while it plays ----------------------------------------------------------------------
 
 AFTER = (0.1, 0.5, 2.5)
-BRAKES, DROPS, TRIPS = "11 00 00", "00 00 00", "DD DD DD"
+BRAKES = "11 00 00"
+DROPS = "00 00 00"
+TRIPS = "DD DD DD"
 # Motors are held until they have come to rest.
 SLOWLY = "11 11 00"
 
@@ -409,7 +416,9 @@ def driver_fails(kind, seconds):
     """The driver raises something of its own for a while."""
 
     def cause(rig):
-        until, send, receive = rig.clock.now() + seconds, rig.bus.send, rig.bus.receive
+        until = rig.clock.now() + seconds
+        send = rig.bus.send
+        receive = rig.bus.receive
 
         def failing(call):
             def wrapped(*arguments):
@@ -420,7 +429,8 @@ def driver_fails(kind, seconds):
 
             return wrapped
 
-        rig.bus.send, rig.bus.receive = failing(send), failing(receive)
+        rig.bus.send = failing(send)
+        rig.bus.receive = failing(receive)
 
     return cause
 
@@ -461,7 +471,9 @@ DEAF = {"max_speed_error": 9.0, "max_tracking_error": 9.0}
 PATH = {"max_speed_error": 9.0, "max_torque_error": (99.0,)}
 UNPLUGGED = driver_fails(LinkError("gone"), 1e9)
 LOST = "answer in time for 6 cycles; no confirmation that these motors are disabled: motor 2. Cut"
-RAMP, WAY, FIRST = "raising the gains", "moving to the first point", {"start": [0.3, -0.3]}
+RAMP = "raising the gains"
+WAY = "moving to the first point"
+FIRST = {"start": [0.3, -0.3]}
 TABLE = (
     Line("terminal closed", hung_up, BRAKES, "stopped by SIGHUP"),
     Line("output closed, SIGTERM", terminated, BRAKES, "stopped by SIGTERM"),
@@ -511,7 +523,9 @@ def states(rig):
 
 @pytest.mark.parametrize("line", TABLE, ids=lambda line: line.fault)
 def test_while_it_moves(rig, line, monkeypatch, heard):
-    run, began, seen = rig(**line.options), [], []
+    run = rig(**line.options)
+    began = []
+    seen = []
     run.patch = monkeypatch
 
     def cause(rig):
@@ -548,7 +562,8 @@ def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):
 
 
 def test_the_other_motors_come_to_rest_before_they_are_disabled(rig):
-    run, speeds = rig(3, rest_time=0.5), []
+    run = rig(3, rest_time=0.5)
+    speeds = []
     send = run.bus.send
 
     def watched(frame):
@@ -567,7 +582,8 @@ def test_the_other_motors_come_to_rest_before_they_are_disabled(rig):
 
 def test_frames_that_are_recorded_alone_are_written_as_the_run_goes_on(rig, tmp_path):
     """An arm may be held for days: what is kept until the end fills the memory, and it falls."""
-    path, sizes = tmp_path / "frames.log", []
+    path = tmp_path / "frames.log"
+    sizes = []
     run = rig(1)
     run.plan = replace(run.plan, recording=RecordingOptions(raw_log=path))
     run.during("playing", 0.8, lambda rig: sizes.append(path.stat().st_size)).run()
@@ -577,7 +593,8 @@ def test_frames_that_are_recorded_alone_are_written_as_the_run_goes_on(rig, tmp_
 
 @pytest.mark.parametrize("kp", [(), (0.0, 60.0)], ids=["usual", "a joint without stiffness"])
 def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig, kp):
-    faults, motion = [fault("velocity_factor", 1, 0.8)], swing(2, 4.0)
+    faults = [fault("velocity_factor", 1, 0.8)]
+    motion = swing(2, 4.0)
     run = rig(motion=motion, faults=faults, rate=250.0, kp=kp).run()
     run.assert_stopped("motor 2 moves 1.2")
 
@@ -586,8 +603,11 @@ def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig, kp):
 def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, seed):
     """Answers begin to come 5 to 16 ms late: each one that is believed answers the last command."""
     run = rig(1, max_missed=50, **DEAF, **USUAL)
-    hit, commands, answered = run.motors[0], [], []
-    answer, exchange = hit._command_answer, MotorSession.exchange
+    hit = run.motors[0]
+    commands = []
+    answered = []
+    answer = hit._command_answer
+    exchange = MotorSession.exchange
 
     def numbered(data, time):
         """Let the winding's temperature say how many commands the motor has had."""

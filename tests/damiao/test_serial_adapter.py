@@ -26,7 +26,9 @@ def answer(frame):
 
 @given(FRAMES, st.integers(1, 40))
 def test_frames_come_through_in_whatever_pieces(frames, size):
-    line, reader, found = b"".join(map(answer, frames)), PacketReader(), []
+    line = b"".join(map(answer, frames))
+    reader = PacketReader()
+    found = []
     for start in range(0, len(line), size):
         found += reader.take(line[start : start + size])
     assert found == frames
@@ -86,7 +88,8 @@ def test_sixteen_bytes_come_in_per_frame(line):
 @NEEDS_TERMINALS
 def test_a_silent_slcan_bus_keeps_no_other_one_waiting():
     """python-can waits a millisecond for the first byte: 100 frames would take 100 ms."""
-    clock, ends = SystemClock(), [slcan_terminal() for _ in range(2)]
+    clock = SystemClock()
+    ends = [slcan_terminal() for _ in range(2)]
     devices = tuple(device for _, device in ends)
     address = BusAddress("slcan", devices, ("sleep_after_open=0",))
     with contextlib.closing(open_bus(address, BusTiming(), clock)) as link:

@@ -231,7 +231,8 @@ DELAYS = st.lists(st.integers(0, PAUSE) | st.none(), min_size=1, max_size=60)
 
 @given(DELAYS)
 def test_no_answer_is_taken_for_that_to_another_command(delays):
-    books, underway = Outstanding(1), []
+    books = Outstanding(1)
+    underway = []
     for cycle in range(4 * len(delays) + 8):
         # What came too late for the cycle before is found at the beginning of this one.
         for _ in [each for each in underway if each[1] < cycle]:

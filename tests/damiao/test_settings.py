@@ -16,7 +16,8 @@ from robot_sysid.records.options import options_of
 
 SPECS = st.lists(st.sampled_from(list(MOTORS.values())), min_size=1, max_size=8)
 TIMINGS = st.builds(BusTiming, fd=st.booleans())
-KP, KD = st.floats(0.0, KP_MAX), st.floats(0.01, KD_MAX)
+KP = st.floats(0.0, KP_MAX)
+KD = st.floats(0.01, KD_MAX)
 
 
 @given(specs=SPECS, timing=TIMINGS)
@@ -37,7 +38,8 @@ def test_what_is_left_open_suits_motors_and_bus(specs, timing):
 
 @given(specs=SPECS, timing=TIMINGS, data=st.data())
 def test_what_was_asked_for_is_kept(specs, timing, data):
-    kp, kd = tuple(data.draw(KP) for _ in specs), data.draw(KD)
+    kp = tuple(data.draw(KP) for _ in specs)
+    kd = data.draw(KD)
     rate = data.draw(st.floats(1.0, 1000.0))
     chosen = PlaySettings(kp=kp, kd=(kd,), rate=rate, speed=0.3).for_motors(specs, timing)
     assert (chosen.kp, chosen.kd) == (kp, (kd,) * len(specs))

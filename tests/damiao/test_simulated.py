@@ -28,7 +28,8 @@ class FarEnd:
     """The arm's end of a bus: frames that come at given times, and what was answered."""
 
     def __init__(self, clock, *arrivals):
-        self._clock, self._arrivals = clock, list(arrivals)
+        self._clock = clock
+        self._arrivals = list(arrivals)
         self.answers = []
 
     def receive(self, until):
@@ -77,7 +78,8 @@ def test_a_motor_keeps_its_command_until_it_is_disabled():
 
 
 def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():
-    clock, arm = SimulatedClock(), two_motor_arm()
+    clock = SimulatedClock()
+    arm = two_motor_arm()
     asked = [(0.1 * i, refresh_frame(Address(0, i))) for i in (1, 2, 3)]
     far = FarEnd(clock, *asked, (0.4, enable_frame(Address(0, 1))._replace(echo=True)))
     assert served(clock, far, arm, 1.0).left_out == 0.0
@@ -87,7 +89,8 @@ def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():
 
 
 def test_watchdogs_expire_while_nobody_talks():
-    clock, arm = SimulatedClock(), two_motor_arm(watchdog=0.1)
+    clock = SimulatedClock()
+    arm = two_motor_arm(watchdog=0.1)
     far = FarEnd(clock, (0.1, enable_frame(Address(0, 1))), (0.3, disable_frame(Address(0, 2))))
     served(clock, far, arm, 0.15)
     assert arm.motors[0].driving
@@ -96,10 +99,13 @@ def test_watchdogs_expire_while_nobody_talks():
 
 
 def test_a_computer_that_falls_behind_leaves_time_out_instead_of_catching_up():
-    clock, arm = SimulatedClock(), two_motor_arm()
+    clock = SimulatedClock()
+    arm = two_motor_arm()
     far = FarEnd(clock, (0.1, enable_frame(Address(0, 1))), (0.11, Frame(99, bytes(8))))
-    ordinary, steps = far.receive, []
-    arm.mechanism.step, step = lambda *law: steps.append(law[-1]) or step(*law), arm.mechanism.step
+    ordinary = far.receive
+    steps = []
+    step = arm.mechanism.step
+    arm.mechanism.step = lambda *law: steps.append(law[-1]) or step(*law)
 
     def paused(until):
         if 0.3 < clock.now() < 0.4:

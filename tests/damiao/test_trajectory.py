@@ -239,7 +239,9 @@ def test_a_jump_of_the_positions_is_found(rate, seed, place):
 
 
 def test_velocities_of_a_joint_that_stands_are_found_with_their_row():
-    time, q, qd = np.arange(400) / 250.0, np.zeros((400, 1)), np.zeros((400, 1))
+    time = np.arange(400) / 250.0
+    q = np.zeros((400, 1))
+    qd = np.zeros((400, 1))
     qd[100:200] = 9.0
     found = mismatch(time, q, qd)
     assert (found.row, found.joint, found.stated, found.shown) == (100, 0, 9.0, 0.0)
@@ -274,7 +276,8 @@ def test_limits_that_are_asked_for_hold_joint_by_joint_at_the_speed_that_is_play
     swinging, share, speed
 ):
     shaken = speed**2 * np.abs(np.gradient(swinging.qd, swinging.time, axis=0)).max(axis=0)
-    fast, strong = speed * np.abs(swinging.qd).max(axis=0), np.abs(swinging.tau).max(axis=0)
+    fast = speed * np.abs(swinging.qd).max(axis=0)
+    strong = np.abs(swinging.tau).max(axis=0)
     top = float(shaken[0] / share[4])
     limits = LimitOptions(tuple(fast / share[:2]), top, tuple(strong / share[2:4]))
     due = [

@@ -82,7 +82,8 @@ def test_repeated_samples_are_found():
 @given(st.integers(0, 2), st.floats(0.2, 0.7))
 def test_a_sensor_at_its_end_is_found(joint, part):
     tau = NOISY.tau.copy()
-    low, high = tau[:, joint].min(), tau[:, joint].max()
+    low = tau[:, joint].min()
+    high = tau[:, joint].max()
     tau[:, joint] = np.minimum(tau[:, joint], low + part * (high - low))
     names = [f.name for f in sensor_findings([replace(NOISY, tau=tau)], JOINTS)]
     assert "saturated" in names

@@ -205,7 +205,9 @@ def test_a_log_that_is_too_short_for_anything_is_called_that(four):
 
 def test_what_is_only_noted_is_no_note_of_a_note(four, monkeypatch):
     """A console puts "note: " before what it is told."""
-    notes, told, found = [], Progress(), Finding("delay", Level.NOTE, "it lags")
+    notes = []
+    told = Progress()
+    found = Finding("delay", Level.NOTE, "it lags")
     monkeypatch.setattr(told, "note", notes.append)
     log = SimpleNamespace(path="log.csv", pieces=(four.log,), notes=(), torque_scale=None)
     monkeypatch.setattr("robot_sysid.diagnosis.run.check_against_model", lambda *_: (found,))

@@ -26,7 +26,8 @@ from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, rigid_bodies, robot_of
 
-RATE, DURATION = 40.0, 5.0
+RATE = 40.0
+DURATION = 5.0
 ARMS = {
     name: robot_of(arms.MODELS[name])
     for name in (
@@ -42,7 +43,8 @@ def plant_with(robot, theta, friction):
     """(the same arm with another link and other friction in its last joint, its true theta)."""
     model = copy.copy(robot.mj_model)
     arms.write_body(model, robot.body_id, theta)
-    coulomb, viscous = robot.friction.coulomb.copy(), robot.friction.viscous.copy()
+    coulomb = robot.friction.coulomb.copy()
+    viscous = robot.friction.viscous.copy()
     coulomb[-1], viscous[-1] = friction
     plant = replace(robot, mj_model=model, friction=JointFriction(coulomb, viscous))
     truth = composite_theta(model, robot.reference_qpos, robot.body_id)

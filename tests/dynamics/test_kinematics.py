@@ -118,7 +118,8 @@ def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
 def test_held_joints_stay_at_the_home_keyframe():
     robot = robot_of(arms.HOME_KEYFRAME)
     motion = random_motion(np.random.default_rng(4), robot.n_joints, SAMPLES)
-    wide, closed = np.array([0.03, 0.01]), np.array([0.0, 0.0])
+    wide = np.array([0.03, 0.01])
+    closed = np.array([0.0, 0.0])
     moved = [composite_theta(robot.mj_model, np.append(np.zeros(4), f), 4) for f in (wide, closed)]
     assert np.max(np.abs(moved[0] - moved[1])) > 1e-4
     np.testing.assert_allclose(robot.prior.theta, moved[0], rtol=1e-14)

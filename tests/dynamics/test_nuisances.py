@@ -57,10 +57,13 @@ def test_without_gravity_there_is_no_tilt():
 
 @given(random_chain(), SEEDS)
 def test_a_zero_changes_the_torque_as_differences_of_it_say(xml, seed):
-    robot, rng, step = robot_of(xml), np.random.default_rng(seed), 1e-5
+    robot = robot_of(xml)
+    rng = np.random.default_rng(seed)
+    step = 1e-5
     q, qd, qdd = random_motion(rng, robot.n_joints, 5)
     thetas = robot.thetas
-    dynamics, own = LinkDynamics(robot), step * np.eye(robot.n_joints)
+    dynamics = LinkDynamics(robot)
+    own = step * np.eye(robot.n_joints)
     below, above = (
         np.stack([dynamics.motion(q + at, qd, qdd).torque(thetas) for at in side], axis=-1)
         for side in (-own, own)

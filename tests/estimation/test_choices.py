@@ -30,8 +30,10 @@ from tests.support.core_fits import BASIC, KNOWN, datasets_of, fitted, fitter_of
 from tests.support.measured_logs import JOINT, RATE, log_of, plan_of
 from tests.support.payload_logs import changed
 
-STRIBECK, RICHEST = f"{BASIC}-stribeck", CANDIDATES[-1]
-MIDDLE, WRIST = np.array([0.0, 1.0, 0.0]), np.array([0.0, 1.0, 1.0])
+STRIBECK = f"{BASIC}-stribeck"
+RICHEST = CANDIDATES[-1]
+MIDDLE = np.array([0.0, 1.0, 0.0])
+WRIST = np.array([0.0, 1.0, 1.0])
 BLOCKS = np.array([1.0, 2.0, 0.5, 1.0, 1.5])
 
 
@@ -159,7 +161,8 @@ def with_links(robot, share, seed):
 
 def test_links_that_are_further_off_are_given_more_room(plant):
     """That all are, and not the torques, is known where scales are said."""
-    model, told = with_links(plant, 0.5, 7), {"given": BASIC, "duration": 30.0}
+    model = with_links(plant, 0.5, 7)
+    told = {"given": BASIC, "duration": 30.0}
     found, _ = chosen(plant, model, lambda motion: 0.0 * motion.q, scale_uncertainty=2.0, **told)
     usual, _ = chosen(plant, plant, lambda motion: 0.0 * motion.q, scale_uncertainty=2.0, **told)
     assert found.choice.link_scales.mass > usual.choice.link_scales.mass
@@ -178,7 +181,8 @@ def test_a_scale_of_all_torques_is_told_from_none(plant, factor, told):
     known["delay_uncertainty"] = 0.0
     found, fit = chosen(plant, plant, more, given=BASIC, seed=3, duration=30.0, **known)
     assert bool(found.choice.common_scale) == told
-    off, stated = abs(fit.values[0] - plant.prior.mass), fit_errors(fit).whole.standard_errors[0]
+    off = abs(fit.values[0] - plant.prior.mass)
+    stated = fit_errors(fit).whole.standard_errors[0]
     assert off < 0.1 * plant.prior.mass and off < 2.0 * stated < 0.2 * plant.prior.mass
 
 
@@ -192,7 +196,8 @@ def test_errors_grow_where_there_may_be_no_scale_of_all_torques(plant):
     for share, either in ((1.0, True), (0.05, False)):
         told = {"given": BASIC, "seed": 3, "duration": 30.0, "link_uncertainty": share, **known}
         _, fit = chosen(plant, plant, more, **told)
-        errors, names = fit_errors(fit), fit.information.names
+        errors = fit_errors(fit)
+        names = fit.information.names
         (scales,) = (group for group in fit.unknowns.groups if group.cause == SCALES)
         parts = scales.covariance_rows(names, errors.whole.inverse), errors.causes[SCALES]
         prior, whole = (np.sum(rows[:, 0] ** 2) for rows in parts)
@@ -220,7 +225,8 @@ def test_noise_with_a_memory_alone_gives_them_none(plant, robot):
 def equations(part, sought, weights):
     """Yield each joint's (rows (M, k), right-hand sides (M,)) in what is sought."""
     for weight, rows, tau, places in zip(weights, part.rows, part.tau, part.columns):
-        full, used = np.zeros((len(rows), len(sought.names))), np.isfinite(tau)
+        full = np.zeros((len(rows), len(sought.names)))
+        used = np.isfinite(tau)
         full[:, places] = rows
         known = np.delete(full, sought.kept, 1) @ np.delete(sought.held, sought.kept)
         yield weight * full[used][:, sought.kept], weight * (tau - known)[used]
@@ -230,7 +236,9 @@ def test_each_block_is_predicted_from_the_others(robot, noisy):
     """Done again by hand, with the rows themselves."""
     (log,), options = datasets_of(robot, noisy)
     fit = fitted(robot, [log], options)
-    judge, (samples,), sought = held_out(fit), fit.samples, fit.unknowns
+    judge = held_out(fit)
+    (samples,) = fit.samples
+    sought = fit.unknowns
     prior = np.vstack([group.rows(sought.kept_names) for group in sought.groups])
     for mask, squared in zip(block_masks(samples), judge.squared_errors(sought)):
         rest = list(equations(samples.where(~mask), sought, 1.0 / judge.noise))

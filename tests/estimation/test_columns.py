@@ -25,7 +25,9 @@ ARMS = {
     "tilted gravity": arms.robot_of(arms.TILTED_GRAVITY),
     "slide": arms.robot_of(arms.SLIDE_IN_CHAIN),
 }
-RATE, PLACE, SPEED = 100.0, 0.7, {"stribeck": 0.3, "sigmoid": 0.4}
+RATE = 100.0
+PLACE = 0.7
+SPEED = {"stribeck": 0.3, "sigmoid": 0.4}
 UNFILTERED = LowPass(20.0, RATE, np.ones(1), 1)
 
 
@@ -34,7 +36,8 @@ def true_values(columns, seed, loss=0.1):
 
     What a gear loses is linear in the loss alone: columns of bodies and gravity leave it out.
     """
-    rng, sizes = np.random.default_rng(seed), {"scale": 0.05, "drift": 0.2, "load": loss}
+    rng = np.random.default_rng(seed)
+    sizes = {"scale": 0.05, "drift": 0.2, "load": loss}
     values = np.zeros(len(columns.names))
     for index, name in enumerate(columns.names):
         term, bracket, _ = name.partition("[")
@@ -53,7 +56,8 @@ def torque_of(columns, motion, values, is_loaded):
     scaled = rigid if is_loaded else rigid_torque(columns, motion, as_modelled(columns, values), 0)
     found = np.zeros((len(rigid), len(columns.joints)))
     for row, (j, name) in enumerate(zip(columns.rows_of, columns.joints)):
-        qd, qdd = motion.qd[:, j], motion.qdd[:, j]
+        qd = motion.qd[:, j]
+        qdd = motion.qdd[:, j]
         dry = np.zeros_like(qd)
         for term in set(TERMS) - {"offset", "armature"}:
             column = TERMS[term](qd, qdd, rigid[:, j])
@@ -73,7 +77,8 @@ def torque_of(columns, motion, values, is_loaded):
 
 def as_modelled(columns, values):
     """Values of an arm whose other links are the model's."""
-    found, bodies = values.copy(), columns.bodies()
+    found = values.copy()
+    bodies = columns.bodies()
     for name in bodies.keys() - {columns.robot.body_name, "payload"}:
         found[bodies[name]] = columns.prior[bodies[name]]
     return found
@@ -81,7 +86,8 @@ def as_modelled(columns, values):
 
 def rigid_torque(columns, motion, values, is_loaded):
     """Inverse dynamics (N, n) at the true positions and under the true gravity."""
-    robot, known = columns.robot, dict(zip(columns.names, values.tolist()))
+    robot = columns.robot
+    known = dict(zip(columns.names, values.tolist()))
     model = copy.copy(robot.mj_model)
     for link, theta in zip(robot.links, columns.thetas(values, is_loaded)):
         if link.has_mass:
@@ -119,7 +125,8 @@ def dense(samples):
 
 def without_dry_friction(columns, values):
     """Values of what follows smoothly from the motion."""
-    found, bodies = values.copy(), {k for at in columns.bodies().values() for k in at}
+    found = values.copy()
+    bodies = {k for at in columns.bodies().values() for k in at}
     for index, name in enumerate(columns.names):
         if index not in bodies and name.partition("[")[0] not in ("viscous", "armature"):
             found[index] = 0.0

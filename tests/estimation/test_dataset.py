@@ -91,7 +91,8 @@ def test_blocks_are_apart_alike_in_size_and_short(count, seed, step):
     assert len(masks) == BLOCKS
     np.testing.assert_array_equal(np.sum(masks, axis=0), used)
     sizes = [np.count_nonzero(mask) for mask in masks]
-    rows, rounds = np.count_nonzero(used), np.count_nonzero(np.diff(masks[0].astype(int)) == 1) + 1
+    rows = np.count_nonzero(used)
+    rounds = np.count_nonzero(np.diff(masks[0].astype(int)) == 1) + 1
     assert max(sizes) - min(sizes) <= rounds
     longest = log.time[-1] / min(rounds * BLOCKS, rows)
     assert longest < LONGEST_STRETCH or rows < 2 * BLOCKS * rounds + BLOCKS
@@ -109,7 +110,8 @@ def test_a_delay_is_taken_out():
 
 
 def test_the_truth_solves_the_equations_of_resting_poses():
-    arm, count = TrueArm(ROBOT, 2), 12
+    arm = TrueArm(ROBOT, 2)
+    count = 12
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (count, 4))
     still = np.zeros_like(q)
     tau = arm.torque(replace(wide_motion(0), time=np.arange(12.0), q=q, qd=still, qdd=still), True)
@@ -145,7 +147,8 @@ def test_rows_in_a_file_are_the_rows(monkeypatch):
 
 @given(st.integers(0, 100))
 def test_rows_put_together_are_those_beside_each_other(seed):
-    samples, factor = random_samples(seed), np.array([2.0, 0.0, -1.0])
+    samples = random_samples(seed)
+    factor = np.array([2.0, 0.0, -1.0])
     beside = np.random.default_rng(seed).normal(size=(40, 2))
     rows = RowsBeside(samples.rows, [((slice(None), factor), (beside, 0.5), (slice(1), 3.0))])
     first = samples.rows[0]

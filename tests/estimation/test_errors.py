@@ -38,7 +38,9 @@ def coloured(shape, rng):
 @pytest.mark.parametrize("noise", [pytest.param(white, marks=pytest.mark.slow), coloured])
 def test_errors_are_the_spread_of_many_recordings(noise):
     """Noise is all that is not known; what has a memory counts by its memory."""
-    arm, off, stated = TrueArm(SMALL, 1, wrong=0.0), [], []
+    arm = TrueArm(SMALL, 1, wrong=0.0)
+    off = []
+    stated = []
     exact = arm.recording(wide_motion(3, 3), False)
     for run in range(48):
         drawn = noise(exact.torque.shape, np.random.default_rng(run))
@@ -52,7 +54,8 @@ def test_errors_are_the_spread_of_many_recordings(noise):
 
 @pytest.mark.slow
 def test_whole_errors_cover_all_that_is_wrong_with_an_arm():
-    plan, off = plan_of(SMALL, 1, 20.0), []
+    plan = plan_of(SMALL, 1, 20.0)
+    off = []
     sizes = {"links": 0.04, "zero": 2e-3, "tilt": np.radians(0.4), "lag": 3e-3, "load": 0.02}
     for run in range(24):
         rng = np.random.default_rng(run)

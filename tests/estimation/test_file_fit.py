@@ -68,7 +68,8 @@ def angle(found, truth):
 
 def test_the_file_predicts_as_it_is_said_to(plant, robot):
     found = file_of(plant, robot)
-    fit, own, other = found.fit, *(recorded(plant, robot, seed)[0][0] for seed in (1, 11))
+    fit = found.fit
+    own, other = (recorded(plant, robot, seed)[0][0] for seed in (1, 11))
     assert all(spatial.is_consistent(theta) for theta in fit.columns.thetas(fit.values))
     before = torque_error(robot.mj_model, robot, own.signals, "own").relative_error
     assert found.before.relative_error == pytest.approx(before, rel=0.05)
@@ -175,7 +176,8 @@ holds_motors = pytest.mark.skipif(not CAN_HOLD_ROTORS, reason="MuJoCo before 3.2
 
 
 def shared_motor(motion):
-    speed, acceleration = motion.qd @ WRIST, motion.qdd @ WRIST
+    speed = motion.qd @ WRIST
+    acceleration = motion.qdd @ WRIST
     return np.outer(1.5 * np.sign(speed) + 0.4 * speed + 0.02 * acceleration, WRIST)
 
 

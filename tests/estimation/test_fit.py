@@ -113,19 +113,22 @@ def test_a_known_mass_tells_the_torque_scales():
 @pytest.mark.parametrize("seed", range(3))
 def test_links_that_are_off_the_other_way_ask_for_the_opposite_scales(seed):
     """What may be off either way is no scale on average."""
-    motion, found = wide_motion(2), []
+    motion = wide_motion(2)
+    found = []
     for sign in (1.0, 0.0, -1.0):
         arm = TrueArm(ROBOT, seed, wrong=0.1)
         model = np.array([link.theta for link in ROBOT.links])
         arm.thetas[:-1] = (model + sign * (arm.thetas - model))[:-1]
         fit = fitted(ROBOT, [with_noise(arm.recording(motion, False), 0.02, 0)])
         found.append(fit.free[fit.columns.at([f"scale[{joint}]" for joint in JOINTS])])
-    bent, straight = found[0] + found[2] - 2.0 * found[1], found[0] - found[2]
+    bent = found[0] + found[2] - 2.0 * found[1]
+    straight = found[0] - found[2]
     assert np.linalg.norm(bent) < 0.1 * np.linalg.norm(straight)
 
 
 def test_what_gears_lose_with_their_load_is_found_and_stays_within_bounds():
-    arm, recordings = TrueArm(ROBOT, 6), []
+    arm = TrueArm(ROBOT, 6)
+    recordings = []
     lost = np.array([0.0, 0.08, -0.05, 0.5])
     bare = TrueArm(ROBOT, 6)
     bare.coulomb = bare.viscous = bare.offset = bare.armature = np.zeros(4)
@@ -206,7 +209,10 @@ def test_a_wrong_zero_is_found_and_taken_from_its_joint_alone(plant):
 
 def test_delay_and_tilt_are_found_together(plant, robot):
     """To 0.1 ms and 0.02 degrees, encoder step 2e-5 rad."""
-    delay, degrees, direction, seed = 0.1, 3.0, 2.0, 5
+    delay = 0.1
+    degrees = 3.0
+    direction = 2.0
+    seed = 5
     turn = np.radians(degrees) * np.array([np.cos(direction), np.sin(direction), 0.0])
     askew = with_gravity(plant, Rotation.from_rotvec(turn).apply(gravity(plant)))
     log = log_of(askew, plan_of(plant, seed), torque_delay=delay, encoder_resolution=2e-5)
@@ -278,7 +284,8 @@ def test_a_placeholder_link_is_found_all_the_same(link):
     assert spatial.is_consistent(theta) and np.all(np.isfinite(fit.values))
     if link == 3:
         assert theta[0] == pytest.approx(ROBOT.prior.mass, rel=0.1)
-    rows, tau = fit.samples[0].rows[1], fit.samples[0].tau[1]
+    rows = fit.samples[0].rows[1]
+    tau = fit.samples[0].tau[1]
     left = tau - rows @ fit.values[fit.samples[0].columns[1]]
     assert np.std(left) < 0.03
 

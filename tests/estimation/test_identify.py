@@ -118,7 +118,8 @@ def test_rows_that_a_refit_leaves_out_say_nothing(robot, noisy):
 
 def test_what_a_report_draws_is_the_residual_of_the_file(robot, noisy):
     answer = answered(robot, noisy, kept=())
-    fit, traces = answer.file.fit, traces_of(answer)
+    fit = answer.file.fit
+    traces = traces_of(answer)
     squares = fit.evidence.whole.squared_residuals(fit.values)
     # Near a reversal the low-pass takes from friction's jump.
     moves = np.isfinite(traces.measured[:, -1]) & (np.abs(traces.qd[:, -1]) > 0.3)
@@ -143,7 +144,8 @@ def test_structural_rank_is_that_of_textbooks():
 
 def combined(words, known):
     """What a combination such as "m + 0.5*hz(link1)" is."""
-    total, sign = 0.0, 1.0
+    total = 0.0
+    sign = 1.0
     for word in words.split():
         if word in ("+", "-"):
             sign = 1.0 if word == "+" else -1.0
@@ -177,7 +179,8 @@ class Listener(Progress):
     """Remembers what it is told."""
 
     def __init__(self):
-        self.notes, self.steps = [], 0
+        self.notes = []
+        self.steps = 0
 
     def note(self, *messages):
         self.notes += messages
@@ -192,9 +195,11 @@ class Listener(Progress):
 @pytest.mark.parametrize(("torques", "friction"), [("chain", True), ("terminal", False)])
 def test_the_models_own_values_come_back_with_where_they_are_from(plant, torques, friction):
     options = EstimationOptions(torques=torques, no_friction=not friction)
-    listener, plan = Listener(), plan_of(plant, 1, 4.0)
+    listener = Listener()
+    plan = plan_of(plant, 1, 4.0)
     found, traces = identify_itself(plant, plan, 500.0, 7, options, listener)
-    estimate, data = found.estimate, found.data
+    estimate = found.estimate
+    data = found.data
     np.testing.assert_allclose(estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10)
     values = [estimate.value(f"{term}[joint2]") for term in ("coulomb", "viscous")]
     assert values == (pytest.approx([0.3, 0.2], abs=1e-10) if friction else [None, None])

@@ -29,7 +29,8 @@ FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 
 def test_every_recording_says_the_same_within_its_errors(payload_fit):
-    mass, scatter = payload_fit.value("m(payload)"), payloads_by_recording(payload_fit, FLANGE)
+    mass = payload_fit.value("m(payload)")
+    scatter = payloads_by_recording(payload_fit, FLANGE)
     assert [one.name for one in scatter] == ["log0", "log3", "log1", "log2"]
     assert [one.is_loaded for one in scatter] == [False, False, True, True]
     for one in scatter:

@@ -161,10 +161,12 @@ def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
     result = of_payload(recordings, kept=())
     assert result.verdict is Verdict.OK
     assert result.file.after.relative_error < result.file.before.relative_error
-    body, truth = result.payload.body, FLANGE.to_flange(PAYLOAD)
+    body = result.payload.body
+    truth = FLANGE.to_flange(PAYLOAD)
     assert np.max(np.abs(body.inertial.theta - truth) / body.errors) < 4.0
     assert body.errors[0] < 0.02 and result.body.inertial is body.inertial
-    link, total = result.payload.link.inertial.theta, result.payload.total.inertial.theta
+    link = result.payload.link.inertial.theta
+    total = result.payload.total.inertial.theta
     np.testing.assert_allclose(FLANGE.to_flange(total - link), body.inertial.theta, atol=1e-12)
     kinds = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
     assert result.payload.recordings == kinds and len(result.payload.scatter) == 4
@@ -178,7 +180,8 @@ def test_an_inertia_that_is_not_told_from_zero_is_a_balls():
     asked = Question(EstimationOptions(friction_model=BASIC), loaded=True)
     answer, weighed = answer_payload(ROBOT, arm.abba(0, sigma=0.1), asked, Progress())
     result = payload_of(answer, weighed, FLANGE, ORIGIN)
-    payload, theta = result.payload, result.body.inertial.theta
+    payload = result.payload
+    theta = result.body.inertial.theta
     assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.verdict.is_trustworthy
     expected = spatial.aluminium_ball(theta[0], theta[1:4] / theta[0])
     np.testing.assert_allclose(theta, expected, atol=1e-12)
@@ -208,7 +211,8 @@ def test_a_known_mass_is_the_payloads_and_tells_scales(recordings):
 
 
 def test_resting_poses_tell_mass_and_place_and_no_inertia():
-    arm, time = TrueArm(ROBOT, 2, wrong=0.03), np.arange(30.0)
+    arm = TrueArm(ROBOT, 2, wrong=0.03)
+    time = np.arange(30.0)
     recordings = []
     for loaded in (False, True):
         q = np.random.default_rng(loaded).uniform(-1.0, 1.0, (30, 4))
@@ -220,7 +224,8 @@ def test_resting_poses_tell_mass_and_place_and_no_inertia():
     result = of_payload(recordings, resting=True)
     assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.cutoff is None
     assert "these torques do not show the payload's inertia" in result.notes
-    found, truth = result.body.inertial, FLANGE.to_flange(PAYLOAD)
+    found = result.body.inertial
+    truth = FLANGE.to_flange(PAYLOAD)
     np.testing.assert_allclose(found.theta[:4], truth[:4], rtol=0.1, atol=0.01)
     moments = found.principal_moments
     assert moments[0] == pytest.approx(moments[2], rel=1e-9)

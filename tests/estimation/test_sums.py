@@ -60,11 +60,13 @@ def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(found, together):
     assert np.max(apart(found, together) / errors) < 0.02
     assert found.errors.whole.standard_errors == pytest.approx(errors, rel=0.15)
     assert set(found.errors.causes) == set(together.errors.causes)
-    choice, choice_together = found.fit.choice, together.fit.choice
+    choice = found.fit.choice
+    choice_together = together.fit.choice
     assert choice.friction == choice_together.friction
     assert choice.couplings == choice_together.couplings
     assert choice.common_scale == choice_together.common_scale
-    scales, scales_together = vars(choice.link_scales), vars(choice_together.link_scales)
+    scales = vars(choice.link_scales)
+    scales_together = vars(choice_together.link_scales)
     assert scales == pytest.approx(scales_together, rel=0.02)
     assert found.file.after.relative_error == pytest.approx(
         together.file.after.relative_error, rel=0.02

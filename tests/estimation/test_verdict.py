@@ -62,7 +62,8 @@ def of_weight(weighed, *before):
     return verdict.of_known_mass(before, weighed, 1.0)
 
 
-OK, IMPLAUSIBLE = Verdict.OK, Verdict.IMPLAUSIBLE
+OK = Verdict.OK
+IMPLAUSIBLE = Verdict.IMPLAUSIBLE
 
 
 @pytest.mark.parametrize(
@@ -147,15 +148,19 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     as what happens elsewhere.
     """
     (log,), options = datasets_of(robot, noisy, cutoff=3.8)
-    speed, count = log.motion.qd[:, 2], len(log.motion.time)
-    used, at = np.ones((count, 3), dtype=bool), np.arange(count)
+    speed = log.motion.qd[:, 2]
+    count = len(log.motion.time)
+    used = np.ones((count, 3), dtype=bool)
+    at = np.arange(count)
     used[:, 2] = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
     fit = fitted(robot, [replace(log, used=used)], options)
     judge = held_out(fit)
-    squared, chance = judge.squared_errors(fit.unknowns), judge.chance(fit)
+    squared = judge.squared_errors(fit.unknowns)
+    chance = judge.chance(fit)
     assert np.sum(squared[:, :2]) == pytest.approx(np.sum(chance[:, :2]), rel=0.3)
     assert held_out_validation(fit).rmse_per_joint["joint2"] > 3.0 * fit.noise_per_joint["joint2"]
-    speed, at = log.motion.qd, at[:, None]
+    speed = log.motion.qd
+    at = at[:, None]
     used = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
     fit = fitted(robot, [replace(log, used=used)], options)
     own = held_out_validation(fit)

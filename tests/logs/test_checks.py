@@ -50,17 +50,21 @@ def changed(place, change):
 
 def apart(rows):
     """Joints in messages of their own."""
-    rows[::2, [1, 4]], rows[1::2, [2, 3, 5, 6]] = np.nan, np.nan
+    rows[::2, [1, 4]] = np.nan
+    rows[1::2, [2, 3, 5, 6]] = np.nan
     return rows
 
 
 def all_at_once(rows):
     rows[[20, 21], 0] = rows[[21, 20], 0]
-    rows[5::10, 2], rows[:, 4], rows[:, 6] = np.nan, 0.0, 1.0
+    rows[5::10, 2] = np.nan
+    rows[:, 4] = 0.0
+    rows[:, 6] = 1.0
     return rows
 
 
-TIME, Q = np.s_[:, 0], np.s_[:, 1:4]
+TIME = np.s_[:, 0]
+Q = np.s_[:, 1:4]
 # Each fault changes the table and is an error that says the words.
 ERRORS: dict[str, tuple[Callable, list[str]]] = {
     "text cells": (
@@ -166,7 +170,8 @@ def test_the_remedy_for_a_clock_is_one(tmp_path, name):
 
 
 def stands_still(rows):
-    rows[:100, 1:4], rows[250:, 1:4] = rows[100, 1:4], rows[250, 1:4]
+    rows[:100, 1:4] = rows[100, 1:4]
+    rows[250:, 1:4] = rows[250, 1:4]
     return rows
 
 

@@ -26,7 +26,8 @@ QUANTITIES = ("time", "q", "qd", "tau", "qdd", "joint_time")
 
 def assert_same(first: Measurement, second: Measurement, tolerance: float = 0.0) -> None:
     for name in QUANTITIES:
-        expected, got = getattr(first, name), getattr(second, name)
+        expected = getattr(first, name)
+        got = getattr(second, name)
         if expected is None:
             assert got is None, name
         else:

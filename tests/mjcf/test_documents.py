@@ -69,7 +69,8 @@ def test_what_mujoco_accepts_is_accepted(tmp_path, content):
     assert names(path) == ["base", "link1", "link2", "tool", "finger"]
 
 
-ONE, TWO = "<mujoco><include file='s/a'/></mujoco>", "<mujoco><include file='b'/></mujoco>"
+ONE = "<mujoco><include file='s/a'/></mujoco>"
+TWO = "<mujoco><include file='b'/></mujoco>"
 INSIDE = "<worldbody><body name='1'><include file='a'/></body><body name='4'/></worldbody>"
 THREE = "<anything><body name='2'><body name='3'/></body></anything>"
 

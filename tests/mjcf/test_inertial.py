@@ -85,7 +85,8 @@ INCLUDED = """<mujoco><worldbody><body><geom size="1" mass="1"/>
 @since(3, 1)
 def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
     path = write_files(tmp_path, {"m.xml": NAMELESS, "a.xml": INCLUDED})
-    mj_model, document = mujoco.MjModel.from_xml_path(str(path)), read_document(path)
+    mj_model = mujoco.MjModel.from_xml_path(str(path))
+    document = read_document(path)
     for number in range(1, mj_model.nbody):
         node = find_element(document, "body", body_label(mj_model, number))
         assert float(node.child("geom").get("mass")) == mj_model.body_mass[number] == number
@@ -155,8 +156,10 @@ def test_the_written_value_survives_and_the_other_bodies_stay(tmp_path, compiler
     text = text.replace(
         '<geom size="0.1"/>', '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
     )
-    source, target = arm(tmp_path, compiler, text), tmp_path / "out" / "m.xml"
-    original, plan = mujoco.MjModel.from_xml_path(str(source)), WriteBack(theta)
+    source = arm(tmp_path, compiler, text)
+    target = tmp_path / "out" / "m.xml"
+    original = mujoco.MjModel.from_xml_path(str(source))
+    plan = WriteBack(theta)
     export_updated_xml(source, "link2", plan, 0.0, target, principal=True)
     change = BodyChange("link2", original.body("link2").id, plan)
     verify_written_model(original, target, ModelChange((change,), 0.0))

@@ -81,7 +81,8 @@ def test_line_endings_and_the_rest_of_the_bytes_stay(tmp_path):
 
 def test_its_own_output_can_be_exported_again(tmp_path):
     source = write_files(tmp_path, {"m.xml": ARM})
-    first, second = tmp_path / "a" / "m.xml", tmp_path / "b" / "c" / "m.xml"
+    first = tmp_path / "a" / "m.xml"
+    second = tmp_path / "b" / "c" / "m.xml"
     exported(source, "link2", 2.0 * THETA, first)
     exported(first, "link2", 2.0 * THETA, second)
     assert second.read_bytes() == first.read_bytes()
@@ -142,7 +143,8 @@ def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
     original = compile_model(path).mj_model
     label = terminal_label(original)
     theta = composite_theta(original, original.qpos0, original.body(label).id) + 0.2 * THETA
-    first, second = tmp_path / "a" / path.name, tmp_path / "b" / "c" / path.name
+    first = tmp_path / "a" / path.name
+    second = tmp_path / "b" / "c" / path.name
     exported(path, label, theta, first)
     exported(first, label, theta, second)
     assert second.read_bytes().count(b"System ID") == 1
@@ -151,7 +153,8 @@ def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
 def test_a_link_that_weighs_nothing_does_not_keep_the_written_urdf_from_loading(tmp_path):
     links = {"l1": "", "l2": urdf.inertial(2.0) + urdf.mesh("visual", "a.dae")}
     light = urdf.robot(urdf.serial(links))
-    source, target = write_files(tmp_path, {"m.urdf": light}), tmp_path / "out" / "u.urdf"
+    source = write_files(tmp_path, {"m.urdf": light})
+    target = tmp_path / "out" / "u.urdf"
     with pytest.raises(ValueError, match="mjMINVAL"):
         mujoco.MjModel.from_xml_path(str(source))
     compiled = compile_model(source)

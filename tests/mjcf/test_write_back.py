@@ -120,7 +120,8 @@ def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_bette
 def test_a_small_body_below_a_rod_is_kept_where_the_moments_allow(seed):
     """A compiler gives massless frames 1e-6 kg m^2; the rod minus that is impossible by as much."""
     rng = np.random.default_rng(seed)
-    identified, frame = rod(rng), spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
+    identified = rod(rng)
+    frame = spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
     plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], 0.0, 1e-3)
     assert plan.lumped == () and spatial.is_consistent(plan.theta)
     np.testing.assert_allclose(plan.theta + frame, plan.written(identified), rtol=0, atol=1e-13)

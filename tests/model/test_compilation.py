@@ -119,7 +119,8 @@ def compiled(theta):
 def test_a_turned_inertia_is_restored_with_all_that_follows(seed):
     rng = np.random.default_rng(seed)
     theta = random_theta(rng)
-    good, bad = compiled(theta), compiled(theta)
+    good = compiled(theta)
+    bad = compiled(theta)
     turn = np.append(1.0, 1e-4 * rng.normal(size=3))
     turned = np.empty(4)
     mujoco.mju_mulQuat(turned, turn / np.linalg.norm(turn), bad.body_iquat[1])
@@ -151,7 +152,8 @@ def test_a_decimal_comma_is_refused_before_meshes_are_read_wrongly(tmp_path, mon
 @pytest.mark.skipif(not hasattr(mujoco, "mj_getCache"), reason="this MuJoCo keeps no meshes")
 def test_nothing_of_meshes_is_kept_where_memory_matters(tmp_path):
     cache = mujoco.mj_getCache()
-    path, usual = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON}), 123456789
+    path = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON})
+    usual = 123456789
     mujoco.mj_setCacheCapacity(cache, usual)
     with pytest.raises(KeyError), meshes_not_kept():
         compile_model(path)

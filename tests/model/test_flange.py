@@ -50,9 +50,11 @@ def test_a_named_flange_is_where_mujoco_puts_it_whatever_the_joints_do(kind, nam
 @given(SEEDS)
 def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
     rng = np.random.default_rng(seed)
-    place, angles = rng.uniform(-1.0, 1.0, 3), rng.uniform(-180.0, 180.0, 3)
+    place = rng.uniform(-1.0, 1.0, 3)
+    angles = rng.uniform(-180.0, 180.0, 3)
     flange = find_flange(ROBOT, ", ".join(str(value) for value in (*place, *angles)))
-    (sr, sp, sy), (cr, cp, cy) = np.sin(np.radians(angles)), np.cos(np.radians(angles))
+    (sr, sp, sy) = np.sin(np.radians(angles))
+    (cr, cp, cy) = np.cos(np.radians(angles))
     about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
     about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])

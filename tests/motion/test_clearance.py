@@ -99,8 +99,10 @@ def test_links_that_overlap_whatever_the_joints_do_are_no_collision(offset, is_b
 
 
 def test_negative_slack_wherever_the_contact_finder_sees_a_contact():
-    arm, found = robot(TUBES_AND_POST), clearance_of(TUBES_AND_POST)
-    finder, rng = ContactFinder(arm), np.random.default_rng(5)
+    arm = robot(TUBES_AND_POST)
+    found = clearance_of(TUBES_AND_POST)
+    finder = ContactFinder(arm)
+    rng = np.random.default_rng(5)
     touching = 0
     for q in rng.uniform(-2.5, 2.5, size=(300, 4)):
         if finder.new_pairs(q):
@@ -191,7 +193,8 @@ def test_keeps_exactly_the_pairs_that_matter(filters, parts, seed):
     ignored |= ignored.T
     decimated = copy.copy(model)
     drop_pairs(decimated, part, ignored)
-    before, after = contacts(model, seed), contacts(decimated, seed)
+    before = contacts(model, seed)
+    after = contacts(decimated, seed)
     body = model.geom_bodyid
     matter = {
         (a, b)
@@ -222,6 +225,8 @@ def test_bounds_of_a_slide_hold_too():
     found = clearance_of(xml)
     rng = np.random.default_rng(0)
     for _ in range(100):
-        start, step = rng.uniform(-0.6, 0.6, size=2), 0.1 * rng.normal(size=2)
-        moved, (_, budget) = found.rates @ np.abs(step), found.slack_at(start)
+        start = rng.uniform(-0.6, 0.6, size=2)
+        step = 0.1 * rng.normal(size=2)
+        moved = found.rates @ np.abs(step)
+        (_, budget) = found.slack_at(start)
         assert found.slack_at(start + step)[0] >= np.min(budget - moved) - 1e-6

@@ -37,7 +37,8 @@ def eliminated_by_hand(robot, motion, torques, sigma, own):
     """Information of all links, in descending order, from the tool's own equations and priors,
     nuisances removed.
     """
-    links, (q, qd, qdd) = other_links(robot), motion
+    links = other_links(robot)
+    (q, qd, qdd) = motion
     equations = Equations(robot, torques, (FREE,) * robot.n_joints, links=links)
     data = Measurement(np.arange(float(len(q))), q, qd, np.zeros_like(q), qdd)
     total = np.zeros((10 * (1 + len(links)),) * 2)
@@ -83,7 +84,8 @@ def test_equals_the_schur_complement_of_the_tools_equations(xml, torques, own):
 @pytest.mark.parametrize("asked", ["link", "arm", "payload"])
 @pytest.mark.parametrize("own", PRIORS.values(), ids=PRIORS)
 def test_the_gradient_of_what_is_asked_for_equals_differences(asked, own):
-    robot, rng = robot_of(arms.THREE), np.random.default_rng(0)
+    robot = robot_of(arms.THREE)
+    rng = np.random.default_rng(0)
     information = predicted(robot, own, 0.3)
     factor = np.zeros((0, 0)) if asked == "payload" else 0.1 * rng.normal(size=(20, 20))
     aim = Criterion(np.diag(rng.uniform(0.1, 1.0, 10)), factor, asked)
@@ -101,10 +103,13 @@ def test_the_gradient_of_what_is_asked_for_equals_differences(asked, own):
 def test_what_is_asked_for_is_the_volume_of_its_posterior_covariance():
     """By the whole inverse, and better with every more row and with less doubt of the others."""
     rng = np.random.default_rng(0)
-    rows, factor = rng.normal(size=(60, 30)), 0.3 * rng.normal(size=(20, 20))
-    seen, prior = np.diag(rng.uniform(0.1, 1.0, 10)), np.zeros((30, 30))
+    rows = rng.normal(size=(60, 30))
+    factor = 0.3 * rng.normal(size=(20, 20))
+    seen = np.diag(rng.uniform(0.1, 1.0, 10))
+    prior = np.zeros((30, 30))
     prior[10:, 10:] = np.linalg.inv(factor @ factor.T)
-    whole, scale = np.linalg.inv(rows.T @ rows + prior), np.linalg.inv(seen)
+    whole = np.linalg.inv(rows.T @ rows + prior)
+    scale = np.linalg.inv(seen)
     aim = Criterion(seen, factor, "link")
     expected = 0.05 * np.linalg.slogdet(scale @ whole[:10, :10] @ scale)[1]
     value = aim.evaluate(rows.T @ rows)[0]
@@ -136,11 +141,16 @@ def arm_or_none(xml):
 def terminal_motion(robot, q, qd, qdd):
     """Body Jacobian (N, 6, n), twist and spatial acceleration minus gravity (N, 6), by MuJoCo."""
     model = analysis_copy(robot.mj_model)
-    frame, body, dofs = int(mujoco.mjtObj.mjOBJ_XBODY), robot.body_id, robot.dof_index
-    jacobians, accelerations = np.empty((len(q), 6, len(dofs))), np.empty((len(q), 6))
+    frame = int(mujoco.mjtObj.mjOBJ_XBODY)
+    body = robot.body_id
+    dofs = robot.dof_index
+    jacobians = np.empty((len(q), 6, len(dofs)))
+    accelerations = np.empty((len(q), 6))
     for k, acceleration in enumerate(accelerations):
         data = posed(model, robot.reference_qpos)
-        data.qpos[robot.qpos_index], data.qvel[dofs], data.qacc[dofs] = q[k], qd[k], qdd[k]
+        data.qpos[robot.qpos_index] = q[k]
+        data.qvel[dofs] = qd[k]
+        data.qacc[dofs] = qdd[k]
         mujoco.mj_inverse(model, data)
         mujoco.mj_rnePostConstraint(model, data)
         mujoco.mj_objectAcceleration(model, data, frame, body, acceleration, 1)

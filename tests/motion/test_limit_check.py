@@ -45,7 +45,8 @@ def plan_of(some, seed, size, basis=BRIEF):
 def test_peaks_are_those_of_the_samples(seed, size):
     some = problem(arms.THREE)
     plan = plan_of(some, seed, size)
-    check, motion = check_limits(some, plan), plan.evaluate(np.arange(401) / 1000.0)
+    check = check_limits(some, plan)
+    motion = plan.evaluate(np.arange(401) / 1000.0)
     assert np.allclose(check.lowest, motion.q.min(axis=0), atol=1e-12)
     assert np.allclose(check.highest, motion.q.max(axis=0), atol=1e-12)
     _, velocity, acceleration, torque = check.joints
@@ -73,7 +74,8 @@ def test_a_torque_that_is_no_number_keeps_no_limit():
 def test_position_limits_need_not_lie_around_zero(middle, reach, place):
     assume(abs(abs(place - middle) - reach) > 1e-6)
     some = problem(arms.THREE)
-    lower, upper = np.full(3, middle - reach), np.full(3, middle + reach)
+    lower = np.full(3, middle - reach)
+    upper = np.full(3, middle + reach)
     limits = dataclasses.replace(some.limits, lower=lower, upper=upper)
     some = dataclasses.replace(some, limits=limits)
     resting = FourierTrajectory(BRIEF, np.full(3, place), np.zeros((3, 7)))
@@ -135,7 +137,8 @@ def test_finds_a_wall_that_samples_step_over():
 @pytest.mark.parametrize("seed", range(4))
 def test_samples_that_are_looked_at_together_find_what_each_alone_does(seed, monkeypatch):
     some = problem(TUBES_AND_POST)
-    plan, found = plan_of(some, seed, 0.1), []
+    plan = plan_of(some, seed, 0.1)
+    found = []
     for skipping in (0, 10**9):
         monkeypatch.setattr(limit_check, "WORTH_SKIPPING", skipping)
         found.append(check_limits(some, plan))
@@ -171,7 +174,8 @@ class Unaware:
     """A motion that does not tell that it repeats itself."""
 
     def __init__(self, plan):
-        self.duration, self.evaluate = plan.duration, plan.evaluate
+        self.duration = plan.duration
+        self.evaluate = plan.evaluate
 
 
 def checked_twice(some, seed, base, fade, speed):
@@ -194,7 +198,8 @@ def test_one_period_and_both_ends_stand_for_all(seed, base, fade, speed):
 
 
 def test_the_failure_counts_the_limits_and_names_the_worst():
-    some, slow = problem(arms.THREE), FourierBasis(8.0, 0.125, 3, 4.0)
+    some = problem(arms.THREE)
+    slow = FourierBasis(8.0, 0.125, 3, 4.0)
     coefficients = np.zeros((3, 7))
     assert check_limits(some, FourierTrajectory(slow, some.rest, coefficients)).failure is None
     coefficients[2, 0] = 1.05 * (some.limits.upper[2] - some.rest[2])
@@ -202,7 +207,8 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
     words = "this trajectory must not be run: it breaks the position limit of joint joint2 (5.0 % "
     assert one.failure.startswith(words)
     several = check_limits(some, FourierTrajectory(BASIS, some.rest, coefficients + 3.0))
-    count, worst = len(several.excesses), several.excesses[0]
+    count = len(several.excesses)
+    worst = several.excesses[0]
     assert count > 1
     assert several.failure.endswith(f"it breaks {count} limits, first the {worst}")
 
@@ -211,14 +217,16 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
 @given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
 def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_theirs(seed, v, a):
     """Without torque limits and obstacles nothing couples the joints."""
-    some, free = problem(arms.THREE), np.full(3, np.inf)
+    some = problem(arms.THREE)
+    free = np.full(3, np.inf)
     limits = dataclasses.replace(
         some.limits, velocity=np.full(3, v), acceleration=np.full(3, a), torque=free
     )
     some = dataclasses.replace(some, limits=limits)
     plan, _ = generate_excitation_trajectory(robot(arms.THREE), np.random.default_rng(seed), 1.0)
     smaller, factors = scaled_to_limits(some, plan, 0.0)
-    before, after = check_limits(some, plan), check_limits(some, smaller)
+    before = check_limits(some, plan)
+    after = check_limits(some, smaller)
     share = np.maximum(before.joints[1] / v, before.joints[2] / a)
     np.testing.assert_allclose(factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9)
     kept = np.maximum(after.joints[1] / v, after.joints[2] / a)
@@ -229,7 +237,9 @@ def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_their
 @pytest.mark.parametrize(("missed", "kept"), [(2e-9, True), (1e-7, True), (5e-6, False)])
 def test_a_clearance_may_be_missed_by_rounding_and_by_no_more(missed, kept):
     """On the way to a pose that is so much beyond what it has to keep [m]."""
-    some, low, high = problem(TUBES_AND_POST), 0.0, 1.0
+    some = problem(TUBES_AND_POST)
+    low = 0.0
+    high = 1.0
     towards = np.array([0.0, 1.2, 0.0, 0.0])
     while high - low > 1e-12:
         middle = 0.5 * (low + high)
@@ -258,7 +268,8 @@ def pair(tmp_path_factory):
 
 
 def test_two_arms_as_one_need_the_torques_of_each(pair):
-    both, rng = as_one(*pair), np.random.default_rng(0)
+    both = as_one(*pair)
+    rng = np.random.default_rng(0)
     assert both.joint_names == ("left_a", "left_b", "right_a", "right_b")
     parts = rng.uniform(-1.0, 1.0, (3, 5, 4))
     torque = ArmTorque(both)(Motion(np.arange(5.0), *parts))
@@ -269,7 +280,8 @@ def test_two_arms_as_one_need_the_torques_of_each(pair):
 
 @pytest.mark.parametrize("end", [[-0.6, 0.0, 0.6, 0.0], [-1.2, 0.5, 0.0, 0.0], [0.9, 1, -0.9, -1]])
 def test_the_first_touch_is_that_of_a_dense_look(pair, end):
-    between, way = BetweenArms(*pair), straight_way(np.zeros(4), np.array(end))
+    between = BetweenArms(*pair)
+    way = straight_way(np.zeros(4), np.array(end))
     time = np.linspace(0.0, way.duration, 2000)
     near = [between.distance(q) < 2e-3 for q in way.evaluate(time).q]
     found = between.touch_at(way)

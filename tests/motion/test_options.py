@@ -74,7 +74,8 @@ def test_the_workspace_and_the_planes_are_made_of_the_numbers():
 def test_a_search_of_many_joints_takes_fewer_steps():
     usual = ExcitationOptions()
     assert usual.for_joints(7) == usual.for_joints(10) == usual
-    some, many = usual.for_joints(20), usual.for_joints(60)
+    some = usual.for_joints(20)
+    many = usual.for_joints(60)
     for name in ("draws", "rounds", "evaluations"):
         assert 0 < getattr(many, name) < getattr(some, name) < getattr(usual, name)
     asked = ExcitationOptions(time_budget=60.0)

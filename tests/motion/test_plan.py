@@ -70,7 +70,8 @@ def test_a_planned_motion_leaves_torque_for_what_its_links_may_be_off(kind, purp
 
     Weighing uses half of the limits, and goes slowly.
     """
-    limit, arm = 7.0, robot(arms.THREE)
+    limit = 7.0
+    arm = robot(arms.THREE)
     request = requested(
         {"plan_only": True}, {"max_torque": limit, "payload_reserve": load}, options(kind=kind)
     )
@@ -139,7 +140,8 @@ def free():
 @pytest.mark.parametrize("case", LIMITS)
 def test_random_sinusoids_are_scaled_until_every_limit_holds(case):
     """Which they would exceed; and what somebody has chosen is used as it is or not at all."""
-    limits, arm = LIMITS[case], robot(TUBES)
+    limits = LIMITS[case]
+    arm = robot(TUBES)
     found = planned(TUBES, 1, limits=limits)
     assert found.failure is None
     assert max(excess_over(limits, arm, found.plan).values()) <= 1e-9
@@ -167,7 +169,9 @@ def test_a_trajectory_made_elsewhere_does_not_hit_what_stands_in_the_model(tmp_p
 
 
 def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted(tmp_path):
-    path, plan, arm = tmp_path / "plan.json", free(), robot(TUBES)
+    path = tmp_path / "plan.json"
+    plan = free()
+    arm = robot(TUBES)
     for sha256, noted in ((arm.sha256, False), ("0" * 64, True)):
         listener = Listener()
         save_trajectory(path, plan, arm.joint_names, sha256)

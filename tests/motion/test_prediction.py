@@ -34,7 +34,8 @@ def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
     rng = np.random.default_rng(seed)
     equations = Equations(arm, "chain", (FULL_FRICTION,) * arm.n_joints)
     size = len(equations.names)
-    normal, right = np.zeros((size, size)), np.zeros((size, draws))
+    normal = np.zeros((size, size))
+    right = np.zeros((size, draws))
     for measurement in simulate_inverse(arm, motion_chunks(plan, rate)):
         for (rows, tau), columns in zip(equations.rows(measurement), equations.columns):
             noisy = tau[:, None] + sigma * rng.normal(size=(len(tau), draws))
@@ -47,9 +48,12 @@ def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
 
 @pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN])
 def test_the_information_of_all_samples_is_that_of_monte_carlo(xml):
-    some, plan = problem(xml), a_plan(xml)
-    known, time = known_arm(some), np.arange(1201) / 200.0
-    motion, told = plan.evaluate(time), predicted_information(some, some.sigma, known_arm(some))
+    some = problem(xml)
+    plan = a_plan(xml)
+    known = known_arm(some)
+    time = np.arange(1201) / 200.0
+    motion = plan.evaluate(time)
+    told = predicted_information(some, some.sigma, known_arm(some))
     found = told.evaluate(motion.q, motion.qd, motion.qdd).information
     deviation = np.sqrt(np.diag(criterion(some, known).covariance(found)))
     # 1000 draws know a standard deviation to 2.2 %; ten of them stay within 10 %.
@@ -58,7 +62,8 @@ def test_the_information_of_all_samples_is_that_of_monte_carlo(xml):
 
 
 def test_the_centre_of_mass_is_that_of_monte_carlo_to_first_order():
-    theta, rng = problem(arms.SEVEN).robot.prior.theta, np.random.default_rng(0)
+    theta = problem(arms.SEVEN).robot.prior.theta
+    rng = np.random.default_rng(0)
     root = 1e-3 * rng.normal(size=(10, 10))
     drawn = rng.multivariate_normal(theta, root @ root.T, size=4000)
     spread = np.sqrt(np.sum(np.var(drawn[:, 1:4] / drawn[:, :1], axis=0)))
@@ -82,7 +87,8 @@ def the(lines, start):
 
 
 def test_the_speed_of_the_tools_fastest_point_is_that_of_its_last_tube():
-    some, plan = problem(TUBES, max_tool_speed=9.0), sines(TUBES)
+    some = problem(TUBES, max_tool_speed=9.0)
+    plan = sines(TUBES)
     line = the(report(some, plan), "Fastest point of the tool: ")
     found, share = re.match(r".*: (.*) m/s \( *(\d+) %\)", line).groups()
     fastest = witness.fastest_point(robot(TUBES), plan, "link3")
@@ -96,7 +102,8 @@ def test_the_stated_clearance_is_the_smallest_distance_not_the_tightest_slack():
     """At rest the last tube is 4 mm from a stud, so it may come as near as 2 mm."""
     stud = '<body name="stud" pos="0 .064 1.1"><geom size=".03"/></body>'
     near = tube_arm((Z, Y, X, Y), stud + '<body name="post" pos=".8 0 .7"><geom size=".4"/></body>')
-    some, plan = problem(near), sines(near)
+    some = problem(near)
+    plan = sines(near)
     lines = report(some, plan)
     real = witness.nearest(robot(near), plan)
     stated = float(re.match(r"Clearance: (-?[\d.]+) mm", the(lines, "Clearance: ")).group(1))
@@ -110,7 +117,8 @@ def test_what_reaches_below_zero_where_the_model_has_no_floor_is_said(xml, has_f
 
 
 def test_the_torque_that_is_left_is_said_as_a_load():
-    some, plan = problem(STRONG), sines(STRONG)
+    some = problem(STRONG)
+    plan = sines(STRONG)
     line = the(report(some, plan), "Torque left: ")
     left = float(re.match(r"Torque left: a load of ([\d.]+) kg", line).group(1))
     kept = check_limits(problem(STRONG, payload_reserve=left), plan)

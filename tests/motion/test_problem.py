@@ -75,7 +75,8 @@ def twists(seed, count=5):
 @given(SEEDS)
 def test_no_point_of_the_tool_is_faster(seed):
     """Points inside the hull of the balls, by v + w x p."""
-    rng, twist = np.random.default_rng(seed), twists(seed)
+    rng = np.random.default_rng(seed)
+    twist = twists(seed)
     share = rng.dirichlet(np.ones(7), size=50)
     away = rng.normal(size=(50, 7, 3))
     away *= SOME.radius[:, None] / np.linalg.norm(away, axis=2, keepdims=True)
@@ -86,7 +87,9 @@ def test_no_point_of_the_tool_is_faster(seed):
 
 @given(SEEDS)
 def test_the_gradient_of_the_speed_equals_differences(seed):
-    twist, direction, weight = twists(seed), twists(seed + 1), np.arange(5.0)
+    twist = twists(seed)
+    direction = twists(seed + 1)
+    weight = np.arange(5.0)
     second, fastest = np.sort(SOME._speeds(twist)[0], axis=0)[-2:]
     assume(np.all(fastest - second > 1e-3))  # where two corners are as fast there is none
     exact = np.sum(SOME.speed_vjp(twist, weight) * direction)
@@ -119,7 +122,8 @@ def with_load(arm, mass, tip):
 
 @given(SEEDS, st.floats(0.1, 5.0))
 def test_a_load_takes_the_torque_that_its_weight_and_inertia_need(seed, mass):
-    arm, some = robot(arms.SEVEN), problem(arms.SEVEN)
+    arm = robot(arms.SEVEN)
+    some = problem(arms.SEVEN)
     motion = moving(7, seed)
     more = mass * some.torque_per_kilogram(motion)
     loaded = ArmTorque(with_load(arm, mass, some.tool.tip))(motion)

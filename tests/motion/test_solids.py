@@ -52,7 +52,8 @@ def test_no_point_of_a_shape_is_farther_than_its_farthest_point_which_belongs_to
     direction = rng.normal(size=(1, 3))
     direction /= np.linalg.norm(direction)
     for geom, (kind, solid) in enumerate(zip(KINDS, solids)):
-        place, turn = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
+        place = data.geom_xpos[geom]
+        turn = data.geom_xmat[geom].reshape(3, 3)
         points = place + inside(kind, rng.uniform(-1.0, 1.0, size=(400, 3))) @ turn.T
         (found,) = solid.farthest(direction)
         assert np.max(points @ direction[0]) <= direction[0] @ found + 1e-12
@@ -106,10 +107,12 @@ def test_each_half_space_binds_its_own_bodies():
 @given(SEEDS)
 def test_the_box_is_that_of_all_capsules_in_all_postures(seed):
     arm = robot(TUBES)
-    model, data = arm.mj_model, mujoco.MjData(arm.mj_model)
+    model = arm.mj_model
+    data = mujoco.MjData(arm.mj_model)
     positions = np.random.default_rng(seed).uniform(-2.0, 2.0, size=(5, 4))
     lower, upper, lowest = swept_space(arm, positions)
-    ends, names = [], []
+    ends = []
+    names = []
     for q in positions:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)

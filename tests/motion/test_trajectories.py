@@ -37,7 +37,8 @@ def sines(seed):
 
 def fourier(seed):
     rng = np.random.default_rng(seed)
-    duration, harmonics = rng.uniform(1.0, 60.0), int(rng.integers(3, 12))
+    duration = rng.uniform(1.0, 60.0)
+    harmonics = int(rng.integers(3, 12))
     fade = rng.uniform(0.05, 0.5) * duration
     basis = FourierBasis(duration, rng.uniform(0.02, 1.0), harmonics, fade)
     return FourierTrajectory(basis, rng.normal(size=3), rng.normal(size=(3, basis.size)))
@@ -46,7 +47,8 @@ def fourier(seed):
 def poses(seed):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 7))
-    moves, dwells = rng.uniform(0.3, 2.0, count - 1), rng.uniform(0.0, 1.0, count)
+    moves = rng.uniform(0.3, 2.0, count - 1)
+    dwells = rng.uniform(0.0, 1.0, count)
     return LineTrajectory(rng.normal(size=(count, 3)), moves, dwells)
 
 
@@ -64,7 +66,8 @@ KINDS = st.sampled_from((sines, fourier, poses, sweeps))
 @given(KINDS, SEEDS, st.sampled_from([1.0, 0.37, 1.0 / 3.0]))
 def test_what_holds_of_every_kind(tmp_path_factory, make, seed, speed):
     """Rest at both ends, derivatives, the same path later, and the same bits from a file."""
-    plan, path = make(seed), tmp_path_factory.mktemp("saved") / "plan.json"
+    plan = make(seed)
+    path = tmp_path_factory.mktemp("saved") / "plan.json"
     slow = at_speed(plan, speed)
     save_trajectory(path, slow, NAMES, "abc")
     saved = load_trajectory(path)
@@ -74,7 +77,9 @@ def test_what_holds_of_every_kind(tmp_path_factory, make, seed, speed):
 
     assert slow.duration == pytest.approx(plan.duration / speed)
     time = np.linspace(0.0, plan.duration, 41)
-    full, later, read = plan.evaluate(time), slow.evaluate(time / speed), saved.plan
+    full = plan.evaluate(time)
+    later = slow.evaluate(time / speed)
+    read = saved.plan
     for name, power in (("q", 0), ("qd", 1), ("qdd", 2)):
         exact = getattr(later, name)
         np.testing.assert_array_equal(getattr(read.evaluate(time / speed), name), exact)

@@ -167,7 +167,8 @@ def test_what_is_to_go_goes_last_and_only_where_nothing_fails(tmp_path, monkeypa
     before = {"a": "old", "gone": "old"}
     for name, text in before.items():
         (tmp_path / name).write_text(text)
-    seen, unlink = [], Path.unlink
+    seen = []
+    unlink = Path.unlink
 
     def watched(path, **options):
         if path.name == "gone":
@@ -207,7 +208,8 @@ def test_only_one_run_at_a_time_has_a_folder(tmp_path):
 
 
 def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(tmp_path, monkeypatch):
-    take, taken = files._has_lock, []
+    take = files._has_lock
+    taken = []
 
     def take_late(handle):
         """The other run ends between opening the file and locking it."""

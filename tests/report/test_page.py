@@ -18,7 +18,9 @@ class Tags(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.opened, self.seen, self.faults = [], [], []
+        self.opened = []
+        self.seen = []
+        self.faults = []
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):

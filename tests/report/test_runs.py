@@ -47,7 +47,8 @@ def traces(count=500, joints=2):
     measured[count // 2] = np.nan
     full = np.full(joints, np.inf)
     limits = JointLimits(-full, full, np.ones(joints), full)
-    names, time = tuple(f"j{k}" for k in range(joints)), np.arange(count) * 0.01
+    names = tuple(f"j{k}" for k in range(joints))
+    time = np.arange(count) * 0.01
     slides = (False,) * joints
     return Traces(names, slides, time, table, table, measured, 0.9 * table, table, table, limits)
 
@@ -57,7 +58,8 @@ def test_what_is_written_is_read(tmp_path):
     (tmp_path / DATA_NAME).write_bytes(data_bytes(made))
     again = load_data(tmp_path / DATA_NAME)
     for each in fields(made):
-        ours, theirs = getattr(made, each.name), getattr(again, each.name)
+        ours = getattr(made, each.name)
+        theirs = getattr(again, each.name)
         if isinstance(ours, np.ndarray):
             np.testing.assert_array_equal(ours, theirs)
         else:
@@ -280,7 +282,8 @@ def test_a_payload_whose_inertia_is_not_known_is_not_all_good(link_run, tmp_path
     own = made.body(shown=False)
     result = replace(result, payload=replace(result.payload, body=own))
     run = load_run(saved(tmp_path, result))
-    told, section = verdict(run), visibility(run)
+    told = verdict(run)
+    section = visibility(run)
     assert told.verdict == "part" and NOT_KNOWN in section.sentences
     assert "do not show: the payload's inertia (its ±" in section.sentences[-1]
     rows = {row[0]: row[1:] for row in section.tables[0].rows}

@@ -102,7 +102,8 @@ def read_point(text):
 
 def read_urdf(text):
     element = etree.fromstring(text)
-    origin, six = element.find("origin"), element.find("inertia")
+    origin = element.find("origin")
+    six = element.find("inertia")
     assert origin.get("rpy") == "0 0 0"
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     inertia = symmetric(*(float(six.get(name)) for name in names))

@@ -160,7 +160,8 @@ def test_bam_gets_its_own_model_and_names(number, more):
 
 def test_every_formula_is_the_column_of_its_term():
     assert set(FORMULAS) == set(TERMS) - {"armature"}
-    qd, load = np.linspace(-1.0, 1.0, 9), np.linspace(-3.0, 5.0, 9)
+    qd = np.linspace(-1.0, 1.0, 9)
+    load = np.linspace(-3.0, 5.0, 9)
     known = {f"{term}_speed": bent.usual for term, bent in BENT.items()}
     functions = {name: getattr(np, name) for name in ("sign", "sqrt", "abs", "exp", "tanh")}
     for term, formula in FORMULAS.items():

@@ -42,7 +42,8 @@ MJCF = ARM.replace(
     '<body name="tool" pos="0 0 0.1" euler="10 20 30"><site name="flange" pos="0 0.02 0.05" '
     'quat="1 0.2 0.3 -0.4"/>',
 )
-HEAVY, LIGHT = urdf.inertial(2.0, "0.1 0.2 0.3"), urdf.inertial(0.2)
+HEAVY = urdf.inertial(2.0, "0.1 0.2 0.3")
+LIGHT = urdf.inertial(0.2)
 LINKS = {"l1": urdf.inertial(), "l2": f"\n{HEAVY}", "tool": LIGHT, "flange": ""}
 URDF = urdf.robot(urdf.serial(LINKS, fixed=("tool", "flange")))
 JOINTS = {"xml": "j2", "urdf": "l1_l2"}
@@ -77,7 +78,8 @@ def target_of(robot, folder=None):
 
 def body_estimate(theta, errors=None):
     errors = np.full(10, 1e-4) if errors is None else errors
-    inertial, covariance = records.InertialParameters(theta), np.diag(np.square(errors))
+    inertial = records.InertialParameters(theta)
+    covariance = np.diag(np.square(errors))
     return record.BodyEstimate("b", inertial, covariance, np.ones(10, bool), 0.5 * errors)
 
 
@@ -153,7 +155,8 @@ def test_without_a_file_the_terminal_link_alone_is_written(robots, suffix):
     [("xml", None), *(("urdf", p) for p in (None, "0,0,0.1,90,90,0", "0,0,0.1,90,89.99979,7"))],
 )
 def test_a_payload_becomes_a_body_of_its_own(robots, suffix, place):
-    robot, theta = robots[suffix], some_payload(np.random.default_rng(1))
+    robot = robots[suffix]
+    theta = some_payload(np.random.default_rng(1))
     payload = payload_of(robot, theta, place)
     found, notes = written(robot, result_of(robot, payload=payload), as_body="load & co")
     assert notes == ()
@@ -172,10 +175,12 @@ def test_a_payload_becomes_a_body_of_its_own(robots, suffix, place):
 @pytest.mark.parametrize("name", [None, "load"])
 @pytest.mark.parametrize("with_file", [False, True])
 def test_a_payload_goes_onto_the_links_of_the_file_or_model(robots, suffix, name, with_file):
-    robot, rng = robots[suffix], np.random.default_rng(3)
+    robot = robots[suffix]
+    rng = np.random.default_rng(3)
     link = robot.prior.theta + random_theta(rng, 0.4)
     payload = payload_of(robot, some_payload(rng), link=link)
-    file, thetas = None, robot.thetas
+    file = None
+    thetas = robot.thetas
     if with_file:  # what it says of the terminal link counts, not what the payload does
         thetas[0] += random_theta(rng, 0.3)
         thetas[-1] = link = link + random_theta(rng, 0.1)
@@ -241,7 +246,8 @@ def new_joints(robot, rng, terms=tuple(TERMS)):
 def test_all_links_joints_and_gravity_are_written(tmp_path, name):
     rng = np.random.default_rng(7)
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.MODELS[name]}))
-    thetas, joints = new_links(robot, rng), new_joints(robot, rng)
+    thetas = new_links(robot, rng)
+    joints = new_joints(robot, rng)
     text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints, TURNED)))
     again = load_robot_model(tmp_path / "out" / "updated.xml")
     for before, after in zip(thetas, again.links):
@@ -264,7 +270,8 @@ def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_w
     tmp_path,
 ):
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.THREE}))
-    rng, thetas = np.random.default_rng(2), robot.thetas
+    rng = np.random.default_rng(2)
+    thetas = robot.thetas
     thetas[-1] += random_theta(rng, 0.2)
     joints = {name: {"coulomb": record.Figure(0.3, np.nan)} for name in robot.joint_names}
     text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints)))
@@ -275,8 +282,10 @@ def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_w
 
 
 def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
-    robot, rng = robots["urdf"], np.random.default_rng(7)
-    thetas, joints = new_links(robot, rng), new_joints(robot, rng)
+    robot = robots["urdf"]
+    rng = np.random.default_rng(7)
+    thetas = new_links(robot, rng)
+    joints = new_joints(robot, rng)
     result = result_of(robot, file=file_of(robot, thetas, joints, TURNED))
     found, notes = written(robot, result)
     assert len(notes) == 2 and "a URDF cannot hold rotor inertia" in notes[0]
@@ -310,7 +319,8 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     text = text_of(robot, result_of(robot, file=file))
     assert "motor that turns joint1 and joint2 identified with" in text
     again = load_robot_model(tmp_path / "out" / "updated.xml")
-    model, terms = again.mj_model, file.joints["joint1-2*joint2"]
+    model = again.mj_model
+    terms = file.joints["joint1-2*joint2"]
     assert model.ntendon == max(robot.mj_model.ntendon, 1) + (source == SLACK)
     for term, field in TERMS.items():
         assert getattr(model, f"tendon_{field}")[-1] == terms[term].value
@@ -373,7 +383,8 @@ def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
 
 
 def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypatch):
-    robot, rng = robots["xml"], np.random.default_rng(0)
+    robot = robots["xml"]
+    rng = np.random.default_rng(0)
     folder = robot.path.parent / "withdrawn"
     monkeypatch.setattr(model_module, "changed_model_text", lambda *_: MJCF.encode())
     for result, options in (

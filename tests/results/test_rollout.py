@@ -31,7 +31,8 @@ TRUTH = serial_arm((Z, Y, X), joint=JOINT.format(0.2))
 
 
 def test_the_model_that_is_the_arm_wins_whichever_comes_first():
-    truth, wrong = arm(), arm(0.5)
+    truth = arm()
+    wrong = arm(0.5)
     pieces = [recording(truth)]
     good, bad = (compare(*pair, pieces, "a piece") for pair in ((wrong, truth), (truth, wrong)))
     assert good.is_better and refusal(good, ()) is None
@@ -59,7 +60,8 @@ def test_what_is_played_was_not_fitted_for_it(signals):
     """The written file is played, on the end of the log."""
     test = play(arm(0.5), [signals], writes(TRUTH), None, split_time, LAST_FIFTH)
     assert test.is_better and {error.horizon for error in test.errors} == {0.1, 0.3, 1.0}
-    rows, time = fitted_rows(signals), signals.decimated_time()
+    rows = fitted_rows(signals)
+    time = signals.decimated_time()
     reach = signals.low_pass.half_width / signals.rate
     assert 0.7 < np.mean(rows) < 0.8
     assert np.max(time[rows]) + reach < split_time(signals) - reach
@@ -107,16 +109,20 @@ def error_on(model, robot, motion, tau, usable, source="a log"):
 def by_inverse_dynamics(xml, motion):
     """Torque of smooth damping and links by MuJoCo itself, and Coulomb's friction."""
     model = mujoco.MjModel.from_xml_string(xml)
-    data, tau = mujoco.MjData(model), np.empty_like(motion.q)
+    data = mujoco.MjData(model)
+    tau = np.empty_like(motion.q)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     for k in range(len(tau)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.qd[k], motion.qdd[k]
+        data.qpos[:] = motion.q[k]
+        data.qvel[:] = motion.qd[k]
+        data.qacc[:] = motion.qdd[k]
         mujoco.mj_inverse(model, data)
         tau[k] = data.qfrc_inverse
     tau += model.dof_frictionloss * np.sign(motion.qd)
     for tendon, friction in enumerate(model.tendon_frictionloss):
         ratios = np.zeros(model.nv)
-        first, count = model.tendon_adr[tendon], model.tendon_num[tendon]
+        first = model.tendon_adr[tendon]
+        count = model.tendon_num[tendon]
         for wrap in range(first, first + count):
             ratios[model.jnt_dofadr[model.wrap_objid[wrap]]] = model.wrap_prm[wrap]
         tau += friction * np.sign(motion.qd @ ratios)[:, None] * ratios
@@ -133,7 +139,8 @@ def by_inverse_dynamics(xml, motion):
     ],
 )
 def test_a_perfect_file_is_off_by_its_sensors_offsets_alone(tmp_path, xml):
-    path, motion = write_files(tmp_path, {"arm.xml": xml}), a_motion()
+    path = write_files(tmp_path, {"arm.xml": xml})
+    motion = a_motion()
     robot = load_robot_model(path)
     tau = by_inverse_dynamics(xml, motion) + OFFSETS
     found = error_on(path, robot, motion, tau, np.ones(tau.shape, bool))
@@ -145,7 +152,8 @@ def test_a_perfect_file_is_off_by_its_sensors_offsets_alone(tmp_path, xml):
     "attribute", ['damping="2.1"', 'frictionloss="1.6"', 'armature=".01"', 'stiffness="1"']
 )
 def test_each_number_of_a_joint_counts(attribute):
-    motion, robot = a_motion(), arms.robot_of(arms.DRY_FRICTION)
+    motion = a_motion()
+    robot = arms.robot_of(arms.DRY_FRICTION)
     tau = ArmTorque(robot)(motion)
     name = attribute.split("=")[0]
     text = arms.DRY_FRICTION
@@ -169,7 +177,8 @@ def test_each_number_of_a_joint_counts(attribute):
 
 
 def test_what_is_not_usable_does_not_count():
-    motion, robot = a_motion(), arms.robot_of(arms.THREE)
+    motion = a_motion()
+    robot = arms.robot_of(arms.THREE)
     usable = np.random.default_rng(1).uniform(size=motion.q.shape) < 0.7
     usable[:, 0] = False
     tau = np.where(usable, ArmTorque(robot)(motion) + OFFSETS, np.nan)

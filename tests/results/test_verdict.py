@@ -217,6 +217,7 @@ def test_a_prediction_worse_than_the_fit_is_told(factor):
 
 @given(st.floats(1.0, 1e6))
 def test_a_prediction_within_the_noise_is_not_worse_than_an_exact_fit(factor):
-    exact, test = made.estimate(rmse=1e-9), made.validation_of(1e-9 * factor)
+    exact = made.estimate(rmse=1e-9)
+    test = made.validation_of(1e-9 * factor)
     assert not limitations(made.found(exact, validation=(test,)))
     assert limitations(made.found(exact, validation=(made.validation_of(0.05),)))

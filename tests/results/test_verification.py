@@ -209,7 +209,8 @@ def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta
 
 def torque_refused(robot, mj_model, thetas=None, change=None):
     """Whether a compiled model is refused for its torque."""
-    thetas, change = robot.thetas if thetas is None else thetas, change or ModelChange((), 0.0)
+    thetas = robot.thetas if thetas is None else thetas
+    change = change or ModelChange((), 0.0)
     motion = some_motion(1, robot.n_joints)
     try:
         require_reproduction(robot, thetas, change, mj_model, motion, Path("updated_model.xml"))

@@ -37,7 +37,8 @@ def test_unknowns_and_servos_are_the_same_thing(numbers, moves):
 @given(NUMBERS)
 def test_the_derivative_is_that_of_the_numbers(numbers):
     servos = Servos.of(np.array(numbers) + 0.01)
-    x, step = SCALE.unknowns(servos), 1e-6
+    x = SCALE.unknowns(servos)
+    step = 1e-6
     moved = SCALE.servos(x + step).vector() - SCALE.servos(x - step).vector()
     np.testing.assert_allclose(moved / (2.0 * step), SCALE.derivative(servos), rtol=1e-4, atol=1e-7)
 
@@ -89,7 +90,8 @@ SMALL = """<mujoco><worldbody><body>
 
 def of_small(kp, friction, stated):
     """Judge some friction of what an encoder reads of an arm with other friction."""
-    robot, (time, command) = robot_of(SMALL.replace("KP", kp)), commanded(8.0)
+    robot = robot_of(SMALL.replace("KP", kp))
+    (time, command) = commanded(8.0)
     own = replace(model_servos(robot), delay=0.02)
     q = positions(robot, time, command, replace(own, frictionloss=friction), steps=20)
     log = Measurement(time, q, None, command - q, command=command)
@@ -122,7 +124,8 @@ def test_a_row_counts_no_more_than_usual_and_rest_is_not_usual():
     np.testing.assert_array_equal(rested, np.append(share, np.ones(1000)))
 
 
-ROWS, STEPS = 400, 10
+ROWS = 400
+STEPS = 10
 
 
 @dataclass(frozen=True)
@@ -157,13 +160,16 @@ def problem_of_slopes(drift=0.0, wild=0.0):
 
 def linear(drift=0.0, wild=0.0):
     """What is found of such a problem at the usual sizes."""
-    zero, problem = replace(SCALE, start=SCALE.size), problem_of_slopes(drift, wild)
+    zero = replace(SCALE, start=SCALE.size)
+    problem = problem_of_slopes(drift, wild)
     return search.judged(search.Slopes(problem), zero, Servos.of(SCALE.size.vector()))
 
 
 def test_slopes_that_are_known_are_not_played_again():
-    problem, servos = problem_of_slopes(), Servos.of(SCALE.size.vector())
-    slopes, sought = search.Slopes(problem), replace(SCALE, free=np.arange(9) % 2 == 0)
+    problem = problem_of_slopes()
+    servos = Servos.of(SCALE.size.vector())
+    slopes = search.Slopes(problem)
+    sought = replace(SCALE, free=np.arange(9) % 2 == 0)
     some = slopes(sought, servos)
     np.testing.assert_array_equal(slopes(SCALE, servos)[..., ::2], some)
     assert len(problem.played) == 2 * 9
@@ -184,9 +190,11 @@ def test_a_row_that_runs_off_by_luck_does_not_make_numbers_surer():
 
 
 def test_what_is_not_seen_is_as_in_the_model_where_it_has_any():
-    robot, bare = robot_of(XML), robot_of(XML.replace(SERVOS, ""))
+    robot = robot_of(XML)
+    bare = robot_of(XML.replace(SERVOS, ""))
     which = np.arange(9) % 2 == 0
-    own, found = model_servos(robot).vector(), TRUTH.vector()
+    own = model_servos(robot).vector()
+    found = TRUTH.vector()
     mixed = search.as_in_model(robot, TRUTH, which).vector()
     np.testing.assert_array_equal(mixed[:-1], np.where(which, own, found)[:-1])
     whole = search.as_in_model(bare, TRUTH)

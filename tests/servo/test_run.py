@@ -162,8 +162,10 @@ def test_commands_that_are_followed_are_taken():
 )
 def test_what_is_wrong_with_commands_is_said(q, command, words):
     # The other joint is as it should be.
-    given, measured = COMMAND.copy(), followed()
-    given[:, 1], measured[:, 1] = command[:, 1], q[:, 1]
+    given = COMMAND.copy()
+    measured = followed()
+    given[:, 1] = command[:, 1]
+    measured[:, 1] = q[:, 1]
     with pytest.raises(InputError) as caught:
         commanded_pieces([log(measured, given)], ("base", "tip"))
     message = str(caught.value)
@@ -172,6 +174,7 @@ def test_what_is_wrong_with_commands_is_said(q, command, words):
 
 
 def test_a_joint_that_stands_still_is_no_fault():
-    q, command = followed(), COMMAND.copy()
+    q = followed()
+    command = COMMAND.copy()
     q[:, 1] = command[:, 1] = 0.3
     assert moving(commanded_pieces([log(q, command)], ("base", "tip"))).tolist() == [True, False]

@@ -34,7 +34,8 @@ def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, sigma):
 
 
 def test_quantisation_counts_as_its_own_noise():
-    resolution, time = 1e-4, seconds(15.0, 1000.0)
+    resolution = 1e-4
+    time = seconds(15.0, 1000.0)
     q = Swing().measured(time, resolution).q
     noise = np.sqrt(spectra_of(q, 1000.0, encoder_steps(q)).level * 1000.0 / 2.0)
     np.testing.assert_allclose(noise, resolution / np.sqrt(12.0), rtol=0.12)
@@ -70,7 +71,8 @@ def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution, sc
 @pytest.mark.parametrize(("seed", "scale", "jitter"), [(0, SCALES[0], 0.4), (1, SCALES[2], 0.1)])
 def test_interpolated_steps_are_not_taken_for_motion_either(seed, scale, jitter):
     """Splines through uneven samples round a staircase off, and it is still none."""
-    even, rate = seconds(15.0, 500.0), 500.0
+    even = seconds(15.0, 500.0)
+    rate = 500.0
     time = even + jitter * np.random.default_rng(seed).uniform(-1.0, 1.0, len(even)) / rate
     log = Swing(seed).measured(time)
     signals = process(replace(log, q=read(log.q * scale, 1e-3)))
@@ -81,10 +83,12 @@ def test_interpolated_steps_are_not_taken_for_motion_either(seed, scale, jitter)
 def test_a_reading_that_is_repeated_until_the_next_one_is_no_step():
     """Own time stamps tell when a joint was read; without them it seems to stand still."""
     seed = 0
-    rng, time = np.random.default_rng(seed), seconds(15.0, 500.0)
+    rng = np.random.default_rng(seed)
+    time = seconds(15.0, 500.0)
     drawn = np.where(rng.random((len(time), 3)) < 0.4, time[:, None], 0.0)
     stamps = np.maximum.accumulate(drawn)
-    slow, fast = Swing(seed), Swing(seed + 1, 8.0 * FREQUENCIES)
+    slow = Swing(seed)
+    fast = Swing(seed + 1, 8.0 * FREQUENCIES)
     q = np.column_stack([(slow.q(s) + 1e-3 * fast.q(s))[:, j] for j, s in enumerate(stamps.T)])
     log = Measurement(time, q, None, q + 1.0, joint_time=stamps)
     # The fastest motion that can be told from the stale readings has 0.59 Hz.
@@ -120,7 +124,10 @@ def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate():
 @given(st.integers(0, 2**32), st.floats(-5.0, -3.5))
 def test_the_noise_that_a_cutoff_leaves_is_what_the_filter_leaves(seed, magnitude):
     """White noise on a motion: that of its low-passed second difference beside the motion's."""
-    rng, rate, cutoff, sigma = np.random.default_rng(seed), 200.0, 20.0, 10.0**magnitude
+    rng = np.random.default_rng(seed)
+    rate = 200.0
+    cutoff = 20.0
+    sigma = 10.0**magnitude
     time = seconds(20.0, rate)
     motion = np.sin(2.0 * np.pi * 0.8 * time)[:, None]
     noise = sigma * rng.normal(size=motion.shape)

@@ -36,7 +36,8 @@ def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed)
 @given(st.floats(90.0, 150.0), st.floats(2.0, 50.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
 def test_pass_band_and_stop_band_keep_their_promise(attenuation, cutoff, where, phase):
     low_pass = design_low_pass(cutoff, 200.0, attenuation)
-    time, half = seconds(12.0, 200.0), low_pass.half_width
+    time = seconds(12.0, 200.0)
+    half = low_pass.half_width
     slow = np.sin(2.0 * np.pi * 0.4 * cutoff * where * time + phase)
     off = np.max(np.abs(low_pass.filtered(slow) - slow[half : len(slow) - half]))
     # Kaiser's formulas are approximate for short kernels.
@@ -61,7 +62,8 @@ def test_derivatives_are_exact_for_polynomials_of_their_order(reach, coefficient
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_high_rate_does_not_make_rounding_large(order):
     """What is left of the positions' own rounding is as fast as the samples are."""
-    swing, rate = Swing(), 20000.0
+    swing = Swing()
+    rate = 20000.0
     function = (first_derivative, second_derivative)[order - 1]
     true = swing.q(seconds(2.0, rate), order)[FINE_REACH:-FINE_REACH]
     wrong = function(swing.q(seconds(2.0, rate)), rate, FINE_REACH) - true
@@ -71,7 +73,8 @@ def test_a_high_rate_does_not_make_rounding_large(order):
 
 @given(st.floats(-40.0, 40.0), st.integers(0, 1000))
 def test_a_shift_evaluates_the_signal_at_later_instants(samples, seed):
-    swing, rate = Swing(seed, np.array([1.0, 7.0, 23.0])), 100.0
+    swing = Swing(seed, np.array([1.0, 7.0, 23.0]))
+    rate = 100.0
     time = seconds(6.0, rate)
     shifted, first = advanced(swing.q(time), samples)
     expected = swing.q(time[first : first + len(shifted)] + samples / rate)

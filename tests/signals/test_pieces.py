@@ -19,7 +19,8 @@ def log(time: np.ndarray) -> Measurement:
 
 @given(st.lists(st.tuples(st.floats(0.1, 12.0), st.floats(0.6, 5.0)), min_size=1, max_size=5))
 def test_pieces_are_what_lies_between_gaps(parts):
-    start, times = 0.0, []
+    start = 0.0
+    times = []
     for length, gap in parts:
         times.append(start + np.arange(0.0, length, 0.01))
         start = float(times[-1][-1]) + gap

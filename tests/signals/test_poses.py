@@ -16,7 +16,8 @@ APPROACH = 0.05
 
 def log_of(poses, dwell=1.5, friction=2.0, both_sides=True):
     """A log whose torque is 3 q plus dry friction that lasts while the arm rests."""
-    points, dwells = [np.zeros(2)], [0.0]
+    points = [np.zeros(2)]
+    dwells = [0.0]
     for pose in poses:
         last = pose + APPROACH if both_sides else pose - APPROACH
         points += [pose - APPROACH, pose, last, pose]

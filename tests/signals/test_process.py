@@ -44,7 +44,8 @@ def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadba
     signals = with_deadband(Swing().measured(seconds(6.0, 100.0)), deadband)
     weight = np.abs(signals.low_pass.kernel) / np.sum(np.abs(signals.low_pass.kernel))
     half = signals.low_pass.half_width
-    slow, centres = np.abs(signals.qd) < deadband, signals.low_pass.centres(len(signals))
+    slow = np.abs(signals.qd) < deadband
+    centres = signals.low_pass.centres(len(signals))
     share = np.array([weight @ slow[at - half : at + half + 1] for at in centres])
     np.testing.assert_allclose(signals.slow_share(), share, rtol=0.0, atol=1e-12)
     np.testing.assert_array_equal(signals.usable(), share <= LARGEST_SLOW_SHARE)
@@ -65,7 +66,8 @@ def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(cutoff, rate,
     cut-offs is less. However many at once, signs of speeds pass as they do in one piece.
     """
     time = seconds(30.0 / cutoff, rate)[: -1 - more]
-    swing, rng = Swing(more, 0.3 * cutoff * FREQUENCIES), np.random.default_rng(more)
+    swing = Swing(more, 0.3 * cutoff * FREQUENCIES)
+    rng = np.random.default_rng(more)
     log = swing.measured(time)
     noise = rng.normal(0.0, 1e-4 * noisy, log.q.shape)
     try:
@@ -91,7 +93,8 @@ def test_the_deadband_is_a_part_of_the_peak_speed():
 
 
 def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
-    swing, time = Swing(), seconds(20.0, 200.0)
+    swing = Swing()
+    time = seconds(20.0, 200.0)
     widths = []
     for resolution in (1e-3, 1e-6, 1e-7):
         signals = process(swing.measured(time, resolution), cutoff=8.0)
@@ -105,7 +108,9 @@ def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
 @pytest.mark.parametrize(("seed", "rate"), [(0, 10.0), (1, 1000.0)])
 def test_positions_without_noise_are_differentiated_as_they_are(seed, rate):
     """To 1e-8, most of it in the time stamps; with noise they pass a low-pass."""
-    swing, time, cutoff = Swing(seed), seconds(20.0, rate), 0.2 * min(rate, 60.0)
+    swing = Swing(seed)
+    time = seconds(20.0, rate)
+    cutoff = 0.2 * min(rate, 60.0)
     signals = process(swing.measured(time), cutoff=cutoff)
     assert signals.exact and not np.any(signals.bridged)
     true = swing.q(signals.time, 2)
@@ -115,7 +120,8 @@ def test_positions_without_noise_are_differentiated_as_they_are(seed, rate):
 
 def cornered(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarray]:
     """Motion (N, 1) whose fourth derivative jumps, and its second derivative."""
-    sine, cosine = np.sin(0.5 * (time - corner)), np.cos(0.5 * (time - corner))
+    sine = np.sin(0.5 * (time - corner))
+    cosine = np.cos(0.5 * (time - corner))
     pair = 0.3 * sine**4, 0.3 * (3.0 * (sine * cosine) ** 2 - sine**4)
     return tuple(np.where(time > corner, value, 0.0)[:, None] for value in pair)
 
@@ -123,7 +129,8 @@ def cornered(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarray]:
 @given(st.integers(0, 2**32), st.floats(10.0, 30.0))
 def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corner):
     """What 10 samples per second do not resolve; all else is exact to 1e-8."""
-    swing, time = Swing(seed), seconds(40.0, 10.0)
+    swing = Swing(seed)
+    time = seconds(40.0, 10.0)
     log = swing.measured(time)
     signals = process(replace(log, q=log.q + cornered(time, corner)[0]), cutoff=2.0)
     wrong = signals.qdd - swing.q(signals.time, 2) - cornered(signals.time, corner)[1]
@@ -158,7 +165,8 @@ def test_a_second_pass_changes_what_the_first_one_did():
     assert len(rows) > 0.5 * len(once.time)
     np.testing.assert_array_equal(again.time, once.time[rows])
     true = np.sin(2.0 * np.pi * 0.7 * again.time)[:, None]
-    first, second = true - once.q[rows], once.q[rows] - again.q
+    first = true - once.q[rows]
+    second = once.q[rows] - again.q
     assert np.max(np.abs(first)) > 1e-3
     np.testing.assert_allclose(second, first, rtol=0.0, atol=0.1 * np.max(np.abs(first)))
 
@@ -185,7 +193,8 @@ def test_a_joint_at_rest_is_masked_and_named():
 
 
 def test_rows_over_a_long_hole_are_masked_and_short_holes_are_bridged():
-    swing, time = Swing(), seconds(12.0, 200.0)
+    swing = Swing()
+    time = seconds(12.0, 200.0)
     keep = np.ones(len(time), dtype=bool)
     keep[400:404] = False
     keep[1600:1660] = False
@@ -210,7 +219,8 @@ def test_an_injected_delay_is_estimated_and_put_right(delay, seed):
 
     Stiffness and inertia are fitted at the same time.
     """
-    swing, rng = Swing(seed), np.random.default_rng(seed)
+    swing = Swing(seed)
+    rng = np.random.default_rng(seed)
     time = seconds(12.0, 200.0)
     late = 2.0 * swing.q(time - delay) + 0.5 * swing.q(time - delay, 2)
     late = late + 0.004 * root_mean_square(late) * rng.normal(size=late.shape)

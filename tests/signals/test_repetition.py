@@ -30,7 +30,8 @@ class Samples:
     """One joint's equations with three parameters."""
 
     def __init__(self, rows, tau):
-        self.rows, self.tau = rows, tau
+        self.rows = rows
+        self.tau = tau
 
 
 def repeated(count, noise, phase=0.0):
@@ -100,7 +101,8 @@ def test_all_rows_say_what_a_pass_over_them_says(seed, count):
 
 @pytest.mark.parametrize(("seed", "comes_again"), [(0, True), (1, False)])
 def test_a_part_of_very_many_rows_still_tells_repetition(seed, comes_again):
-    rng, count = np.random.default_rng(seed), 40
+    rng = np.random.default_rng(seed)
+    count = 40
     one = rng.normal(size=150)
     noise = np.tile(one, count) if comes_again else rng.normal(size=150 * count)
     found = reduce(add, parts_of(*repeated(count, noise))).inflation()[0]

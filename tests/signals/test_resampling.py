@@ -30,7 +30,8 @@ def test_time_stamps_rounded_to_milliseconds_are_still_even():
 @given(st.integers(0, 2**32), st.floats(0.05, 0.4))
 def test_uneven_samples_are_put_where_they_belong(seed, jitter):
     rng = np.random.default_rng(seed)
-    swing, rate = Swing(seed), 200.0
+    swing = Swing(seed)
+    rate = 200.0
     even = seconds(4.0, rate)
     time = even + rng.uniform(-jitter, jitter, len(even)) / rate
     uniform = resampled(swing.measured(time))
@@ -40,7 +41,8 @@ def test_uneven_samples_are_put_where_they_belong(seed, jitter):
 
 
 def test_each_joint_is_read_at_its_own_time():
-    swing, rate = Swing(), 250.0
+    swing = Swing()
+    rate = 250.0
     time = seconds(4.0, rate)
     own = time[:, None] + np.array([0.2e-3, 0.9e-3, 1.8e-3])
     q = np.column_stack([swing.q(own[:, j])[:, j] for j in range(3)])
@@ -57,7 +59,8 @@ def test_each_joint_is_read_at_its_own_time():
 @example(5494522, 28)
 def test_a_hole_is_one_from_the_first_missing_sample_on(seed, missing):
     """Its length stands at every instant that is bridged, and nowhere else."""
-    rng, rate = np.random.default_rng(seed), 200.0
+    rng = np.random.default_rng(seed)
+    rate = 200.0
     even = seconds(4.0, rate)
     first = int(rng.integers(50, 700))
     keep = np.ones(len(even), dtype=bool)
@@ -70,7 +73,8 @@ def test_a_hole_is_one_from_the_first_missing_sample_on(seed, missing):
 @given(st.integers(0, 2**32))
 def test_samples_that_come_early_and_late_leave_no_hole(seed):
     """Up to 1.7 periods apart."""
-    rng, rate = np.random.default_rng(seed), 200.0
+    rng = np.random.default_rng(seed)
+    rate = 200.0
     even = seconds(4.0, rate)
     time = even + rng.uniform(-0.35, 0.35, len(even)) / rate
     uniform = resampled(Swing().measured(time))
@@ -81,7 +85,8 @@ def test_samples_that_come_early_and_late_leave_no_hole(seed):
 @given(st.integers(0, 2**32), st.integers(1, 3), st.sampled_from([0.0, 1e-4]))
 def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolution):
     """1 kHz in milliseconds: even up to the last digit of the stamps all the same."""
-    rng, swing = np.random.default_rng(seed), Swing(seed)
+    rng = np.random.default_rng(seed)
+    swing = Swing(seed)
     even = seconds(4.0, 1000.0)
     fast = np.flatnonzero(np.linalg.norm(swing.q(even, 1), axis=1) > 0.5)
     first = int(rng.choice(fast[(fast > 50) & (fast < 3900)]))
@@ -97,7 +102,8 @@ def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolutio
 
 @given(st.integers(0, 2**32), st.floats(999.0, 999.99))
 def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
-    swing, even = Swing(seed), seconds(4.0, rate)
+    swing = Swing(seed)
+    even = seconds(4.0, rate)
     log = replace(swing.measured(even), time=np.floor(1e3 * even + 0.3) / 1e3)
     uniform = resampled(log)
     np.testing.assert_array_equal(uniform.q, log.q)

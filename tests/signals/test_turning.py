@@ -7,7 +7,8 @@ import pytest
 
 from robot_sysid.signals.turning import CLEARLY_APART, turning_samples
 
-RATE, NOISE = 200.0, 1e-4
+RATE = 200.0
+NOISE = 1e-4
 
 
 @pytest.mark.parametrize("outward", [1.0, -1.0])

@@ -123,7 +123,8 @@ def test_above_the_ramp_speed_coulombs_law_is_exact(seed, scale):
     ramps = ramp()
     use = use_of(qd, qdd)
     faster = np.abs(qd) > use.ramp_speed
-    law, found = ramps.coulomb * np.sign(qd), ramp_torque(ramps, qd, qdd)
+    law = ramps.coulomb * np.sign(qd)
+    found = ramp_torque(ramps, qd, qdd)
     np.testing.assert_allclose(found[faster], law[faster], rtol=1e-5, atol=0.0)
 
 
@@ -149,11 +150,13 @@ def run(arm, torque, seconds, damping=0.0):
 
 def inverse_error(robot, timestep, seconds=0.2):
     """Largest difference between what acted and the inverse dynamics of the mean motion [N m]."""
-    arm, rows = ArmStepper(robot, timestep=timestep), []
+    arm = ArmStepper(robot, timestep=timestep)
+    rows = []
     phase = np.arange(arm.n_joints) / arm.n_joints
     for k in range(round(seconds / timestep)):
         torque = 3.0 * np.sin(2 * np.pi * (3 * (k + 0.5) * timestep + phase))
-        q, qd = arm.q, arm.qd
+        q = arm.q
+        qd = arm.qd
         acted = arm.step(torque, np.full(arm.n_joints, 2.0))
         mean_motion = (q + arm.q) / 2, (arm.q - q) / timestep, (arm.qd - qd) / timestep
         rows.append((*mean_motion, acted, np.sign(qd)))
@@ -161,7 +164,9 @@ def inverse_error(robot, timestep, seconds=0.2):
     (inverse,) = simulate_inverse(robot, [Motion(timestep * np.arange(len(q)), q, qd, qdd)])
     # Where a joint turns round, friction and acceleration jump within a step; where one sticks,
     # Coulomb's law does not tell the friction.
-    before, now, after = direction[:-2], direction[1:-1], direction[2:]
+    before = direction[:-2]
+    now = direction[1:-1]
+    after = direction[2:]
     steady = np.all((before == now) & (now == after), axis=1)
     error = np.abs(inverse.tau - acted)[1:-1]
     return np.max(error, where=steady[:, None] & (now != 0.0), initial=0.0)
@@ -170,7 +175,8 @@ def inverse_error(robot, timestep, seconds=0.2):
 @pytest.mark.parametrize("name", ["seven", "slide in chain", "coupled fingers"])
 def test_its_torques_are_those_of_inverse_dynamics_to_second_order(name):
     robot = arms.robot_of(arms.MODELS[name])
-    coarse, fine = inverse_error(robot, 1e-3), inverse_error(robot, 2.5e-4)
+    coarse = inverse_error(robot, 1e-3)
+    fine = inverse_error(robot, 2.5e-4)
     assert coarse < 0.01
     # A quarter of the step, so about a sixteenth of the error; a quarter would be a lower order.
     assert fine < 0.13 * coarse
@@ -179,7 +185,9 @@ def test_its_torques_are_those_of_inverse_dynamics_to_second_order(name):
 def damped_response_error(timestep, damping, seconds=0.02):
     """Largest error of a damped hinge's velocity after a torque sets in, as part of the last."""
     arm = one_hinge(fv=0.1, timestep=timestep)
-    inertia, resistance, torque = 0.01, damping + 0.1, 1.0
+    inertia = 0.01
+    resistance = damping + 0.1
+    torque = 1.0
     errors = []
     for k in range(round(seconds / timestep)):
         arm.step(np.array([torque]), np.array([damping]))
@@ -199,7 +207,8 @@ def test_damping_adds_no_apparent_armature(damping):
     """Mean torque is inertia times mean acceleration plus friction, however stiff the damping."""
     arm = one_hinge(fv=0.1)
     for k in range(200):
-        q, qd = arm.q[0], arm.qd[0]
+        q = arm.q[0]
+        qd = arm.qd[0]
         (acted,) = arm.step(np.array([np.sin(0.1 * k)]), np.array([damping]))
         acceleration = (arm.qd[0] - qd) / arm.timestep
         speed = (arm.q[0] - q) / arm.timestep
@@ -209,8 +218,10 @@ def test_damping_adds_no_apparent_armature(damping):
 def test_steps_of_any_length_add_up():
     """A step cut in two where a motor is sampled leads to where one step leads, to third order."""
     robot = arms.robot_of(arms.MODELS["seven"])
-    whole, cut = ArmStepper(robot, timestep=1e-3), ArmStepper(robot, timestep=1e-3)
-    torque, damping = np.ones(robot.n_joints), np.full(robot.n_joints, 0.5)
+    whole = ArmStepper(robot, timestep=1e-3)
+    cut = ArmStepper(robot, timestep=1e-3)
+    torque = np.ones(robot.n_joints)
+    damping = np.full(robot.n_joints, 0.5)
     for _ in range(50):
         whole.step(torque, damping)
         cut.step(torque, damping, 3e-4)

@@ -129,7 +129,8 @@ def test_forward_and_inverse_agree_where_friction_is_complete(plant, plan):
 
 def test_reading_twice_gives_the_same_measurements(plant, plan):
     measurements = run(plant, plan, noise_torque=0.1, encoder_resolution=1e-4)
-    first, second = join_measurements(measurements), join_measurements(measurements)
+    first = join_measurements(measurements)
+    second = join_measurements(measurements)
     np.testing.assert_array_equal(first.tau, second.tau)
     np.testing.assert_array_equal(first.q, second.q)
 

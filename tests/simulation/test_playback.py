@@ -31,7 +31,8 @@ def recording(robot):
 
 @pytest.mark.parametrize("closed", [False, True])
 def test_the_arm_itself_makes_no_error_and_another_one_does(closed):
-    robot, other = arm(), arm(0.5)
+    robot = arm()
+    other = arm(0.5)
     piece = recording(robot)
     windows = playback.starts([piece], 0.3)
     assert len(windows) == 4
@@ -53,7 +54,8 @@ def test_an_error_that_runs_away_counts_with_the_largest_one():
     assert np.all(error <= np.pi + 1e-12)
 
 
-STEPS, COUNT = 30, 4
+STEPS = 30
+COUNT = 4
 
 
 def inputs(robot, seed=0):
@@ -77,7 +79,8 @@ def test_rollouts_on_threads_are_the_same_as_single_steps(monkeypatch):
 
 def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(monkeypatch):
     robot = robot_of(SEVEN)
-    model, usual = playback.rollout_copy(robot, 0.002), inputs(robot)
+    model = playback.rollout_copy(robot, 0.002)
+    usual = inputs(robot)
     whole = playback.Roller(robot, model)(usual)
     torque = usual.torque.copy()
     torque[1, 10:] = 1e15

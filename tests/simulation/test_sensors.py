@@ -30,7 +30,8 @@ def read(plan, **options):
 def test_noise_has_the_standard_deviation_asked_for_joint_by_joint():
     plan = excitation(ROBOT, duration=120.0)
     levels = np.array([0.1, 0.5, 2.0])
-    exact, seen = read(plan), read(plan, noise_torque=tuple(levels), encoder_resolution=0.02)
+    exact = read(plan)
+    seen = read(plan, noise_torque=tuple(levels), encoder_resolution=0.02)
     # An arm with only encoders would have to compute them from those same positions.
     assert seen.qd is None and seen.qdd is None
     # 60 000 draws: the spread of an estimated deviation is 0.3 %; 1.5 % is five times that.

@@ -24,10 +24,12 @@ def played(robot, choice, start=None):
 
 
 def test_the_models_own_servos_move_it_as_mujoco_does():
-    robot, start = robot_of(XML), window()
+    robot = robot_of(XML)
+    start = window()
     found = played(robot, servos.model_servos(robot), start)
     model = mujoco.MjModel.from_xml_string(XML)
-    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 0.002
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.timestep = 0.002
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data = mujoco.MjData(model)
     data.qpos[:] = start.q
@@ -40,7 +42,8 @@ def test_the_models_own_servos_move_it_as_mujoco_does():
 @pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])
 def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
     robot = robot_of(XML)
-    own, found = servos.actuators_of(robot), servos.model_servos(robot)
+    own = servos.actuators_of(robot)
+    found = servos.model_servos(robot)
     changed = replace(found, damping=factor * found.damping)
     model = servos.servo_copy(robot, 0.002)
     servos.set_servos(model, robot, TRUTH)
@@ -62,7 +65,8 @@ def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
 
 
 def test_choices_played_together_do_not_disturb_each_other():
-    robot, late = robot_of(XML), replace(TRUTH, delay=0.05)
+    robot = robot_of(XML)
+    late = replace(TRUTH, delay=0.05)
     choices = [TRUTH, late, replace(late, armature=2.0 * late.armature), TRUTH]
     together = [each[0] for each in servos.ServoRollouts(robot).played(choices, [window()], EDGES)]
     np.testing.assert_array_equal(together, [played(robot, each) for each in choices])

@@ -19,7 +19,9 @@ from robot_sysid.model.compilation import CompiledModel
 from robot_sysid.parser import robot_from_compiled
 from robot_sysid.records import Motion
 
-X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
+X = "1 0 0"
+Y = "0 1 0"
+Z = "0 0 1"
 SEVEN_AXES = (Z, Y, Z, Y, Z, Y, Z)
 LINK = '<inertial pos=".01 -.02 .1" mass="1.2" fullinertia=".02 .021 .004 .001 -.0005 .0007"/>'
 TIP = '<inertial pos=".02 .03 .06" mass=".8" fullinertia=".005 .006 .003 .0004 -.0003 .0005"/>'
@@ -290,7 +292,8 @@ def random_chain(draw, axes=("any", "any", "parallel", "nearly parallel")):
     bodies = draw(st.lists(st.lists(st.booleans(), min_size=1, max_size=3), min_size=1, max_size=5))
     content = draw(st.sampled_from(["", fingers(), "<body>" + _random_inertial(rng) + "</body>"]))
     for joints in reversed(bodies):
-        pos, quat = _vector(0.3 * rng.normal(size=3)), _vector(rng.normal(size=4))
+        pos = _vector(0.3 * rng.normal(size=3))
+        quat = _vector(rng.normal(size=4))
         inner = "".join(_random_joint(rng, kind, slide) for slide in joints) + content
         content = f'<body pos="{pos}" quat="{quat}">{_random_inertial(rng)}{inner}</body>'
     gravity = draw(

@@ -69,12 +69,14 @@ class ForwardPlant:
 
     def state(self) -> tuple[Array, Array]:
         """Return copies of the chain's positions and velocities (n,)."""
-        q, qd = self.data.qpos[self._plant.qpos_index], self.data.qvel[self._plant.dof_index]
+        q = self.data.qpos[self._plant.qpos_index]
+        qd = self.data.qvel[self._plant.dof_index]
         return np.array(q), np.array(qd)
 
     def times_mass(self, acceleration: Array) -> Array:
         """Return the mass matrix, as of the last step, times accelerations (n,)."""
-        wanted, product = np.zeros(self.model.nv), np.empty(self.model.nv)
+        wanted = np.zeros(self.model.nv)
+        product = np.empty(self.model.nv)
         wanted[self._plant.dof_index] = acceleration
         mujoco.mj_mulM(self.model, self.data, product, wanted)
         return product[self._plant.dof_index]
@@ -112,7 +114,8 @@ class ForwardPlant:
         kind = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
         # Nothing outside the chain has any, and MuJoCo goes from the base outwards as the chain.
         rows = np.flatnonzero(self.data.efc_type == kind)
-        inertia, rate = np.zeros(self._plant.n_joints), np.zeros(self._plant.n_joints)
+        inertia = np.zeros(self._plant.n_joints)
+        rate = np.zeros(self._plant.n_joints)
         inertia[self._has_friction] = self.data.efc_D[rows]
         rate[self._has_friction] = -self.data.efc_aref[rows]
         coulomb = self.model.dof_frictionloss[self._plant.dof_index]
@@ -124,7 +127,9 @@ class ForwardPlant:
         It is the largest eigenvalue of M^-1 B over the configurations (K, n), M the mass matrix and
         B the damping. Runge-Kutta becomes unstable at 2.78 times a step.
         """
-        units, passive, rates = np.eye(self._plant.n_joints), [], []
+        units = np.eye(self._plant.n_joints)
+        passive = []
+        rates = []
         for qd in (0.0 * units[0], *units):
             self.reset(self._plant.reference, qd)
             passive.append(np.array(self.data.qfrc_passive[self._plant.dof_index]))
@@ -195,7 +200,9 @@ class ClosedLoop:
     """
 
     def __init__(self, plant: RobotModel, plan: MotionPlan, sample_rate: float) -> None:
-        self._plant, self._plan, self._sample_rate = plant, plan, sample_rate
+        self._plant = plant
+        self._plan = plan
+        self._sample_rate = sample_rate
         own_step = float(plant.mj_model.opt.timestep)
         self._periods = max(1, math.ceil(1.0 / (sample_rate * own_step) - 1e-9))
         self.period = 1.0 / (sample_rate * self._periods)

@@ -32,9 +32,11 @@ SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040.0
 
 def plant_from(robot, armature=0.1, coulomb=0.4, viscous=0.1, payload=1.4, time_step=0.002):
     """The robot with MuJoCo friction and armature in every joint and a heavier terminal link."""
-    model, chain = copy.copy(robot.mj_model), robot.dof_index
+    model = copy.copy(robot.mj_model)
+    chain = robot.dof_index
     model.dof_armature[chain] = armature
-    model.dof_frictionloss[chain], model.dof_damping[chain] = coulomb, viscous
+    model.dof_frictionloss[chain] = coulomb
+    model.dof_damping[chain] = viscous
     model.body_mass[robot.body_id] *= payload
     model.body_inertia[robot.body_id] *= payload
     model.opt.timestep = time_step

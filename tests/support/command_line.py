@@ -32,7 +32,8 @@ class CommandLine:
     """
 
     def __init__(self, folder: Path, capsys) -> None:
-        self._folder, self._capsys = folder, capsys
+        self._folder = folder
+        self._capsys = capsys
 
     def run(self, *arguments, code: int = 0):
         """Run and return what was printed (out, err); the exit code has to be ``code``."""

@@ -28,7 +28,8 @@ from tests.support.clocks import ScriptedClock
 from tests.support.links import RememberingLink, SlowAdapter
 from tests.support.recordings import read_recording
 
-INERTIA, GRAVITY = 0.1, 2.0
+INERTIA = 0.1
+GRAVITY = 2.0
 CLASSIC = frames.BusTiming()
 
 
@@ -40,7 +41,8 @@ class Pendulums:
     def __init__(self, n_joints, q=None):
         self.n_joints = n_joints
         self.q = np.zeros(n_joints) if q is None else np.array(q, dtype=float)
-        self.qd, self.jammed = np.zeros(n_joints), np.zeros(n_joints, bool)
+        self.qd = np.zeros(n_joints)
+        self.jammed = np.zeros(n_joints, bool)
 
     def step(self, torque, damping, h):
         damping = np.where(self.jammed, 1e6, damping)
@@ -70,7 +72,8 @@ class FaultyMotor(SimulatedMotor):
 
     def _feedback(self):
         true = self.velocity, self.torque
-        self.velocity, self.torque = true[0] * self.velocity_factor, true[1] * self.torque_factor
+        self.velocity = true[0] * self.velocity_factor
+        self.torque = true[1] * self.torque_factor
         said = super()._feedback()
         self.velocity, self.torque = true
         return said
@@ -179,7 +182,8 @@ class Rig:
         self.clock = ScriptedClock()
         self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
         self.adapter = SlowAdapter(self.bus, self.clock, adapter)
-        self.console, self.how = console, (holding, orders)
+        self.console = console
+        self.how = (holding, orders)
         self.wire = RememberingLink(self.adapter, self.clock)
         self.link = GuardedLink(self.wire, self.clock, timing.fd)
         self.record_path = folder / f"{name}.csv"
@@ -193,7 +197,9 @@ class Rig:
         )
         self.stop = StopRequest()
         self.hooks = {}
-        self.phase_times, self.first_played, self.last_played = [], None, None
+        self.phase_times = []
+        self.first_played = None
+        self.last_played = None
         self.error = self.report = None
 
     def mount(self, j, can_id=None, master_id=None, **how):
@@ -202,7 +208,8 @@ class Rig:
         ids = {"can_id": can_id or joints[j].can_id, "master_id": master_id or joints[j].master_id}
         self.motors[j].joint = joints[j] = replace(joints[j], **ids, **how)
         held = self.motors[j].registers
-        held[frames.ESC_ID], held[frames.MST_ID] = ids["can_id"], ids["master_id"]
+        held[frames.ESC_ID] = ids["can_id"]
+        held[frames.MST_ID] = ids["master_id"]
         trajectory = replace(self.plan.trajectory, joints=tuple(joints))
         self.plan = replace(self.plan, trajectory=trajectory)
         self.bus.arm = self.arm = SimulatedArm(self.arm.mechanism, self.arm.motors)

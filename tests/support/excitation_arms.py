@@ -62,7 +62,8 @@ def problem(
 
 def design(xml, torques="chain", duration=DURATION, **changes):
     """Design of an XML string."""
-    chosen, motion = options(**changes), TrajectoryOptions(duration=duration)
+    chosen = options(**changes)
+    motion = TrajectoryOptions(duration=duration)
     some = problem(xml, torques, top=chosen.basis(duration).top_frequency_hz)
     return Design(some, chosen, motion)
 

@@ -49,7 +49,8 @@ OBSERVED = 1.0
 """How long after a stop begins it is observed [s]; the motors may be disabled before."""
 LATER = 0.1
 """From when on after a stop begins joints have lost the speed that they had then [s]."""
-WINDOW_BEFORE, WINDOW_AFTER = 0.1, 0.5
+WINDOW_BEFORE = 0.1
+WINDOW_AFTER = 0.5
 """Which part of the undisturbed path a joint may be on: around the stop [s]."""
 FASTEST_CLASSIC = 250.0
 """Highest rate at which seven motors fit onto a classic CAN bus [Hz]."""

@@ -17,7 +17,8 @@ from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
 from robot_sysid.records import Measurement
 
 RATE = 200.0
-STRONG, WEAK = 1.0, 0.3
+STRONG = 1.0
+WEAK = 0.3
 """Size of friction and noise in the first half of the joints and in the others."""
 
 
@@ -60,7 +61,8 @@ class ImperfectArm:
 
     def __init__(self, robot, rng, off=Imperfections(), scale=None):
         n = robot.n_joints
-        self.robot, self.off = robot, off
+        self.robot = robot
+        self.off = off
         strong = np.arange(n) < n // 2 + 1
         self.size = np.where(strong, STRONG, WEAK)
         self.thetas = np.array([_wrong(link.theta, off.links, rng) for link in robot.links])
@@ -89,7 +91,8 @@ class ImperfectArm:
 
     def log(self, plan, payload, rng):
         """What its sensors say along a plan with a payload (10,) on the terminal body."""
-        off, time = self.off, np.arange(0.0, plan.duration, 1.0 / RATE)
+        off = self.off
+        time = np.arange(0.0, plan.duration, 1.0 / RATE)
         seen = plan.evaluate(time)
         late = plan.evaluate(np.clip(time - off.lag, 0.0, plan.duration))
         thetas = self.thetas.copy()

@@ -73,9 +73,11 @@ def _quoted(word: str) -> str:
 
 def text() -> str:
     """Return the module: a class for each function, and one for what several classes have alike."""
-    aliases, takers = dict[str, None](), dict[str, set[str]]()
+    aliases = dict[str, None]()
+    takers = dict[str, set[str]]()
     for function, records in RECORDS.items():
-        refused, name = refused_by(function), function.title().replace("_", "")
+        refused = refused_by(function)
+        name = function.title().replace("_", "")
         named = [(each, n, o) for each in records for n, o in options_of(each).items()]
         aliases.update((_alias(option), None) for _, _, option in named if _has_alias(option))
         lines = {
@@ -85,7 +87,8 @@ def text() -> str:
         }
         takers[name] = lines
     order = sorted(takers, key=lambda name: len(takers[name]))
-    bases, own = {name: list[str]() for name in order}, {**takers}
+    bases = {name: list[str]() for name in order}
+    own = {**takers}
     for k, name in enumerate(order):
         for smaller in sorted(order[:k], key=lambda name: -len(takers[name])):
             if takers[smaller] <= own[name]:
@@ -105,9 +108,11 @@ def text() -> str:
 
 
 def _class(name: str, bases: Sequence[str], lines: Sequence[str]) -> str:
-    head, skip = ", ".join([*bases, "total=False"]), ""
+    head = ", ".join([*bases, "total=False"])
+    skip = ""
     if len(head) > 80:
-        head, skip = f"\n{textwrap.indent(textwrap.fill(head, 90), '    ')}\n", "  # fmt: skip"
+        head = f"\n{textwrap.indent(textwrap.fill(head, 90), '    ')}\n"
+        skip = "  # fmt: skip"
     body = f"{skip}\n{''.join(lines)}" if lines else " ...\n"
     return f"class {name}({head}):{body}"
 

@@ -12,7 +12,8 @@ class RememberingLink:
     """
 
     def __init__(self, link, clock):
-        self._link, self._clock = link, clock
+        self._link = link
+        self._clock = clock
         self.frames = []
         self._injected = []
 
@@ -43,7 +44,9 @@ class SlowAdapter:
     """Hands answers over so many seconds late as ``delay()`` says; none overtakes another."""
 
     def __init__(self, link, clock, delay=None):
-        self._link, self._clock, self.delay = link, clock, delay
+        self._link = link
+        self._clock = clock
+        self.delay = delay
         self._held = []
 
     def send(self, frame):

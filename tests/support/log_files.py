@@ -54,7 +54,8 @@ def arm_of(
     names: Sequence[str], most: JointLimits | None = None, is_slide: Sequence[bool] = ()
 ) -> Any:
     """What a log asks of an arm; hinges without limits where nothing else is said."""
-    slides, most = np.array(is_slide or [False] * len(names)), most or limits(np.inf, len(names))
+    slides = np.array(is_slide or [False] * len(names))
+    most = most or limits(np.inf, len(names))
     return SimpleNamespace(joint_names=tuple(names), limits=most, is_slide=slides)
 
 

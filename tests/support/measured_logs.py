@@ -16,7 +16,8 @@ from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 
-RATE, DURATION = 200.0, 10.0
+RATE = 200.0
+DURATION = 10.0
 JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
 CUTOFF = 8.0
 DEFAULT = friction_model(DEFAULT_MEASURED)

@@ -44,7 +44,8 @@ class Sample:
     @property
     def words(self) -> list[str]:
         """What is typed to give it that value."""
-        flag, value = self.option.flag, self.value
+        flag = self.option.flag
+        value = self.value
         if value is True:
             return [flag]
         if not self.option.repeats:

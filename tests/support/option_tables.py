@@ -25,7 +25,8 @@ from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
-GROUPS, MAIN = run.QUESTIONS[""].groups, run.QUESTIONS[""].main
+GROUPS = run.QUESTIONS[""].groups
+MAIN = run.QUESTIONS[""].main
 TABLES: Mapping[str, Sequence[type]] = {
     **GROUPS,
     "main": (*(record for records in GROUPS.values() for record in records), ConsoleOptions),

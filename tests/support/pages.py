@@ -43,7 +43,8 @@ WEIGHT = "2.000"
 _BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _PRINTED = re.compile(r"^<!-- printed -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\w)")
-_SECONDS, _RATE = "12", "200"
+_SECONDS = "12"
+_RATE = "200"
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
@@ -98,8 +99,10 @@ def add_recordings(folder: Path) -> None:
     """Write log.csv again as the ROS bag that a page speaks of."""
     titles = [f"joint{k}" for k in range(len(AXES))]
     time, *values = np.loadtxt(folder / "log.csv", delimiter=",", skiprows=1, unpack=True)
-    q, tau = np.transpose(values[: len(AXES)]), np.transpose(values[len(AXES) :])
-    data, store = Measurement(time, q, np.zeros_like(q), tau), recorded.typestore()
+    q = np.transpose(values[: len(AXES)])
+    tau = np.transpose(values[len(AXES) :])
+    data = Measurement(time, q, np.zeros_like(q), tau)
+    store = recorded.typestore()
     messages = recorded.shuffled_states(store.types, data, titles)
     topics = [("/joint_states", recorded.STATE, messages)]
     recorded.write_bag2(folder / "run1.mcap", topics, store, "MCAP")
@@ -130,7 +133,8 @@ def record(folder: Path, plant: str, log: str, seed: int = 1, duration: float = 
     motion = TrajectoryOptions(duration, 200.0), ExcitationOptions(), LimitOptions()
     plan = make_plan(MotionRequest(*motion), robot, seed, Progress()).plan
     sensors = SimulatedArmOptions(noise_torque=0.05, encoder_resolution=1e-5)
-    truth, rng = load_plant(robot, folder / plant), np.random.default_rng([seed, 1])
+    truth = load_plant(robot, folder / plant)
+    rng = np.random.default_rng([seed, 1])
     samples = join_measurements(PlantSimulation(truth, plan, sensors, 200.0, rng))
     write_measurement_csv(folder / log, robot.joint_names, [samples])
 

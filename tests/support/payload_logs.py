@@ -20,7 +20,9 @@ from robot_sysid.signals.filters import design_low_pass
 from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
 
-RATE, DURATION, CUTOFF = 50.0, 12.0, 5.0
+RATE = 50.0
+DURATION = 12.0
+CUTOFF = 5.0
 PAYLOAD = spatial.theta_from_com(
     1.2, np.array([0.03, -0.02, 0.08]), np.array([[6, 1, 0.5], [1, 7, -0.4], [0.5, -0.4, 4]]) * 1e-3
 )
@@ -37,7 +39,8 @@ def wide_motion(seed, joints=4, duration=DURATION, rate=RATE):
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration * rate)) / rate
     shape = (len(_FREQUENCIES), joints)
-    size, phase = rng.uniform(0.15, 0.5, shape), rng.uniform(0.0, 6.0, shape)
+    size = rng.uniform(0.15, 0.5, shape)
+    phase = rng.uniform(0.0, 6.0, shape)
     omega = 2.0 * np.pi * _FREQUENCIES[:, None]
     angle = time[:, None, None] * omega + phase
     q, qd, qdd = (
@@ -51,7 +54,8 @@ class TrueArm:
 
     def __init__(self, robot, seed, wrong=0.3, payload=PAYLOAD, scale=None):
         rng = np.random.default_rng(seed)
-        self.robot, self.payload = robot, payload
+        self.robot = robot
+        self.payload = payload
         self.thetas = np.array([changed(link.theta, wrong, rng) for link in robot.links])
         self.coulomb, self.viscous = rng.uniform(0.1, 1.0, (2, robot.n_joints))
         self.offset, self.armature = rng.uniform(0.0, 0.3, (2, robot.n_joints))

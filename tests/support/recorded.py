@@ -70,7 +70,8 @@ def write_bag2(path: Path, topics, store, storage="SQLITE3", compression="") -> 
     writer = rosbag2.Writer(path, **options)
     if compression:
         names = rosbag2 if plugins else writer
-        mode, form = names.CompressionMode[compression], names.CompressionFormat.ZSTD
+        mode = names.CompressionMode[compression]
+        form = names.CompressionFormat.ZSTD
         writer.set_compression(mode, form)
     return _written(path, writer, topics, store, store.serialize_cdr)
 

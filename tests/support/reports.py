@@ -56,9 +56,12 @@ def payload_result(path, verdict=Verdict.OK):
 
 def traces(result):
     """Torques of sines, the residual white."""
-    rng, time, names = np.random.default_rng(0), np.arange(600) * 0.01, result.robot.joint_names
+    rng = np.random.default_rng(0)
+    time = np.arange(600) * 0.01
+    names = result.robot.joint_names
     phases = time[:, None] * (1.0 + np.arange(len(names)))
-    q, qd = np.sin(phases), (1.0 + np.arange(len(names))) * np.cos(phases)
+    q = np.sin(phases)
+    qd = (1.0 + np.arange(len(names))) * np.cos(phases)
     friction = 0.31 * np.sign(qd) + 0.2 * qd
     predicted = 3.0 * q + friction
     measured = predicted + 0.05 * rng.normal(size=q.shape)
@@ -72,7 +75,8 @@ def traces(result):
 def saved(folder, result):
     """A folder that a run left, without its report."""
     folder.mkdir(parents=True, exist_ok=True)
-    found, cards = result.payload, ()
+    found = result.payload
+    cards = ()
     if found is not None and result.verdict.is_trustworthy:
         cards = payload_cards(found.body, found.flange)
     (folder / "params.json").write_text(params_json_text(result, cards), encoding="utf-8")

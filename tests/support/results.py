@@ -143,8 +143,10 @@ def itself(result: Estimate | None = None, **changes) -> Result:
 
 def with_value(name: str, value: float, error: float) -> Estimate:
     """The estimate with one parameter changed."""
-    values, errors = VALUES.copy(), np.array(estimate().standard_errors)
-    values[NAMES.index(name)], errors[NAMES.index(name)] = value, error
+    values = VALUES.copy()
+    errors = np.array(estimate().standard_errors)
+    values[NAMES.index(name)] = value
+    errors[NAMES.index(name)] = error
     return estimate(values=values, standard_errors=errors)
 
 

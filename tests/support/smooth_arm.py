@@ -32,12 +32,15 @@ class SmoothArm:
     """
 
     def __init__(self, rng, rate=200.0, duration=15.0):
-        self.rate, self.count = rate, int(rate * duration)
+        self.rate = rate
+        self.count = int(rate * duration)
         self.time = np.arange(self.count) / rate
         omega, alpha = self._pair(rng, 3, 1.0)
         acceleration = 9.81 * self._directions(rng) + 0.5 * self._pair(rng, 3, 1.0)[0]
         wrench = wrench_rows(omega, alpha, acceleration)
-        names, self.columns, self.rows = list(PARAMETER_NAMES), [], []
+        names = list(PARAMETER_NAMES)
+        self.columns = []
+        self.rows = []
         for j in range(N_JOINTS):
             speed = self._pair(rng, 1, 0.7)[0][:, 0]
             screw = self._screw(rng)

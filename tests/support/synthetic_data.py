@@ -85,7 +85,8 @@ class Samples:
     """An arm's equations with given torques, readable several times."""
 
     def __init__(self, equations, torques):
-        self.equations, self.torques = equations, torques
+        self.equations = equations
+        self.torques = torques
 
     def __iter__(self):
         for j, (rows, _) in enumerate(self.equations):

@@ -37,7 +37,8 @@ def peaks(robot, plan, rate=500.0):
 
 def _torques(robot, q, qd, qdd):
     model = robot.mj_model
-    data, flags = mujoco.MjData(model), model.opt.disableflags
+    data = mujoco.MjData(model)
+    flags = model.opt.disableflags
     for name in ("CONTACT", "LIMIT", "EQUALITY", "FRICTIONLOSS", "ACTUATION"):
         model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
     try:
@@ -66,9 +67,11 @@ def distance_to_plane(robot, plan, plane, first_body, rate=500.0):
         rate: samples per second.
     """
     model = robot.mj_model
-    data, parts = mujoco.MjData(model), _capsules(model, model.body(first_body).id)
+    data = mujoco.MjData(model)
+    parts = _capsules(model, model.body(first_body).id)
     length = np.linalg.norm(plane[:3])
-    normal, offset = np.array(plane[:3]) / length, plane[3] / length
+    normal = np.array(plane[:3]) / length
+    offset = plane[3] / length
     least = np.inf
     for motion in motion_chunks(plan, rate):
         for q in motion.q:
@@ -91,7 +94,8 @@ def fastest_point(robot, plan, body, rate=500.0):
         body: name.
     """
     model = robot.mj_model
-    data, (geom,) = mujoco.MjData(model), _capsules(model, model.body(body).id)
+    data = mujoco.MjData(model)
+    (geom,) = _capsules(model, model.body(body).id)
     angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     ball = [
         [np.cos(a) * np.sin(b), np.sin(a) * np.sin(b), np.cos(b)]
@@ -100,7 +104,8 @@ def fastest_point(robot, plan, body, rate=500.0):
     ]
     radius, half = model.geom_size[geom, :2]
     surface = np.vstack([radius * np.array(ball) + [0.0, 0.0, s * half] for s in (-1.0, 1.0)])
-    before, fastest = None, 0.0
+    before = None
+    fastest = 0.0
     for motion in motion_chunks(plan, rate):
         for q in motion.q:
             data.qpos[robot.qpos_index] = q
@@ -117,8 +122,10 @@ def nearest(robot, plan, rate=500.0):
 
     Bodies with one joint between them are left out.
     """
-    model, least = robot.mj_model, np.inf
-    data, joints = mujoco.MjData(model), [_joints_above(model, b) for b in range(model.nbody)]
+    model = robot.mj_model
+    least = np.inf
+    data = mujoco.MjData(model)
+    joints = [_joints_above(model, b) for b in range(model.nbody)]
     pairs = [
         (a, b)
         for a in range(model.ngeom)

@@ -15,7 +15,8 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.trajectory import generate_excitation_trajectory
 
-RATE, DURATION = 250.0, 12.0
+RATE = 250.0
+DURATION = 12.0
 
 
 @dataclass(frozen=True)

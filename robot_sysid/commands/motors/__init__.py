@@ -97,7 +97,8 @@ def check(asked: Asked) -> int:
 
 def play(asked: Asked) -> int:
     """Play a trajectory on the motors."""
-    choices, plan = record_from(PlayChoices, asked.values), asked.plan()
+    choices = record_from(PlayChoices, asked.values)
+    plan = asked.plan()
     checks = asked.checks(plan)
     if asked.address.channel:
         with asked.bus() as link:
@@ -112,14 +113,16 @@ def play(asked: Asked) -> int:
 
 def simulate(asked: Asked) -> int:
     """Put a simulated arm on a bus, or play on it at once."""
-    options, plan = record_from(SimulatedMotorOptions, asked.values), asked.plan()
+    options = record_from(SimulatedMotorOptions, asked.values)
+    plan = asked.plan()
     checks = asked.checks(plan)
     if options.play:
         with asked.simulated_bus(asked.simulated_arm(plan, options.watchdog)) as link:
             return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
     preflight.require_no_stop(checks, "not rehearsed")
     arm = asked.simulated_arm(plan, options.watchdog, _REAL_TIME_STEP)
-    system, stop = asked.clock, StopRequest()
+    system = asked.clock
+    stop = StopRequest()
     with contextlib.closing(_simulated_end(asked)) as end, stop.on_signals():
         ends = system.now() + (options.lifetime or float("inf"))
         service = serve(arm, end, system, lambda: not stop.count and system.now() < ends)
@@ -230,7 +233,8 @@ def build_parser(command: str, full: bool = True) -> Parser:
     _, example, description, groups = COMMANDS[command]
     own = (name for records in groups.values() for each in records for name in options_of(each))
     main = _MAIN if command in (*_PLAYED, "hold") else (*_MAIN[:3], *own)
-    usage, shown = f"{PROGRAM} motors {command} {example}", None if full else main
+    usage = f"{PROGRAM} motors {command} {example}"
+    shown = None if full else main
     parser = Parser(f"motors {command}", usage, description, shown, codes=_CODES)
     if command in _PLAYED:
         nargs = "?" if command == "check" else None
@@ -240,7 +244,8 @@ def build_parser(command: str, full: bool = True) -> Parser:
     if command in (*_PLAYED, "hold", "map"):
         arms = (ModelOptions,) if command == "map" else (ModelOptions, SecondArm)
         none = () if command in _PLAYED else ("also",)
-        group, help_model = parser.add("arm", *arms, leave_out=none), "of the arm"
+        group = parser.add("arm", *arms, leave_out=none)
+        help_model = "of the arm"
         if command != "map":
             help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
             help_map = "how each joint's motor is mounted (see: motors map), or LeRobot's file"
@@ -268,7 +273,9 @@ def main(arguments: Sequence[str]) -> int:
         code = COMMANDS[name].run(asked)
         asked.console.stage(*asked.verdict)
     except SysidError as error:
-        code, failure, asked.verdict = error.exit_code, error, (f"Not usable: {error}",)
+        code = error.exit_code
+        failure = error
+        asked.verdict = (f"Not usable: {error}",)
     told = {"verdict": asked.verdict, "lines": asked.console.said}
     try:
         asked.console.result({"command": name, "exit_code": code, **told})
@@ -370,7 +377,8 @@ def _identify_command(asked: Asked, plan: preflight.Plan, record: Path, real: bo
 
 def _simulated_end(asked: Asked) -> bus.Link:
     """Open the simulated arm's end of the bus and say how to reach it."""
-    interface, channels = asked.address.interface, asked.address.channel
+    interface = asked.address.interface
+    channels = asked.address.channel
     if channels:
         link = asked.open()
     elif "interface" in asked.values:
@@ -381,7 +389,8 @@ def _simulated_end(asked: Asked) -> bus.Link:
         ends = [slcan_terminal() for _ in names or ("",)]
         devices = [device for _, device in ends]
         channels = tuple(map("=".join, zip(names, devices))) if len(names) > 1 else tuple(devices)
-        link, interface = BusLink([terminal for terminal, _ in ends], asked.clock), "slcan"
+        link = BusLink([terminal for terminal, _ in ends], asked.clock)
+        interface = "slcan"
     # A simulated arm turns as its model does.
     there = {"interface": interface, "channel": channels, "accept_directions": True}
     words = asked.command("play", **{"record": "measured.csv", **there})

@@ -85,7 +85,8 @@ class Asked(MotorRun):
         Keys in ``leave_out`` are not given again, but some are ``more``.
         """
         values = {key: value for key, value in self.values.items() if key not in leave_out} | more
-        words, files = [PROGRAM, "motors", name], ("model", "joint_map")
+        words = [PROGRAM, "motors", name]
+        files = ("model", "joint_map")
         words += [str(values[key]) for key in ("trajectory",) if values.get(key)]
         words += command_words(values, *_WHERE)
         for key in (key for key in files if values.get(key)):
@@ -164,7 +165,8 @@ def run_lines(report: PlayReport) -> Iterator[str]:
 
 
 def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
-    registers, limits = motor.registers, motor.limits
+    registers = motor.registers
+    limits = motor.limits
     mode = int(registers.get(frames.CTRL_MODE, 0))
     replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
     feedback = motor.feedback

@@ -40,7 +40,8 @@ class DirectionChoices(OptionRecord):
 
 # How far a joint moves [rad], at most how fast [rad/s] and at least how long each way [s]: enough
 # to be seen, little enough for the wrong way.
-_NUDGE, _PACE = 0.1, (0.2, 2.0)
+_NUDGE = 0.1
+_PACE = (0.2, 2.0)
 
 _NO_ROOM = (
     "not moved (where there is no room for 0.1 rad either way, bring the arm elsewhere by hand)"
@@ -89,7 +90,8 @@ def _move_a_little(
     asked: Asked, link: GuardedLink, plan: Plan, unseen: Sequence[DamiaoJoint]
 ) -> list[str]:
     """Move joints one after the other; return which way each should have gone, in words."""
-    inspection, console = inspect_bus(link), asked.console
+    inspection = inspect_bus(link)
+    console = asked.console
     here = plan.joint_positions(inspection)
     for j in np.flatnonzero(~np.isfinite(here)).tolist():
         joint = plan.trajectory.joints[j]
@@ -106,7 +108,8 @@ def _move_a_little(
         console.stage(f"{joint.label} is to turn so that {ways[j]}, and back")
     if not said_yes("They move one after the other, by 0.1 rad. Keep clear, and watch."):
         raise InputError("not confirmed; nothing was moved")
-    stop, waiting = StopRequest(), list(unseen)
+    stop = StopRequest()
+    waiting = list(unseen)
 
     def tell(time: float) -> None:
         if waiting and time >= 2.0 * _PACE[1] * (len(unseen) - len(waiting)):
@@ -120,13 +123,15 @@ def _small_motion(
     asked: Asked, plan: Plan, here: Array, numbers: Sequence[int], signs: Array
 ) -> Plan:
     """Return the motion of some joints, one after the other, from where they stand (n,) [rad]."""
-    holding, played = asked.holding(plan), plan.trajectory
+    holding = asked.holding(plan)
+    played = plan.trajectory
     assert holding is not None
     pokes = here + np.diag(_NUDGE * signs)[list(numbers)]
     ends = (pair for poke in pokes for pair in ((here, poke), (poke, here)))
     ways = [way_rows(played, begin, end, _PACE) for begin, end in ends]
     q, qd = (np.vstack([getattr(way, name)[1:] for way in ways]) for name in ("q", "qd"))
-    tau, time = np.array([holding.torque(row) for row in q]), (1.0 + np.arange(len(q))) / WAY_RATE
+    tau = np.array([holding.torque(row) for row in q])
+    time = (1.0 + np.arange(len(q))) / WAY_RATE
     rows: Any = {"line": np.arange(len(q)), "time": time, "q": q, "qd": qd, "tau": tau}
     # No joint of which nobody knows which way it turns goes to a pose.
     park = plan.settings.park if plan.pose is None else "rest"

@@ -80,8 +80,11 @@ class MotorSetup:
     """
 
     def __init__(self, link: GuardedLink, motor: InspectedMotor) -> None:
-        self._link, self._client, self._motor = link, RegisterClient(link), motor
-        self._address, self._master = motor.address, motor.master_id
+        self._link = link
+        self._client = RegisterClient(link)
+        self._motor = motor
+        self._address = motor.address
+        self._master = motor.master_id
         self._require_off()
 
     def apply(self, asked: SetupOptions) -> Iterator[str]:
@@ -120,7 +123,8 @@ class MotorSetup:
         return f"{self._motor.name}: {old} is now {frames.text_of(register, value)}"
 
     def _cleared(self) -> str:
-        name, before = self._motor.name, self._feedback()[0] >> 4
+        name = self._motor.name
+        before = self._feedback()[0] >> 4
         if not frames.is_fault(before):
             return f"{name} has no error to clear ({frames.describe(before)})"
         self._link.send(frames.clear_error_frame(self._address))
@@ -130,7 +134,8 @@ class MotorSetup:
         return f"{name}: {frames.describe(before)} is cleared"
 
     def _zeroed(self) -> str:
-        name, before = self._motor.name, self._position()
+        name = self._motor.name
+        before = self._position()
         for question in (
             f"{name} stands at {before:.4f} rad; make that its zero?",
             "every joint map, recording and trajectory made with the old zero is wrong then; sure?",
@@ -171,10 +176,13 @@ class MotorSetup:
 Positions = Mapping[frames.Address, float]
 # Half of the 20 degrees that are asked for [rad]; the motor that was meant turns three times as far
 # as any that a limp arm drags along. Judgements.
-_MOVED, _CLEARLY = 0.15, 3.0
-_TRIES, _ENTER = 3, "; then press Enter: "
+_MOVED = 0.15
+_CLEARLY = 3.0
+_TRIES = 3
+_ENTER = "; then press Enter: "
 # A turn of 17 degrees [rad] that moves the tip by less than this [m] is not seen at the tip.
-_PROBE, _SEEN = 0.3, 0.02
+_PROBE = 0.3
+_SEEN = 0.02
 _WAYS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
 
 
@@ -188,8 +196,10 @@ def positive_ways(
     # Imported here so that setting up and monitoring do not wait for MuJoCo.
     from robot_sysid.simulation.forward_dynamics import ArmStepper
 
-    place, words = robot.reference if q is None else q, []
-    begin, probe = ArmStepper(robot, place), _PROBE * np.diag(np.zeros(robot.n_joints) + signs)
+    place = robot.reference if q is None else q
+    words = []
+    begin = ArmStepper(robot, place)
+    probe = _PROBE * np.diag(np.zeros(robot.n_joints) + signs)
     for j in range(robot.n_joints):
         shift = ArmStepper(robot, place + probe[j]).tip() - begin.tip()
         seen = np.max(np.abs(shift)) > _SEEN
@@ -208,7 +218,8 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     InputError for fewer motors than joints; HardwareAbort where one is not off for sure or does not
     answer any more, or where a movement could not be told from others three times.
     """
-    client, by_address = RegisterClient(link), inspect_bus(link).motors
+    client = RegisterClient(link)
+    by_address = inspect_bus(link).motors
     if len(by_address) < robot.n_joints:
         raise InputError(
             f"{len(by_address)} motors answer but the model's chain has {robot.n_joints} joints"
@@ -230,9 +241,11 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
         found[address] = name, direction
     listed = ", ".join(f"{n} {q:.3f}" for n, q in zip(robot.joint_names, robot.reference))
     answer(f"put the arm into the model's own pose ({listed} rad or m) and hold it there{_ENTER}")
-    here, rows = positions(), []
+    here = positions()
+    rows = []
     for (address, (name, direction)), q in zip(found.items(), robot.reference):
-        motor, offset = by_address[address], round(here[address] - direction * float(q), 4)
+        motor = by_address[address]
+        offset = round(here[address] - direction * float(q), 4)
         place = address.can_id, motor.master_id, name, 0, motor.channel
         rows.append(DamiaoJoint("", *place, direction, offset, verified=BY_HAND))
     return rows
@@ -313,7 +326,9 @@ def _scan(asked: Asked) -> int:
             f"the bit rate of {asked.address.interface} is set outside of this program (ip link, "
             "or the adapter's own tool); set one after the other there and run setup without --scan"
         )
-    heard, refused, rates = 0, [], [rate for rate in frames.BIT_RATES if rate <= 1_000_000]
+    heard = 0
+    refused = []
+    rates = [rate for rate in frames.BIT_RATES if rate <= 1_000_000]
     for rate in sorted(rates, reverse=True):
         try:
             with asked.bus(refuse_motion, replace(asked.timing, bitrate=float(rate))) as link:
@@ -344,7 +359,8 @@ def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
             f"{len(meant)} motors answer to CAN id {options.motor}, or several share it: leave one "
             "motor on the bus"
         )
-    (motor,), bus = meant, meant[0].address.bus
+    (motor,) = meant
+    bus = meant[0].address.bus
     others = [m for m in inspection.motors.values() if m is not motor and m.address.bus == bus]
     if options.motor_bitrate is not None and others:
         raise InputError("a bit rate can only be changed with one motor on the bus")
@@ -361,7 +377,8 @@ def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
 
 def monitor(asked: Asked) -> int:
     """Show the motors' states again and again; enables nothing."""
-    options, console = record_from(MonitorOptions, asked.values), asked.console
+    options = record_from(MonitorOptions, asked.values)
+    console = asked.console
     with asked.bus(refuse_motion) as link:
         motors = list(inspect_bus(link).motors.values())
         if not motors:
@@ -374,7 +391,8 @@ def monitor(asked: Asked) -> int:
 def _watch(
     link: GuardedLink, motors: Sequence[InspectedMotor], options: MonitorOptions, console: Console
 ) -> None:
-    client, clock = RegisterClient(link), link.clock
+    client = RegisterClient(link)
+    clock = link.clock
     ends = clock.now() + (options.lifetime or float("inf"))
     while True:
         lines = list(state_table([(motor, client.state_of(motor)) for motor in motors]))
@@ -387,7 +405,8 @@ def _watch(
 
 def map_joints(asked: Asked) -> int:
     """Write the joint map that a person shows by moving the limp arm."""
-    options, robot = record_from(MapOptions, asked.values), asked.robot
+    options = record_from(MapOptions, asked.values)
+    robot = asked.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
     with asked.bus(refuse_motion) as link:

@@ -37,7 +37,8 @@ class _Layout:
     """What the 64 bits of a frame hold: F fields, the most significant first."""
 
     def __init__(self, *bits: int) -> None:
-        self.full, self._shifts = (1 << np.array(bits)) - 1, 64 - np.cumsum(bits)
+        self.full = (1 << np.array(bits)) - 1
+        self._shifts = 64 - np.cumsum(bits)
 
     def pack(self, fields: Codes) -> Bytes:
         """Return frames (..., n, 8) of fields (..., n, F), of which the lowest bits count."""
@@ -50,7 +51,8 @@ class _Layout:
         return np.asarray((words >> self._shifts) & self.full)
 
 
-_COMMAND, _FEEDBACK = _Layout(16, 12, 12, 12, 12), _Layout(4, 4, 16, 12, 12, 8, 8)
+_COMMAND = _Layout(16, 12, 12, 12, 12)
+_FEEDBACK = _Layout(4, 4, 16, 12, 12, 8, 8)
 
 
 @dataclass(frozen=True, init=False)
@@ -81,13 +83,17 @@ class Scaling:
 
     def _codes(self, values: Array, offset: float, rows: Any = slice(None)) -> Codes:
         """Return floor(code + offset) of values (..., n, F) of some fields, saturated."""
-        low, high, full = self._low[:, rows], self._high[:, rows], _COMMAND.full[rows]
+        low = self._low[:, rows]
+        high = self._high[:, rows]
+        full = _COMMAND.full[rows]
         exact = (values - low) * (full / (high - low)) + offset
         return np.clip(np.floor(exact), 0, full).astype(np.int64)
 
     def _values(self, codes: Any, rows: Any = slice(None)) -> Array:
         """Return what codes (..., n, F) of some fields mean, as (F, ..., n)."""
-        low, high, full = self._low[:, rows], self._high[:, rows], _COMMAND.full[rows]
+        low = self._low[:, rows]
+        high = self._high[:, rows]
+        full = _COMMAND.full[rows]
         return np.moveaxis(codes * ((high - low) / full) + low, -1, 0)
 
     def _refuse_outside(self, values: Array) -> None:
@@ -95,7 +101,8 @@ class Scaling:
         # Written so that a NaN counts as outside.
         beyond = np.moveaxis(~((values >= self._low - room) & (values <= self._high + room)), -1, 0)
         for where in np.argwhere(beyond)[:1]:
-            what, bad = where[0], np.moveaxis(values, -1, 0)[tuple(where)]
+            what = where[0]
+            bad = np.moveaxis(values, -1, 0)[tuple(where)]
             raise InputError(
                 f"{MitCommand._fields[what]} {bad:g} {_place(beyond)} is outside its range, "
                 f"limit {self._high[where[-1], what]:g}"

@@ -18,8 +18,14 @@ from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records.options import OptionRecord, option
 
 REGISTER_ID = 0x7FF
-READ, WRITE, REFRESH, STORE = 0x33, 0x55, 0xCC, 0xAA
-ENABLE, DISABLE, CLEAR_ERROR, SET_ZERO = 0xFC, 0xFD, 0xFB, 0xFE
+READ = 0x33
+WRITE = 0x55
+REFRESH = 0xCC
+STORE = 0xAA
+ENABLE = 0xFC
+DISABLE = 0xFD
+CLEAR_ERROR = 0xFB
+SET_ZERO = 0xFE
 _SPECIAL = b"\xff" * 7
 
 
@@ -96,8 +102,15 @@ def refuse_motion(frame: Frame) -> None:
         raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
 
 
-MST_ID, ESC_ID, TIMEOUT, CTRL_MODE = 7, 8, 9, 10
-GR, PMAX, VMAX, TMAX, CAN_BR = 20, 21, 22, 23, 35
+MST_ID = 7
+ESC_ID = 8
+TIMEOUT = 9
+CTRL_MODE = 10
+GR = 20
+PMAX = 21
+VMAX = 22
+TMAX = 23
+CAN_BR = 35
 
 TIMEOUT_UNIT = 50e-6
 """Seconds per unit of the watchdog register."""
@@ -143,7 +156,8 @@ def text_of(number: int, value: float) -> str:
     return f"{NAMES[number]}={int(value) if number in INTEGERS else format(value, '.9g')}"
 
 
-DISABLED, ENABLED = 0, 1
+DISABLED = 0
+ENABLED = 1
 LOST_COMMUNICATION = 0xD
 
 _MEANINGS = {
@@ -180,8 +194,11 @@ PLANNING_LIMIT = 0.70
 HANDY_RATES = (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
 """Cycle rates to propose [Hz], highest first."""
 _FRAMES_PER_CYCLE = 2
-_CLASSIC_BITS, _FD_NOMINAL_BITS, _FD_DATA_BITS = 111 + 24, 30 + 4, 96 + 17
-_CLASSIC_RATE_HZ, _FD_RATE_HZ = 250.0, 500.0
+_CLASSIC_BITS = 111 + 24
+_FD_NOMINAL_BITS = 30 + 4
+_FD_DATA_BITS = 96 + 17
+_CLASSIC_RATE_HZ = 250.0
+_FD_RATE_HZ = 500.0
 _BIT_RATE = "RATE [bit/s] > 0"
 
 

@@ -53,7 +53,8 @@ from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.special_files import refuse_special_file
 
 MASTER_ID_OFFSET = 0x10
-BY_HAND, BY_MOTION = "hand", "motion"
+BY_HAND = "hand"
+BY_MOTION = "motion"
 VERIFIED = ("", BY_HAND, BY_MOTION)
 """How it was seen which joint a motor turns, and which way: not yet, by hand, by a small motion."""
 

@@ -206,7 +206,9 @@ class Observer:
         comes to lie on something.
         """
         feedback = replies.feedback
-        q, qd, tau = feedback.position, feedback.velocity, feedback.torque
+        q = feedback.position
+        qd = feedback.velocity
+        tau = feedback.torque
         commanded = acted.motor_torque(q, qd)
         self._check_bus()
         self._check_states(replies)

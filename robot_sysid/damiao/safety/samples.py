@@ -138,7 +138,9 @@ class SampleFilter:
         ``acted`` is the command in force when the samples were taken.
         """
         feedback = replies.feedback
-        q, qd, tau = feedback.position, feedback.velocity, feedback.torque
+        q = feedback.position
+        qd = feedback.velocity
+        tau = feedback.torque
         expected = tau if acted is None else acted.motor_torque(q, qd)
         error = tau - np.clip(expected, -self._peak, self._peak)
         heat = np.maximum(feedback.temperature_mos, feedback.temperature_rotor).astype(float)

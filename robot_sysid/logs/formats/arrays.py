@@ -68,7 +68,8 @@ except Exception as error:
     sys.exit(" ".join(str(error).split()) or type(error).__name__)
 """
 """Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones."""
-_LEAST_TIME, _SLOWEST = 3.0, 2e7
+_LEAST_TIME = 3.0
+_SLOWEST = 2e7
 """Processor time that reading a .mat file may take [s], and so many bytes more each second."""
 
 
@@ -81,7 +82,8 @@ def npz_arrays(path: Path) -> dict[str, Any]:
     """Return the arrays of an .npz file, or raise InputError; nothing in it is unpickled."""
     with table.as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
         with zipfile.ZipFile(stream) as packed:
-            names, size = packed.namelist(), path.stat().st_size
+            names = packed.namelist()
+            size = path.stat().st_size
             table.refuse_bomb(path, sum(i.file_size for i in packed.infolist()), size, len(names))
             if not any(name.endswith(".npy") for name in names):
                 is_sheet = "[Content_Types].xml" in names
@@ -113,8 +115,10 @@ def matlab_table(asked: table.Asked) -> table.LogTable:
     with complaints, tempfile.TemporaryDirectory() as folder:
         unpacked = Path(folder, "log.npz")
         size = asked.path.stat().st_size
-        most, seconds = table.most_bytes(size), math.ceil(_LEAST_TIME + size / _SLOWEST)
-        files, bounds = [str(asked.path), str(unpacked)], [str(most), str(seconds)]
+        most = table.most_bytes(size)
+        seconds = math.ceil(_LEAST_TIME + size / _SLOWEST)
+        files = [str(asked.path), str(unpacked)]
+        bounds = [str(most), str(seconds)]
         call = [sys.executable, "-Wignore", "-c", _UNPACK, *files, *bounds]
         one_thread = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         ended = subprocess.run(call, capture_output=True, text=True, env=one_thread)
@@ -131,7 +135,8 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
 
     Only what is in the file itself is read: no link to another one is followed.
     """
-    path, found = asked.path, {}
+    path = asked.path
+    found = {}
     links: list[str] = []
     h5py = table.library("h5py", "hdf5", "an HDF5 file")
     seen = itertools.count()
@@ -176,7 +181,9 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
 
 def _member(h5py: Any, file: Any, place: str) -> Any:
     """Return what a file holds in a place, through links within the file; None for nothing."""
-    group, rest, links = file, place.split("/"), 0
+    group = file
+    rest = place.split("/")
+    links = 0
     while rest and isinstance(group, h5py.Group):
         name = rest.pop(0)
         link = group.get(name, getlink=True) if name else None
@@ -232,7 +239,8 @@ _OF_NUMBERS = re.compile(
 
 def parquet_table(asked: table.Asked) -> table.LogTable:
     """Return the columns of numbers of a Parquet file; a list in a cell is a column each."""
-    path, what = asked.path, "a Parquet file"
+    path = asked.path
+    what = "a Parquet file"
     parquet = table.library("pyarrow.parquet", "parquet", what)
     with table.as_input_errors(path, what):
         names = _numeric(parquet.read_schema(path))
@@ -243,7 +251,9 @@ def parquet_table(asked: table.Asked) -> table.LogTable:
 
 def feather_table(asked: table.Asked) -> table.LogTable:
     """Return the columns of numbers of a Feather file, an Arrow table in a file."""
-    path, what, size = asked.path, "a Feather file", asked.path.stat().st_size
+    path = asked.path
+    what = "a Feather file"
+    size = asked.path.stat().st_size
     feather = table.library("pyarrow.feather", "parquet", what)
     ipc = table.library("pyarrow.ipc", "parquet", what)
     with table.as_input_errors(path, what), table.bounded_memory(table.most_bytes(size)):
@@ -276,7 +286,9 @@ ACTION = "action"
 
 def lerobot_table(asked: table.Asked) -> table.LogTable:
     """Return the episodes of a data set that are asked for, or all, each a piece."""
-    path, joint_names, commanded = asked.path, asked.joint_names, asked.options.commanded
+    path = asked.path
+    joint_names = asked.joint_names
+    commanded = asked.options.commanded
     info = _mapping(read_json(path / "meta" / "info.json", "download the data set whole"))
     features = _mapping(info.get("features"))
     read = (STATE, ACTION) if commanded else (STATE, *_FEATURES)
@@ -291,7 +303,8 @@ def lerobot_table(asked: table.Asked) -> table.LogTable:
     present = [name for name in titles if titles[name]]
     frames = _frames(path, ["timestamp", "episode_index", *present])
     index = frames.pop("episode_index").astype(int)
-    found, wanted = sorted(set(index.tolist())), asked.options.episode
+    found = sorted(set(index.tolist()))
+    wanted = asked.options.episode
     if not found:
         raise InputError(f"{path} holds no frames; download the data set whole")
     missing = sorted(set(wanted) - set(found))
@@ -299,7 +312,8 @@ def lerobot_table(asked: table.Asked) -> table.LogTable:
         raise InputError(f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}")
     pieces = [[v[index == episode] for v in frames.values()] for episode in wanted or found]
     width = sum(values.reshape(len(values), -1).shape[1] for values in frames.values())
-    version, fps = info.get("codebase_version", "?"), info.get("fps", "unknown")
+    version = info.get("codebase_version", "?")
+    fps = info.get("fps", "unknown")
     layout = f"LeRobot data set {version} at {fps} Hz, {len(pieces)} episodes"
     flat = tuple(title for name in present for title in titles[name])
     if width != 1 + len(flat):
@@ -334,7 +348,8 @@ def _frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     if not files:
         raise InputError(f"{path} has no Parquet files in data/; download the data set whole")
     parts: list[dict[str, Array]] = []
-    unpacked, packed = 0.0, sum(file.stat().st_size for file in files)
+    unpacked = 0.0
+    packed = sum(file.stat().st_size for file in files)
     for file in files:
         with table.as_input_errors(file, LEROBOT):
             unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)

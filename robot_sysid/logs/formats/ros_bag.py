@@ -38,7 +38,8 @@ from robot_sysid.logs.formats.table import Asked, Block, LogTable, as_input_erro
 from robot_sysid.special_files import refuse_special_file
 
 WHAT = "a ROS bag"
-POSITION, TORQUE = ("position",), ("effort", "current")
+POSITION = ("position",)
+TORQUE = ("effort", "current")
 QUANTITIES = (*POSITION, "velocity", *TORQUE)
 # So many messages of a topic are looked at to find out which joints it has: a second or more, in
 # which each publisher of the topic has spoken.
@@ -56,7 +57,9 @@ _DEFINED = {
 
 def bag_table(asked: Asked) -> LogTable:
     """Return the topic of a bag with the arm's joints: the one asked for, or the only one."""
-    path, joints, topic = asked.path, asked.joint_names, asked.options.topic
+    path = asked.path
+    joints = asked.joint_names
+    topic = asked.options.topic
     with _opened(path) as bag:
         known = {c.topic: c.msgtype for c in bag.connections if c.msgtype in _READ}
         topics = sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
@@ -109,7 +112,8 @@ def _blocks(
     place = {key: k + 1 for k, key in enumerate(keys)}
     with _opened(path) as bag:
         total = max(1, sum(c.msgcount for c in bag.connections if c.topic == topic))
-        samples, done = arm.samples(_messages(bag, topic)), 0
+        samples = arm.samples(_messages(bag, topic))
+        done = 0
         while batch := list(islice(samples, table.BLOCK)):
             cells = np.full((len(batch), 1 + len(keys)), np.nan)
             for row, (time, sample) in zip(cells, batch):
@@ -175,8 +179,10 @@ def bounded_reader() -> ModuleType:
     """Return a copy of ``rosbags.highlevel.anyreader`` that unpacks no more than the bound."""
     import lz4.frame
 
-    mcap, two = _copy("rosbags.rosbag2.storage_mcap"), _copy("rosbags.rosbag2.reader")
-    one, reader = _copy("rosbags.rosbag1.reader"), _copy("rosbags.highlevel.anyreader")
+    mcap = _copy("rosbags.rosbag2.storage_mcap")
+    two = _copy("rosbags.rosbag2.reader")
+    one = _copy("rosbags.rosbag1.reader")
+    reader = _copy("rosbags.highlevel.anyreader")
     # The last rosbags for Python 3.9 unpacks with another library, called zstandard.
     zstd = Bounded(vars(mcap).get("zstd") or vars(mcap)["zstandard"])
     unpackers = {"bz2": Bounded(bz2).decompress, "lz4": Bounded(lz4.frame).decompress}

@@ -95,7 +95,8 @@ DATE = re.compile(
 
 LARGEST = 8e8
 """Largest recording of arrays that is unpacked [bytes]: three hours of seven joints at 1 kHz."""
-MOST_RATIO, ALWAYS = 100, 10**8
+MOST_RATIO = 100
+ALWAYS = 10**8
 """Recordings shrink to a tenth; one may unpack to 100 times its size, or to 100 MB."""
 MOST_ARRAYS = 10_000
 """Arrays in a recording, and columns of them; with ten times as many, names take a minute."""
@@ -157,7 +158,8 @@ def pieces_table(
 
 def _rows(pieces: Sequence[Sequence[Array]], columns: Sequence[int]) -> Iterator[Block]:
     lengths = [len(piece[0]) for piece in pieces]
-    total, start = max(1, sum(lengths)), 0
+    total = max(1, sum(lengths))
+    start = 0
     for number, (piece, length) in enumerate(zip(pieces, lengths)):
         for first in range(0, length, BLOCK):
             parts = [np.asarray(part[first : first + BLOCK], dtype=float) for part in piece]
@@ -177,7 +179,8 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     """
     last = [name.rsplit("/", 1)[-1] for name in arrays]
     dated = ((name, _seconds(array)) for name, array in arrays.items())
-    ends, often = zip(last, dated), Counter(last)
+    ends = zip(last, dated)
+    often = Counter(last)
     named = {end if often[end] == 1 else name: a for end, (name, a) in ends}
     sized = {n: a for n, a in named.items() if is_column(a)}
     # As many samples as times, else what most arrays have.

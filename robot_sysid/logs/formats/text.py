@@ -36,7 +36,8 @@ PIECE = 1_000_000
 _NO_ROW = frozenset({"", *" \t\v\f#%"})
 # Control characters, and their share at the beginning of a file that makes it no text: a few may
 # be a serial port's noise.
-_CONTROL, _BINARY = bytes({*range(32)} - {*b"\t\n\v\f\r"}), 0.05
+_CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r"})
+_BINARY = 0.05
 
 
 @dataclass(frozen=True)
@@ -92,13 +93,16 @@ def read_dialect(path: Path, start: bytes) -> Dialect:
     above, lines = _beginning(path, encoding)
     if not lines:
         raise InputError(f"{path} holds no rows of a table; check that the recording was written")
-    (number, first), last = lines[0], lines[-1][1]
+    (number, first) = lines[0]
+    last = lines[-1][1]
     separator = next((mark for mark in _SEPARATORS if mark in first), " ")
     header, row = (_without_gap(split_line(line, separator)) for line in (first, last))
     if not header or not row:
         raise InputError(f"{path} does not begin with a table of text; export CSV")
     if _mostly_numbers(header):
-        number, last, row = 0, first, header
+        number = 0
+        last = first
+        row = header
         header = _commented_header(above, len(row))
     elif len(lines) < 2:
         raise InputError(f"{path} has a header but no rows; check that the recording ran")
@@ -143,7 +147,8 @@ def _pieces(path: Path, encoding: str, most: int) -> Iterator[tuple[int, list[st
     """Yield (number of the first line, lines, share of the file read by then), so many characters
     at a time, to the end of a line; of a line that no table has, the beginning.
     """
-    size, number = max(1, path.stat().st_size), 1
+    size = max(1, path.stat().st_size)
+    number = 1
     # Titles may hold a degree sign in any encoding; numbers never do, so replacing is harmless.
     with path.open("rb") as binary, TextIOWrapper(binary, encoding, errors="replace") as stream:
         while text := stream.read(most):
@@ -158,7 +163,8 @@ def _pieces(path: Path, encoding: str, most: int) -> Iterator[tuple[int, list[st
 
 def _beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
     """Return the line above the first row, and the first two rows with their line numbers."""
-    above, rows = "", []
+    above = ""
+    rows = []
     pieces = _pieces(path, encoding, _LONGEST_LINE)
     for number, text in (each for first, lines, _ in pieces for each in enumerate(lines, first)):
         if not _is_comment(text) and _is_text(text):
@@ -211,7 +217,8 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
             if not rows:
                 continue
             numbers, texts = zip(*rows)
-        cells, complaint = _fast(dialect, columns, texts), ""
+        cells = _fast(dialect, columns, texts)
+        complaint = ""
         if cells is None:
             cells = np.full((len(texts), len(columns)), np.inf)
             for number, text, row in zip(numbers, texts, cells):
@@ -224,7 +231,8 @@ def _fast(dialect: Dialect, columns: Sequence[int], texts: Sequence[str]) -> Arr
     """Parse rows with numpy; None where a row needs a closer look."""
     if dialect.quoted:
         return None
-    mark, first = None if dialect.separator == " " else dialect.separator, dialect.first_row
+    mark = None if dialect.separator == " " else dialect.separator
+    first = dialect.first_row
     if mark != ",":
         texts = [text.replace(",", ".") for text in texts]
     dates = [k for k in columns if k < len(first) and ":" in first[k]]
@@ -246,7 +254,8 @@ def _fast(dialect: Dialect, columns: Sequence[int], texts: Sequence[str]) -> Arr
 
 def _read_row(dialect: Dialect, columns: Sequence[int], text: str, row: Array) -> str:
     """Read the wanted cells of a line into a row (C,), or return why it is none of numbers."""
-    cells, titles = dialect.cells(text), dialect.titles
+    cells = dialect.cells(text)
+    titles = dialect.titles
     if len(cells) != len(titles):
         return f": {len(cells)} cells instead of {len(titles)}"
     try:

@@ -37,7 +37,9 @@ from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.records import Array, Motion
 from robot_sysid.trajectory import Series, TrajectoryOptions
 
-FIRST_WEIGHT, WEIGHT_GROWTH, PLAIN_ROUNDS = 1.0, 1.5, 2
+FIRST_WEIGHT = 1.0
+WEIGHT_GROWTH = 1.5
+PLAIN_ROUNDS = 2
 """Weight of the penalty, its growth per round, and the rounds before it begins to grow.
 
 The multipliers should do the work: the weight only grows where they converge slowly.
@@ -68,7 +70,8 @@ SMOOTHING_SHARE = 0.03
 
 With it no deviation is off by more than 3 % (``test_the_grid_is_fine_enough_for_the_band``).
 """
-MOST_MEMORY, COPIES = 2e9, 3
+MOST_MEMORY = 2e9
+COPIES = 3
 """Most memory that a search may take [bytes], and how often each process holds its functions."""
 _WORST = 1e6
 """Stands for an infinite criterion: the optimiser needs a number."""
@@ -114,8 +117,10 @@ def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> C
     """Return the candidate after one more round, or after as much of it as there was time for."""
     from scipy.optimize import minimize
 
-    unit, shape = design.unit, candidate.x.shape
-    objective, reached = partial(penalised, design, candidate), [candidate.x]
+    unit = design.unit
+    shape = candidate.x.shape
+    objective = partial(penalised, design, candidate)
+    reached = [candidate.x]
 
     def function(flat: Array) -> tuple[float, Array]:
         if is_over(deadline):
@@ -134,7 +139,8 @@ def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> C
     moved = replace(candidate, x=reached[-1])
     if not is_over(deadline):
         grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
-        multipliers, weight = objective(moved.x)[2], grow * candidate.weight
+        multipliers = objective(moved.x)[2]
+        weight = grow * candidate.weight
         moved = replace(moved, multipliers=multipliers, weight=weight, rounds=candidate.rounds + 1)
     return _checked(design, moved, deadline)
 
@@ -173,7 +179,8 @@ class Design:
         motion: TrajectoryOptions,
         known: Known | None = None,
     ) -> None:
-        self.problem, self.sample_rate = problem, motion.sample_rate
+        self.problem = problem
+        self.sample_rate = motion.sample_rate
         self.options = options.for_joints(problem.n_joints)
         self.basis: FourierBasis = options.basis(motion.duration)
         top = self.basis.top_frequency_hz
@@ -258,8 +265,10 @@ def constraints_of(
         extra_slack: distance to keep beside the obstacles' own requirement [m].
     """
     moved = Motion(np.arange(float(len(motion[0]))), *motion)
-    signals, slack = problem.signals(moved), problem.obstacles.slack(moved.q)
-    allowed, towards = share * problem.limits.columns, (extra_slack - slack.value) / OBSTACLE_LENGTH
+    signals = problem.signals(moved)
+    slack = problem.obstacles.slack(moved.q)
+    allowed = share * problem.limits.columns
+    towards = (extra_slack - slack.value) / OBSTACLE_LENGTH
     value = np.column_stack((np.abs(signals) / allowed - 1.0, towards))
     return Constraints(value, partial(_vjp, problem, motion, signals, allowed, slack.gradient))
 
@@ -296,7 +305,8 @@ def _add_torque(
     if len(active) == 0:
         return
     at = [part[active] for part in motion]
-    count, n = len(active), problem.n_joints
+    count = len(active)
+    n = problem.n_joints
     for which, part in enumerate(at):
         # The friction torque jumps where a joint reverses; a step across the jump would be noise.
         step = np.where(part < 0.0, -_TORQUE_STEP, _TORQUE_STEP).T
@@ -314,7 +324,9 @@ def penalised(design: Design, candidate: Candidate, x: Array) -> tuple[float, Ar
     Multipliers and weight are those of the candidate; the new ones (N, 4 n + 2) are those after a
     minimisation that ends at x.
     """
-    multipliers, weight, motion = candidate.multipliers, candidate.weight, design.motion(x)
+    multipliers = candidate.multipliers
+    weight = candidate.weight
+    motion = design.motion(x)
     told = design.told(motion)
     value, slope = design.criterion.evaluate(told.information)
     constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)

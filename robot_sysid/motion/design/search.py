@@ -110,12 +110,15 @@ def design_excitation(
         InputError: no drawn trajectory obeys all limits; names the one that is in the way.
         KeyboardInterrupt: interrupted before there was any trajectory.
     """
-    draws, candidates, interruption = list[Draw](), list[Candidate](), None
+    draws = list[Draw]()
+    candidates = list[Candidate]()
+    interruption = None
     try:
         seed = int(rng.integers(2**62))
         stopped = _search(design, seed, draws, candidates, progress or Progress(), before)
     except KeyboardInterrupt as error:
-        stopped, interruption = "interrupted", error
+        stopped = "interrupted"
+        interruption = error
     best = _best(candidates)
     if best is None:  # Nothing was improved in time.
         tried = (first_candidate(design, draw.x) for draw in _feasible(draws))
@@ -144,7 +147,8 @@ def _search(
     before: Callable[[MotionPlan], None] | None,
 ) -> str:
     """Draw, choose, improve; fill the lists, and return what cut the search, or ""."""
-    options, began = design.options, optimise.clock()
+    options = design.options
+    began = optimise.clock()
     budget = options.time_budget or np.inf
     deadline = began + budget - min(0.5 * budget, CHECK_TIME)
     drawn = range(options.draws)
@@ -274,7 +278,8 @@ def _within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
     It moves each joint to a random middle and back, besides. Of harmonics the speeds, not the
     angles, are alike.
     """
-    limits, rest = design.problem.limits, design.problem.rest
+    limits = design.problem.limits
+    rest = design.problem.rest
     size = (len(rest), design.basis.size)
     offset = np.zeros(size)
     middle = rng.uniform(0.2, 0.8, size=len(rest))
@@ -290,7 +295,8 @@ def _within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
 
 def _room(design: Design, base: Array, x: Array) -> Array:
     """Return the largest factors (n,) for which base + factor x keeps the motion limits."""
-    limits, rest = design.problem.limits, design.problem.rest
+    limits = design.problem.limits
+    rest = design.problem.rest
     ranges = (
         (limits.lower - rest, limits.upper - rest),
         (-limits.velocity, limits.velocity),
@@ -298,7 +304,8 @@ def _room(design: Design, base: Array, x: Array) -> Array:
     )
     factor = np.full(len(rest), np.inf)
     for function, (low, high) in zip(design.on_grid, ranges):
-        at, step = function @ base.T, function @ x.T
+        at = function @ base.T
+        step = function @ x.T
         room = np.where(step > 0.0, high - at, low - at)
         share = np.abs(step) > 1e-12
         ratio = np.where(share, room / np.where(share, step, 1.0), np.inf)
@@ -321,7 +328,8 @@ def _shrunk(design: Design, full: Array) -> Draw:
             return Draw(design.criterion_of(x), x, "")
     # The constraint that is exceeded most.
     sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
-    names, obstacles = design.problem.signal_names, design.problem.obstacles
+    names = design.problem.signal_names
+    obstacles = design.problem.obstacles
     if column < len(names):
         return Draw(np.inf, np.zeros_like(full), names[column])
     label = obstacles.closest(places[sample]).label
@@ -342,7 +350,8 @@ def _workers(shared: Any, count: int) -> Iterator[Callable[[Sequence[Job]], Iter
     They are started afresh ("spawn"), so nothing depends on what this process has loaded; each
     receives what is shared once and keeps it. With one worker the present process does the work.
     """
-    pool, others = None, multiprocessing.active_children()
+    pool = None
+    others = multiprocessing.active_children()
     # Without room for another process, for its pipes or its semaphores there is no pool.
     with contextlib.suppress(OSError, RuntimeError, ImportError):
         if count > 1:

@@ -85,7 +85,8 @@ def _before_after(body: Body, name: str) -> Figure:
         axes = canvas.subplots(3, 1, height_ratios=[end - start + 0.6 for start, end, _ in _GROUPS])
         errors = np.where(np.isfinite(body.errors), body.errors, 0.0)
         for (start, end, title), ax in zip(_GROUPS, axes):
-            places, part = -np.arange(end - start, dtype=float), slice(start, end)
+            places = -np.arange(end - start, dtype=float)
+            part = slice(start, end)
             for what, (shift, style) in _MARKS.items():
                 if what in told:
                     ax.plot(told[what][part], places + shift, label=what, ls="none", **style)
@@ -125,7 +126,8 @@ def _causes(body: Body, name: str) -> Figure:
 
     def draw(canvas: Any) -> None:
         ax = canvas.subplots()
-        left, places = np.zeros(10), -np.arange(10.0)
+        left = np.zeros(10)
+        places = -np.arange(10.0)
         for (cause, share), (colour, _), hatch in zip(
             shown.items(), drawing.SERIES, drawing.HATCHES
         ):
@@ -142,12 +144,15 @@ def _causes(body: Body, name: str) -> Figure:
 
 def visibility(run: Run) -> Section:
     """Return what is identified, what was kept from the model, and what does not show."""
-    body, content = run.bodies[0], run.content
+    body = run.bodies[0]
+    content = run.content
     sources = [_source(body, k, run.is_payload) for k in range(len(PARAMETER_NAMES))]
     errors = map(drawing.plus_minus, body.errors)
     rows = list(zip(PARAMETER_NAMES, sources, map(percent, body.share), errors))
-    tables, sentences = [table((body.title, "comes from", "data", "±"), rows)], []
-    base, sensors = content["base_parameters"], content["sensors"]
+    tables = [table((body.title, "comes from", "data", "±"), rows)]
+    sentences = []
+    base = content["base_parameters"]
+    sensors = content["sensors"]
     if base:
         sentences.append(
             f"The torques show {len(base)} combinations of the links' parameters; any motion of "
@@ -214,7 +219,8 @@ def scatter(run: Run) -> Section | None:
     rows = []
     for one in payload["scatter"]:
         mass, noise, whole = (number(one[key]) for key in ("mass", "noise_error", "error"))
-        pair, kind = drawing.cells(mass, noise), "loaded" if one["is_loaded"] else "empty"
+        pair = drawing.cells(mass, noise)
+        kind = "loaded" if one["is_loaded"] else "empty"
         rows.append((one["name"], kind, *pair, drawing.plus_minus(whole)))
     words = (
         "Mass of the payload according to each recording against all of the other kind. If one "
@@ -226,7 +232,8 @@ def scatter(run: Run) -> Section | None:
 
 def verdicts(runs: Sequence[Run]) -> Section:
     """Return each run's verdict."""
-    rows, told = [], []
+    rows = []
+    told = []
     for name, run in names(runs).items():
         content = run.content
         rows.append((name, content["question"], content["verdict"][0], content["model"]["path"]))
@@ -234,7 +241,8 @@ def verdicts(runs: Sequence[Run]) -> Section:
     header = ("run", "what", "verdict", "model")
     models = {run.content["model"]["sha256"] for run in runs}
     warned = ("The runs are of different model files.",) if len(models) > 1 else ()
-    tables, missing = (table(header, rows),), tuple(told)
+    tables = (table(header, rows),)
+    missing = tuple(told)
     return Section("verdicts", "Verdicts", warned, tables, missing=missing, is_open=True)
 
 

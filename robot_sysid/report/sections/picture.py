@@ -21,7 +21,9 @@ from robot_sysid.report.sections.parameters import masses
 
 _SIZE = (800, 620)
 _COLOURS: dict[str, Colour] = {"before": (0.9, 0.45, 0.05, 0.3), "after": (0.05, 0.38, 0.75, 0.5)}
-_ROOM, _FARTHER, _NEAREST = 6.0, 1.25, 3.0
+_ROOM = 6.0
+_FARTHER = 1.25
+_NEAREST = 3.0
 _TITLE = "Inertia on the arm"
 Bodies = list[tuple[int, Body]]
 
@@ -45,7 +47,8 @@ def _drawn(robot: RobotModel, bodies: Bodies) -> Section:
     from matplotlib.image import imsave
 
     facts: Any = {"Software": None}
-    numbers, figures = masses([body for _, body in bodies]), []
+    numbers = masses([body for _, body in bodies])
+    figures = []
     last = [each for each in bodies if each[0] == robot.body_id]
     impossible: dict[str, None] = {}
     with Studio(robot, *_SIZE) as studio:
@@ -62,7 +65,8 @@ def _drawn(robot: RobotModel, bodies: Bodies) -> Section:
             studio.glass(0.35)
             impossible.update(dict.fromkeys(_add_ellipsoids(studio, shown)))
             caption = f"Ellipsoids of inertia on {on}, in its reference posture."
-            pixels, buffer = np.ascontiguousarray(studio.picture()), io.BytesIO()
+            pixels = np.ascontiguousarray(studio.picture())
+            buffer = io.BytesIO()
             imsave(buffer, pixels, format="png", metadata=facts)
             figures.append(Figure(f"inertia-{name}", caption, numbers, png=buffer.getvalue()))
     said = (

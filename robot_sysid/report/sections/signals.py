@@ -48,7 +48,8 @@ def _by_joint(
 
 
 def _torque(data: ReportData, joint: int, before: str) -> Figure:
-    unit, name = torque(data.is_slide[joint]), data.joints[joint]
+    unit = torque(data.is_slide[joint])
+    name = data.joints[joint]
     above = _before_after(data, joint)
     measured, earlier, after = (values for values, _ in above.values())
     left = measured - after
@@ -70,8 +71,10 @@ def most_changed(run: Run) -> Figure:
     earlier, after = (data.measured - each for each in (data.before, data.predicted))
     falls = [_rms(old) - _rms(new) for old, new in zip(earlier.T, after.T)]
     joint = int(np.argmax(np.nan_to_num(np.abs(falls))))
-    name, unit = data.joints[joint], torque(data.is_slide[joint])
-    old, new = _rms(earlier[:, joint]), _rms(after[:, joint])
+    name = data.joints[joint]
+    unit = torque(data.is_slide[joint])
+    old = _rms(earlier[:, joint])
+    new = _rms(after[:, joint])
     caption = (
         f"Torque of {name}, measured and predicted before and after: the prediction was off by "
         f"{old:.3g} {unit}, and is by {new:.3g} {unit} (root mean square)."
@@ -114,7 +117,8 @@ def _left_over(data: ReportData, joint: int) -> Figure:
     known = np.isfinite(data.speed[joint])
     columns = (data.speed, data.residual_mean, data.residual_spread)
     speeds, mean, spread = (each[joint, known] for each in columns)
-    band, memories = data.independent[joint], data.correlation[joint]
+    band = data.independent[joint]
+    memories = data.correlation[joint]
     beyond = np.abs(memories[1:]) > band
     share = f"{100.0 * np.mean(beyond):.0f} %" if len(beyond) else "none"
     caption = (
@@ -142,7 +146,8 @@ def _left_over(data: ReportData, joint: int) -> Figure:
 def _histogram(ax: Any, edges: Array, counts: Array) -> None:
     total = max(float(np.sum(counts)), 1.0)
     ax.stairs(counts, edges, fill=True, color=drawing.MEASURED, alpha=0.6)
-    middles, width = 0.5 * (edges[1:] + edges[:-1]), float(edges[1] - edges[0])
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    width = float(edges[1] - edges[0])
     spread = float(np.sqrt(np.sum(counts * middles**2) / total)) or 1.0
     bell = np.exp(-0.5 * (middles / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
     ax.plot(middles, total * width * bell, color=drawing.AFTER)
@@ -187,7 +192,8 @@ def _coefficients(
 
 
 def _curve(data: ReportData, joint: int) -> Figure:
-    unit, speed = torque(data.is_slide[joint]), f"speed [{position(data.is_slide[joint])}/s]"
+    unit = torque(data.is_slide[joint])
+    speed = f"speed [{position(data.is_slide[joint])}/s]"
     known = np.isfinite(data.speed[joint])
     columns = (data.speed, data.friction_measured, data.friction_predicted)
     # Dry friction jumps where the speed changes its sign: no line is drawn across.
@@ -264,7 +270,8 @@ class ErrorSet(NamedTuple):
 
 def errors(run: Run) -> Section:
     """Return the errors on fitted and held-out data and on other logs, before and after."""
-    sets, title = list(error_sets(run)), "Prediction errors"
+    sets = list(error_sets(run))
+    title = "Prediction errors"
     if not sets:
         return Section("errors", title, missing=("the result file holds no errors per joint",))
     caption = (
@@ -300,7 +307,9 @@ def error_numbers(sets: Sequence[ErrorSet]) -> tuple[tuple[str, ...], list[tuple
 
 def error_sets(run: Run) -> Iterator[ErrorSet]:
     """Yield all errors per joint that the result file holds, those farthest from the fit last."""
-    content, file, tests = run.content, run.content["file"] or {"others": ()}, []
+    content = run.content
+    file = run.content["file"] or {"others": ()}
+    tests = []
     if content["rmse_per_joint"]:
         fitted = Validation("", 0, content["rmse"], None, content["rmse_per_joint"], {})
         yield ErrorSet(FITTED, fitted, drawing.MEASURED)

@@ -17,7 +17,8 @@ from robot_sysid.report.sections.signals import most_changed
 
 def verdict(run: Run) -> Section:
     """Return the verdict as the console says it, the torque error, and one figure of a torque."""
-    content, good = run.content, run.content["valid"]["trustworthy"]
+    content = run.content
+    good = run.content["valid"]["trustworthy"]
     of_itself = str(content["source"]).startswith(Source.ITSELF.value)
     return Section(
         "verdict",
@@ -49,14 +50,16 @@ def _headline(run: Run) -> str:
 
 def _masses(run: Run) -> Iterator[str]:
     for body in run.bodies if run.is_payload else run.bodies[:1]:
-        mass, error = float(body.after[0]), float(body.errors[0])
+        mass = float(body.after[0])
+        error = float(body.errors[0])
         relative = f" ({percent(error / mass)})" if np.isfinite(error) and mass > 0.0 else ""
         stated = body.stated(body.errors)[0]
         yield f"Mass of {body.title}: {with_error(mass, stated, 'kg')}{relative}."
 
 
 def _origin(run: Run) -> Iterator[str]:
-    content, payload = run.content, run.content["payload"]
+    content = run.content
+    payload = run.content["payload"]
     kind = "the terminal link, with the other links around it"
     if payload is not None:
         kind = "a payload, from recordings without and with it"

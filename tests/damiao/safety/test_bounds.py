@@ -19,7 +19,9 @@ from tests.support.clocks import ScriptedClock
 
 JOINTS = damiao_joints(["DM4340", "DM4310"], 2)
 SCALING = Scaling([joint.spec.limits for joint in JOINTS])
-LOWER, UPPER, SPEED = np.array([-0.5, -1.0]), np.array([0.7, 1.0]), np.array([1.0, 2.0])
+LOWER = np.array([-0.5, -1.0])
+UPPER = np.array([0.7, 1.0])
+SPEED = np.array([1.0, 2.0])
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 NUMBERS = st.floats(-30.0, 30.0) | ANY
 PAIRS = st.tuples(NUMBERS, NUMBERS)
@@ -81,7 +83,8 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
     last = start.copy()
     enabled_at = clock.now()
     sent_at = np.full(2, clock.now())
-    lower, upper = np.minimum(LOWER, start), np.maximum(UPPER, start)
+    lower = np.minimum(LOWER, start)
+    upper = np.maximum(UPPER, start)
     position_step, velocity_step, torque_step = session.steps
     for position, velocity, torque, braking, pause in requests:
         clock.sleep_until(clock.now() + pause)

@@ -72,7 +72,8 @@ def stop_words(*samples, asked=(0.0, 0.0, 0.0), how=(), **settings):
 
 def test_while_gains_rise_a_new_load_is_judged_by_how_far_the_arm_sinks():
     """It swings about where it will settle; a rated 9 N m sink it by 0.05 rad, two stop it."""
-    swings, sinks = sample(q=-0.09, tau=20.0), sample(q=-0.11, tau=5.0)
+    swings = sample(q=-0.09, tau=20.0)
+    sinks = sample(q=-0.11, tau=5.0)
     assert stop_words(swings, how=(True, True)) is None
     assert "N m off its torque, limit 7" in stop_words(swings, swings, how=(True,))
     assert "-0.110 rad off" in stop_words(sinks, how=(True, True))
@@ -123,7 +124,8 @@ def test_a_motor_may_be_silent_for_so_long_and_no_longer(asked, cycles, words):
 
 
 def test_what_a_run_was_like_is_counted():
-    watched, still = observer(), MitCommand(*[np.zeros(2)] * 5)
+    watched = observer()
+    still = MitCommand(*[np.zeros(2)] * 5)
     for replies in (sample(q=0.1), sample(1, 0.095), sample(answered=False), sample(status=0xA)):
         watched.update(replies)
         if replies.feedback.status[1] != 0xA:

@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 from robot_sysid.damiao.protocol.codec import Feedback, MitCommand
 from robot_sysid.damiao.safety.samples import Replies, SampleFilter
 
-PEAK, STEP, CYCLE, KP = 27.0, 0.005, 0.004, 180.0
+PEAK = 27.0
+STEP = 0.005
+CYCLE = 0.004
+KP = 180.0
 
 
 def swing(k):

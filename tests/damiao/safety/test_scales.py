@@ -44,7 +44,10 @@ def test_a_right_one_or_one_that_is_too_coarse_to_judge_is_left_alone(options):
 def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_scale(fades, lag):
     """One that is held to commands: dv/dt = (v_des + k (p_des - p) - v) / lag, seen at the end."""
     cycle = 0.01
-    p, v, target, check = 0.0, 0.0, 0.0, VelocityScalingCheck(np.full(1, 1e-4), np.array([fades]))
+    p = 0.0
+    v = 0.0
+    target = 0.0
+    check = VelocityScalingCheck(np.full(1, 1e-4), np.array([fades]))
     # Position and velocity behind the command after one cycle, by the exponential of the equation.
     rates = np.array([[0.0, 1.0], [-fades / lag, -1.0 / lag]]) / 400
     step = np.linalg.matrix_power(np.eye(2) + rates + rates @ rates / 2, 400)
@@ -53,7 +56,8 @@ def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_
         target += speed * cycle
         rest = target + speed * cycle / fades
         away = step @ [(p - rest) / cycle, v]
-        p, v = rest + away[0] * cycle, away[1]
+        p = rest + away[0] * cycle
+        v = away[1]
         check.add(np.full(1, n * cycle), np.full(1, p), np.full(1, v))
     assert check.worst() is None
 
@@ -62,7 +66,8 @@ def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_
 def test_a_motor_that_reports_another_torque_than_it_was_told_to_make_is_found(ratio):
     """By more than 15 %, from what it does slowly, and not before it is clear."""
     peak = np.array([27.0, 27.0])
-    check, wrong = TorqueScalingCheck(0.01 * peak / 27, peak), abs(ratio - 1.0) > 0.15
+    check = TorqueScalingCheck(0.01 * peak / 27, peak)
+    wrong = abs(ratio - 1.0) > 0.15
     for k in range(30):
         tau = np.array([2.0, 5.0 + 0.1 * k])
         check.add(tau, tau * [1.0, ratio], np.zeros(2))

@@ -12,7 +12,8 @@ from robot_sysid.interrupts import STOPPING
 
 @pytest.mark.parametrize("name", [number.name for number in STOPPING])
 def test_signals_are_wishes_inside_the_block_only(name, heard):
-    number, stop = getattr(signal, name), StopRequest()
+    number = getattr(signal, name)
+    stop = StopRequest()
     with stop.on_signals():
         signal.raise_signal(number)
         signal.raise_signal(number)
@@ -22,7 +23,8 @@ def test_signals_are_wishes_inside_the_block_only(name, heard):
 
 @pytest.mark.parametrize("name", [number.name for number in STOPPING])
 def test_what_nohup_or_a_shell_makes_a_process_ignore_stays_ignored(name, heard):
-    number, stop = getattr(signal, name), StopRequest()
+    number = getattr(signal, name)
+    stop = StopRequest()
     signal.signal(number, signal.SIG_IGN)
     with stop.on_signals():
         signal.raise_signal(number)

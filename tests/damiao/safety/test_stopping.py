@@ -12,7 +12,9 @@ from robot_sysid.damiao.safety.bounds import CommandRange
 from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
 
 FAR = CommandRange(np.full(2, -9.0), np.full(2, 9.0), np.full(2, 9.0))
-KP, KD, PERIOD = 180.0, 4.5, 0.004
+KP = 180.0
+KD = 4.5
+PERIOD = 0.004
 
 
 def stop(position, velocity, torque, q, qd, fed=None, stuck=(False, False), command_range=FAR):
@@ -65,7 +67,8 @@ def test_it_stays_within_the_range():
 
 def step_by_step(path, q, seconds):
     """Let joints stand at q (2,) while a stop goes on; return its last reference."""
-    path.q, path.qd = np.array(q), np.zeros(2)
+    path.q = np.array(q)
+    path.qd = np.zeros(2)
     for k in range(round(seconds / PERIOD)):
         reference = path(k * PERIOD)
     return reference
@@ -102,7 +105,8 @@ def test_a_joint_that_stands_against_its_motor_is_pushed_no_more_at_once():
 def test_a_joint_that_leaves_its_way_is_held_stiffer(away, side):
     path = stop((0.0, 0.0), (0.0, 0.0), (2.0, 3.0), (0.0, 0.0), (0.0, 0.0))
     path(0.0)
-    path.q, path.qd = np.array([0.0, side * away]), np.array([0.0, side * 2.0])
+    path.q = np.array([0.0, side * away])
+    path.qd = np.array([0.0, side * 2.0])
     leaving = pull(path(PERIOD), path.q)[1] - 3.0
     path.qd = -path.qd
     coming = pull(path(2 * PERIOD), path.q)[1] - 3.0
@@ -176,7 +180,8 @@ def thrown_energy(motor_inertia, link_inertia, spring, cycles_late, step=1e-4):
     for cycle in range(250):
         motion = motor_inertia * qd**2 + link_inertia * link_qd**2
         energy.append(0.5 * (motion + spring * (q - link_q) ** 2))
-        path.q, path.qd = q, qd
+        path.q = q
+        path.qd = qd
         commands.append(path(cycle * PERIOD))
         command = commands.pop(0)
         for _ in range(round(PERIOD / step)):

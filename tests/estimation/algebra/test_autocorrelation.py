@@ -37,8 +37,10 @@ def test_kernel_sums_are_those_of_the_dense_kernels(seed):
 @given(SEEDS)
 def test_sums_of_few_rows_tell_the_same_in_the_rows_themselves(seed):
     rng = np.random.default_rng(seed)
-    rows, own = rng.normal(size=(30, 40)), rng.normal(size=(40, 40))
-    residual, own = rng.normal(size=30), 1e-3 * own @ own.T
+    rows = rng.normal(size=(30, 40))
+    own = rng.normal(size=(40, 40))
+    residual = rng.normal(size=30)
+    own = 1e-3 * own @ own.T
     residual[7] = np.nan
     few = collected(rows, residual)
     all_of_them = joint_residuals(np.arange(40), 0.1 * np.eye(40), rows, residual, True).shorten()
@@ -51,7 +53,8 @@ def test_sums_of_few_rows_tell_the_same_in_the_rows_themselves(seed):
 @given(SEEDS, st.integers(1, 10), st.sampled_from(("any", "like kernels", "twice", "nothing")))
 def test_what_is_not_negative_fits_as_well_as_by_scipy(seed, size, kind):
     rng = np.random.default_rng(seed)
-    matrix, right = rng.normal(size=(40, size)), rng.normal(size=40)
+    matrix = rng.normal(size=(40, size))
+    right = rng.normal(size=40)
     if kind == "like kernels":
         matrix = np.exp(-np.arange(40)[:, None] / 2.0 ** np.arange(size)) + 1e-3 * matrix
         right = matrix @ np.maximum(rng.normal(size=size), 0.0) + 0.01 * right
@@ -106,7 +109,8 @@ SUMS = ("count", "sums", "products", "hats", "pairs")
 
 def one_log(rng, count):
     root = 0.1 * np.eye(2)
-    rows, residual = rng.normal(size=(count, 2)), rng.normal(size=count)
+    rows = rng.normal(size=(count, 2))
+    residual = rng.normal(size=count)
     residual[:: int(rng.integers(5, 50))] = np.nan
     return joint_residuals(np.arange(2), root, rows, residual, True)
 
@@ -115,7 +119,8 @@ def one_log(rng, count):
 def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
     rng = np.random.default_rng(seed)
     one, two, three = (one_log(rng, int(rng.integers(30, 400))) for _ in range(3))
-    whole, again = (one + two) + three, one + (two + three)
+    whole = (one + two) + three
+    again = one + (two + three)
     for name in SUMS:
         np.testing.assert_allclose(getattr(whole, name), getattr(again, name), atol=1e-11)
     total = sum(log.products * log.pairs for log in (one, two, three))

@@ -7,7 +7,8 @@ import pytest
 
 from robot_sysid.estimation.algebra.between_logs import compare_logs
 
-COMMON, OWN = 5, 12
+COMMON = 5
+OWN = 12
 """Numbers that logs have in common, and numbers of their own: six of each of two kinds."""
 PLACES = COMMON + np.arange(OWN)
 KINDS = np.repeat((0, 1), OWN // 2)

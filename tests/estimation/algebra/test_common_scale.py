@@ -19,7 +19,8 @@ from robot_sysid.estimation.unknowns import (
     with_common,
 )
 
-JOINTS, MASSES = [f"scale[{k}]" for k in range(3)], ["mass", "other mass"]
+JOINTS = [f"scale[{k}]" for k in range(3)]
+MASSES = ["mass", "other mass"]
 NAMES = (*MASSES, *JOINTS)
 
 
@@ -59,7 +60,8 @@ def test_the_share_is_that_of_drawn_arms(seed, monkeypatch):
 
 
 def test_a_recording_that_tells_nothing_of_scales_is_never_doubted():
-    known, alike = 4e-4 * np.eye(3), 4e-4 * np.eye(3) + 0.0225
+    known = 4e-4 * np.eye(3)
+    alike = 4e-4 * np.eye(3) + 0.0225
     assert false_alarms((known, known), (alike, alike))[0] == 0.0
 
 

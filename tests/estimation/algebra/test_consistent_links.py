@@ -23,7 +23,8 @@ from tests.support.synthetic_data import (
     sdp_least_squares,
 )
 
-LINKS, FRICTION = 2, 3
+LINKS = 2
+FRICTION = 3
 SIZE = 10 * LINKS + FRICTION
 SEEDS = st.integers(0, 2**31 - 1)
 
@@ -101,7 +102,9 @@ def seen_by_the_last_joint(izz, error):
     matrix[range(6), (1, 2, 5, 6, 8, 9)] = 1e4, 1e4, error, 1e4, 1e4, 1e4
     matrix[6, [4, 7]] = 1e4, -1e4
     truth = body.copy()
-    truth[2], truth[5], truth[9] = 0.01, 0.003, izz
+    truth[2] = 0.01
+    truth[5] = 0.003
+    truth[9] = izz
     problem = LinksProblem((np.arange(10),), body)
     return body, ConsistentLinks(matrix, matrix @ truth, problem).best()
 
@@ -126,7 +129,8 @@ def test_what_nothing_shows_gives_way_to_what_is_well_seen():
 def test_nothing_nearby_is_better(bodies, seed):
     rng = np.random.default_rng(seed)
     matrix = scaled(rng, 40, bodies)
-    right, gamma = 10.0 * rng.normal(size=40), 3.0
+    right = 10.0 * rng.normal(size=40)
+    gamma = 3.0
     problem = problem_of(bodies)
     found = minimiser(ConsistentLinks(matrix, right, problem), gamma)
     best = objective(matrix, right, problem, gamma, found)

@@ -85,7 +85,8 @@ def test_a_column_that_looks_like_a_nuisance_is_not_identified():
     """An inertia whose torque never changes cannot be told from an offset."""
     rng = np.random.default_rng(5)
     equations, names = arm_equations(rng, joints=3)
-    (rows, columns), names = equations[0], names + ("offset[joint0]",)
+    (rows, columns) = equations[0]
+    names = names + ("offset[joint0]",)
     for other, _ in equations:
         other[:, 9] = 0.0
     rows[:, 9] = 2.0
@@ -164,11 +165,13 @@ def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(seed,
     basis = np.column_stack((space.right, space.null))
     np.testing.assert_allclose(basis.T @ basis, np.eye(12), atol=1e-13)
     if count == 0 or space.singular[0] / space.singular[-1] < 1e4:
-        pseudo, right = np.linalg.pinv(scaled, rcond=1e-8), rng.normal(size=count)
+        pseudo = np.linalg.pinv(scaled, rcond=1e-8)
+        right = rng.normal(size=count)
         size = scale * (1.0 + np.max(np.abs(pseudo), initial=0.0)) ** 2
         np.testing.assert_allclose(space.solve(right) / size, scale * (pseudo @ right) / size,
                                    rtol=0.0, atol=1e-10)  # fmt: skip
-        both, root = scale[:, None] * (pseudo @ pseudo.T) * scale, space.inverse_root()
+        both = scale[:, None] * (pseudo @ pseudo.T) * scale
+        root = space.inverse_root()
         np.testing.assert_allclose(space.inverse() / np.outer(size, size),
                                    both / np.outer(size, size), rtol=0.0, atol=1e-10)  # fmt: skip
         np.testing.assert_allclose(root @ root.T, space.inverse())
@@ -242,18 +245,23 @@ def mujoco_columns(robot, q, qd, qdd):
     for k, step in enumerate(np.diag(STEPS)):
         ahead, behind = (_torques(robot, model, BODY + s * step, q, qd, qdd) for s in (1.0, -1.0))
         columns[:, :, k] = (ahead - behind) / (2.0 * STEPS[k])
-    columns[:, -1, 10], columns[:, -1, 11] = np.sign(qd[:, -1]), qd[:, -1]
+    columns[:, -1, 10] = np.sign(qd[:, -1])
+    columns[:, -1, 11] = qd[:, -1]
     return columns
 
 
 def _torques(robot, model, theta, q, qd, qdd):
     """(N, n) inverse dynamics with these parameters in the last body, contacts and springs out."""
     arms.write_body(model, robot.body_id, theta)
-    data, tau = mujoco.MjData(model), np.zeros((len(q), model.nv))
+    data = mujoco.MjData(model)
+    tau = np.zeros((len(q), model.nv))
     for k in range(len(q)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = robot.reference_qpos, 0.0, 0.0
+        data.qpos[:] = robot.reference_qpos
+        data.qvel[:] = 0.0
+        data.qacc[:] = 0.0
         data.qpos[robot.qpos_index] = q[k]
-        data.qvel[robot.dof_index], data.qacc[robot.dof_index] = qd[k], qdd[k]
+        data.qvel[robot.dof_index] = qd[k]
+        data.qacc[robot.dof_index] = qdd[k]
         for step in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
             step(model, data)
         mujoco.mj_rne(model, data, 1, tau[k])

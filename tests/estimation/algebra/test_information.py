@@ -55,9 +55,11 @@ def test_triangle_gives_the_residual_of_all_rows(seed, chunks):
     rng = np.random.default_rng(seed)
     columns = rng.permutation(6)[:4]
     accumulator = InformationAccumulator(tuple("abcdef"), ["j"], [columns])
-    values, expected = rng.normal(size=6), 0.0
+    values = rng.normal(size=6)
+    expected = 0.0
     for _ in range(chunks):
-        rows, tau = rng.normal(size=(20, 4)), rng.normal(size=20)
+        rows = rng.normal(size=(20, 4))
+        tau = rng.normal(size=20)
         accumulator.add(0, rows, tau)
         expected += np.sum((rows @ values[columns] - tau) ** 2)
     information = accumulator.result()
@@ -91,7 +93,8 @@ def random_blocks(rng, columns, count):
 def test_parts_together_are_the_information_of_all_rows(seed, count):
     """What was known before the data is the same in each part, and counts once."""
     rng = np.random.default_rng(seed)
-    columns, known = [rng.permutation(6)[:3], rng.permutation(6)[:4]], rng.normal(size=(2, 7))
+    columns = [rng.permutation(6)[:3], rng.permutation(6)[:4]]
+    known = rng.normal(size=(2, 7))
     blocks = [random_blocks(rng, columns, 3) for _ in range(count)]
     together = combine([replace(filled(columns, part), prior=known) for part in blocks])
     whole = filled(columns, sum(blocks, []))

@@ -33,7 +33,8 @@ def test_wls_does_not_care_about_the_unit_of_one_joint(seed, power):
 
 
 def test_wls_reports_each_joints_noise_and_beats_ols_where_joints_differ():
-    noises, ratios = (1.0, 0.1, 0.01), []
+    noises = (1.0, 0.1, 0.01)
+    ratios = []
     for seed in range(20):
         samples, names, truth, _ = noisy_samples(seed, noises)
         information = samples.information(names)
@@ -51,7 +52,8 @@ def test_wls_reports_each_joints_noise_and_beats_ols_where_joints_differ():
 def test_parameters_that_the_joints_pay_for_sum_to_the_rank(seed):
     """What is taken off each joint's number of samples, whatever the weights and the values."""
     samples, names, _, rng = noisy_samples(seed)
-    information, values = samples.information(names), rng.normal(size=16)
+    information = samples.information(names)
+    values = rng.normal(size=16)
     _, each = solver(information, PRIOR)(rng.uniform(0.1, 10.0, 3))
     noise = joint_noise(information, values, each, 0.0)
     paid = 200.0 - information.squared_residuals(values) / noise**2
@@ -63,7 +65,8 @@ def test_equations_with_a_prior_are_solved_to_rounding(seed):
     """Through their squares, as accurate as without them."""
     samples, names, truth, rng = noisy_samples(seed)
     known = np.column_stack((np.diag(10.0 ** rng.uniform(-3, 0, 16)), np.zeros(16)))
-    information, weights = samples.information(names), rng.uniform(0.1, 10.0, 3)
+    information = samples.information(names)
+    weights = rng.uniform(0.1, 10.0, 3)
     information = replace(information, prior=known)
     best = np.linalg.lstsq(*information.stacked(weights), rcond=None)[0]
     found, _ = solver(information, PRIOR)(weights)
@@ -73,9 +76,11 @@ def test_equations_with_a_prior_are_solved_to_rounding(seed):
 @given(SEEDS)
 def test_what_exact_data_does_not_see_keeps_the_priors_value(seed):
     """Beside other priors; squares left it anywhere where rounding made them definite."""
-    rng, names = np.random.default_rng(seed), noisy_samples(seed)[1]
+    rng = np.random.default_rng(seed)
+    names = noisy_samples(seed)[1]
     for _ in range(10):
-        rows, truth, prior = rng.normal(size=(60, 16)), *rng.normal(size=(2, 16))
+        rows = rng.normal(size=(60, 16))
+        truth, prior = rng.normal(size=(2, 16))
         ratios = rng.normal(size=2)
         rows[:, [2, 5]] = ratios * rows[:, [1, 4]]
         accumulator = InformationAccumulator(names, ["j"], [np.arange(16)])

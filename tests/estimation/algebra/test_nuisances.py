@@ -76,7 +76,8 @@ def test_the_estimate_is_the_mean_of_the_posterior(seed):
 def test_exact_data_is_solved_as_exactly_under_priors():
     """Of squares alone the first digits were wrong: two columns differ by a hundred thousandth."""
     rng = np.random.default_rng(0)
-    groups, rows = groups_of(rng), rng.normal(size=(ROWS, 16))
+    groups = groups_of(rng)
+    rows = rng.normal(size=(ROWS, 16))
     truth = np.concatenate((rng.normal(size=10), drawn(rng, groups, size=0.0)))
     rows[:, 1] = rows[:, 0] + 1e-5 * rows[:, 1]
     accumulator = InformationAccumulator(NAMES, ["j"], [np.arange(16)])
@@ -89,7 +90,8 @@ def test_exact_data_is_solved_as_exactly_under_priors():
 def test_what_exact_data_does_not_tell_is_as_its_prior_says(seed):
     """A ridge held it elsewhere, and said that it was known: torque scales of long arms."""
     rng = np.random.default_rng(seed)
-    groups, rows = groups_of(rng), rng.normal(size=(ROWS, 16))
+    groups = groups_of(rng)
+    rows = rng.normal(size=(ROWS, 16))
     truth = np.concatenate((rng.normal(size=10), drawn(rng, groups, size=0.0)))
     rows[:, 10] = rows[:, :10] @ rng.normal(size=10)
     accumulator = InformationAccumulator(NAMES, ["j"], [np.arange(16)])
@@ -108,7 +110,8 @@ def test_priors_are_as_likely_as_the_data_is_under_them(seed):
     information, _ = information_of(rng, truth)
     matrix, right = information.stacked()
     apart = np.linalg.qr(matrix[:, :10], mode="complete")[0][:, 10:].T
-    found, expected = [], []
+    found = []
+    expected = []
     for size in (0.5, 2.0):
         groups = groups_of(np.random.default_rng(seed), size)
         mean = np.concatenate([group.mean for group in groups])
@@ -178,7 +181,8 @@ def test_links_are_known_to_their_share(first, second, share):
 
 def test_what_one_aspect_contradicts_is_not_lost_among_the_others():
     """Masses alone are off, by six times what was thought; everything else is as it was."""
-    rng, lengths = np.random.default_rng(0), [0.3, 0.2, 0.1]
+    rng = np.random.default_rng(0)
+    lengths = [0.3, 0.2, 0.1]
     thetas = [random_theta(rng) for _ in lengths]
     names = tuple(f"p{k}" for k in range(30))
     group = NuisanceGroup(

@@ -35,9 +35,12 @@ def whole_of(spread, causes):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_left_is_the_spread_of_possible_bodies(seed):
-    spread, rng = covariance(0.8, seed), np.random.default_rng([seed, 1])
+    spread = covariance(0.8, seed)
+    rng = np.random.default_rng([seed, 1])
     root = np.linalg.cholesky(spread)
-    rows, problem, squares = np.linalg.inv(root), LinksProblem((PLACES,), LIGHT), np.zeros(10)
+    rows = np.linalg.inv(root)
+    problem = LinksProblem((PLACES,), LIGHT)
+    squares = np.zeros(10)
     for off in rng.normal(size=(200, 10)) @ root.T:
         found = LIGHT + off
         if not spatial.is_consistent(found):
@@ -60,7 +63,8 @@ def test_where_every_body_is_possible_nothing_changes():
 
 def test_causes_still_add_up_and_what_hangs_on_the_body_follows_it():
     """An eleventh parameter is the mass and something of its own, a twelfth has nothing of it."""
-    body, own = covariance(0.8), 0.01
+    body = covariance(0.8)
+    own = 0.01
     change = np.vstack((np.eye(10), np.eye(10)[:1], np.zeros((1, 10))))
     spread = change @ body @ change.T + np.diag([0.0] * 10 + [own**2] * 2)
     root = np.linalg.cholesky(spread).T

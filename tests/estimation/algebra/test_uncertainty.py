@@ -32,7 +32,8 @@ def test_white_covariance_is_the_sandwich_of_the_dense_rows(seed):
     rng = np.random.default_rng(seed)
     equations, names = arm_equations(rng)
     information = information_of(equations, names, rng.normal(size=16))
-    noise, weights = rng.uniform(0.1, 1.0, 3), rng.uniform(0.5, 2.0, 3)
+    noise = rng.uniform(0.1, 1.0, 3)
+    weights = rng.uniform(0.5, 2.0, 3)
     rows = dense(equations, 16)
     normal = sum(w**2 * r.T @ r for w, r in zip(weights, rows))
     score = sum(w**4 * s**2 * r.T @ r for w, s, r in zip(weights, noise, rows))
@@ -72,7 +73,8 @@ def test_nothing_to_explain_leaves_no_nan(duration):
 @pytest.mark.parametrize("memory", [0.0, 0.1])
 def test_intervals_cover_under_white_and_under_slow_noise(memory):
     """30 arms times 31 parameters: 95 % would give 883 of 930; white intervals fail at 0.1 s."""
-    hits, naive = [], []
+    hits = []
+    naive = []
     for seed in range(30):
         rng = np.random.default_rng(seed)
         arm = SmoothArm(rng, rate=100.0)

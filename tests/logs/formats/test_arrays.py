@@ -38,7 +38,8 @@ def hdf5(path, **arrays):
 
 def lerobot(path, time, **states):
     """A data set of two files with as many frames."""
-    parquet, pa = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    pa = pytest.importorskip("pyarrow")
     for folder in ("meta", "data"):
         (path / folder).mkdir(parents=True, exist_ok=True)
     names = [f"j{k}.torque" for k in range(3)]
@@ -192,7 +193,8 @@ def external_link(file, h5py):
 
 
 def external_torque(file, h5py):
-    file["q"], file["tau"] = np.zeros((10, 3)), h5py.ExternalLink("other", "/tau")
+    file["q"] = np.zeros((10, 3))
+    file["tau"] = h5py.ExternalLink("other", "/tau")
 
 
 def external_group(file, h5py):
@@ -255,7 +257,8 @@ def test_hdf5_links_within_the_file_are_followed(tmp_path):
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "log.hdf5"
     with h5py.File(path, "w") as file:
-        file["raw/q"], file["observations/effort"] = DATA.q, DATA.tau
+        file["raw/q"] = DATA.q
+        file["observations/effort"] = DATA.tau
         file["state"] = h5py.SoftLink("raw")
         file["observations/qpos"] = h5py.SoftLink("/state/q")
     names = [f"joint{k}" for k in range(3)]
@@ -337,7 +340,8 @@ def test_a_matlab_file_may_end_its_process_and_takes_bounded_time(tmp_path, monk
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a bound on memory")
 def test_a_matlab_files_empty_cells_are_not_unpacked(tmp_path):
     """Three million take 12 kB in the file, and 0.4 GB if they were made."""
-    path, count = tmp_path / "log.mat", 3_000_000
+    path = tmp_path / "log.mat"
+    count = 3_000_000
     savemat(path, {"time": DATA.time, "q": DATA.q, "tau": DATA.tau})
 
     def element(kind, content):

@@ -22,7 +22,8 @@ h5py = pytest.importorskip("h5py")
 def test_every_form_reads_the_same_without_options(tmp_path, form):
     log = read_measurements(recorded.FORMS[form](tmp_path, DATA), JOINTS)
     for name in ("time", "q", "qd", "tau"):
-        got, expected = getattr(log.samples, name), getattr(DATA, name)
+        got = getattr(log.samples, name)
+        expected = getattr(DATA, name)
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12, err_msg=name)
 
 
@@ -128,7 +129,8 @@ class TestLeRobot:
         path = recorded.FORMS["LeRobot"](tmp_path, DATA)
         state = json.loads((path / "meta" / "info.json").read_text())["features"]
         (shape,) = state.values()
-        parquet, arrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+        parquet = pytest.importorskip("pyarrow.parquet")
+        arrow = pytest.importorskip("pyarrow")
         (file,) = (path / "data").rglob("*.parquet")
         held = parquet.read_table(file).append_column(
             "action", arrow.array(np.degrees(np.roll(DATA.q, 3, axis=0)).tolist())

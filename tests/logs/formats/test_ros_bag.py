@@ -60,7 +60,8 @@ def test_a_bag_with_one_late_message_is_the_one_without(tmp_path):
     late = [*range(20), *range(21, 33), 20, *range(33, 60)]
     log = read_measurements(bag(tmp_path / "late", rows(late)), JOINTS)
     for name in ("time", "q", "tau"):
-        got, expected = getattr(log.samples, name), getattr(DATA, name)
+        got = getattr(log.samples, name)
+        expected = getattr(DATA, name)
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
     back = [*range(40), *range(30, 60)]
     with pytest.raises(InputError, match="time runs backwards at message 44"):
@@ -71,7 +72,8 @@ def test_joints_in_messages_of_their_own_are_put_together(tmp_path):
     split = [each for k in range(60) for each in (*rows([k], [0, 1]), *rows([k], [2]))]
     log = read_measurements(bag(tmp_path / "one", split), JOINTS)
     for name in ("time", "q", "qd", "tau"):
-        got, expected = getattr(log.samples, name), getattr(DATA, name)
+        got = getattr(log.samples, name)
+        expected = getattr(DATA, name)
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
     assert "2 kinds of message put together by their stamps" in log.notes[0]
 

@@ -49,7 +49,8 @@ def test_gradient_equals_differences(seed):
     some = design(arms.THREE)
     rng = np.random.default_rng(seed)
     multipliers = rng.uniform(size=(len(some.grid), 14))
-    x, direction = random_x(some, seed), random_x(some, seed + 1, 1.0)
+    x = random_x(some, seed)
+    direction = random_x(some, seed + 1, 1.0)
     objective = objective_of(some, multipliers)
     exact = np.sum(objective(x)[1] * direction)
     value = slope(lambda at: objective(at)[0], x, direction)
@@ -59,7 +60,8 @@ def test_gradient_equals_differences(seed):
 def deviations(some, plan, rate, smooth):
     """Predicted standard deviations (10,) from samples at a rate."""
     time = (np.arange(int(plan.duration * rate)) + 0.5) / rate
-    motion, known = plan.evaluate(time), known_arm(some.problem)
+    motion = plan.evaluate(time)
+    known = known_arm(some.problem)
     sigma = some.problem.sigma * np.sqrt(len(time))
     told = predicted_information(some.problem, sigma, known, 0.03 if smooth else 0.0)
     found = told.evaluate(motion.q, motion.qd, motion.qdd).information
@@ -140,8 +142,11 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
 
 
 def test_gradient_of_the_clearance_equals_differences():
-    some, rng, checked = problem(TUBES_AND_POST), np.random.default_rng(2), 0
-    still, weight = np.zeros((1, 4)), np.eye(18)[-1:]
+    some = problem(TUBES_AND_POST)
+    rng = np.random.default_rng(2)
+    checked = 0
+    still = np.zeros((1, 4))
+    weight = np.eye(18)[-1:]
     while checked < 10:
         q, direction = rng.uniform(-1.5, 1.5, size=(2, 1, 4))
 
@@ -160,8 +165,11 @@ def test_values_are_shares_of_the_limits_minus_one():
     some = problem(arms.THREE, max_acceleration=5.0)
     limits = some.limits
     q = np.vstack((limits.upper, limits.lower, 0.5 * (limits.lower + limits.upper)))
-    qd, qdd = np.tile(limits.velocity, (3, 1)), np.tile(-0.5 * limits.acceleration, (3, 1))
+    qd = np.tile(limits.velocity, (3, 1))
+    qdd = np.tile(-0.5 * limits.acceleration, (3, 1))
     value = optimise.constraints_of(some, (q, qd, qdd)).value
     expected = np.full((3, 14), -1.0)
-    expected[:2, :3], expected[:, 3:6], expected[:, 6:9] = 0.0, 0.0, -0.5
+    expected[:2, :3] = 0.0
+    expected[:, 3:6] = 0.0
+    expected[:, 6:9] = -0.5
     assert np.allclose(value[:, :13], expected[:, :13])

@@ -58,8 +58,10 @@ def searched_of(some_problem, **changes):
 
 def assert_obeys(xml, seed, **changes):
     """Every limit at 500 Hz by the records of the arm itself, and no contact by MuJoCo."""
-    result, some = searched(design(xml, **changes), seed), problem(xml)
-    arm, slack = robot(xml), 1.0 + ROUNDING
+    result = searched(design(xml, **changes), seed)
+    some = problem(xml)
+    arm = robot(xml)
+    slack = 1.0 + ROUNDING
     for motion in motion_chunks(result.trajectory, 500.0):
         assert np.all(motion.q >= arm.limits.lower) and np.all(motion.q <= arm.limits.upper)
         assert np.all(np.abs(motion.qd) <= arm.limits.velocity * slack)
@@ -94,7 +96,10 @@ class Told(Progress):
     """Notes what it is told, and then does something."""
 
     def __init__(self, then=lambda done: None):
-        self.done, self.totals, self.texts, self._then = [], set(), [], then
+        self.done = []
+        self.totals = set()
+        self.texts = []
+        self._then = then
 
     def advance(self, label, done, total, text):
         self.done.append(done)
@@ -163,7 +168,8 @@ class Ticking:
     """A clock that moves by as much as it is asked."""
 
     def __init__(self, step):
-        self.step, self.asked = step, 0
+        self.step = step
+        self.asked = 0
 
     def __call__(self):
         self.asked += 1
