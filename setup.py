@@ -12,7 +12,10 @@ EXAMPLE = "robot_sysid.examples.kinova"
 IS_EDITABLE = "editable_wheel" in sys.argv
 
 setup(
-    packages=[*find_packages(include=["robot_sysid*"]), *([] if IS_EDITABLE else [EXAMPLE])],
+    packages=[
+        *find_packages(include=["robot_sysid*"]),
+        *([] if IS_EDITABLE else [EXAMPLE]),
+    ],
     package_dir={"": "."} if IS_EDITABLE else {EXAMPLE: "examples/kinova"},
     include_package_data=False,
     package_data={

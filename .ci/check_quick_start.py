@@ -35,8 +35,14 @@ def check_printed() -> None:
     """Every promised line is there, in order."""
     lines = iter(Path("printed.txt").read_text(encoding="utf-8").splitlines())
     for pattern in PROMISED:
-        assert any(re.fullmatch(pattern, line) for line in lines), f"missing or late: {pattern}"
-    others = [x for x in Path("errors.txt").read_text().splitlines() if not x.startswith("note: ")]
+        assert any(re.fullmatch(pattern, line) for line in lines), (
+            f"missing or late: {pattern}"
+        )
+    others = [
+        x
+        for x in Path("errors.txt").read_text().splitlines()
+        if not x.startswith("note: ")
+    ]
     assert others == [], "something else than a note on standard error"
 
 
@@ -44,9 +50,15 @@ def check_files() -> None:
     """All files are there, nothing else is, and the model loads with the identified mass."""
     written = sorted(path.name for path in Path("sysid_output").iterdir())
     assert written == ["params.json", "run.toml", "updated_model.xml"], written
-    left = {path.name for path in Path().iterdir()} - {"printed.txt", "errors.txt", "examples"}
+    left = {path.name for path in Path().iterdir()} - {
+        "printed.txt",
+        "errors.txt",
+        "examples",
+    }
     assert left == {"sysid_output"}, left
-    parameters = json.loads(Path("sysid_output/params.json").read_text(encoding="utf-8"))
+    parameters = json.loads(
+        Path("sysid_output/params.json").read_text(encoding="utf-8")
+    )
     assert parameters["joint_name"] == "joint6"
     assert abs(parameters["mass"] - 0.789160) < 1e-9
     assert parameters["rmse"] < 1e-9

@@ -60,7 +60,9 @@ def with_motors(spec, names) -> mujoco.MjSpec:
     affine = mujoco.mjtBias.mjBIAS_AFFINE
     for name in names:
         gain = [1.0] + [0.0] * 9
-        spec.add_actuator(name=name, target=name, trntype=joint, gainprm=gain, biastype=affine)
+        spec.add_actuator(
+            name=name, target=name, trntype=joint, gainprm=gain, biastype=affine
+        )
         spec.add_sensor(
             name=f"{name}_pos",
             type=mujoco.mjtSensor.mjSENS_JOINTPOS,
@@ -111,7 +113,9 @@ def by_torques(robot, log) -> dict:
     # A torque held for a step acts half a step later: the mean of two steps belongs to the sample.
     middle = 0.5 * (tau + np.vstack((tau[:1], tau[:-1])))
     log = Measurement(clock, q, None, middle)
-    result = result_of_logs(robot, [log], EstimationOptions(friction_model=BASIC, **KNOWN))
+    result = result_of_logs(
+        robot, [log], EstimationOptions(friction_model=BASIC, **KNOWN)
+    )
     terms = {"armature": "armature", "damping": "viscous", "frictionloss": "coulomb"}
     return {
         number: np.array([result.joints[name].terms[term].value for name in NAMES])
@@ -137,7 +141,9 @@ def pieces(model, log, seconds: float):
         data = mujoco.MjData(model)
         data.qpos[:] = q[start]
         data.qvel[:] = qd[start]
-        state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        state = np.empty(
+            mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        )
         mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         states.append(state)
         torques.append(tau[start : start + size])
@@ -150,7 +156,9 @@ def joint_parameters(names=NAMES, bounds=BOUNDS):
     from mujoco import sysid
 
     if not hasattr(sysid, "ParameterDict"):
-        raise SystemExit("mujoco.sysid lacks what it imports; pip install -e '.[bench]'")
+        raise SystemExit(
+            "mujoco.sysid lacks what it imports; pip install -e '.[bench]'"
+        )
     params = sysid.ParameterDict()
     for number, (low, high) in bounds.items():
         for name in names:
@@ -195,7 +203,9 @@ def optimised(spec, log, params, residual=None, steps: int = 200):
     wrong = sysid.build_residual_fn(
         models_sequences=[sequences], build_model=once, modify_residual=residual
     )
-    return sysid.optimize(params, wrong, optimizer="mujoco", verbose=False, max_iters=steps)[0]
+    return sysid.optimize(
+        params, wrong, optimizer="mujoco", verbose=False, max_iters=steps
+    )[0]
 
 
 def in_radians(params, predicted, measured, model, all_of_it, **_):
@@ -264,8 +274,14 @@ def compared() -> dict[str, Side]:
     robot = arms.robot_of(spec_of().compile())
     log = recorded(model, robot, 1, SECONDS)
     other = recorded(model, robot, 2, SECONDS)
-    print(f"start: held-out rollout error {rollout_error(None, other):.2f} mrad", file=sys.stderr)
-    print(f"truth: held-out rollout error {rollout_error(true, other):.2f} mrad", file=sys.stderr)
+    print(
+        f"start: held-out rollout error {rollout_error(None, other):.2f} mrad",
+        file=sys.stderr,
+    )
+    print(
+        f"truth: held-out rollout error {rollout_error(true, other):.2f} mrad",
+        file=sys.stderr,
+    )
     by_torques(robot, log)
     found = {}
     for name, run in (
@@ -285,7 +301,9 @@ def main() -> None:
     found = compared()
     for name, side in found.items():
         worst = {k: f"{100 * v:.1f} %" for k, v in side.farthest.items()}
-        print(f"{name}: {side.seconds:.2f} s, held-out rollout error {side.error:.2f} mrad")
+        print(
+            f"{name}: {side.seconds:.2f} s, held-out rollout error {side.error:.2f} mrad"
+        )
         print(f"  farthest from the truth: {worst}")
     ours, theirs = found.values()
     print(f"{theirs.seconds / ours.seconds:.0f} times faster, by processor time")

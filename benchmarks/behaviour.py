@@ -62,10 +62,16 @@ def real_logs(shared: Path) -> dict[str, str]:
 def record(folder: Path, checkout: Path, shared: Path) -> None:
     """Run all commands with a checkout's sources and keep what they print and write in a folder."""
     folder.mkdir(parents=True)
-    environment = {**os.environ, "PYTHONPATH": str(checkout.resolve()), "OMP_NUM_THREADS": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(checkout.resolve()),
+        "OMP_NUM_THREADS": "1",
+    }
     commands = {**COMMANDS, **(real_logs(shared.resolve()) if shared.is_dir() else {})}
     for name, line in commands.items():
-        arguments = line.split() + (["--output-dir", name] if takes_output(line) else [])
+        arguments = line.split() + (
+            ["--output-dir", name] if takes_output(line) else []
+        )
         run = subprocess.run(
             [sys.executable, "-m", "robot_sysid", *arguments],
             cwd=folder,
@@ -87,9 +93,13 @@ def takes_output(line: str) -> bool:
 def compare(first: Path, second: Path) -> list[str]:
     """Return the differences of all files of two folders, a few lines of each."""
     before, after = (contents(folder) for folder in (first, second))
-    differences = [f"only in one: {path}" for path in sorted(before.keys() ^ after.keys())]
+    differences = [
+        f"only in one: {path}" for path in sorted(before.keys() ^ after.keys())
+    ]
     for path in sorted(before.keys() & after.keys()):
-        changed = list(difflib.unified_diff(before[path], after[path], n=0, lineterm=""))[2:]
+        changed = list(
+            difflib.unified_diff(before[path], after[path], n=0, lineterm="")
+        )[2:]
         if changed:
             differences.append("\n  ".join((path, *changed[:12])))
     return differences

@@ -45,11 +45,15 @@ def identified_from_log(robot, log, deadband, terms=TERMS):
     signals = process(log, robot.joint_names)
     signals = replace(signals, deadband=np.full_like(signals.deadband, deadband))
     equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
-    rows_of_joint = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    rows_of_joint = InformationAccumulator(
+        equations.names, equations.joints, equations.columns
+    )
     motion = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
     usable = signals.usable()
     for index, (rows, tau) in enumerate(equations.rows(motion)):
-        decimated = signals.low_pass.decimated(np.column_stack((rows, tau)))[usable[:, index]]
+        decimated = signals.low_pass.decimated(np.column_stack((rows, tau)))[
+            usable[:, index]
+        ]
         rows_of_joint.add(index, decimated[:, :-1], decimated[:, -1])
     return identify_parameters(rows_of_joint.result(), equations.prior)
 
@@ -69,8 +73,13 @@ def integration_table(robot) -> None:
     for rate in (250.0, 500.0, 1000.0, 2000.0):
         plant = plant_from(robot, coulomb=0.0, viscous=1.0, time_step=1.0 / rate)
         log = differentiated(recorded(ClosedLoop(plant, plan, rate)), rate)
-        tau = ArmDynamics(plant).torque(log.q, log.qd, log.qdd) + plant.friction.viscous * log.qd
-        armature = np.sum((log.tau - tau) * log.qdd, axis=0) / np.sum(log.qdd**2, axis=0)
+        tau = (
+            ArmDynamics(plant).torque(log.q, log.qd, log.qdd)
+            + plant.friction.viscous * log.qd
+        )
+        armature = np.sum((log.tau - tau) * log.qdd, axis=0) / np.sum(
+            log.qdd**2, axis=0
+        )
         rms = np.sqrt(np.mean((log.tau - tau) ** 2))
         apparent = np.max(np.abs(armature))
         print(
@@ -80,7 +89,9 @@ def integration_table(robot) -> None:
 
 def proof_table(robot) -> None:
     """Ideal sensors: positions and torques only, rows on MuJoCo's ramp left out."""
-    print("Ideal sensors, derivatives from positions, rows on the friction ramp left out")
+    print(
+        "Ideal sensors, derivatives from positions, rows on the friction ramp left out"
+    )
     for seed in SEEDS:
         plan = excitation(robot, seed)
         for armature in (0.1, 0.02):
@@ -108,7 +119,10 @@ def sensor_table(robot) -> None:
 
 def words(errors) -> str:
     """One line."""
-    percent = {n: 100.0 * getattr(errors, n) for n in ("mass", "coulomb", "viscous", "armature")}
+    percent = {
+        n: 100.0 * getattr(errors, n)
+        for n in ("mass", "coulomb", "viscous", "armature")
+    }
     listed = ", ".join(f"{name} {value:.4f} %" for name, value in percent.items())
     return f"{listed}, centre of mass {1e3 * errors.com:.3f} mm"
 

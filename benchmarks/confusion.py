@@ -159,7 +159,8 @@ def check_scene(scene: Scene, is_answered: bool) -> Outcome:
     answer = identify_scene(scene)
     # The estimate names these itself, for it knows on which side of the gears sensors are.
     motors = [
-        Finding("coupling", Level.NOTE, f"a motor turns with {name}") for name in answer.motors
+        Finding("coupling", Level.NOTE, f"a motor turns with {name}")
+        for name in answer.motors
     ]
     return replace(outcome, findings=(*findings, *motors), answer=answer)
 
@@ -174,7 +175,9 @@ def identify_scene(scene: Scene) -> Answer:
     mass = link.inertial.mass
     true_mass = min(scene.last_masses, key=lambda true: abs(true - mass))
     is_trusted = result.verdict.is_trustworthy
-    return Answer(mass, float(link.errors[0]), true_mass, is_trusted, tuple(result.couplings))
+    return Answer(
+        mass, float(link.errors[0]), true_mass, is_trusted, tuple(result.couplings)
+    )
 
 
 @dataclass(frozen=True)
@@ -238,7 +241,9 @@ class Tally:
         counts = [len(self.seconds), *(self.namings[naming] for naming in NAMINGS)]
         counts += [self.costs[cost] for cost in COSTS]
         numbers = "".join(f"{count:>9}" for count in counts)
-        names = ", ".join(f"{names} {count}" for names, count in self.names.most_common())
+        names = ", ".join(
+            f"{names} {count}" for names, count in self.names.most_common()
+        )
         return f"{row:<31}{numbers}{np.mean(self.seconds):>7.2f} s  {names}"
 
 
@@ -251,7 +256,9 @@ def cases_of(cause: str, chosen: argparse.Namespace) -> Iterator[Case]:
                     yield Case(cause, arm_name, kind, duration, seed)
 
 
-def print_cause(cause: str, robots: dict[str, RobotModel], chosen: argparse.Namespace) -> Tally:
+def print_cause(
+    cause: str, robots: dict[str, RobotModel], chosen: argparse.Namespace
+) -> Tally:
     """Print the rows of a cause and its failures; return the counts of all its logs."""
     whole = Tally.empty()
     rows: dict[str, Tally] = {}
@@ -279,16 +286,25 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("models", type=Path)
-    parser.add_argument("--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS))
-    parser.add_argument("--causes", nargs="+", default=list(CAUSES), choices=list(CAUSES))
+    parser.add_argument(
+        "--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS)
+    )
+    parser.add_argument(
+        "--causes", nargs="+", default=list(CAUSES), choices=list(CAUSES)
+    )
     parser.add_argument("--kinds", nargs="+", default=["real"], choices=KINDS)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--duration", type=float, default=20.0, help="of wrong logs [s]")
-    parser.add_argument("--no-answers", action="store_true", help="only look at the logs")
+    parser.add_argument(
+        "--duration", type=float, default=20.0, help="of wrong logs [s]"
+    )
+    parser.add_argument(
+        "--no-answers", action="store_true", help="only look at the logs"
+    )
     chosen = parser.parse_args()
     robots = {
-        arm_name: load_robot_model(chosen.models / ARMS[arm_name]) for arm_name in chosen.arms
+        arm_name: load_robot_model(chosen.models / ARMS[arm_name])
+        for arm_name in chosen.arms
     }
     titles = "".join(f"{title:>9}" for title in ("logs", *NAMINGS, *COSTS))
     print(f"{'cause':<31}{titles}{'time':>9}  names", flush=True)
@@ -304,7 +320,9 @@ def main() -> int:
     print_share("wrong logs named rightly or as a tie", named_count, wrong_count)
     print_share("right logs named", right_count - right.namings["silent"], right_count)
     print_share("right logs stopped", right.costs["stopped"], right_count)
-    print_share("harmful answers of all logs", costs["harmful"], wrong_count + right_count)
+    print_share(
+        "harmful answers of all logs", costs["harmful"], wrong_count + right_count
+    )
     return 0
 
 

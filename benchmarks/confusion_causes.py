@@ -78,7 +78,9 @@ def resting_torque(
     return LinkDynamics(robot, gravity_vector).motion(q, still, still).torque(thetas)
 
 
-def draw_scene(robot: RobotModel, arm_name: str, kind: str, duration: float, seed: int) -> Scene:
+def draw_scene(
+    robot: RobotModel, arm_name: str, kind: str, duration: float, seed: int
+) -> Scene:
     """Return an arm with a right log of it; every other one has white noise."""
     arm = draw_arm(robot, kind, arm_name in SENSOR_ARMS, duration, seed % 2 == 0, seed)
     return Scene(
@@ -100,7 +102,9 @@ def draw_scene(robot: RobotModel, arm_name: str, kind: str, duration: float, see
 def payload_of(scene: Scene) -> Array:
     """Return a payload (10,) in the last link's frame."""
     mass = PAYLOAD_SHARE * float(np.sum(scene.robot.thetas[:, 0]))
-    return spatial.theta_from_com(mass, np.array([0.02, 0.01, 0.06]), 0.002 * mass * np.eye(3))
+    return spatial.theta_from_com(
+        mass, np.array([0.02, 0.01, 0.06]), 0.002 * mass * np.eye(3)
+    )
 
 
 def last_link_alone(scene: Scene, theta: Array) -> Array:
@@ -209,7 +213,9 @@ def ripple(scene: Scene) -> Scene:
     joint = carrying_joint(scene)
     per_turn = float(scene.rng.choice([7, 12, 20]))
     size = 0.1 * scene.usual_torque[joint]
-    return scene.with_joint_torque(joint, size * np.sin(per_turn * scene.arm.motion.q[:, joint]))
+    return scene.with_joint_torque(
+        joint, size * np.sin(per_turn * scene.arm.motion.q[:, joint])
+    )
 
 
 def crosstalk(scene: Scene) -> Scene:
@@ -225,7 +231,9 @@ def coupling(scene: Scene) -> Scene:
     speed = np.sum(scene.arm.motion.qd[:, joints], axis=1)
     size = scene.usual_torque[joints[0]]
     torque = size * (0.4 * np.sign(speed) + 0.3 * speed / np.std(speed))
-    return scene.with_joint_torque(joints[0], torque).with_joint_torque(joints[1], torque)
+    return scene.with_joint_torque(joints[0], torque).with_joint_torque(
+        joints[1], torque
+    )
 
 
 def hot_gears(scene: Scene) -> Scene:
@@ -238,7 +246,9 @@ def hot_gears(scene: Scene) -> Scene:
 
 def gain_drift(scene: Scene) -> Scene:
     """Return a log whose torques grow to 115 %."""
-    return scene.with_torque_times((1.0 + 0.15 * scene.log.time / scene.log.time[-1])[:, None])
+    return scene.with_torque_times(
+        (1.0 + 0.15 * scene.log.time / scene.log.time[-1])[:, None]
+    )
 
 
 def joint_scale(scene: Scene) -> Scene:
@@ -266,7 +276,9 @@ def stale_samples(scene: Scene) -> Scene:
     count = len(scene.log)
     rows = np.arange(count)
     rows -= (scene.rng.random(count) < 0.008) & (rows > 0)
-    return replace(scene, log=replace(scene.log, q=scene.log.q[rows], tau=scene.log.tau[rows]))
+    return replace(
+        scene, log=replace(scene.log, q=scene.log.q[rows], tau=scene.log.tau[rows])
+    )
 
 
 def model_in_grams(scene: Scene) -> Scene:
@@ -290,7 +302,9 @@ def spoil_log(spoiled: Callable[[Truth], Measurement], scene: Scene) -> Scene:
     return replace(scene, log=spoiled(scene))
 
 
-def causes_of_logs(names: tuple[str, ...], *kinds: str) -> dict[str, tuple[Cause, tuple[str, ...]]]:
+def causes_of_logs(
+    names: tuple[str, ...], *kinds: str
+) -> dict[str, tuple[Cause, tuple[str, ...]]]:
     """Return kinds of ``benchmarks.wrong_logs`` as causes that have check names in common."""
     return {kind: (partial(spoil_log, wrong_logs.KINDS[kind]), names) for kind in kinds}
 

@@ -32,12 +32,17 @@ OPTIONS = EstimationOptions(delay="auto", tilt="auto", friction_model=BASIC)
 def main() -> None:
     """Print one line per trajectory and sensor."""
     study = NoiseStudy()
-    plans = {"random": random_plan(study.robot, 5), "designed": designed_plan(study.robot)}
+    plans = {
+        "random": random_plan(study.robot, 5),
+        "designed": designed_plan(study.robot),
+    }
     print("                                        delay [ms]        tilt [degrees]")
     print("trajectory, torque noise, encoder    error   stated       error   stated")
     for name, plan in plans.items():
         for noise, step in SENSORS:
-            rows = [found(study, plan, pair, noise, step, k) for k, pair in enumerate(PAIRS)]
+            rows = [
+                found(study, plan, pair, noise, step, k) for k, pair in enumerate(PAIRS)
+            ]
             worst = np.max(np.abs(rows), axis=0)
             sensor = f"{noise:.1f} N m, {step:g} rad"
             print(
@@ -51,7 +56,9 @@ def found(study, plan, pair, noise, step, seed):
     delay, tilt = pair
     turn = np.radians(tilt) * np.array([np.cos(seed), np.sin(seed), 0.0])
     down = Rotation.from_rotvec(turn).apply(gravity(study.plant))
-    sensors = SimulatedArmOptions(noise_torque=noise, encoder_resolution=step, torque_delay=delay)
+    sensors = SimulatedArmOptions(
+        noise_torque=noise, encoder_resolution=step, torque_delay=delay
+    )
     plant = with_gravity(study.plant, down)
     rng = np.random.default_rng(seed)
     log = join_measurements(PlantSimulation(plant, plan, sensors, RATE, rng))
@@ -61,7 +68,12 @@ def found(study, plan, pair, noise, step, seed):
     here = answer.fit.point.gravity
     off = np.arctan2(np.linalg.norm(np.cross(here, down)), here @ down)
     stated = np.linalg.norm([each.error for each in both])
-    return 1e3 * (late.value - delay), 1e3 * late.error, np.degrees(off), np.degrees(stated)
+    return (
+        1e3 * (late.value - delay),
+        1e3 * late.error,
+        np.degrees(off),
+        np.degrees(stated),
+    )
 
 
 if __name__ == "__main__":

@@ -78,13 +78,21 @@ def commands(folder: Path, workers: int) -> None:
 
 def child(way: str, folder: Path, threads: int, workers: int) -> dict[str, str]:
     """Return the hash of each file that a process with these settings writes."""
-    settings = {**os.environ, **dict.fromkeys(VARIABLES, str(threads)), "PYTHONPATH": str(ROOT)}
+    settings = {
+        **os.environ,
+        **dict.fromkeys(VARIABLES, str(threads)),
+        "PYTHONPATH": str(ROOT),
+    }
     with tempfile.TemporaryDirectory(dir=folder) as place:
         call = [sys.executable, "-m", "benchmarks.determinism", "--way", way]
         call += ["--folder", str(folder), "--workers", str(workers)]
         subprocess.run(call, cwd=place, env=settings, check=True)
         found = files_in(Path(place))
-    return {k: hashlib.sha256(content).hexdigest() for k, content in found.items() if content}
+    return {
+        k: hashlib.sha256(content).hexdigest()
+        for k, content in found.items()
+        if content
+    }
 
 
 def compare(folder: Path) -> None:
@@ -107,7 +115,9 @@ def compare(folder: Path) -> None:
 def main() -> None:
     """Compare, or be one of the processes that are compared."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=Path, help="kept and used again (default: a new one)")
+    parser.add_argument(
+        "--folder", type=Path, help="kept and used again (default: a new one)"
+    )
     parser.add_argument("--way", choices=WAYS, help=argparse.SUPPRESS)
     parser.add_argument("--workers", type=int, default=1, help=argparse.SUPPRESS)
     options = parser.parse_args()

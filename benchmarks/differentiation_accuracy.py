@@ -19,7 +19,9 @@ DURATION = 15.0
 EDGE = 2.0
 
 
-def motion(rate: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def motion(
+    rate: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return time, position and exact acceleration."""
     time = np.arange(round(DURATION * rate)) / rate
     amplitude = rng.uniform(0.1, 0.4, 4)
@@ -61,12 +63,16 @@ def main() -> None:
             seen = np.round(q / resolution) * resolution if resolution else q
             steps = encoder_steps(seen[:, None])
             cutoff = (
-                choose_cutoff(spectra_of(seen[:, None], rate, steps))[0] if resolution else 10.0
+                choose_cutoff(spectra_of(seen[:, None], rate, steps))[0]
+                if resolution
+                else 10.0
             )
             inner = (time > EDGE) & (time < DURATION - EDGE)
             print(f"{rate:g} Hz, encoder {resolution:g} rad, cut-off {cutoff:.1f} Hz")
             for name, values in estimates(seen, rate, cutoff).items():
-                error = np.sqrt(np.mean((values - exact)[inner] ** 2) / np.mean(exact[inner] ** 2))
+                error = np.sqrt(
+                    np.mean((values - exact)[inner] ** 2) / np.mean(exact[inner] ** 2)
+                )
                 print(f"    {name:30s} {error:.1e}")
 
 

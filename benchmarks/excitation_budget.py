@@ -34,7 +34,9 @@ def search(budget: float, duration: float) -> str:
 
     excitation = ExcitationOptions(kind="optimal", time_budget=budget)
     problem = build_problem(load_robot_model(GUESS), LimitOptions())
-    clock = optimise.clock = time.monotonic if excitation.n_workers > 1 else time.process_time
+    clock = optimise.clock = (
+        time.monotonic if excitation.n_workers > 1 else time.process_time
+    )
     start = clock()
     try:
         design = Design(problem, excitation, TrajectoryOptions(duration=duration))
@@ -44,7 +46,9 @@ def search(budget: float, duration: float) -> str:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     taken = clock() - start
     gain = found.start_objective / found.objective
-    words = f"{found.n_feasible} of {found.n_drawn} draws feasible, {gain:.2f} times better"
+    words = (
+        f"{found.n_feasible} of {found.n_drawn} draws feasible, {gain:.2f} times better"
+    )
     return f"{taken:.2f} s, {peak:.0f} MB; {words}"
 
 

@@ -66,7 +66,9 @@ def beliefs(problem, motion):
     columns = Columns(problem.robot, (), OPTIONS.torques)
     torque = np.sqrt(np.mean(problem.arm_torque(motion) ** 2, axis=0))
     shown = np.ones(len(columns.names), dtype=bool)
-    sought = build_unknowns(columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, shown)
+    sought = build_unknowns(
+        columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, shown
+    )
     return robot, columns, sought.groups
 
 
@@ -111,10 +113,14 @@ def measured(robot, columns, values, motion):
 
     down = turned(gravity(robot), np.array([at[name] for name in TILT_NAMES]))
     dynamics = LinkDynamics(with_gravity(robot, down))
-    gear = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(columns.thetas(values))
+    gear = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(
+        columns.thetas(values)
+    )
     sign = np.sign(motion.qd)
     friction = sign * (of("coulomb") + of("load") * np.abs(gear))
-    friction += of("viscous") * motion.qd + of("sqrt") * sign * np.sqrt(np.abs(motion.qd))
+    friction += of("viscous") * motion.qd + of("sqrt") * sign * np.sqrt(
+        np.abs(motion.qd)
+    )
     torque = (1.0 + of("scale")) * gear + friction + of("armature") * motion.qdd
     late = motion.time - at[DELAY_NAME]
     delayed = np.column_stack([np.interp(late, motion.time, each) for each in torque.T])
@@ -141,7 +147,12 @@ def identified(problem, motion, rng, exact):
     fit = answer.fit
     theta = values[:10]
     stated = estimate_of(answer).standard_errors[:10]
-    return fit.values[:10] - theta, fit.free[:10] - theta, stated, fit.choice.common_scale > 0.0
+    return (
+        fit.values[:10] - theta,
+        fit.free[:10] - theta,
+        stated,
+        fit.choice.common_scale > 0.0,
+    )
 
 
 def told(theta, squares, covariance, words):
@@ -149,7 +160,9 @@ def told(theta, squares, covariance, words):
     ratio = np.sqrt(np.diag(squares) / np.diag(covariance))
     centre = spread_of(theta, squares)[1] / spread_of(theta, covariance)[1]
     ten = np.array2string(ratio, precision=2)
-    figures = f"mass {ratio[0]:.2f}  centre {centre:.2f}  ten {np.median(ratio):.2f}  {ten}"
+    figures = (
+        f"mass {ratio[0]:.2f}  centre {centre:.2f}  ten {np.median(ratio):.2f}  {ten}"
+    )
     return f"  {words:32s} {figures}"
 
 
@@ -162,7 +175,9 @@ def lines(path, runs, exact):
     design = Design(problem, options, motion, known_of(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
     after = _posterior(problem, plan, (RATE, OPTIONS, "link"))
-    own = np.ix_(*[[after.sought.kept_names.index(name) for name in PARAMETER_NAMES]] * 2)
+    own = np.ix_(
+        *[[after.sought.kept_names.index(name) for name in PARAMETER_NAMES]] * 2
+    )
     covariance = (after.causes[NOISE] if exact else after.found.covariance)[own]
     then = possible_covariance(robot.prior.theta, after.then.covariance[own])
     both = (1.0 - after.doubted) * covariance + after.doubted * then
@@ -174,12 +189,18 @@ def lines(path, runs, exact):
         found.append(identified(problem, moves, rng, exact))
     off, free, stated, common = map(np.array, zip(*found))
     yield f"{path.parent.name}/{path.stem}: {runs} runs ({time.process_time() - began:.0f} s)"
-    chosen = {"result": off, "result, scales not doubted": off[~common], "plain estimate": free}
+    chosen = {
+        "result": off,
+        "result, scales not doubted": off[~common],
+        "plain estimate": free,
+    }
     for words, each in chosen.items():
         squares = each.T @ each / max(len(each), 1)
         yield told(robot.prior.theta, squares, covariance, f"{words} ({len(each)})")
         if each is off and not exact:
-            yield told(robot.prior.theta, squares, both, "result, over what is told of both")
+            yield told(
+                robot.prior.theta, squares, both, "result, over what is told of both"
+            )
     if np.any(common):
         own = np.sqrt(np.mean((off / stated)[common] ** 2, axis=0))
         yield f"  scales doubted, over what is stated: {np.array2string(own, precision=2)}"

@@ -33,7 +33,11 @@ from robot_sysid.motion.prediction import sizes
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory, motion_chunks
+from robot_sysid.trajectory import (
+    TrajectoryOptions,
+    generate_excitation_trajectory,
+    motion_chunks,
+)
 from tests.support.places import GUESS, MODELS
 
 ARMS = [
@@ -104,7 +108,9 @@ def nearest(robot, plan):
                 inside = moving & (data.contact.dist <= 0.0)
                 rest = {tuple(pair) for pair in bodies[inside].tolist()}
             counted = [tuple(pair) not in rest for pair in bodies.tolist()]
-            least = np.min(data.contact.dist[moving & np.array(counted, dtype=bool)], initial=least)
+            least = np.min(
+                data.contact.dist[moving & np.array(counted, dtype=bool)], initial=least
+            )
     return float(least)
 
 
@@ -114,7 +120,9 @@ def parts_by_joints(robot):
     joints = set(model.dof_jntid[robot.dof_index].tolist())
     found = np.zeros(model.nbody, dtype=int)
     for body in range(1, model.nbody):
-        own = [j for j in range(model.njnt) if model.jnt_bodyid[j] == body and j in joints]
+        own = [
+            j for j in range(model.njnt) if model.jnt_bodyid[j] == body and j in joints
+        ]
         found[body] = found[model.body_parentid[body]] + len(own)
     return found
 
@@ -146,18 +154,28 @@ def line(path, joint, seeds, budget):
     best = np.median(found, axis=0)
     check = result.limit_check
     neighbours = problem.obstacles.neighbours.distance
-    stated = min(check.nearest.distance - check.resolution, neighbours - DISTANCE_RESOLUTION)
+    stated = min(
+        check.nearest.distance - check.resolution, neighbours - DISTANCE_RESOLUTION
+    )
     real = nearest(robot, result.trajectory)
     pairs = zip(NAMES, sines / best, least / best)
-    ratios = "  ".join(f"{name} {ratio:5.1f} ({100.0 * f:3.0f} %)" for name, ratio, f in pairs)
-    words = f"{path.parent.name}/{path.stem:24s} {ratios}  stated {1e3 * stated:6.1f} mm"
-    words += f"  real {1e3 * real:6.1f} mm  tool {check.tool_speed:4.2f} m/s  {spent:4.1f} s"
+    ratios = "  ".join(
+        f"{name} {ratio:5.1f} ({100.0 * f:3.0f} %)" for name, ratio, f in pairs
+    )
+    words = (
+        f"{path.parent.name}/{path.stem:24s} {ratios}  stated {1e3 * stated:6.1f} mm"
+    )
+    words += (
+        f"  real {1e3 * real:6.1f} mm  tool {check.tool_speed:4.2f} m/s  {spent:4.1f} s"
+    )
     if budget is None:
         return words
     optimise.clock = time.process_time
     longer = Design(problem, replace(options, time_budget=budget), motion, known)
     most = design_excitation(longer, np.random.default_rng(seeds[-1]))
-    return f"{words}  {100.0 * most.objective / result.objective:.0f} % after {budget:g} s"
+    return (
+        f"{words}  {100.0 * most.objective / result.objective:.0f} % after {budget:g} s"
+    )
 
 
 def main() -> None:
@@ -167,7 +185,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--budget", type=float)
     chosen = parser.parse_args()
-    for path, joint in [(GUESS, None), *((MODELS / model, joint) for model, joint in ARMS)]:
+    for path, joint in [
+        (GUESS, None),
+        *((MODELS / model, joint) for model, joint in ARMS),
+    ]:
         if chosen.arms in str(path):
             print(line(path, joint, chosen.seeds, chosen.budget), flush=True)
 

@@ -57,7 +57,9 @@ class Study:
             start = time.monotonic()
             self.new[name] = shop.results(name, 2)
             self.time[name] = time.monotonic() - start
-            print(f"{name:16s} {self.time[name]:5.1f} s  {', '.join(sorted(self.new[name]))}")
+            print(
+                f"{name:16s} {self.time[name]:5.1f} s  {', '.join(sorted(self.new[name]))}"
+            )
         if "report" in names:  # What it reads is new; only its page is old.
             page = self.old["report"]["report.html"]
             self.old["report"] = {**self.new["report"], "report.html": page}
@@ -100,7 +102,9 @@ class Study:
         if run.code != 0:
             return [f"the next run ends with {run.code}: {run.errors}"]
         found = self.there()
-        left = [f"the next run leaves {k}" for k in found if self.new[name] and is_hidden(k)]
+        left = [
+            f"the next run leaves {k}" for k in found if self.new[name] and is_hidden(k)
+        ]
         seen = {k: v for k, v in found.items() if not is_hidden(k)}
         differs = name != SEARCH and seen != self.new[name]
         return left + ["the next run writes something else"] * differs
@@ -160,7 +164,9 @@ def kills(study: Study, count: int) -> None:
         run = study.started(name)
         if writes:
             run.wait_for(lambda: has_draft(study.shop.out))
-        time.sleep(study.random.uniform(0.0, WRITING if writes else 0.9 * study.time[name]))
+        time.sleep(
+            study.random.uniform(0.0, WRITING if writes else 0.9 * study.time[name])
+        )
         run.process.kill()
         tally["killed" if run.code == -signal.SIGKILL else "ended before"] += 1
         tally[f"killed: {name}"] += run.code == -signal.SIGKILL
@@ -179,7 +185,11 @@ def kills(study: Study, count: int) -> None:
         tally["next runs that failed or left hidden files"] += bool(again)
         for fault in (*faults, *again):
             print(f"  FAULT kill {number}, {name}: {fault}", flush=True)
-        print(f"  {number + 1}: {dict(tally)}", end="\n" if number % 10 == 9 else "\r", flush=True)
+        print(
+            f"  {number + 1}: {dict(tally)}",
+            end="\n" if number % 10 == 9 else "\r",
+            flush=True,
+        )
     print(f"\nkills: {count}")
     for what, found in sorted(tally.items()):
         print(f"  {found:5d} {what}")
@@ -200,10 +210,14 @@ def has_said(run: Run, line: str) -> Callable[[], bool]:
 
 def interrupts(study: Study, count: int) -> None:
     """Interrupt each stage, any time, the writing and the start of workers."""
-    print("\ninterrupts: command, stage, exit codes, lines on standard error that are no notes")
+    print(
+        "\ninterrupts: command, stage, exit codes, lines on standard error that are no notes"
+    )
     for name in study.names:
         for stage in stages(study, name):
-            _interrupted(study, name, stage, count, lambda run, s=stage: has_said(run, s))
+            _interrupted(
+                study, name, stage, count, lambda run, s=stage: has_said(run, s)
+            )
         if study.new[name]:
             writes = lambda run: lambda: has_draft(study.shop.out)  # noqa: E731
             _interrupted(study, name, "(writing)", count, writes)
@@ -270,7 +284,9 @@ def small_disk(study: Study, size: str) -> Iterator[bool]:
 
 def disks(study: Study, sizes: list[str]) -> None:
     """Let the disk be full at several places of the results, and read-only on the way."""
-    print("\nfull disk: command, size, exit code, lines on standard error that are no notes")
+    print(
+        "\nfull disk: command, size, exit code, lines on standard error that are no notes"
+    )
     for name in study.names:
         for size in sizes:
             with small_disk(study, size) as mounted:
@@ -284,8 +300,15 @@ def disks(study: Study, sizes: list[str]) -> None:
             run = study.shop.start(study.shop.words(name, 2))
             time.sleep(0.5 * study.time[name])
             call = ["mount", "-o", "remount,ro", str(study.shop.out)]
-            was_open = subprocess.run(call, capture_output=True, check=False).returncode != 0
-            _tell(study, name, "read-only on the way" + " (not: a file was open)" * was_open, run)
+            was_open = (
+                subprocess.run(call, capture_output=True, check=False).returncode != 0
+            )
+            _tell(
+                study,
+                name,
+                "read-only on the way" + " (not: a file was open)" * was_open,
+                run,
+            )
             subprocess.run(call, capture_output=True, check=False)
             run = study.shop.start(study.shop.words(name, 2))
             _tell(study, name, "read-only before", run)
@@ -301,7 +324,10 @@ def _has_room(study: Study) -> bool:
 
 
 def _tell(study: Study, name: str, what: str, run: Run) -> None:
-    print(f"  {name:16s} {what:28s} {run.code:4d}  {' | '.join(run.errors)[:150]}", flush=True)
+    print(
+        f"  {name:16s} {what:28s} {run.code:4d}  {' | '.join(run.errors)[:150]}",
+        flush=True,
+    )
     faults = study.faults(name, removed=True)
     if not what.startswith("read-only"):
         faults += [f"left: {n}" for n in study.there() if is_hidden(n)]
@@ -319,7 +345,10 @@ def _file_instead(out: Path) -> None:
 def folders(study: Study) -> None:
     """Take the output folder away during the run, or let it be something else from the start."""
     print("\noutput folder: command, what it is, exit code, lines on standard error")
-    during = {"removed during the run": shutil.rmtree, "a file in its place": _file_instead}
+    during = {
+        "removed during the run": shutil.rmtree,
+        "a file in its place": _file_instead,
+    }
     before = {
         "a dangling link": lambda out: out.symlink_to("nowhere/at all"),
         "a link to itself": lambda out: out.symlink_to(out.name),
@@ -332,7 +361,10 @@ def folders(study: Study) -> None:
             act(study.shop.out)
             _tell(study, name, what, run)
             study.shop.fill(study.old[name])
-            print("".join(f"    FAULT {fault}\n" for fault in study.next_run(name)), end="")
+            print(
+                "".join(f"    FAULT {fault}\n" for fault in study.next_run(name)),
+                end="",
+            )
         for what, act in before.items():
             study.shop.fill({})
             act(study.shop.out)
@@ -341,22 +373,36 @@ def folders(study: Study) -> None:
             run.process.join()
             _tell(study, name, f"{what} ({time.monotonic() - start:.1f} s)", run)
         for result, content in study.new[name].items():
-            if not content or name == EXAMPLE or (name == "report" and result != "report.html"):
+            if (
+                not content
+                or name == EXAMPLE
+                or (name == "report" and result != "report.html")
+            ):
                 continue
             study.shop.fill({k: v for k, v in study.old[name].items() if k != result})
             (study.shop.out / result / "inside").mkdir(parents=True)
-            _tell(study, name, f"{result} is a folder", study.shop.start(study.shop.words(name, 2)))
+            _tell(
+                study,
+                name,
+                f"{result} is a folder",
+                study.shop.start(study.shop.words(name, 2)),
+            )
         _two_at_once(study, name)
     study.shop.fill({})
 
 
 def _two_at_once(study: Study, name: str) -> None:
     first = study.started(name)
-    second = study.shop.start(study.shop.words(name, 1 if name != "report" else 2), "second")
+    second = study.shop.start(
+        study.shop.words(name, 1 if name != "report" else 2), "second"
+    )
     codes = (first.code, second.code)
     errors = [*first.errors, *second.errors]
     print(f"  {name:16s} {'two at once':28s} {codes}  {' | '.join(errors)[:130]}")
-    if name != SEARCH and files_in(study.shop.out) not in (study.new[name], study.old[name]):
+    if name != SEARCH and files_in(study.shop.out) not in (
+        study.new[name],
+        study.old[name],
+    ):
         print("    FAULT files of both")
 
 
@@ -365,11 +411,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--interrupts", type=int, default=3, help="per stage")
-    parser.add_argument("--sizes", nargs="*", default=["4k", "12k", "24k", "48k", "96k", "600k"])
-    parser.add_argument("--commands", nargs="*", default=list(COMMANDS), choices=list(COMMANDS))
+    parser.add_argument(
+        "--sizes", nargs="*", default=["4k", "12k", "24k", "48k", "96k", "600k"]
+    )
+    parser.add_argument(
+        "--commands", nargs="*", default=list(COMMANDS), choices=list(COMMANDS)
+    )
     parser.add_argument("--no-folders", action="store_true")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--folder", type=Path, help="kept and used again (default: a new one)")
+    parser.add_argument(
+        "--folder", type=Path, help="kept and used again (default: a new one)"
+    )
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as nowhere:
         shop = Workshop(options.folder or Path(nowhere) / "shop")

@@ -123,9 +123,15 @@ def prove(name: str, path: str) -> None:
     result = result_of_logs(robot, logs, EstimationOptions())
     spent = time.perf_counter() - start
     lengths = ", ".join(f"{plan.duration:.0f} s" for plan in made)
-    print(f"{name}: motions {lengths} designed in {designed:.0f} s; identified in {spent:.0f} s")
-    scales = ", ".join(f"{kind} {scale:.2g}" for kind, scale in result.link_scales.items())
-    print(f"  links off by so many times their share: {scales}; low-pass {result.cutoff:g} Hz")
+    print(
+        f"{name}: motions {lengths} designed in {designed:.0f} s; identified in {spent:.0f} s"
+    )
+    scales = ", ".join(
+        f"{kind} {scale:.2g}" for kind, scale in result.link_scales.items()
+    )
+    print(
+        f"  links off by so many times their share: {scales}; low-pass {result.cutoff:g} Hz"
+    )
     for index, joint in enumerate(robot.joint_names):
         found = result.joints[joint]
         cells = [_cell(truth, found, index, term) for term in GOALS]

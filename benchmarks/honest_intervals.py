@@ -104,7 +104,9 @@ class Arm:
         angles = np.radians(cell.tilt) * rng.standard_normal(2)
         self.arm = with_gravity(robot, turned(gravity(robot), angles))
         links = other_links(robot)
-        lengths = [float(np.linalg.norm(robot.links[link + 1].translation)) for link in links]
+        lengths = [
+            float(np.linalg.norm(robot.links[link + 1].translation)) for link in links
+        ]
         self.thetas = robot.thetas
         if cell.links:
             usual = [robot.links[link].theta for link in links]
@@ -129,9 +131,15 @@ class Arm:
         rigid = rest + moves.torque(carried)
         self.dry = 0.03 * np.max(np.abs(bare), axis=0)
         fastest = np.max(np.abs(exact.qd), axis=0)
-        dry = self.dry * (1.0 + STRIBECK * self.bent * np.exp(-np.abs(exact.qd) / (0.1 * fastest)))
+        dry = self.dry * (
+            1.0 + STRIBECK * self.bent * np.exp(-np.abs(exact.qd) / (0.1 * fastest))
+        )
         dry = dry + LOSS * self.bent * np.abs(rigid)
-        tau = self.scales * rigid + dry * np.sign(exact.qd) + self.dry / fastest * exact.qd
+        tau = (
+            self.scales * rigid
+            + dry * np.sign(exact.qd)
+            + self.dry / fastest * exact.qd
+        )
         tau += NOISE * np.max(np.abs(tau), axis=0) * noise(self.rng, tau.shape)
         q = exact.q + self.zeros
         return Measurement(exact.time, np.round(q / STEP) * STEP, None, tau)
@@ -159,7 +167,12 @@ def body_off(found: BodyEstimate, true: Array) -> Iterator[Off]:
     spread = load_errors(found)[1:4]
     yield "mass", found.inertial.mass - true[0], float(found.errors[0]), float(true[0])
     for k in range(3):
-        yield "centre of mass", float(found.inertial.com[k] - com[k]), float(spread[k]), size
+        yield (
+            "centre of mass",
+            float(found.inertial.com[k] - com[k]),
+            float(spread[k]),
+            size,
+        )
     for k in range(4, 10):
         off = float(found.inertial.theta[k] - true[k])
         yield "inertia", off, float(found.errors[k]), mass * size**2
@@ -177,7 +190,10 @@ def identified(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[st
         off = link.inertial.mass - true
         found.append(("middle mass", off, float(link.errors[0]), true))
     for joint, dry in zip(robot.joint_names, arm.dry.tolist()):
-        level = result.joints[joint].terms.get("coulomb") or result.joints[joint].terms["sigmoid"]
+        level = (
+            result.joints[joint].terms.get("coulomb")
+            or result.joints[joint].terms["sigmoid"]
+        )
         found.append(("Coulomb", level.value - dry, level.error, dry))
     return found, [each.cause for each in result.conflicts]
 
@@ -186,15 +202,20 @@ def weighed(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]
     """How far the payload's numbers are off, and the causes that are said to be larger."""
     places = np.linspace(-1.0, 1.0, len(ORDER)).tolist()
     pieces = [
-        Piece(f"log{k}", arm.log(loaded), loaded, places[k]) for k, loaded in enumerate(ORDER)
+        Piece(f"log{k}", arm.log(loaded), loaded, places[k])
+        for k, loaded in enumerate(ORDER)
     ]
-    datasets, _ = low_pass_recordings(arm.robot, sorted(pieces, key=lambda p: p.is_loaded), options)
+    datasets, _ = low_pass_recordings(
+        arm.robot, sorted(pieces, key=lambda p: p.is_loaded), options
+    )
     question = Question(options, loaded=True, drifts=True)
     flange = find_flange(arm.robot, None)
     answer, free = answer_payload(arm.robot, datasets, question, Progress(), None)
     result = payload_of(answer, free, flange, ORIGIN)
     assert result.payload is not None
-    wide = [g.cause for g in answer.fit.unknowns.groups if g.may_widen and g.widened > WIDER]
+    wide = [
+        g.cause for g in answer.fit.unknowns.groups if g.may_widen and g.widened > WIDER
+    ]
     if not result.verdict.is_trustworthy:
         wide.append(result.verdict.name)
     return list(body_off(result.payload.body, flange.to_flange(PAYLOAD))), wide
@@ -207,7 +228,9 @@ def study(robot: RobotModel, name: str, cell: Cell, runs: int) -> Iterator[str]:
     for seed in range(runs):
         arm = Arm(robot, cell, np.random.default_rng(seed))
         options = cell.options() if name == "told" else EstimationOptions()
-        off, causes = (weighed if name in ("payload", "loaded") else identified)(arm, options)
+        off, causes = (weighed if name in ("payload", "loaded") else identified)(
+            arm, options
+        )
         said.append(causes)
         for what, *numbers in off:
             found.setdefault(what, []).append(tuple(numbers))

@@ -45,11 +45,14 @@ def calibration(robot, arm, rng, sets):
     sure = None
     for _ in range(sets):
         logs = [
-            calibrated(each, scale) for each in recordings(robot, arm, rng, payload=body(WEIGHT))
+            calibrated(each, scale)
+            for each in recordings(robot, arm, rng, payload=body(WEIGHT))
         ]
         options = EstimationOptions(scale_uncertainty=sure)
         found = weighed(robot, logs, options, known_mass=WEIGHT).payload
-        more, errors = np.transpose([found.torque_scale[joint] for joint in robot.joint_names])
+        more, errors = np.transpose(
+            [found.torque_scale[joint] for joint in robot.joint_names]
+        )
         scale = scale * more
         sure = tuple((100.0 * errors / more).tolist())
     return scale, sure
@@ -80,7 +83,9 @@ def main():
     parser.add_argument("models", type=Path)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--sets", type=int, default=1)
-    parser.add_argument("--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS))
+    parser.add_argument(
+        "--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS)
+    )
     given = parser.parse_args()
     for name in given.arms:
         robot = load_robot_model(given.models / MODELS[name])

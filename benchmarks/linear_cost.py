@@ -48,18 +48,26 @@ def watched(*command: str) -> tuple[float, float, str]:
     """
     compiled = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     outer = [sys.executable, "-c", MEASURED, *command]
-    done = subprocess.run(outer, check=True, capture_output=True, text=True, env=compiled)
+    done = subprocess.run(
+        outer, check=True, capture_output=True, text=True, env=compiled
+    )
     code, seconds, memory = map(float, done.stdout.split())
     # 1: ran, but the result is not to be used; its cost is the same.
     assert code in (0.0, 1.0, -1.0), (command, done.stderr)
     seconds = seconds if code >= 0.0 else math.inf
-    return seconds, memory / (1024.0 if sys.platform != "darwin" else 1024.0**2), done.stderr
+    return (
+        seconds,
+        memory / (1024.0 if sys.platform != "darwin" else 1024.0**2),
+        done.stderr,
+    )
 
 
 def simulated(folder: Path, duration: float) -> tuple[float, float]:
     """The model's own simulation."""
     out = ("--output-dir", str(folder / "out"), "--seed", "0")
-    return measured(str(GUESS), *out, "--duration", str(duration), "--sample-rate", str(RATE))
+    return measured(
+        str(GUESS), *out, "--duration", str(duration), "--sample-rate", str(RATE)
+    )
 
 
 def log(folder: Path, duration: float) -> tuple[float, float]:
@@ -76,9 +84,20 @@ def recorded(path: Path, duration: float) -> None:
     once = min(duration, LENGTHS[1])
     piece = path.with_suffix(".piece")
     plant = ("--plant-model", str(TRUTH), "--save-measurements", str(piece))
-    noise = ("--noise-torque", "0.05", "--seed", "0", "--output-dir", str(path.parent / "out"))
-    measured(str(GUESS), "--duration", str(once), "--sample-rate", str(RATE), *plant, *noise)
-    title, *lines = [x for x in piece.read_text().splitlines(True) if not x.startswith("#")]
+    noise = (
+        "--noise-torque",
+        "0.05",
+        "--seed",
+        "0",
+        "--output-dir",
+        str(path.parent / "out"),
+    )
+    measured(
+        str(GUESS), "--duration", str(once), "--sample-rate", str(RATE), *plant, *noise
+    )
+    title, *lines = [
+        x for x in piece.read_text().splitlines(True) if not x.startswith("#")
+    ]
     with path.open("w", encoding="utf-8") as file:
         file.write(title)
         for start in range(round(duration / once)):
@@ -89,7 +108,9 @@ def recorded(path: Path, duration: float) -> None:
 
 def main(*parts: str) -> None:
     """Print the table."""
-    print("| Run | Samples | Time | Per sample | Per sample added | Peak memory | Times |")
+    print(
+        "| Run | Samples | Time | Per sample | Per sample added | Peak memory | Times |"
+    )
     print("| --- | --- | --- | --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as name:
         for part in parts or ("simulated", "log"):
@@ -102,7 +123,10 @@ def main(*parts: str) -> None:
                 added = f"{1e6 * (seconds - base) / more:.1f} us" if more else ""
                 cells = (part, f"{samples:.0f}", f"{seconds:.2f} s")
                 each = (f"{1e6 * seconds / samples:.1f} us", added, f"{peak:.0f} MB")
-                print(f"| {' | '.join((*cells, *each))} | {peak / memory:.2f} |", flush=True)
+                print(
+                    f"| {' | '.join((*cells, *each))} | {peak / memory:.2f} |",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -64,7 +64,9 @@ def half_fits(robot: RobotModel, log: Measurement) -> Iterator[tuple[Fit, FitErr
     options = EstimationOptions(cutoff=signals.cutoff)
     middle = 0.5 * (log.time[-1] - log.time[0])
     for start, end in ((0.0, middle), (middle, np.inf)):
-        datasets, _ = low_pass_recordings(robot, [Piece("half", stretch(log, start, end))], options)
+        datasets, _ = low_pass_recordings(
+            robot, [Piece("half", stretch(log, start, end))], options
+        )
         fitter = fitter_of(robot, datasets, couplings=whole.fit.columns.couplings)
         fit = fitter.fit(Question(options), whole.fit.choice)
         yield fit, fit_errors(fit)
@@ -115,7 +117,9 @@ def ratios(robot: RobotModel, log: Measurement) -> dict[str, list[float]]:
     fits, errors = map(list, zip(*half_fits(robot, log)))
     first, second = (fit.unknowns for fit in fits)
     names = [name for name in first.kept_names if name in set(second.kept_names)]
-    places = [np.array([u.kept_names.index(name) for name in names]) for u in (first, second)]
+    places = [
+        np.array([u.kept_names.index(name) for name in names]) for u in (first, second)
+    ]
     values = [fit.values[fit.unknowns.kept[at]] for fit, at in zip(fits, places)]
     stated = difference_errors(names, fits, errors, places)
     links = {first.names[place] for at, _ in first.bodies.values() for place in at}
@@ -141,7 +145,9 @@ def main() -> int:
     for model, name, start, end in LOGS:
         robot = load_robot_model(DATA / model)
         path = DATA / name
-        log = open_log(robot, path, LogOptions(measurements=(path,)), Progress()).samples
+        log = open_log(
+            robot, path, LogOptions(measurements=(path,)), Progress()
+        ).samples
         found = ratios(robot, stretch(log, start, end))
         for kind in KINDS:
             every[kind] += found[kind]
@@ -153,7 +159,9 @@ def main() -> int:
 def line(name: str, found: dict[str, list[float]]) -> str:
     """Return root mean squares and numbers of ratios as a line."""
     cells = (
-        f"{np.sqrt(np.mean(np.square(values))):8.2f} of {len(values):<4}" if values else f"{'-':>8}"
+        f"{np.sqrt(np.mean(np.square(values))):8.2f} of {len(values):<4}"
+        if values
+        else f"{'-':>8}"
         for values in found.values()
     )
     return f"{name:<40}" + "".join(f"{cell:>16}" for cell in cells)

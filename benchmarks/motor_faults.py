@@ -32,9 +32,22 @@ from pathlib import Path
 import numpy as np
 
 from tests.support.damaged_links import Damage
-from tests.support.fault_bench import ARMS, BenchRun, Case, SetUp, loaded_joint, outcomes_of
+from tests.support.fault_bench import (
+    ARMS,
+    BenchRun,
+    Case,
+    SetUp,
+    loaded_joint,
+    outcomes_of,
+)
 from tests.support.fault_lines import LINES
-from tests.support.motor_causes import DamagedFrame, LostMotor, WeakMotor, joint_of, named_causes
+from tests.support.motor_causes import (
+    DamagedFrame,
+    LostMotor,
+    WeakMotor,
+    joint_of,
+    named_causes,
+)
 from tests.support.places import ROOT
 
 DAMAGES = {
@@ -103,7 +116,9 @@ def _damage(name, size, joint: int, n: int, random: np.random.Generator) -> Dama
     return Damage(name, size, joint)
 
 
-def fault_cases(arm: str, belief: str = "guess", after: float = FAULT_AFTER) -> list[Case]:
+def fault_cases(
+    arm: str, belief: str = "guess", after: float = FAULT_AFTER
+) -> list[Case]:
     """Return a case for each named fault, with the model given and without."""
     cases = []
     for is_given in (True, False):
@@ -127,7 +142,9 @@ def hold_cases(arm: str, belief: str = "truth") -> list[Case]:
                 ("weak motor, 0.6", WeakMotor(joint, 0.6)),
                 ("motor lost", LostMotor(joint)),
             ):
-                cases.append(Case(name, setup, cause, "playing", HOLD_FAULT_AFTER, None, joint))
+                cases.append(
+                    Case(name, setup, cause, "playing", HOLD_FAULT_AFTER, None, joint)
+                )
     return cases
 
 
@@ -182,11 +199,15 @@ def _by_name(outcomes: list) -> Iterator[tuple[str, list]]:
 
 def print_damage_table(outcomes: list) -> None:
     """Print, by field and size, the worst departure, how many runs were stopped, and the words."""
-    print("| field, size | runs | stopped | worst departure [rad] | in phase | top speed | words |")
+    print(
+        "| field, size | runs | stopped | worst departure [rad] | in phase | top speed | words |"
+    )
     print("|---|---|---|---|---|---|---|")
     for name, group in _by_name(outcomes):
         worst = max(group, key=lambda outcome: outcome.departure)
-        stopped = [outcome for outcome in group if outcome.ending in ("stopped", "refused")]
+        stopped = [
+            outcome for outcome in group if outcome.ending in ("stopped", "refused")
+        ]
         top_speed = max(outcome.top_speed for outcome in group)
         endings = Counter(_rough(outcome.words) for outcome in stopped)
         words = "; ".join(f"{count}x {text}" for text, count in endings.most_common(3))
@@ -196,10 +217,15 @@ def print_damage_table(outcomes: list) -> None:
         )
     worst = max(outcome.departure for outcome in outcomes)
     beyond = sum(outcome.departure > DAMAGE_BOUND for outcome in outcomes)
-    print(f"\nworst departure {worst:.3f} rad; {beyond} of {len(outcomes)} beyond {DAMAGE_BOUND}\n")
+    print(
+        f"\nworst departure {worst:.3f} rad; {beyond} of {len(outcomes)} beyond {DAMAGE_BOUND}\n"
+    )
 
 
-_DELAY = ("stop after [s]", lambda o: "-" if o.stop_delay is None else f"{o.stop_delay:.3f}")
+_DELAY = (
+    "stop after [s]",
+    lambda o: "-" if o.stop_delay is None else f"{o.stop_delay:.3f}",
+)
 _WORDS = ("words", lambda o: short_words(o.words) or o.ending)
 FAULT_COLUMNS = (
     ("fault", lambda o: o.name),
@@ -237,13 +263,20 @@ def print_table(outcomes: list, columns: Sequence[tuple]) -> None:
     print()
 
 
-def print_clean_runs(arms: Sequence[str], rates: Sequence[float], jobs: int) -> list[dict]:
+def print_clean_runs(
+    arms: Sequence[str], rates: Sequence[float], jobs: int
+) -> list[dict]:
     """Play undisturbed, print a line for each run, and return the results."""
     results = []
     with multiprocessing.get_context("fork").Pool(jobs) as pool:
         for result in pool.imap(clean_result, clean_setups(arms, rates)):
-            ending = "completed" if result["completed"] else f"STOPPED: {result['words']}"
-            print(f"{result['setup']:44s} {ending} [{result['seconds']:.1f} s]", flush=True)
+            ending = (
+                "completed" if result["completed"] else f"STOPPED: {result['words']}"
+            )
+            print(
+                f"{result['setup']:44s} {ending} [{result['seconds']:.1f} s]",
+                flush=True,
+            )
             results.append(result)
     stopped = sum(not result["completed"] for result in results)
     print(f"{stopped} of {len(results)} undisturbed runs were stopped\n", flush=True)
@@ -252,31 +285,45 @@ def print_clean_runs(arms: Sequence[str], rates: Sequence[float], jobs: int) -> 
 
 def write_page(jobs: int) -> None:
     """Write the table of faults into docs/damiao.md."""
-    outcomes = {outcome.name: outcome for outcome in outcomes_of([i.case for i in LINES], jobs)}
+    outcomes = {
+        outcome.name: outcome for outcome in outcomes_of([i.case for i in LINES], jobs)
+    }
     rows = [PAGE_HEAD]
     for line in LINES:
         outcome = outcomes[line.name]
-        words = re.sub(r" \(joint [^)]*\)", "", outcome.words).partition("; no confirmation")[0]
+        words = re.sub(r" \(joint [^)]*\)", "", outcome.words).partition(
+            "; no confirmation"
+        )[0]
         mark = "*" if line.quantity != "departure" else ""
         measured = f"{getattr(outcome, line.quantity):.2f}{mark}"
-        rows.append(f"| {line.name} | {measured} | {words or 'nothing: it plays to the end'} |")
+        rows.append(
+            f"| {line.name} | {measured} | {words or 'nothing: it plays to the end'} |"
+        )
     page = PAGE.read_text(encoding="utf-8")
     before, _, later = page.partition(PAGE_BEGIN)
     after = later.partition(PAGE_END)[2]
     table = "\n".join(rows)
-    PAGE.write_text(f"{before}{PAGE_BEGIN}\n{table}\n{PAGE_END}{after}", encoding="utf-8")
+    PAGE.write_text(
+        f"{before}{PAGE_BEGIN}\n{table}\n{PAGE_END}{after}", encoding="utf-8"
+    )
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    options.add_argument("campaign", choices=("damage", "faults", "stop", "clean", "page", "all"))
+    options.add_argument(
+        "campaign", choices=("damage", "faults", "stop", "clean", "page", "all")
+    )
     options.add_argument("--arm", choices=list(ARMS), default="kinova")
     options.add_argument("--belief", choices=("guess", "truth"), default="guess")
-    options.add_argument("--runs", type=int, default=40, help="damaged frames; 400 for a deep run")
+    options.add_argument(
+        "--runs", type=int, default=40, help="damaged frames; 400 for a deep run"
+    )
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--only", default="", help="faults whose name contains this")
-    options.add_argument("--rate", type=float, action="append", help="of clean runs [Hz]")
+    options.add_argument(
+        "--rate", type=float, action="append", help="of clean runs [Hz]"
+    )
     options.add_argument("--jobs", type=int, default=2, help="processes at a time")
     options.add_argument("--json", type=Path, help="write all outcomes to this file")
     return options
@@ -308,7 +355,9 @@ def main() -> int:
         print_table(outcomes, HOLD_COLUMNS)
         results["stop"] = [asdict(outcome) for outcome in outcomes]
     if is_all or chosen.campaign == "clean":
-        results["clean"] = print_clean_runs(list(ARMS), chosen.rate or RATES, chosen.jobs)
+        results["clean"] = print_clean_runs(
+            list(ARMS), chosen.rate or RATES, chosen.jobs
+        )
         has_failed |= not all(result["completed"] for result in results["clean"])
     if chosen.json:
         chosen.json.write_text(json.dumps(results, indent=1))

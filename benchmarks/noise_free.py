@@ -50,7 +50,9 @@ class Case:
         friction = self.friction
         joint = f'range="-2.5 2.5" frictionloss="{0.4 * friction}" damping="{0.1 * friction}"'
         for index in reversed(range(7)):
-            inertial = times(TIP, self.tip * tip) if index == 6 else times(LINK, self.others)
+            inertial = (
+                times(TIP, self.tip * tip) if index == 6 else times(LINK, self.others)
+            )
             joints = hinge(f"joint{index}", SEVEN_AXES[index], joint)
             content = link(joints, content, f"link{index}", inertial=inertial)
         return world(content)
@@ -71,7 +73,9 @@ def times(inertial: str, factor: float) -> str:
     words = inertial.split('"')
     for place, word in enumerate(words[:-1]):
         if word.endswith(("mass=", "fullinertia=")):
-            words[place + 1] = " ".join(repr(factor * float(x)) for x in words[place + 1].split())
+            words[place + 1] = " ".join(
+                repr(factor * float(x)) for x in words[place + 1].split()
+            )
     return '"'.join(words)
 
 
@@ -91,7 +95,11 @@ def run(folder: Path, *words: object) -> dict:
 def line(found: dict, truth: np.ndarray) -> str:
     """Return errors and stated ones of a result."""
     theta = np.array(
-        [found["mass"], *found["center_of_mass_moment"], *found["inertia_tensor"].values()]
+        [
+            found["mass"],
+            *found["center_of_mass_moment"],
+            *found["inertia_tensor"].values(),
+        ]
     )
     errors = np.array(list(found["standard_errors"].values())[:10], dtype=float)
     size = spatial.parameter_scale(truth[0], spatial.characteristic_length(truth))
@@ -101,7 +109,9 @@ def line(found: dict, truth: np.ndarray) -> str:
     return f"{mass:10.1e}{np.max(off / size):10.1e}{np.max(errors / size):10.1e}{over:8.2f}"
 
 
-def lines(case: Case, rate: float, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
+def lines(
+    case: Case, rate: float, seed: int, folder: Path
+) -> Iterator[tuple[str, str]]:
     """Yield (source of the data, its line) of one arm at one sample rate [Hz]."""
     true = folder / "true.xml"
     guess = folder / "guess.xml"
@@ -129,7 +139,9 @@ def torque_of(log: Path) -> float:
     """Return the largest root mean square torque of a joint in a written log [N m]."""
     with log.open() as stream:
         titles = stream.readline().split(",")
-        places = [k for k, title in enumerate(titles) if title.strip().endswith("_torque")]
+        places = [
+            k for k, title in enumerate(titles) if title.strip().endswith("_torque")
+        ]
         rows = np.loadtxt(stream, delimiter=",", usecols=places, max_rows=20000)
     return float(np.max(np.sqrt(np.mean(rows**2, axis=0))))
 
@@ -146,9 +158,14 @@ def main() -> int:
     for name in chosen.cases:
         for rate in chosen.rates:
             with tempfile.TemporaryDirectory() as folder:
-                for source, words in lines(CASES[name], rate, chosen.seed, Path(folder)):
+                for source, words in lines(
+                    CASES[name], rate, chosen.seed, Path(folder)
+                ):
                     torque = torque_of(Path(folder) / "log.csv")
-                    print(f"{name:<24}{rate:>6g} {source:<17}{torque:9.1e}{words}", flush=True)
+                    print(
+                        f"{name:<24}{rate:>6g} {source:<17}{torque:9.1e}{words}",
+                        flush=True,
+                    )
     return 0
 
 

@@ -37,7 +37,9 @@ MODELS = {
     "ur5e": "universal_robots_ur5e/ur5e.xml",
     "xarm7": "ufactory_xarm7/xarm7.xml",
 }
-PAYLOAD = spatial.theta_from_com(1.0, np.array([0.03, -0.02, 0.08]), np.diag([0.004, 0.005, 0.003]))
+PAYLOAD = spatial.theta_from_com(
+    1.0, np.array([0.03, -0.02, 0.08]), np.diag([0.004, 0.005, 0.003])
+)
 ORDER = (False, True, True, False)
 USUAL = EstimationOptions()
 
@@ -52,7 +54,9 @@ def trajectory(robot, rng, wide):
     plan = generate_excitation_trajectory(robot, rng, torque=ArmTorque(robot))[0]
     if not wide:
         return plan
-    speed = np.max(np.abs(plan.evaluate(np.arange(0.0, plan.duration, 0.01)).qd), axis=0)
+    speed = np.max(
+        np.abs(plan.evaluate(np.arange(0.0, plan.duration, 0.01)).qd), axis=0
+    )
     factor = np.minimum(WIDER, SPEED_SHARE * robot.limits.velocity / speed)
     factor[-1] = 1.0
     return plan.scaled(factor)
@@ -62,12 +66,18 @@ def turned(theta, angle):
     """A body turned about the z axis by an angle [rad]."""
     mass, com, inertia = spatial.com_from_theta(theta)
     turn = np.array(
-        [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
+        [
+            [np.cos(angle), -np.sin(angle), 0.0],
+            [np.sin(angle), np.cos(angle), 0.0],
+            [0.0, 0.0, 1.0],
+        ]
     )
     return spatial.theta_from_com(mass, turn @ com, turn @ inertia @ turn.T)
 
 
-def recordings(robot, arm, rng, different=False, payload=PAYLOAD, wide=True, second=None):
+def recordings(
+    robot, arm, rng, different=False, payload=PAYLOAD, wide=True, second=None
+):
     """Four recordings in the order empty, loaded, loaded (with a second payload), empty."""
     plans = [trajectory(robot, rng, wide) for _ in (ORDER if different else ORDER[:1])]
     found = []
@@ -91,7 +101,10 @@ def weighed(robot, raw, estimation=USUAL, drifts=True, **known):
 def single_difference(robot, raw):
     """Difference of the terminal link's mass in two fits, with the other links from the model."""
     options = EstimationOptions(
-        link_uncertainty=0.0, scale_uncertainty=0.0, zero_uncertainty=0.0, gravity_uncertainty=0.0
+        link_uncertainty=0.0,
+        scale_uncertainty=0.0,
+        zero_uncertainty=0.0,
+        gravity_uncertainty=0.0,
     )
     masses = []
     for kind in (False, True):
@@ -126,14 +139,28 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("models", type=Path)
     parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--scale", type=float, nargs="+", default=[0.0, 1.0], help="per cent")
-    parser.add_argument("--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS))
-    parser.add_argument("--noise", type=float, default=0.3, help="of a strong joint, N m")
+    parser.add_argument(
+        "--scale", type=float, nargs="+", default=[0.0, 1.0], help="per cent"
+    )
+    parser.add_argument(
+        "--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS)
+    )
+    parser.add_argument(
+        "--noise", type=float, default=0.3, help="of a strong joint, N m"
+    )
     parser.add_argument("--narrow", action="store_true", help="joints move little")
-    parser.add_argument("--different", action="store_true", help="four trajectories, not one")
-    parser.add_argument("--turned", type=float, default=0.0, help="second loaded log, degrees")
-    parser.add_argument("--heavier", type=float, default=0.0, help="second loaded log, per cent")
-    parser.add_argument("--single", action="store_true", help="difference of two fits as well")
+    parser.add_argument(
+        "--different", action="store_true", help="four trajectories, not one"
+    )
+    parser.add_argument(
+        "--turned", type=float, default=0.0, help="second loaded log, degrees"
+    )
+    parser.add_argument(
+        "--heavier", type=float, default=0.0, help="second loaded log, per cent"
+    )
+    parser.add_argument(
+        "--single", action="store_true", help="difference of two fits as well"
+    )
     given = parser.parse_args()
     second = (1.0 + 0.01 * given.heavier) * turned(PAYLOAD, np.radians(given.turned))
     for name in given.arms:
@@ -144,7 +171,10 @@ def main():
                 choices = given.different, given.single, not given.narrow, second
                 off = Imperfections(scale=0.01 * scale, noise=given.noise)
                 rows.append(run(robot, seed, off, *choices))
-                print(f"  {name} {scale:g} % run {seed}: {rows[-1][0]:+.4f} kg", file=sys.stderr)
+                print(
+                    f"  {name} {scale:g} % run {seed}: {rows[-1][0]:+.4f} kg",
+                    file=sys.stderr,
+                )
             error, stated, noise, com, difference, trusted = np.array(rows).T
             covered = np.mean(np.abs(error) < 1.96 * stated)
             print(

@@ -101,7 +101,9 @@ def wrong_links(robot: RobotModel, rng: np.random.Generator) -> Array:
         gyration = np.sqrt(np.trace(inertia) / (2.0 * mass))
         com = com + 0.15 * gyration * rng.standard_normal(3)
         inertia = inertia * max(1.0 + 0.15 * rng.standard_normal(), 0.3)
-        thetas[index] = spatial.theta_from_com(mass * (1.0 + shares[index]), com, inertia)
+        thetas[index] = spatial.theta_from_com(
+            mass * (1.0 + shares[index]), com, inertia
+        )
     return thetas
 
 
@@ -113,7 +115,12 @@ def prior_links(robot: RobotModel, rng: np.random.Generator) -> Array:
 
 
 def draw_arm(
-    robot: RobotModel, kind: str, has_sensors: bool, duration: float, white: bool, seed: int
+    robot: RobotModel,
+    kind: str,
+    has_sensors: bool,
+    duration: float,
+    white: bool,
+    seed: int,
 ) -> RealArm:
     """Return one arm with one log of it."""
     rng = np.random.default_rng([seed, KINDS.index(kind)])
@@ -124,15 +131,25 @@ def draw_arm(
     is_off = kind != "exact"
     angles = np.radians(0.3) * rng.standard_normal(2) * is_off
     arm = with_gravity(robot, turned(gravity(robot), angles))
-    draw_links = {"real": wrong_links, "priors": prior_links, "exact": lambda r, _: r.thetas}
+    draw_links = {
+        "real": wrong_links,
+        "priors": prior_links,
+        "exact": lambda r, _: r.thetas,
+    }
     thetas = draw_links[kind](robot, rng)
     beyond_links = exact.tau - robot.friction.torque(exact.qd)
-    beyond_links -= LinkDynamics(robot).motion(exact.q, exact.qd, exact.qdd).torque(robot.thetas)
-    rigid = beyond_links + LinkDynamics(arm).motion(exact.q, exact.qd, exact.qdd).torque(thetas)
+    beyond_links -= (
+        LinkDynamics(robot).motion(exact.q, exact.qd, exact.qdd).torque(robot.thetas)
+    )
+    rigid = beyond_links + LinkDynamics(arm).motion(
+        exact.q, exact.qd, exact.qdd
+    ).torque(thetas)
 
     peak = np.max(np.abs(rigid), axis=0)
     fastest = np.max(np.abs(exact.qd), axis=0)
-    nominal = np.maximum(0.04 * peak, 0.004 * np.max(peak)) * rng.uniform(0.7, 1.4, len(peak))
+    nominal = np.maximum(0.04 * peak, 0.004 * np.max(peak)) * rng.uniform(
+        0.7, 1.4, len(peak)
+    )
     shown = 0.1 if has_sensors else 1.0
     coulomb = shown * nominal
     viscous = coulomb / fastest * rng.uniform(0.5, 1.5, len(peak))
@@ -154,7 +171,9 @@ def draw_arm(
     tau = tau + NOISE * nominal * _noise(rng, tau.shape, white)
     if kind == "priors":
         lag = 5e-3 * rng.standard_normal()
-        tau = np.stack([np.interp(exact.time - lag, exact.time, c) for c in tau.T], axis=1)
+        tau = np.stack(
+            [np.interp(exact.time - lag, exact.time, c) for c in tau.T], axis=1
+        )
     q = exact.q + 2e-3 * is_off * rng.standard_normal(len(peak))
     log = Measurement(exact.time, np.round(q / STEP) * STEP, None, tau)
     return RealArm(robot, thetas, coulomb, viscous, rotor, scales, exact, rigid, log)
@@ -170,7 +189,9 @@ def _noise(rng: np.random.Generator, shape: tuple[int, ...], white: bool) -> Arr
     return np.asarray(drawn[200:])
 
 
-def draw_arms(robot: RobotModel, arm_name: str, kind: str, seeds: range) -> Iterator[RealArm]:
+def draw_arms(
+    robot: RobotModel, arm_name: str, kind: str, seeds: range
+) -> Iterator[RealArm]:
     """Yield an arm per seed, of all durations and both kinds of noise in turn."""
     for seed in seeds:
         duration = DURATIONS[seed % len(DURATIONS)]
@@ -237,7 +258,9 @@ def main() -> int:
     parser.add_argument("models", type=Path)
     parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS))
+    parser.add_argument(
+        "--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS)
+    )
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     chosen = parser.parse_args()
     print(f"{'arm':<8}{'kind':<8}{'':<16}coverage  rms/stated    rms  median stated")

@@ -100,13 +100,37 @@ EMPTY = "ur10e_payload/empty_100Hz.csv"
 LOADED = "ur10e_payload/loaded_2p805kg_100Hz.csv"
 NONE = "not published"
 CASES = (
-    Case("KUKA LWR4+, the same motion again", KUKA, LWR4[0], LWR4[1], "3.3 to 4.1 %", rotors=False),
-    Case("KUKA LWR4+, another motion", KUKA, LWR4[0], LWR4[2], "3.3 to 4.1 %", rotors=False),
     Case(
-        "TX40, last fifth", TX40, *parted("tx40/tx40_500Hz.csv", 0.0, 7.66), "5.2 %", shared=(4, 5)
+        "KUKA LWR4+, the same motion again",
+        KUKA,
+        LWR4[0],
+        LWR4[1],
+        "3.3 to 4.1 %",
+        rotors=False,
+    ),
+    Case(
+        "KUKA LWR4+, another motion",
+        KUKA,
+        LWR4[0],
+        LWR4[2],
+        "3.3 to 4.1 %",
+        rotors=False,
+    ),
+    Case(
+        "TX40, last fifth",
+        TX40,
+        *parted("tx40/tx40_500Hz.csv", 0.0, 7.66),
+        "5.2 %",
+        shared=(4, 5),
     ),
     Case("UR10e, last fifth", UR10E, *parted(EMPTY, 1.1, 25.3), NONE),
-    Case("UR10e with a load, last fifth", UR10E, *parted(LOADED, 1.1, 25.3), NONE, (EMPTY, 0, 99)),
+    Case(
+        "UR10e with a load, last fifth",
+        UR10E,
+        *parted(LOADED, 1.1, 25.3),
+        NONE,
+        (EMPTY, 0, 99),
+    ),
 )
 
 
@@ -198,14 +222,18 @@ def relative(test, torque) -> float:
 def fit_error(fit, test, is_loaded: bool) -> float:
     """The same of a fit, with scales, zeros, shared motors and all."""
     own = fit.columns
-    columns = Columns(own.robot, [Dataset("", test, is_loaded)], own.torques, own.couplings)
+    columns = Columns(
+        own.robot, [Dataset("", test, is_loaded)], own.torques, own.couplings
+    )
     rows = columns.samples(fit.point)
     seen = evidence_of([rows], fit.evidence.torque)
     offsets = [name for name in columns.names if name.startswith("offset[")]
     held = np.where(np.isin(columns.names, offsets), 0.0, fit.values)
     free = restrict(seen.whole, offsets, held)
     best = np.linalg.lstsq(*free.stacked(), rcond=None)[0]
-    return float(np.sqrt(np.sum(free.squared_residuals(best)) / np.sum(seen.squared_torque)))
+    return float(
+        np.sqrt(np.sum(free.squared_residuals(best)) / np.sum(seen.squared_torque))
+    )
 
 
 class LeastSquares:
@@ -219,15 +247,24 @@ class LeastSquares:
         self.case = case
         fitted = [(case.fitted, case.empty is not None)]
         fitted += [] if case.empty is None else [(case.empty, False)]
-        rows = [self.rows(signals(each, robot.joint_names, cutoff), load) for each, load in fitted]
+        rows = [
+            self.rows(signals(each, robot.joint_names, cutoff), load)
+            for each, load in fitted
+        ]
         self.matrix, self.torque = (np.concatenate(same) for same in zip(*rows))
         links = np.concatenate([link.theta for link in robot.links])
-        self.start = np.concatenate((links, np.zeros(self.matrix.shape[1] - len(links))))
+        self.start = np.concatenate(
+            (links, np.zeros(self.matrix.shape[1] - len(links)))
+        )
 
     def columns(self, each, is_loaded: bool):
         """Filtered columns (K, n, p)."""
         joints = len(self.robot.links)
-        links = LinkDynamics(self.robot).motion(each.q, each.qd, each.qdd).columns(range(joints))
+        links = (
+            LinkDynamics(self.robot)
+            .motion(each.q, each.qd, each.qdd)
+            .columns(range(joints))
+        )
         own = np.sign(each.qd), each.qd, each.qdd, np.ones_like(each.qd)
         own = [column[:, :, None] * np.eye(joints) for column in own]
         if self.case.shared:
@@ -239,12 +276,16 @@ class LeastSquares:
             both[:, pair, 2] = np.sign(each.qd[:, pair].sum(axis=1))[:, None]
             own.append(both)
         whole = np.concatenate((links, *own, is_loaded * links[..., -10:]), axis=-1)
-        return each.low_pass.decimated(whole.reshape(len(whole), -1)).reshape(-1, *whole.shape[1:])
+        return each.low_pass.decimated(whole.reshape(len(whole), -1)).reshape(
+            -1, *whole.shape[1:]
+        )
 
     def rows(self, each, is_loaded: bool):
         """Equations of the rows that may be used."""
         use = each.usable()
-        return self.columns(each, is_loaded)[use], each.low_pass.decimated(each.tau)[use]
+        return self.columns(each, is_loaded)[use], each.low_pass.decimated(each.tau)[
+            use
+        ]
 
     def solution(self, links: bool = True):
         """Parameters (p,): of links, joints and payload; or the catalogue's links kept."""
@@ -289,10 +330,14 @@ def by_rollouts(urdf: str, stretches: tuple, cutoff: float, rotors: bool) -> tup
     spec = mujoco.MjSpec.from_string(as_mjcf(urdf))
     joints = [joint.name for joint in spec.joints]
     last = spec.joints[-1].parent.name
-    rollouts.with_motors(spec, joints).option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    rollouts.with_motors(
+        spec, joints
+    ).option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.timestep = rollouts.STEP
     before = spec.compile().body(last).mass[0]
-    bounds = {name: each for name, each in BOUNDS.items() if rotors or name != "armature"}
+    bounds = {
+        name: each for name, each in BOUNDS.items() if rotors or name != "armature"
+    }
     params = rollouts.joint_parameters(joints, bounds)
     for stretch in stretches:
         log = signals(stretch, joints, cutoff)
@@ -341,8 +386,17 @@ def table(columns) -> list[str]:
     lines.append("| --- |" + " --- |" * len(CASES))
     for key, name in ROWS.items():
         lines.append(f"| {name} | " + " | ".join(each[key] for each in columns) + " |")
-    lines += ["", "| Mass of the load | kg |", "| --- | --- |", f"| the scale | {WEIGHT} |"]
-    who = {"mjcf": "**robot-sysid**", "least": "plain least squares", "sysid": "mujoco.sysid"}
+    lines += [
+        "",
+        "| Mass of the load | kg |",
+        "| --- | --- |",
+        f"| the scale | {WEIGHT} |",
+    ]
+    who = {
+        "mjcf": "**robot-sysid**",
+        "least": "plain least squares",
+        "sysid": "mujoco.sysid",
+    }
     lines += [f"| {name} | {columns[-1][f'{key} mass']} |" for key, name in who.items()]
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco"))
     return [*lines, "", f"Python {platform.python_version()}, {versions}."]

@@ -96,7 +96,9 @@ def spin() -> None:
 def load(is_busy: bool) -> Iterator[None]:
     """Let a program of ordinary priority keep each processor busy."""
     count = os.cpu_count() if is_busy else 0
-    programs = [multiprocessing.Process(target=spin, daemon=True) for _ in range(count or 0)]
+    programs = [
+        multiprocessing.Process(target=spin, daemon=True) for _ in range(count or 0)
+    ]
     for program in programs:
         program.start()
     try:
@@ -146,7 +148,9 @@ def witnesses() -> Iterator[list]:
         programs = [multiprocessing.Process(target=watch_line, args=(line, leave))]
         for number, pauses in enumerate(processors):
             arguments = number, pauses, leave
-            programs.append(multiprocessing.Process(target=watch_processor, args=arguments))
+            programs.append(
+                multiprocessing.Process(target=watch_processor, args=arguments)
+            )
         for program in programs:
             program.start()
         seen: list = []
@@ -193,7 +197,9 @@ def arm_delay(said: list[str]) -> str:
 
 def longest_pauses(seen: list, begin: float, end: float) -> tuple[float, ...]:
     """Return the longest pause that each witness saw between two moments [ms]."""
-    meanwhile = [[pause for moment, pause in pauses if begin < moment < end] for pauses in seen]
+    meanwhile = [
+        [pause for moment, pause in pauses if begin < moment < end] for pauses in seen
+    ]
     return tuple(1e3 * max(pauses, default=0.0) for pauses in meanwhile)
 
 
@@ -206,7 +212,11 @@ def play(name: str, rate: float, load_name: str, trajectory: Path) -> Result:
     enabled_at = None
     stopped_at = None
     lines = []
-    with load(load_name == "busy"), witnesses() as seen, simulated_arm([*words, *watchdog]) as arm:
+    with (
+        load(load_name == "busy"),
+        witnesses() as seen,
+        simulated_arm([*words, *watchdog]) as arm,
+    ):
         device, said = arm
         address = ["--interface", "slcan", "--channel", device, "--accept-directions"]
         recording = ["--record", str(record), "--overwrite", "--yes"]
@@ -274,7 +284,9 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--rate", type=float, action="append", help="[Hz]")
     options.add_argument("--load", choices=LOADS, action="append")
     options.add_argument("--repeats", type=int, default=1, help="of each combination")
-    options.add_argument("--setups", type=int, default=0, help="motors setup instead, per arm")
+    options.add_argument(
+        "--setups", type=int, default=0, help="motors setup instead, per arm"
+    )
     return options
 
 

@@ -39,7 +39,9 @@ def print_table(title: str, rows: list[Estimate]) -> None:
     """Print each number, its truth, its ± and its error in units of that."""
     worst = max(abs(row.stated_errors) for row in rows)
     within = sum(abs(row.stated_errors) <= 1.0 for row in rows)
-    print(f"\n{title}: {within} of {len(rows)} within their ±, the worst off by {worst:.1f}")
+    print(
+        f"\n{title}: {within} of {len(rows)} within their ±, the worst off by {worst:.1f}"
+    )
     print("| | truth | identified | ± | error/± |\n|---|---|---|---|---|")
     for row in rows:
         numbers = f"{row.truth:.5f} | {row.value:.5f} | {row.standard_error:.5f}"

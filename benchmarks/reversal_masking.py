@@ -30,12 +30,18 @@ DRAWS = 20
 
 def main() -> None:
     """Print one table per simulation."""
-    for simulation, kind in (("closed loop", ClosedLoopStudy), ("inverse dynamics", NoiseStudy)):
+    for simulation, kind in (
+        ("closed loop", ClosedLoopStudy),
+        ("inverse dynamics", NoiseStudy),
+    ):
         studies = [UnmaskedStudy(kind(seed=seed)) for seed in SEEDS]
-        print(f"{simulation}: mass %, Coulomb %, viscous %, each median and worst; rows used")
+        print(
+            f"{simulation}: mass %, Coulomb %, viscous %, each median and worst; rows used"
+        )
         for name, rule in rules().items():
             print(
-                f"  {name:<12}{table_line([study.masked(rule) for study in studies])}", flush=True
+                f"  {name:<12}{table_line([study.masked(rule) for study in studies])}",
+                flush=True,
             )
 
 
@@ -56,7 +62,9 @@ class ClosedLoopStudy(NoiseStudy):
     def recorded(self):
         loop = ClosedLoop(self.plant, self.plan, noise_study.SAMPLE_RATE)
         log = join_measurements(loop.run())
-        log = replace(log, q=quantised(log.q, noise_study.ENCODER_STEP), qd=None, qdd=None)
+        log = replace(
+            log, q=quantised(log.q, noise_study.ENCODER_STEP), qd=None, qdd=None
+        )
         signals = process(log, self.robot.joint_names)
         slow = np.maximum(signals.deadband, 1.005 * loop.ramp_use.ramp_speed)
         return replace(signals, deadband=slow)
@@ -83,7 +91,9 @@ class UnmaskedStudy:
         tau = tuple(np.where(keep, t, np.nan) for keep, t in zip(used.T, whole.tau))
         study.samples = replace(whole, tau=tau)
         clean = friction_errors(study, study.identified(study.samples)[0])
-        draws = [study.noisy(Noise(0.1), np.random.default_rng(k)) for k in range(DRAWS)]
+        draws = [
+            study.noisy(Noise(0.1), np.random.default_rng(k)) for k in range(DRAWS)
+        ]
         noisy = [friction_errors(study, study.identified(draw)[0]) for draw in draws]
         study.samples = whole
         return clean, np.sqrt(np.mean(np.square(noisy), axis=0)), np.mean(used)

@@ -59,7 +59,9 @@ def main(*names: str) -> None:
                 output_dir=Path(folder) / "out",
             )
             outcome = run(config)
-        print(f"{name}: {time.monotonic() - begun:.0f} s; {outcome.failure or 'model written'}")
+        print(
+            f"{name}: {time.monotonic() - begun:.0f} s; {outcome.failure or 'model written'}"
+        )
         for error in outcome.result.rollout.errors:
             before, after = error.overall
             print(
@@ -113,7 +115,9 @@ def other_link(theta, rng):
         return theta
     mass, com, inertia = spatial.com_from_theta(theta)
     factor = 1.0 + WRONG * rng.normal(size=3)
-    return spatial.theta_from_com(factor[0] * mass, factor[1] * com, factor[2] * inertia)
+    return spatial.theta_from_com(
+        factor[0] * mass, factor[1] * com, factor[2] * inertia
+    )
 
 
 if __name__ == "__main__":

@@ -41,7 +41,9 @@ class ServoArm:
         model = self.robot.mj_model.__copy__()
         model.dof_armature[self.robot.dof_index] = self.armature
         arm = ArmStepper(
-            replace(self.robot, mj_model=model, friction=friction), command[0].copy(), TICK / 2
+            replace(self.robot, mj_model=model, friction=friction),
+            command[0].copy(),
+            TICK / 2,
         )
         positions = np.empty_like(command)
         ticks = np.round(time / TICK).astype(int)
@@ -64,7 +66,9 @@ class ServoArm:
         return positions
 
 
-def other_than(robot, rng, gain=(0.4, 0.8), friction=(1.5, 3.0), armature=(0.4, 0.8), delay=0.02):
+def other_than(
+    robot, rng, gain=(0.4, 0.8), friction=(1.5, 3.0), armature=(0.4, 0.8), delay=0.02
+):
     """An arm whose servos and joints are not those of its model."""
     n = robot.n_joints
     dofs = robot.dof_index
@@ -94,8 +98,12 @@ def commands(robot, rng, seconds=40.0, rate=50.0, amplitude=0.5):
     for joint in range(robot.n_joints):
         for often in rng.uniform(0.1, 0.8, 4):
             size = 0.5 * amplitude * half[joint] * min(1.0, 0.25 / often)
-            command[:, joint] += size * np.sin(2.0 * np.pi * (often * time + rng.uniform()))
-        jumps = (rng.uniform(size=len(time)) < 1.0 / rate) * rng.uniform(-0.3, 0.3, len(time))
+            command[:, joint] += size * np.sin(
+                2.0 * np.pi * (often * time + rng.uniform())
+            )
+        jumps = (rng.uniform(size=len(time)) < 1.0 / rate) * rng.uniform(
+            -0.3, 0.3, len(time)
+        )
         command[:, joint] += np.clip(np.cumsum(jumps), -0.3, 0.3) * half[joint]
     fade = np.clip(np.minimum(time, time[-1] - time) / 1.0, 0.0, 1.0)[:, None]
     return time, middle + fade * fade * (3.0 - 2.0 * fade) * command

@@ -48,7 +48,11 @@ MANY = (1, 4, 12)
 def row(task: str, who: str, seconds: float, base: float, more: str = " | |") -> str:
     """One line; ``base`` is the time of the first row that it is compared with."""
     times = "" if seconds in (base, math.inf) else f"{float(f'{seconds / base:.2g}'):g}"
-    took = f"{seconds:.2f} s" if seconds < math.inf else f"not within {linear_cost.LIMIT:.0f} s"
+    took = (
+        f"{seconds:.2f} s"
+        if seconds < math.inf
+        else f"not within {linear_cost.LIMIT:.0f} s"
+    )
     return f"| {task} | {who} | {took} | {times} | {more}"
 
 
@@ -89,12 +93,21 @@ def log_rows() -> Iterator[str]:
             base = base or (seconds, memory)
             task = f"`identify`, 7 joints, {length:g} s at 1 kHz"
             more = f"{memory:.0f} MB"
-            yield row(task, "robot-sysid", seconds, base[0], f"{more}, {memory / base[1]:.1f} | |")
+            yield row(
+                task,
+                "robot-sysid",
+                seconds,
+                base[0],
+                f"{more}, {memory / base[1]:.1f} | |",
+            )
 
 
 def arm_rows() -> Iterator[str]:
     """Every link of seven joints from 15 000 samples."""
-    if importlib.util.find_spec("pinocchio") is None or not (DATA / "kuka_lwr4").exists():
+    if (
+        importlib.util.find_spec("pinocchio") is None
+        or not (DATA / "kuka_lwr4").exists()
+    ):
         return
     spent = whole_arm.durations()
     for name, seconds in spent.items():
@@ -131,7 +144,14 @@ def servo_rows() -> Iterator[str]:
         log = Path(name) / "log.csv"
         arm = servo_arm.other_than(robot, rng)
         servo_arm.write_log(log, arm, *servo_arm.commands(robot, rng), 0.0015)
-        words = ("--joint", "wrist_roll", "--torque-from", "position-error", "--output-dir", name)
+        words = (
+            "--joint",
+            "wrist_roll",
+            "--torque-from",
+            "position-error",
+            "--output-dir",
+            name,
+        )
         seconds, memory = linear_cost.measured("identify", str(path), str(log), *words)
     yield row("servos, friction and rotors of 5 joints, 40 s", "robot-sysid", seconds, seconds,
               f"{memory:.0f} MB | |")  # fmt: skip
@@ -139,15 +159,29 @@ def servo_rows() -> Iterator[str]:
 
 def plan_rows() -> Iterator[str]:
     """``plan`` as it stops by itself, and for a time that is asked for."""
-    command = (sys.executable, "-m", "robot_sysid", "plan", str(GUESS), "--seed", "0", "--verbose")
+    command = (
+        sys.executable,
+        "-m",
+        "robot_sysid",
+        "plan",
+        str(GUESS),
+        "--seed",
+        "0",
+        "--verbose",
+    )
     base = None
     with tempfile.TemporaryDirectory() as name:
-        for who, words in (("", ()), (", 24 s asked for", ("--excitation-time-budget", "24"))):
+        for who, words in (
+            ("", ()),
+            (", 24 s asked for", ("--excitation-time-budget", "24")),
+        ):
             run = linear_cost.watched(*command, "--output-dir", name, *words)
             base = base or run
             gain = re.search(r"([\d.]+) times better", run[2])
             found = f"{run[1]:.0f} MB | {gain[1] if gain else '?'} times the best random one |"
-            yield row("`plan`, 7 joints, 15 s", f"robot-sysid{who}", run[0], base[0], found)
+            yield row(
+                "`plan`, 7 joints, 15 s", f"robot-sysid{who}", run[0], base[0], found
+            )
 
 
 def long_rows() -> Iterator[str]:
@@ -172,20 +206,30 @@ def sixty_rows() -> Iterator[str]:
             ("`plan`", ("plan", str(sixty))),
         ):
             seconds, memory = linear_cost.measured(*words, *out)
-            yield row(f"60 joints, {task}", "robot-sysid", seconds, seconds, f"{memory:.0f} MB | |")
+            yield row(
+                f"60 joints, {task}",
+                "robot-sysid",
+                seconds,
+                seconds,
+                f"{memory:.0f} MB | |",
+            )
 
 
 def sysid_rows() -> Iterator[str]:
     """Friction, damping and rotor inertia of seven joints from 15 s."""
     # Without its own dependencies, the module is there and empty.
     found = importlib.util.find_spec("mujoco.sysid") is not None
-    if not (found and hasattr(importlib.import_module("mujoco.sysid"), "ModelSequences")):
+    if not (
+        found and hasattr(importlib.import_module("mujoco.sysid"), "ModelSequences")
+    ):
         return
     sides = against_mujoco_sysid.compared()
     base = next(iter(sides.values())).seconds
     task = "friction, damping and rotor inertia of 7 joints, 7500 samples in memory"
     for name, side in sides.items():
-        yield row(task, name, side.seconds, base, f" | {side.error:.2f} mrad held out |")
+        yield row(
+            task, name, side.seconds, base, f" | {side.error:.2f} mrad held out |"
+        )
 
 
 PARTS = {
@@ -216,7 +260,9 @@ def replaced(rows: list[str]) -> list[str]:
     table = PAGE.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0]
     old = dict[str, list[str]]()
     new = dict[str, list[str]]()
-    there = [line for line in table.splitlines() if line.startswith("|")][len(HEADING) :]
+    there = [line for line in table.splitlines() if line.startswith("|")][
+        len(HEADING) :
+    ]
     for tasks, lines in ((old, there), (new, rows)):
         for line in lines:
             tasks.setdefault(line.split("|")[1], []).append(line)
@@ -228,7 +274,9 @@ def rewrite(page: Path, begin: str, end: str, lines: list[str]) -> None:
     text = page.read_text(encoding="utf-8")
     before, _, rest = text.partition(begin)
     after = rest.partition(end)[2]
-    page.write_text("\n".join([before + begin, "", *lines, "", end]) + after, encoding="utf-8")
+    page.write_text(
+        "\n".join([before + begin, "", *lines, "", end]) + after, encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

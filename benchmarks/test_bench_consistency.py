@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
+from robot_sysid.estimation.algebra.consistent_links import (
+    ConsistentLinks,
+    LinksProblem,
+)
 from tests.support.synthetic_data import arm_equations, random_body, sdp_least_squares
 
 
@@ -25,7 +28,11 @@ def random_problem(seed):
     truth = random_body(rng, 10.0 ** rng.uniform(-3, 0) if boundary else 1.0)
     level = 10.0 ** (rng.uniform(-2.0, 0.5) if boundary else rng.uniform(-6.0, -3.0))
     sigma = level * np.linalg.norm(matrix @ truth) / np.sqrt(len(matrix))
-    return matrix, matrix @ truth + sigma * rng.normal(size=len(matrix)), random_body(rng)
+    return (
+        matrix,
+        matrix @ truth + sigma * rng.normal(size=len(matrix)),
+        random_body(rng),
+    )
 
 
 def consistent(matrix, right, prior):
@@ -57,7 +64,9 @@ def test_objective_equals_the_oracles_on_a_thousand_problems():
         reference = sdp_least_squares(matrix, right)
         excess.append(np.sum((matrix @ values - right) ** 2) / reference - 1.0)
     print(f"\non the boundary {len(times)} of 1000")
-    print(f"relative objective, ours / oracle - 1: from {min(excess):.1e} to {max(excess):.1e}")
+    print(
+        f"relative objective, ours / oracle - 1: from {min(excess):.1e} to {max(excess):.1e}"
+    )
     print(
         f"CPU time there: median {1e3 * np.median(times):.2f} ms, longest {1e3 * max(times):.1f} ms"
     )

@@ -62,12 +62,16 @@ def test_weighted_estimates_reach_the_cramer_rao_bound():
         samples = samples_of(base, base.torques(base.noise(rng, sigma, 0.0)))
         information = information_of_samples(base, samples)
         for method in names:
-            errors[method].append(identified(information, np.zeros(31), method).values - base.truth)
+            errors[method].append(
+                identified(information, np.zeros(31), method).values - base.truth
+            )
     bound = np.sqrt(np.diag(noise_study.cramer_rao_bound(information, sigma)))
     ratios = {m: np.sqrt(np.mean(np.square(errors[m]), axis=0)) / bound for m in names}
     for method in names:
         ratio = ratios[method]
-        print(f"\n{method}: error / bound median {np.median(ratio):.3f}, worst {ratio.max():.3f}")
+        print(
+            f"\n{method}: error / bound median {np.median(ratio):.3f}, worst {ratio.max():.3f}"
+        )
     assert np.median(ratios["wls"]) <= 1.05
     assert np.max(ratios["wls"]) <= 1.25
 

@@ -15,7 +15,9 @@ from robot_sysid.parser import load_robot_model
 from tests.support.places import DATA
 
 URDF = DATA / "kuka_lwr4" / "kuka_lwr4.urdf"
-pytestmark = pytest.mark.skipif(not URDF.exists(), reason="the model of a real arm is not here")
+pytestmark = pytest.mark.skipif(
+    not URDF.exists(), reason="the model of a real arm is not here"
+)
 pinocchio = pytest.importorskip("pinocchio", reason="pinocchio is not installed")
 
 

@@ -8,7 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
+from robot_sysid.dynamics.equations import (
+    TERMINAL_FRICTION,
+    Equations,
+    friction_per_joint,
+)
 from robot_sysid.parser import load_robot_model
 from robot_sysid.regressor import wrench_regressor
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
@@ -37,7 +41,9 @@ def recorded_arm(request):
 
 
 def collect(robot, measurements):
-    equations = Equations(robot, "chain", friction_per_joint(robot, "terminal", TERMINAL_FRICTION))
+    equations = Equations(
+        robot, "chain", friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
+    )
     return collect_sysid_data(equations, measurements)
 
 
@@ -46,7 +52,9 @@ def bare_loop(robot, measurements):
     model = robot.mj_model
     data = mujoco.MjData(model)
     data.qpos[:] = robot.reference_qpos
-    at_q, at_v = (slice(int(i[0]), int(i[-1]) + 1) for i in (robot.qpos_index, robot.dof_index))
+    at_q, at_v = (
+        slice(int(i[0]), int(i[-1]) + 1) for i in (robot.qpos_index, robot.dof_index)
+    )
     for chunk in measurements:
         for q, qd, qdd in zip(chunk.q, chunk.qd, chunk.qdd):
             data.qpos[at_q] = q

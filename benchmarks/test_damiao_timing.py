@@ -19,7 +19,12 @@ from robot_sysid.damiao.bus import BusAddress, GuardedLink, SystemClock, open_bu
 from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.preflight import Plan
-from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedback, encode_mit
+from robot_sysid.damiao.protocol.codec import (
+    MitCommand,
+    Scaling,
+    decode_feedback,
+    encode_mit,
+)
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
@@ -27,7 +32,10 @@ from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import SimulatedArm, serve, simulated_motor
-from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.damiao.trajectory import (
+    export_damiao_trajectory,
+    read_damiao_trajectory,
+)
 from tests.support.damiao_rig import Pendulums, swing
 
 JOINTS = 7
@@ -64,9 +72,13 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
     motion = swing(JOINTS, SECONDS, rate=1000.0)
     export_damiao_trajectory([motion], ["DM4340"] * JOINTS, path)
     # Measure lateness instead of stopping for it.
-    settings = PlaySettings(rate=rate, max_lateness=10.0, max_missed=10_000, max_tracking_error=3.0)
+    settings = PlaySettings(
+        rate=rate, max_lateness=10.0, max_missed=10_000, max_tracking_error=3.0
+    )
     recording = RecordingOptions(folder / "measured.csv", overwrite=True)
-    plan = Plan(read_damiao_trajectory(path), settings, BusTiming(fd=True), recording=recording)
+    plan = Plan(
+        read_damiao_trajectory(path), settings, BusTiming(fd=True), recording=recording
+    )
     motors = [simulated_motor(j, watchdog=3.0) for j in joints]
     return SimulatedArm(Pendulums(JOINTS), motors), plan
 

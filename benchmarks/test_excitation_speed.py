@@ -6,7 +6,12 @@ from functools import cache
 
 import pytest
 
-from robot_sysid.motion.design.optimise import Design, first_candidate, improve, penalised
+from robot_sysid.motion.design.optimise import (
+    Design,
+    first_candidate,
+    improve,
+    penalised,
+)
 from robot_sysid.motion.design.search import draw_trajectories
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions

@@ -70,8 +70,12 @@ def friction() -> None:
         ("TX40", tx40_arm, [log], TX40_CUTOFF),
     ):
         answer = answer_of(robot, logs, cutoff)
-        taken = dict(zip(robot.joint_names, (each.name for each in answer.fit.choice.friction)))
-        print(f"{name}, low-pass {cutoff:g} Hz: root mean square held-out torque error [N m]")
+        taken = dict(
+            zip(robot.joint_names, (each.name for each in answer.fit.choice.friction))
+        )
+        print(
+            f"{name}, low-pass {cutoff:g} Hz: root mean square held-out torque error [N m]"
+        )
         models = [short(model) for model in CANDIDATES]
         print("| | " + " | ".join(taken) + " |")
         for model, label in zip(CANDIDATES, models):
@@ -137,7 +141,9 @@ def durations() -> dict[str, float]:
             model, model.createData(), motion, log.tau
         ),
         "whole arm, friction given": lambda: runs_of.ours(robot, log),
-        "whole arm, everything chosen": lambda: runs_of.ours(robot, log, runs_of.CHOSEN),
+        "whole arm, everything chosen": lambda: runs_of.ours(
+            robot, log, runs_of.CHOSEN
+        ),
     }
     for run in runs.values():
         run()
@@ -165,7 +171,9 @@ def timed(run) -> float:
 def read(robot, path: Path) -> Measurement:
     """The whole log."""
     slides = robot.is_slide.tolist()
-    return read_measurements(path, robot.joint_names, robot.limits, is_slide=slides).samples
+    return read_measurements(
+        path, robot.joint_names, robot.limits, is_slide=slides
+    ).samples
 
 
 if __name__ == "__main__":

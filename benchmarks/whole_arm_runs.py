@@ -50,7 +50,10 @@ def pinocchio_regressor(model, data, motion):
     import pinocchio
 
     q, qd, qdd = motion
-    blocks = [pinocchio.computeJointTorqueRegressor(model, data, *row) for row in zip(q, qd, qdd)]
+    blocks = [
+        pinocchio.computeJointTorqueRegressor(model, data, *row)
+        for row in zip(q, qd, qdd)
+    ]
     return np.array(blocks)
 
 
@@ -59,6 +62,9 @@ def pinocchio_fit(model, data, motion, tau):
     links = pinocchio_regressor(model, data, motion)
     qd = motion[1]
     samples, joints = qd.shape
-    own = [column[:, :, None] * np.eye(joints) for column in (np.sign(qd), qd, np.ones_like(qd))]
+    own = [
+        column[:, :, None] * np.eye(joints)
+        for column in (np.sign(qd), qd, np.ones_like(qd))
+    ]
     rows = np.concatenate((links, *own), axis=-1).reshape(samples * joints, -1)
     return np.linalg.lstsq(rows, tau.ravel(), rcond=None)[0]

@@ -104,7 +104,9 @@ class Workshop:
         self.folder.mkdir(parents=True, exist_ok=True)
         axes = (Z, Y, X)
         (self.folder / "arm.xml").write_text(serial_arm(axes, joint=JOINT))
-        (self.folder / "plant.xml").write_text(serial_arm(axes, joint=JOINT, tip_inertial=HEAVY))
+        (self.folder / "plant.xml").write_text(
+            serial_arm(axes, joint=JOINT, tip_inertial=HEAVY)
+        )
         plants = {"empty": "arm.xml", "log": "plant.xml"}
         for k, (name, plant) in itertools.product((1, 2), plants.items()):
             log = f"--save-measurements {name}{k}.csv"
@@ -120,7 +122,9 @@ class Workshop:
         """Start a command in the folder."""
         out = self.folder / f"{label}.stdout"
         err = self.folder / f"{label}.stderr"
-        process = self._context.Process(target=_command, args=(words, self.folder, out, err))
+        process = self._context.Process(
+            target=_command, args=(words, self.folder, out, err)
+        )
         out.write_text("")
         err.write_text("")
         process.start()

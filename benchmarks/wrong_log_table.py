@@ -34,7 +34,9 @@ from tests.support.wrong_logs import truth_of
 TABLE_ARMS = ("gen3", "panda", "iiwa14", "ur5e", "xarm7", "openarm")
 SCALE = ("torque-scale",)
 NAMES = {
-    **dict.fromkeys(("millinewtonmetres", "other_unit", "motor_side", "amperes"), SCALE),
+    **dict.fromkeys(
+        ("millinewtonmetres", "other_unit", "motor_side", "amperes"), SCALE
+    ),
     **dict.fromkeys(("per_cent", "times_two_or_more"), SCALE),
     **dict.fromkeys(("gravity_compensated", "external"), ("gravity",)),
     **dict.fromkeys(("torque_sign", "position_sign"), ("sign", "opposite sign")),
@@ -53,7 +55,9 @@ NAMES = {
     **dict.fromkeys(("long_time", "drifting_0.05", "drifting_0.1"), ("[clock]",)),
     "late_joint": ("alone lags",),
     "hum": ("hums",),
-    **dict.fromkeys(("times_0.85", "times_1.15", "times_1.25"), ("[torque-scale]", "torque scale")),
+    **dict.fromkeys(
+        ("times_0.85", "times_1.15", "times_1.25"), ("[torque-scale]", "torque scale")
+    ),
     "one_joint_in_millinewtonmetres": SCALE,
     "other_arm": ("[model]", "model of another arm"),
 }
@@ -128,9 +132,13 @@ def table(seeds: Sequence[int]) -> None:
     counts = {kind: [0, 0, 0, 0] for kind in ("right", *KINDS)}
     for kind, arm, seed, outcome in cases(seeds):
         row = counts[kind]
-        found = outcome.code != 0 or any(f"[{name}]" in outcome.said for name in _names())
+        found = outcome.code != 0 or any(
+            f"[{name}]" in outcome.said for name in _names()
+        )
         named = any(name in outcome.said for name in NAMES.get(kind, ()))
-        off = outcome.code == 0 and outcome.error is not None and abs(outcome.error) > 0.1
+        off = (
+            outcome.code == 0 and outcome.error is not None and abs(outcome.error) > 0.1
+        )
         off = off and outcome.stated > 3.0 and (kind == "right" or not found)
         for place, true in enumerate((True, found, named, off)):
             row[place] += true
@@ -141,7 +149,10 @@ def table(seeds: Sequence[int]) -> None:
                 else f" mass {100.0 * outcome.error:+.1f} % ({outcome.stated:.1f} sigma)"
             )
             tail = outcome.said[-160:] if kind == "right" or found else ""
-            print(f"  {kind}, {arm}, seed {seed}: exit {outcome.code}{error} {tail}", flush=True)
+            print(
+                f"  {kind}, {arm}, seed {seed}: exit {outcome.code}{error} {tail}",
+                flush=True,
+            )
     print(f"{'kind':22s} logs found named slipped through")
     for kind, row in counts.items():
         print(f"{kind:22s} {row[0]:4d} {row[1]:5d} {row[2]:5d} {row[3]:5d}")
@@ -166,7 +177,9 @@ def clean(seeds: Sequence[int]) -> None:
             alarms = alarms + bool(serious)
             for line in serious:
                 print(f"  {arm}, seed {1000 + seed}: {line}", flush=True)
-    print(f"{alarms} of {total} right logs draw an alarm: {100.0 * alarms / total:.1f} %")
+    print(
+        f"{alarms} of {total} right logs draw an alarm: {100.0 * alarms / total:.1f} %"
+    )
 
 
 def models(seeds: Sequence[int]) -> None:
@@ -188,10 +201,13 @@ def models(seeds: Sequence[int]) -> None:
                 line = f"{arm}, seed {1000 + seed}: exit {outcome.code}, file {before:.2%} -> "
                 tail = "" if good else outcome.said[-160:]
                 print(
-                    f"  {line}{after:.2%}, mass off {outcome.stated:.1f} sigma {tail}", flush=True
+                    f"  {line}{after:.2%}, mass off {outcome.stated:.1f} sigma {tail}",
+                    flush=True,
                 )
     rms = (sum(each**2 for each in stated) / total) ** 0.5
-    print(f"{better} of {total} right logs end with a better model; mass rms over stated {rms:.2f}")
+    print(
+        f"{better} of {total} right logs end with a better model; mass rms over stated {rms:.2f}"
+    )
 
 
 STUDIES = {"clean": (clean, 20), "table": (table, 5), "models": (models, 5)}

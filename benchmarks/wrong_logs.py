@@ -40,7 +40,9 @@ def _torque(truth: Truth, tau: np.ndarray) -> Measurement:
 def _position(truth: Truth, change: Callable[[np.ndarray], np.ndarray]) -> Measurement:
     """Return the log with positions and, where it has them, velocities changed."""
     qd = truth.log.qd
-    return replace(truth.log, q=change(truth.log.q), qd=None if qd is None else change(qd))
+    return replace(
+        truth.log, q=change(truth.log.q), qd=None if qd is None else change(qd)
+    )
 
 
 def millinewtonmetres(truth):
@@ -54,12 +56,16 @@ def other_unit(truth):
 
 def motor_side(truth):
     """On the motor's side of the gear."""
-    return _torque(truth, truth.log.tau / truth.rng.choice([50.0, 100.0, 101.0, 121.0, 160.0]))
+    return _torque(
+        truth, truth.log.tau / truth.rng.choice([50.0, 100.0, 101.0, 121.0, 160.0])
+    )
 
 
 def amperes(truth):
     """Motor currents; every motor has a constant of its own."""
-    return _torque(truth, truth.log.tau / truth.rng.uniform(6.0, 14.0, truth.robot.n_joints))
+    return _torque(
+        truth, truth.log.tau / truth.rng.uniform(6.0, 14.0, truth.robot.n_joints)
+    )
 
 
 def per_cent(truth):
@@ -106,7 +112,9 @@ def exchanged(truth):
     second = int(truth.rng.choice(np.delete(order, first)))
     order[[first, second]] = order[[second, first]]
     which = truth.rng.integers(3)
-    log = truth.log if which == 1 else _position(truth, lambda columns: columns[:, order])
+    log = (
+        truth.log if which == 1 else _position(truth, lambda columns: columns[:, order])
+    )
     return log if which == 0 else replace(log, tau=log.tau[:, order])
 
 
@@ -236,7 +244,9 @@ def long_time(truth):
 
 def other_arm(truth):
     """The log is of another arm with as many joints."""
-    rivals = {6: ("ur5e", "wxai"), 7: ("panda", "iiwa14", "xarm7", "gen3")}[truth.robot.n_joints]
+    rivals = {6: ("ur5e", "wxai"), 7: ("panda", "iiwa14", "xarm7", "gen3")}[
+        truth.robot.n_joints
+    ]
     robots = (robot_of(name) for name in truth.rng.permutation(rivals))
     other = next(r for r in robots if not r.path.samefile(truth.robot.path))
     return truth_of(other, int(truth.rng.integers(2**31))).log
@@ -251,10 +261,32 @@ def carrying_joint(truth: Truth) -> int:
 KINDS: dict[str, Callable[[Truth], Measurement]] = {
     kind.__name__: kind
     for kind in (
-        *(millinewtonmetres, other_unit, motor_side, amperes, per_cent, times_two_or_more),
-        *(gravity_compensated, external, computed, torque_sign, position_sign, exchanged),
+        *(
+            millinewtonmetres,
+            other_unit,
+            motor_side,
+            amperes,
+            per_cent,
+            times_two_or_more,
+        ),
+        *(
+            gravity_compensated,
+            external,
+            computed,
+            torque_sign,
+            position_sign,
+            exchanged,
+        ),
         *(reversed_order, degrees_as_radians, radians_as_degrees, position_offset),
-        *(dropped_samples, milliseconds, saturated, held, collision, late_torque, clock_jump),
+        *(
+            dropped_samples,
+            milliseconds,
+            saturated,
+            held,
+            collision,
+            late_torque,
+            clock_jump,
+        ),
         *(one_joint_in_millinewtonmetres, late_joint, hum, long_time, other_arm),
     )
 }

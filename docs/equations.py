@@ -8,7 +8,9 @@ from typing import Any
 from latex2mathml.converter import convert
 
 _BLOCK = re.compile(r"^```math\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-_INLINE = re.compile(r"(?<![\\\w`$])\$(?=\S)([^$\n`]*(?:\n[^$\n`]+)?)(?<=\S)\$(?![\w`$])")
+_INLINE = re.compile(
+    r"(?<![\\\w`$])\$(?=\S)([^$\n`]*(?:\n[^$\n`]+)?)(?<=\S)\$(?![\w`$])"
+)
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 
 

@@ -33,9 +33,13 @@ SINES = "tab:gray"
 OPTIMAL = "tab:blue"
 
 
-def draw_trajectories(robot: RobotModel, plans: dict[str, MotionPlan], path: Path) -> None:
+def draw_trajectories(
+    robot: RobotModel, plans: dict[str, MotionPlan], path: Path
+) -> None:
     """Draw joint positions over time, one column per trajectory."""
-    figure, axes = plt.subplots(robot.n_joints, 2, figsize=(9, 9), sharex=True, sharey="row")
+    figure, axes = plt.subplots(
+        robot.n_joints, 2, figsize=(9, 9), sharex=True, sharey="row"
+    )
     time = np.linspace(0.0, 15.0, 1501)
     for column, (title, plan) in enumerate(plans.items()):
         motion = plan.evaluate(time)
@@ -88,7 +92,9 @@ def main(folder: Path) -> None:
     known = known_of(problem, EstimationOptions(), "link")
     design = Design(problem, ExcitationOptions(), TrajectoryOptions(), known)
     torque = ArmTorque(robot)
-    sines = generate_excitation_trajectory(robot, np.random.default_rng(SEED), 15.0, torque)[0]
+    sines = generate_excitation_trajectory(
+        robot, np.random.default_rng(SEED), 15.0, torque
+    )[0]
     optimal = design_excitation(design, np.random.default_rng(SEED)).trajectory
     plans: dict[str, MotionPlan] = {"random sinusoids": sines, "optimal, D": optimal}
     draw_trajectories(robot, plans, folder / "excitation_trajectories.png")

@@ -46,7 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _report(f"{error}{_drafted(error)}", error.exit_code, debug)
         except MemoryError:
             remedy = "use a shorter log or motion, or a lower rate"
-            return _report(f"the memory is not enough; {remedy}", InputError.exit_code, debug)
+            return _report(
+                f"the memory is not enough; {remedy}", InputError.exit_code, debug
+            )
         except (Exception, KeyboardInterrupt) as error:
             if interrupts or isinstance(error, KeyboardInterrupt):
                 return _report(interrupted, INTERRUPTED, debug)
@@ -54,7 +56,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 # Of a file that is there no more, a name that is too long, a disk that fails.
                 refused = f"{error.strerror}: {error.filename or 'a temporary file'}"
                 return _report(f"{refused}; check it, or choose another", 2, debug)
-            hint = "this is a defect in robot-sysid; run again with --debug and report it"
+            hint = (
+                "this is a defect in robot-sysid; run again with --debug and report it"
+            )
             return _report(f"{type(error).__name__}: {error} ({hint})", 1, debug)
 
 
@@ -77,7 +81,9 @@ def _refuse_misspelt(word: str) -> None:
 
     near = get_close_matches(word, COMMANDS, 1, 0.75)
     if near and not os.path.exists(word):
-        raise InputError(f"there is no file and no command {word}: did you mean {near[0]}?")
+        raise InputError(
+            f"there is no file and no command {word}: did you mean {near[0]}?"
+        )
 
 
 @contextlib.contextmanager

@@ -36,7 +36,9 @@ class OutputOptions(OptionRecord):
     """
 
     config: Path | None = None
-    output_dir: Path = option(Path("sysid_output"), "folder for the results", "DIR", parse=folder)
+    output_dir: Path = option(
+        Path("sysid_output"), "folder for the results", "DIR", parse=folder
+    )
     keep: tuple[str, ...] = option(
         (),
         "leave this of the model as it is: friction or rotor inertia of its joints, gravity, or "
@@ -49,7 +51,9 @@ class OutputOptions(OptionRecord):
         False,
         "also write the updated model with its meshes and textures into DIR/bundle, to send it",
     )
-    report: bool = option(False, "also write report.html, a page with figures of the result")
+    report: bool = option(
+        False, "also write report.html, a page with figures of the result"
+    )
     plots: bool = option(False, "also write the report's figures as PNG and SVG")
 
 
@@ -62,13 +66,19 @@ class MotorOptions(OptionRecord):
 
     export_damiao: bool = option(False, "also write the trajectory for Damiao motors")
     motor_type: tuple[str, ...] = option(
-        (), "Damiao motor, one per joint, base first; motions keep its peak", "TYPE", repeats=True
+        (),
+        "Damiao motor, one per joint, base first; motions keep its peak",
+        "TYPE",
+        repeats=True,
     )
     can_id: tuple[int, ...] = option(
         (), "CAN id of a motor; once per joint, base first", usual="1, 2, 3, ...", **_ID
     )
     master_id: tuple[int, ...] = option(
-        (), "id on which a motor answers; once per joint, base first", usual="CAN id + 0x10", **_ID
+        (),
+        "id on which a motor answers; once per joint, base first",
+        usual="CAN id + 0x10",
+        **_ID,
     )
 
     def __post_init__(self) -> None:
@@ -79,10 +89,14 @@ class MotorOptions(OptionRecord):
             )
 
 
-def _given(*records: Any, only: tuple[str, ...] = (), but: tuple[str, ...] = ()) -> list[Option]:
+def _given(
+    *records: Any, only: tuple[str, ...] = (), but: tuple[str, ...] = ()
+) -> list[Option]:
     """Return the options of records that were given: of some keys, or of all but some."""
     given = [each for record in records for each in options.given_options(record)]
-    return [each for each in given if each.key not in but and (not only or each.key in only)]
+    return [
+        each for each in given if each.key not in but and (not only or each.key in only)
+    ]
 
 
 @dataclass(frozen=True)
@@ -102,7 +116,10 @@ class Config:
         """
         records = get_type_hints(cls)
         options.refuse_unknown(values, options.keys_of(*records.values()))
-        made = {name: options.record_from(record, values) for name, record in records.items()}
+        made = {
+            name: options.record_from(record, values)
+            for name, record in records.items()
+        }
         return cls(**{**made, "model": replace(made["model"], path=Path(path))})
 
     def __post_init__(self) -> None:
@@ -142,7 +159,13 @@ class Config:
         factors = (log.torque_scale, log.torque_constants)
         files = (each for each in factors if isinstance(each, Path))
         models = (self.output.config, self.model.path)
-        return (*models, *log.measurements, log.validation_measurements, log.columns, *files)
+        return (
+            *models,
+            *log.measurements,
+            log.validation_measurements,
+            log.columns,
+            *files,
+        )
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         """Yield the files that a run writes, each with the option that names it."""
@@ -212,8 +235,12 @@ class SysidConfig(Config):
 
         model = self.model
         limits = self.limits
-        given = {each.key for each in options.given_options(limits)}.intersection(LIMITS)
-        kept = options.command_words({key: getattr(limits, key) for key in given}, limits)
+        given = {each.key for each in options.given_options(limits)}.intersection(
+            LIMITS
+        )
+        kept = options.command_words(
+            {key: getattr(limits, key) for key in given}, limits
+        )
         return [str(model.path), *options.command_words(vars(model), model)], kept
 
     def seeded(self) -> SysidConfig:
@@ -222,7 +249,9 @@ class SysidConfig(Config):
             return self
         import secrets
 
-        return replace(self, trajectory=replace(self.trajectory, seed=secrets.randbelow(2**31)))
+        return replace(
+            self, trajectory=replace(self.trajectory, seed=secrets.randbelow(2**31))
+        )
 
     def _pairs(self) -> Iterator[tuple[bool, str, str]]:
         plan = self.trajectory
@@ -261,7 +290,11 @@ class SysidConfig(Config):
         yield not plan, estimate, [*of_torque, *of_files]
         plant = "belongs to a simulated plant; add --plant-model (the model file itself will do)"
         simulated = self.arm.plant_model is not None
-        yield simulated, plant, _given(self.arm, but=("save_measurements", "noise_torque"))
+        yield (
+            simulated,
+            plant,
+            _given(self.arm, but=("save_measurements", "noise_torque")),
+        )
         # A motion is judged for this noise.
         judged = simulated or plan or self.excitation.kind == "optimal"
         yield judged, plant, _given(self.arm, only=("noise_torque",))
@@ -272,7 +305,11 @@ class SysidConfig(Config):
         yield self.is_measured, measured, [*fitted, *kept]
         servos = self.estimation.torque_from is not None
         torque = _given(self.output, self.log, self.arm, only=OF_TORQUE)
-        yield not servos, "is about measured torques; leave it off with --torque-from", torque
+        yield (
+            not servos,
+            "is about measured torques; leave it off with --torque-from",
+            torque,
+        )
         yield plan, "says what a plan is for; use robot-sysid plan", _given(self.poses)
         resting = self.poses.static and self.poses.purpose == "payload"
         rests = "is about resting poses; add --for payload and --static"
@@ -280,7 +317,11 @@ class SysidConfig(Config):
         motors = "is only used together with --export-damiao; add it"
         yield self.motors.export_damiao, motors, _given(self.motors)
         designed = self.excitation.kind == "optimal"
-        yield designed, "is about a design; add --excitation optimal", _given(self.excitation)
+        yield (
+            designed,
+            "is about a design; add --excitation optimal",
+            _given(self.excitation),
+        )
         fixed = "has nothing to draw: the motion is given, and no noise is simulated"
         yield self._is_drawn(), fixed, _given(self.trajectory, only=("seed",))
 
@@ -299,7 +340,10 @@ class SysidConfig(Config):
             yield "--save-measurements", self.arm.save_measurements
         if self.plan_file is not None:
             yield "--save-trajectory", self.plan_file
-            yield "the CSV file beside --save-trajectory", self.plan_file.with_suffix(".csv")
+            yield (
+                "the CSV file beside --save-trajectory",
+                self.plan_file.with_suffix(".csv"),
+            )
         if self.motors.export_damiao:
             yield "--output-dir", self.output.output_dir / atomic_files.DAMIAO_NAME
         if not self.trajectory.plan_only:
@@ -310,8 +354,12 @@ class SysidConfig(Config):
 class PayloadOptions(OptionRecord):
     """Which recordings are empty and which are loaded, and what is wanted of the payload."""
 
-    empty: tuple[Path, ...] = option((), "logs of the arm without the payload", "LOG", several=True)
-    loaded: tuple[Path, ...] = option((), "logs of the arm with the payload", "LOG", several=True)
+    empty: tuple[Path, ...] = option(
+        (), "logs of the arm without the payload", "LOG", several=True
+    )
+    loaded: tuple[Path, ...] = option(
+        (), "logs of the arm with the payload", "LOG", several=True
+    )
     order: str | None = option(
         None,
         "order in which the logs were recorded, A for the next empty one and B for the next "
@@ -340,7 +388,8 @@ class PayloadOptions(OptionRecord):
         None, "with --known-mass, write the scales as a file for --torque-scale", "FILE"
     )
     static: bool = option(
-        False, "use resting poses only, each approached from both sides: mass and centre of mass"
+        False,
+        "use resting poses only, each approached from both sides: mass and centre of mass",
     )
 
     def __post_init__(self) -> None:
@@ -358,7 +407,9 @@ class PayloadOptions(OptionRecord):
                 f"{len(self.loaded)} times B (the loaded ones), such as {wanted}"
             )
         if self.save_torque_scale is not None and self.known_mass is None:
-            raise InputError("--save-torque-scale is about torque scales; add --known-mass KG")
+            raise InputError(
+                "--save-torque-scale is about torque scales; add --known-mass KG"
+            )
         if self.known_mass is not None and self.as_body is not None:
             raise InputError("--known-mass writes no model; leave --as-body out")
 
@@ -371,13 +422,25 @@ class PayloadConfig(Config):
 
     def _pairs(self) -> Iterator[tuple[bool, str, str]]:
         exact = self.estimation.scale_uncertainty in (0.0, (0.0,))
-        yield self.payload.known_mass is not None and exact, "--known-mass", "--scale-uncertainty 0"
+        yield (
+            self.payload.known_mass is not None and exact,
+            "--known-mass",
+            "--scale-uncertainty 0",
+        )
 
     def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
         file = "is about a written model; --known-mass writes none"
-        yield self.payload.known_mass is None, file, _given(self.output, only=("bundle", "keep"))
+        yield (
+            self.payload.known_mass is None,
+            file,
+            _given(self.output, only=("bundle", "keep")),
+        )
         moving = _given(self.estimation, only=("cutoff", "friction_model"))
-        yield not self.payload.static, "is about motion; --static uses poses at rest", moving
+        yield (
+            not self.payload.static,
+            "is about motion; --static uses poses at rest",
+            moving,
+        )
 
     def read_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over."""

@@ -66,7 +66,9 @@ class ColumnsError(InputError):
         name: what such a file of this log may be called.
     """
 
-    def __init__(self, message: str, draft: str = "", name: str = "columns.txt") -> None:
+    def __init__(
+        self, message: str, draft: str = "", name: str = "columns.txt"
+    ) -> None:
         super().__init__(message)
         self.draft = draft
         self.name = name
@@ -87,7 +89,9 @@ class AmbiguousJointError(ModelError):
     def __init__(self, reason: str, candidates: Sequence[tuple[str, str]]) -> None:
         self.candidates = tuple(candidates)
         listed = ", ".join(f"{joint} (body {body})" for joint, body in self.candidates)
-        super().__init__(f"{reason}; choose one with --joint NAME. Candidates: {listed}")
+        super().__init__(
+            f"{reason}; choose one with --joint NAME. Candidates: {listed}"
+        )
 
 
 class SimulationError(SysidError):

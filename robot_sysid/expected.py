@@ -22,7 +22,10 @@ from robot_sysid.estimation.algebra.identifiability import describe, triangle_sp
 from robot_sysid.estimation.algebra.link_scales import EXPECTED
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.algebra.possible_errors import once_possible, possible_covariance
+from robot_sysid.estimation.algebra.possible_errors import (
+    once_possible,
+    possible_covariance,
+)
 from robot_sysid.estimation.algebra.uncertainty import (
     Uncertainty,
     triangle_of,
@@ -90,7 +93,9 @@ _How = tuple[float, EstimationOptions, str]
 """The sample rate and what follows it in ``expect``."""
 
 
-def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str) -> Known:
+def known_of(
+    problem: ExcitationProblem, options: EstimationOptions, asked: str
+) -> Known:
     """Return what an estimate knows of the arm before there is a recording, and what is asked."""
     robot = problem.robot
     own = np.zeros((len(information.OWN), len(problem.rows)))
@@ -120,14 +125,18 @@ def known_of(problem: ExcitationProblem, options: EstimationOptions, asked: str)
     for place, term in enumerate(information.OWN):
         for row, joint in enumerate(columns.joints):
             name = f"{term}[{joint}]"
-            free = np.inf if term in choice.friction[columns.rows_of[row]].terms else 0.0
+            free = (
+                np.inf if term in choice.friction[columns.rows_of[row]].terms else 0.0
+            )
             own[place, row] = sure.get(name, free)
     return Known(factor, own, asked)
 
 
 def _choice(problem: ExcitationProblem, options: EstimationOptions) -> Choice:
     """Return the friction that the estimate begins with, and the couplings that are known."""
-    given = options if options.friction else replace(options, friction_model=CANDIDATES[0])
+    given = (
+        options if options.friction else replace(options, friction_model=CANDIDATES[0])
+    )
     assert given.friction is not None
     motors, offered = couplings_of(problem.robot, options)
     friction = (given.friction,) * problem.robot.n_joints
@@ -183,7 +192,10 @@ def expect(
         places = [sought.kept_names.index(name) for name in names]
         own = np.ix_(places, places)
         parts = {cause: rows[:, places] for cause, rows in after.causes.items()}
-        causes = {NOISE: found.noise[own], **{c: rows.T @ rows for c, rows in parts.items()}}
+        causes = {
+            NOISE: found.noise[own],
+            **{c: rows.T @ rows for c, rows in parts.items()},
+        }
         covariance = found.covariance[own]
         np.fill_diagonal(covariance, found.standard_errors[places] ** 2)
         others = dict(_masses(problem, sought, found)) if asked == "arm" else {}
@@ -192,7 +204,9 @@ def expect(
             then = possible_covariance(theta, after.then.covariance[own])
             doubt = Remedy(words, *information.spread_of(theta, then))
     rest = _never(problem, told), _best_first(problem, plan, how, known, told)
-    return Prediction(of, theta, size, covariance, causes, others, *rest, missing, scaled, doubt)
+    return Prediction(
+        of, theta, size, covariance, causes, others, *rest, missing, scaled, doubt
+    )
 
 
 def _read_alike(problem: ExcitationProblem, options: EstimationOptions) -> float:
@@ -228,7 +242,10 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     datasets: Sequence[Dataset] = (dataset,)
     assert dataset.signals is not None
     if is_loaded:
-        datasets = replace(dataset, place=-1.0), replace(dataset, is_loaded=True, place=1.0)
+        datasets = (
+            replace(dataset, place=-1.0),
+            replace(dataset, is_loaded=True, place=1.0),
+        )
     columns = Columns(robot, datasets, options.torques, choice.couplings)
     torque = mean_torque(datasets)
     data = evidence_of([columns.samples(columns.start())], torque)
@@ -245,14 +262,20 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
     counts = 1.0 / left, sigma / np.sqrt(low_pass.step)
     known = partial(_with_known, plain, counts, whole_triangle(plain, counts[0]))
     found = known(sought.groups)
-    causes = {g.cause: g.covariance_rows(plain.names, found.inverse) for g in sought.groups}
+    causes = {
+        g.cause: g.covariance_rows(plain.names, found.inverse) for g in sought.groups
+    }
     doubt = 0.0, found
     if sought.may_be_scaled(question):
-        wider = build_unknowns(columns, question, replace(choice, common_scale=COMMON_SCALE), *told)
+        wider = build_unknowns(
+            columns, question, replace(choice, common_scale=COMMON_SCALE), *told
+        )
         doubt = _doubt(sought, found, wider, known(wider.groups))
     if not is_loaded:
         at, usual = sought.bodies[robot.body_name]
-        found, causes = once_possible(found, causes, np.searchsorted(sought.kept, at), usual, usual)
+        found, causes = once_possible(
+            found, causes, np.searchsorted(sought.kept, at), usual, usual
+        )
     return _Posterior(sought, found, causes, *doubt)
 
 
@@ -281,14 +304,19 @@ def _doubt(
     for asked, after in ((sought, found), (wider, then)):
         scales = next(group for group in asked.groups if group.cause == SCALES)
         places = scales.indices(asked.kept_names)
-        pairs.append((scales.factor @ scales.factor.T, after.inverse[np.ix_(places, places)]))
+        pairs.append(
+            (scales.factor @ scales.factor.T, after.inverse[np.ix_(places, places)])
+        )
     share, told = false_alarms(*pairs)
     moved = then.inverse[:, places]
     return share, then.with_part(0.5 * moved @ told @ moved.T)
 
 
 def friction_lines(
-    problem: ExcitationProblem, plan: MotionPlan, rate: float, options: EstimationOptions
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    rate: float,
+    options: EstimationOptions,
 ) -> Iterator[str]:
     """Say how well an identification of one recording will know each joint's friction."""
     try:
@@ -298,15 +326,23 @@ def friction_lines(
     for term, unit in (("coulomb", "N·m"), ("viscous", "N·m·s/rad")):
         errors = dict(zip(after.sought.kept_names, after.found.standard_errors))
         names = {joint: f"{term}[{joint}]" for joint in problem.joint_names}
-        listed = ", ".join(f"{j} {errors[n]:.2g}" for j, n in names.items() if n in errors)
+        listed = ", ".join(
+            f"{j} {errors[n]:.2g}" for j, n in names.items() if n in errors
+        )
         yield f"{term.capitalize()} friction will be known to ± {listed} {unit}"
 
 
-def _rehearsal(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> Measurement:
+def _rehearsal(
+    problem: ExcitationProblem, plan: MotionPlan, rate: float
+) -> Measurement:
     """Return what a recording of the motion at ``rate`` [Hz] would look like, without noise."""
     if sample_count(plan.duration, rate) > MOST_SAMPLES:
-        raise InputError(f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand")
-    exact = join_measurements(simulate_inverse(problem.robot, motion_chunks(plan, rate)))
+        raise InputError(
+            f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand"
+        )
+    exact = join_measurements(
+        simulate_inverse(problem.robot, motion_chunks(plan, rate))
+    )
     return replace(exact, qd=None, qdd=None)
 
 
@@ -326,11 +362,17 @@ def _never(problem: ExcitationProblem, told: Criterion) -> tuple[str, ...]:
     possible = told.seen / problem.scale[:, None]
     left, singular, _ = np.linalg.svd(possible, full_matrices=True)
     space = left[:, len(singular) :]
-    return tuple(describe(space, problem.scale, PARAMETER_NAMES)) if space.shape[1] else ()
+    return (
+        tuple(describe(space, problem.scale, PARAMETER_NAMES)) if space.shape[1] else ()
+    )
 
 
 def _told(
-    problem: ExcitationProblem, plan: MotionPlan, rate: float, known: Known, faster: float = 1.0
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    rate: float,
+    known: Known,
+    faster: float = 1.0,
 ) -> Array:
     """Return the information of a path that is recorded at a rate [Hz], gone along faster."""
     count = int(np.clip(_INSTANTS * plan.duration, _FEWEST, _MOST))
@@ -343,7 +385,11 @@ def _told(
 
 
 def _remedies(
-    problem: ExcitationProblem, plan: MotionPlan, how: _How, known: Known, told: Criterion
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    how: _How,
+    known: Known,
+    told: Criterion,
 ) -> Iterator[Remedy]:
     """Yield what would tell more than a motion does, with the errors of mass and centre then."""
     rate, options, asked = how
@@ -361,8 +407,12 @@ def _remedies(
         return Remedy(words, float(np.hypot(mass, scaled)), centre, planned)
 
     longer = ("--duration", f"{LONGER * plan.duration:.3g}")
-    yield remedy(f"a motion {LONGER:g} times as long", told.covariance(LONGER * here), *longer)
-    yield remedy(f"a motion {FASTER:g} times as fast, over the same time", told.covariance(quick))
+    yield remedy(
+        f"a motion {LONGER:g} times as long", told.covariance(LONGER * here), *longer
+    )
+    yield remedy(
+        f"a motion {FASTER:g} times as fast, over the same time", told.covariance(quick)
+    )
     if asked == "payload":
         return
     if len(known.factor):
@@ -370,7 +420,9 @@ def _remedies(
         half = f"{BETTER * options.link_uncertainty:g}"
         yield remedy(f"other links known to {half} % (--link-uncertainty)", better)
     covariance = told.covariance(here)
-    sure = covariance - _NEARLY * np.outer(covariance[0], covariance[0]) / covariance[0, 0]
+    sure = (
+        covariance - _NEARLY * np.outer(covariance[0], covariance[0]) / covariance[0, 0]
+    )
     weighed = remedy("its mass known, by weighing the part", sure)
     yield replace(weighed, mass=0.0)
     apart = known_of(problem, options, "payload")
@@ -380,7 +432,11 @@ def _remedies(
 
 
 def _best_first(
-    problem: ExcitationProblem, plan: MotionPlan, how: _How, known: Known, told: Criterion
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    how: _How,
+    known: Known,
+    told: Criterion,
 ) -> tuple[Remedy, ...]:
     """Return what would tell more, what leaves the least error of the centre of mass first."""
     places = plan.evaluate(np.linspace(0.0, plan.duration, 9)).q
@@ -401,12 +457,18 @@ def outlook(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> str:
     mass = problem.robot.prior.mass
     told = information.criterion(problem, known)
     least = told.covariance(information.random_information(problem, known, _NOISELESS))
-    least = least if asked == "payload" else possible_covariance(problem.robot.prior.theta, least)
+    least = (
+        least
+        if asked == "payload"
+        else possible_covariance(problem.robot.prior.theta, least)
+    )
     floor, centre = information.spread_of(problem.robot.prior.theta, least)
     if asked == "payload" or not floor > prediction.LOOSE_SHARE * mass:
         return ""
     remedies = _best_first(problem, plan, how, known, told)
-    listed = "; ".join(f"{each.words}: {prediction.remedy_figures(each)}" for each in remedies)
+    listed = "; ".join(
+        f"{each.words}: {prediction.remedy_figures(each)}" for each in remedies
+    )
     return (
         f"no motion of this arm tells the mass of {problem.robot.body_name}, {mass:.2g} kg, better "
         f"than ± {floor:.2g} kg and its centre of mass than ± {1e3 * centre:.2g} mm: that much may "

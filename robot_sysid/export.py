@@ -94,7 +94,9 @@ def export_updated_xml(
     """
     change = ModelChange((BodyChange(body, 0, plan),), rmse, principal=principal)
     folder = destination.absolute().parent
-    atomic_files.write_whole(destination, changed_model_text(source, change, folder, mesh_dir))
+    atomic_files.write_whole(
+        destination, changed_model_text(source, change, folder, mesh_dir)
+    )
 
 
 def save(
@@ -134,7 +136,9 @@ def save(
     with atomic_files.whole_files() as files:
         if failure is None and not calibrates:
             # Drafted first, it takes its place last: what the other files say then holds for it.
-            target = ModelTarget(files, folder, checkpoints, result.estimate.rmse, mesh_dir)
+            target = ModelTarget(
+                files, folder, checkpoints, result.estimate.rmse, mesh_dir
+            )
             try:
                 written, notes = _write_models(result, target, as_body)
             except ExportError as error:
@@ -150,9 +154,18 @@ def save(
         text = params_json_text(result, cards, notes, failure)
         written.append(folder / atomic_files.PARAMS_NAME)
         files.write(written[-1], text)
-        read = (*inputs, *(file.path for file in read_document(result.robot.path).files))
+        read = (
+            *inputs,
+            *(file.path for file in read_document(result.robot.path).files),
+        )
         notes += remove_earlier(files, folder, written, read)
-    return Saved(tuple(written), notes, report, failure, hashlib.sha256(text.encode()).hexdigest())
+    return Saved(
+        tuple(written),
+        notes,
+        report,
+        failure,
+        hashlib.sha256(text.encode()).hexdigest(),
+    )
 
 
 def _write_models(
@@ -165,7 +178,10 @@ def _write_models(
     notes: tuple[str, ...] = ()
     beside = None if result.file is None else result.file.beside
     try:
-        for model in (result, *([] if beside is None else [replace(result, file=beside)])):
+        for model in (
+            result,
+            *([] if beside is None else [replace(result, file=beside)]),
+        ):
             path = target.path / atomic_files.MODEL_NAMES[model.model_kind]
             notes += write_model(model, replace(target, path=path), as_body)
             written.append(path)
@@ -177,14 +193,19 @@ def _write_models(
 
 
 def remove_earlier(
-    files: atomic_files.WholeFiles, folder: Path, written: Collection[Path], read: Collection[Path]
+    files: atomic_files.WholeFiles,
+    folder: Path,
+    written: Collection[Path],
+    read: Collection[Path],
 ) -> tuple[str, ...]:
     """Have results of an earlier run removed once this run's are in place; returns notes.
 
     What this run writes, and what it reads, stays.
     """
     kept = {os.path.realpath(path) for path in (*written, *read)}
-    there = [folder / name for name in (*RESULT_NAMES, *_BESIDE) if (folder / name).is_file()]
+    there = [
+        folder / name for name in (*RESULT_NAMES, *_BESIDE) if (folder / name).is_file()
+    ]
     stale = [path for path in there if os.path.realpath(path) not in kept]
     for path in stale:
         files.remove(path)

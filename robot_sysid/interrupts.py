@@ -14,7 +14,9 @@ STOPPING = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, nam
 
 
 @contextlib.contextmanager
-def heard_by(handler: Callable[[int, Any], object], ends: bool = False) -> Iterator[None]:
+def heard_by(
+    handler: Callable[[int, Any], object], ends: bool = False
+) -> Iterator[None]:
     """Have these signals call ``handler`` inside the block.
 
     What nohup or a shell's ``&`` makes a process ignore stays ignored: it is meant for others. Only
@@ -23,7 +25,9 @@ def heard_by(handler: Callable[[int, Any], object], ends: bool = False) -> Itera
     """
     main = threading.current_thread() is threading.main_thread()
     asked = STOPPING if main else ()
-    heard = [number for number in asked if signal.getsignal(number) is not signal.SIG_IGN]
+    heard = [
+        number for number in asked if signal.getsignal(number) is not signal.SIG_IGN
+    ]
     before = {number: signal.signal(number, handler) for number in heard}
     try:
         yield
@@ -45,8 +49,12 @@ def held_back(signals: tuple[signal.Signals, ...] = STOPPING) -> Iterator[None]:
             after.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
         if threading.current_thread() is threading.main_thread():
             # Python handles here what another thread takes.
-            known = [number for number in signals if signal.getsignal(number) is not None]
-            handlers = {number: signal.signal(number, late.setdefault) for number in known}
+            known = [
+                number for number in signals if signal.getsignal(number) is not None
+            ]
+            handlers = {
+                number: signal.signal(number, late.setdefault) for number in known
+            }
             after.callback(_deliver, late, handlers)
         yield
 
@@ -66,7 +74,9 @@ def only_the_first() -> Iterator[None]:
     """
     before: Any = signal.getsignal(signal.SIGINT)
     in_main = threading.current_thread() is threading.main_thread()
-    if not in_main or not callable(before):  # Ignored, or whoever embeds Python sees to it.
+    if not in_main or not callable(
+        before
+    ):  # Ignored, or whoever embeds Python sees to it.
         yield
         return
 

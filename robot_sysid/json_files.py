@@ -30,7 +30,9 @@ def read_json(path: Path, remedy: str) -> Any:
             raise ValueError(f"it is larger than {_LARGEST / 1e6:g} MB")
         return json.loads(
             path.read_text(encoding="utf-8-sig"),
-            parse_int=lambda digits: int(digits) if len(digits) < _DIGITS else float(digits),
+            parse_int=lambda digits: (
+                int(digits) if len(digits) < _DIGITS else float(digits)
+            ),
         )
     except OSError as error:
         reason = words_of(error)

@@ -24,7 +24,12 @@ from robot_sysid.estimation.identify import (
 )
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
-from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of, write_measurement_csv
+from robot_sysid.logs.reader import (
+    MeasurementLog,
+    open_log,
+    origin_of,
+    write_measurement_csv,
+)
 from robot_sysid.outcome import Analysis
 from robot_sysid.records import DataOrigin, MotionPlan, RobotModel, Source
 from robot_sysid.records.arm import InertialParameters
@@ -34,7 +39,13 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
 from robot_sysid.results.record import Result
-from robot_sysid.results.rollout import LAST_FIFTH, fitted_rows, play, split_time, torque_error
+from robot_sysid.results.rollout import (
+    LAST_FIFTH,
+    fitted_rows,
+    play,
+    split_time,
+    torque_error,
+)
 from robot_sysid.signals.resampling import MOST_KEPT, bounded
 from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import CHUNK, sample_count
@@ -67,12 +78,18 @@ def _read(config: SysidConfig, robot: RobotModel, progress: Progress) -> _Record
         progress.stage(f"Reading measurements from {path}...")
         logs.append(open_log(robot, path, options, progress))
     if config.arm.save_measurements is not None:
-        write_measurement_csv(config.arm.save_measurements, robot.joint_names, [logs[0].samples])
+        write_measurement_csv(
+            config.arm.save_measurements, robot.joint_names, [logs[0].samples]
+        )
     if options.validation_measurements is not None:
-        tests.append(open_log(robot, options.validation_measurements, options, progress))
+        tests.append(
+            open_log(robot, options.validation_measurements, options, progress)
+        )
         progress.note(*(type(n)(f"validation log: {n}") for n in tests[0].notes))
     checked(config, robot, [*logs, *tests], progress)
-    pieces = [Piece(str(log.path), p.without_velocities()) for log in logs for p in log.pieces]
+    pieces = [
+        Piece(str(log.path), p.without_velocities()) for log in logs for p in log.pieces
+    ]
     notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
     origin = origin_of(logs)
     del logs  # and with them the velocities, before signals are made
@@ -80,7 +97,11 @@ def _read(config: SysidConfig, robot: RobotModel, progress: Progress) -> _Record
 
 
 def of_plant(
-    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
+    config: SysidConfig,
+    robot: RobotModel,
+    plan: MotionPlan,
+    seed: int,
+    progress: Progress,
 ) -> Analysis:
     """Let another model play the real arm, and identify from what its sensors say."""
     arm = config.arm
@@ -113,7 +134,10 @@ def _with_truth(traces: Callable[[], Traces], truth: InertialParameters) -> Trac
 
 
 def checked(
-    config: SysidConfig, robot: RobotModel, logs: Sequence[MeasurementLog], progress: Progress
+    config: SysidConfig,
+    robot: RobotModel,
+    logs: Sequence[MeasurementLog],
+    progress: Progress,
 ) -> None:
     """Look at each log against the model; stop at what must not become a number."""
     late = ("delay",) if config.estimation.delay == "auto" else ()
@@ -137,9 +161,9 @@ def _filtered(
     cutoff = datasets[0].signals.cutoff if datasets[0].signals else options.cutoff
     for log in tests:
         parts = [Piece(str(log.path), part) for part in log.pieces]
-        others[str(log.path)] = low_pass_recordings(robot, parts, replace(options, cutoff=cutoff))[
-            0
-        ]
+        others[str(log.path)] = low_pass_recordings(
+            robot, parts, replace(options, cutoff=cutoff)
+        )[0]
     return _Recorded(datasets, others, origin, (*notes, *said))
 
 
@@ -150,11 +174,15 @@ def _identified(
     datasets = recorded.datasets
     notes = recorded.notes
     progress.note(*notes)
-    kept = config.output.keep + ((FILE_FRICTION, FILE_ROTORS) if options.no_friction else ())
+    kept = config.output.keep + (
+        (FILE_FRICTION, FILE_ROTORS) if options.no_friction else ()
+    )
     answer = answer_link(robot, datasets, options, progress, kept, recorded.tests)
     answer = replace(answer, notes=(*notes, *answer.notes))
     result = result_of(answer, recorded.origin)
-    progress.note(*(note for note in result.notes if note not in (*robot.notes, *notes)))
+    progress.note(
+        *(note for note in result.notes if note not in (*robot.notes, *notes))
+    )
     assert (first := datasets[0].signals) is not None
     checkpoints = first.motion(first.spread(CHECKPOINTS))
     held_out = tuple(each for parts in recorded.tests.values() for each in parts)
@@ -171,11 +199,16 @@ def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> R
     with temporary_folder() as folder:
         path = folder / MODEL_NAMES["mjcf"]  # what is in it tells its kind
         with whole_files() as files:
-            target = ModelTarget(files, path, found.checkpoints, result.estimate.rmse, mesh_dir)
+            target = ModelTarget(
+                files, path, found.checkpoints, result.estimate.rmse, mesh_dir
+            )
             write_model(result, target)
         for each in found.tests:
             assert each.signals is not None
-            old, new = (torque_error(m, robot, each.signals, each.name) for m in (robot.path, path))
+            old, new = (
+                torque_error(m, robot, each.signals, each.name)
+                for m in (robot.path, path)
+            )
             pairs.append((old, new))
     return replace(result, file=replace(result.file, others=tuple(pairs)))
 

@@ -69,12 +69,18 @@ def robot_from_compiled(
 ) -> RobotModel:
     """Return the arm in a compiled model; arguments and errors as in ``load_robot_model``."""
     mj_model = compiled.mj_model
-    terminal = find_terminal_joint(mj_model) if joint is None else resolve_joint(mj_model, joint)
+    terminal = (
+        find_terminal_joint(mj_model)
+        if joint is None
+        else resolve_joint(mj_model, joint)
+    )
     whole = chain_to(mj_model, terminal)
     chain = arm_without_base(mj_model, whole)
     body = int(mj_model.jnt_bodyid[terminal])
     rest = rest_keyframe(mj_model, keyframe)
-    qpos = np.array(mj_model.qpos0 if rest is None else mj_model.key_qpos[rest], dtype=float)
+    qpos = np.array(
+        mj_model.qpos0 if rest is None else mj_model.key_qpos[rest], dtype=float
+    )
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
     bodies = subtree_bodies(mj_model, qpos, body)
@@ -108,7 +114,9 @@ def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
     """
     names = _keyframe_names(mj_model)
     if name is None:
-        return names.index("home") if "home" in names else 0 if len(names) == 1 else None
+        return (
+            names.index("home") if "home" in names else 0 if len(names) == 1 else None
+        )
     if name not in names:
         there = ", ".join(names) or "none"
         raise InputError(f"--keyframe {name}: no such keyframe; the model has {there}")
@@ -123,7 +131,9 @@ def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
     theta = np.sum([body.theta for body in bodies], axis=0)
     if theta[0] <= 0.0:
         fault = f"the terminal body {bodies[0].name} and all below it weigh nothing"
-        raise ModelError(f"{fault}; give it an <inertial> or geoms with mass as a starting value")
+        raise ModelError(
+            f"{fault}; give it an <inertial> or geoms with mass as a starting value"
+        )
     return InertialParameters(theta)
 
 
@@ -188,8 +198,14 @@ def _model_file(path: Path) -> Path:
     names = [each.name for each in pkgutil.iter_modules(package.__path__)]
     if name not in names:
         near = get_close_matches(name, names, 3)
-        meant = f"did you mean {' or '.join(near)}?" if near else "its page lists those it has"
-        raise InputError(f"there is no file {name}, and no such model in {_PACKAGE}; {meant}")
+        meant = (
+            f"did you mean {' or '.join(near)}?"
+            if near
+            else "its page lists those it has"
+        )
+        raise InputError(
+            f"there is no file {name}, and no such model in {_PACKAGE}; {meant}"
+        )
     try:
         with contextlib.redirect_stdout(sys.stderr):  # it tells what it fetches
             found = importlib.import_module(f"{_PACKAGE}.{name}")
@@ -199,5 +215,7 @@ def _model_file(path: Path) -> Path:
         raise InputError(f"{fault}; check the network, or give a model file") from None
     place = getattr(found, "MJCF_PATH", None) or getattr(found, "URDF_PATH", None)
     if place is None:
-        raise InputError(f"{_PACKAGE} has {name} as Xacro only; make a URDF of it and give that")
+        raise InputError(
+            f"{_PACKAGE} has {name} as Xacro only; make a URDF of it and give that"
+        )
     return Path(place)

@@ -12,7 +12,12 @@ from robot_sysid.diagnosis.run import look_at
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
-from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings, shared_notes
+from robot_sysid.estimation.identify import (
+    Piece,
+    answer_payload,
+    low_pass_recordings,
+    shared_notes,
+)
 from robot_sysid.estimation.result import payload_of
 from robot_sysid.estimation.unknowns import SCALES, Question, Unknowns
 from robot_sysid.logs.reader import open_log
@@ -38,7 +43,9 @@ class RawRecording(Piece):
     notes: tuple[str, ...] = ()
 
 
-def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tuple[Answer, Result]:
+def weighed(
+    config: PayloadConfig, robot: RobotModel, progress: Progress
+) -> tuple[Answer, Result]:
     """Identify a payload and write nothing; returns the estimate and all that is said of it."""
     options = config.payload
     flange = find_flange(robot, options.flange)
@@ -58,24 +65,34 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tup
         known_mass=options.known_mass,
         resting=options.static,
     )
-    answer, free = answer_payload(robot, datasets, question, progress, config.output.keep)
+    answer, free = answer_payload(
+        robot, datasets, question, progress, config.output.keep
+    )
     duration = sum(float(np.ptp(each.samples.time)) for each in raw)
     rate = sum(len(each.samples) - 1 for each in raw) / duration
-    origin = DataOrigin(Source.LOG, ", ".join(each.name for each in raw), duration, rate)
+    origin = DataOrigin(
+        Source.LOG, ", ".join(each.name for each in raw), duration, rate
+    )
     result = payload_of(answer, free, flange, origin)
     if config.log.torque_scale is not None and result.payload is not None:
         divided = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)[0]
         factors = dict(zip(robot.joint_names, divided.tolist()))
-        result = replace(result, payload=_combined(result.payload, factors, answer.fit.unknowns))
+        result = replace(
+            result, payload=_combined(result.payload, factors, answer.fit.unknowns)
+        )
     progress.note(*result.notes[len(robot.notes) :])
     return answer, result
 
 
-def _combined(payload: Payload, divided: Mapping[str, float], sought: Unknowns) -> Payload:
+def _combined(
+    payload: Payload, divided: Mapping[str, float], sought: Unknowns
+) -> Payload:
     """Return a payload with the scales of the log's own torques, which were divided before."""
     # Where what is found contradicts what they were divided by, errors are as many times as large
     # as the prior had to be widened (the Birge ratio of means that do not agree).
-    apart = max([1.0, *(group.widened for group in sought.groups if group.cause == SCALES)])
+    apart = max(
+        [1.0, *(group.widened for group in sought.groups if group.cause == SCALES)]
+    )
     scales = {
         joint: Figure(divided[joint] * each.value, divided[joint] * apart * each.error)
         for joint, each in payload.torque_scale.items()
@@ -84,7 +101,10 @@ def _combined(payload: Payload, divided: Mapping[str, float], sought: Unknowns) 
 
 
 def _datasets(
-    config: PayloadConfig, robot: RobotModel, raw: Sequence[RawRecording], at: Array | None
+    config: PayloadConfig,
+    robot: RobotModel,
+    raw: Sequence[RawRecording],
+    at: Array | None,
 ) -> tuple[list[Dataset], tuple[str, ...]]:
     place = np.zeros(len(raw)) if at is None else at
     if config.payload.static:
@@ -95,8 +115,13 @@ def _datasets(
                 poses, used = resting_poses(each.samples, robot.joint_names)
             except InputError as error:
                 raise InputError(f"{each.name}: {error}") from None
-            found.append(Dataset(each.name, RestingPoses(poses, used), each.is_loaded, where))
-            told[each.name] = (*each.notes, f"{len(poses)} poses, each approached from both sides")
+            found.append(
+                Dataset(each.name, RestingPoses(poses, used), each.is_loaded, where)
+            )
+            told[each.name] = (
+                *each.notes,
+                f"{len(poses)} poses, each approached from both sides",
+            )
         return found, tuple(shared_notes(told))
     pieces = []
     for each, where in zip(raw, place.tolist()):
@@ -119,11 +144,15 @@ def _no_drift(raw: Sequence[RawRecording], known: bool) -> str:
     )
 
 
-def _recordings(config: PayloadConfig, robot: RobotModel, progress: Progress) -> list[RawRecording]:
+def _recordings(
+    config: PayloadConfig, robot: RobotModel, progress: Progress
+) -> list[RawRecording]:
     """Return all recordings, empty ones first."""
     options = config.payload
     found = []
-    kinds = [(path, False) for path in options.empty] + [(path, True) for path in options.loaded]
+    kinds = [(path, False) for path in options.empty] + [
+        (path, True) for path in options.loaded
+    ]
     for path, is_loaded in kinds:
         progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
         log = open_log(robot, path, config.log, progress)
@@ -140,9 +169,15 @@ def places(recordings: Sequence[RawRecording], order: str | None) -> Array | Non
     """
     if order is not None:
         kinds = [letter == LOADED for letter in order]
-        turns = {kind: iter(np.flatnonzero(np.equal(kinds, kind))) for kind in (False, True)}
-        return _scaled(np.array([float(next(turns[each.is_loaded])) for each in recordings]))
-    spans = sorted((float(r.samples.time[0]), float(r.samples.time[-1])) for r in recordings)
+        turns = {
+            kind: iter(np.flatnonzero(np.equal(kinds, kind))) for kind in (False, True)
+        }
+        return _scaled(
+            np.array([float(next(turns[each.is_loaded])) for each in recordings])
+        )
+    spans = sorted(
+        (float(r.samples.time[0]), float(r.samples.time[-1])) for r in recordings
+    )
     if any(after[0] <= before[1] for before, after in zip(spans, spans[1:])):
         return None
     return _scaled(np.array([np.mean(r.samples.time[[0, -1]]) for r in recordings]))
@@ -151,7 +186,9 @@ def places(recordings: Sequence[RawRecording], order: str | None) -> Array | Non
 def drift_shows(recordings: Sequence[RawRecording], at: Array) -> bool:
     """Tell whether the order lets a drift be told from the payload."""
     kinds = np.array([each.is_loaded for each in recordings])
-    within = sum(np.sum((at[kinds == kind] - np.mean(at[kinds == kind])) ** 2) for kind in (0, 1))
+    within = sum(
+        np.sum((at[kinds == kind] - np.mean(at[kinds == kind])) ** 2) for kind in (0, 1)
+    )
     return bool(within >= LEAST_WITHIN * np.sum((at - np.mean(at)) ** 2) > 0.0)
 
 

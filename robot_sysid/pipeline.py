@@ -25,12 +25,22 @@ from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.outcome import Analysis, Outcome
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import MotionPlan, RobotModel
-from robot_sysid.records.atomic_files import DAMIAO_NAME, MODEL_NAMES, WholeFiles, whole_files
+from robot_sysid.records.atomic_files import (
+    DAMIAO_NAME,
+    MODEL_NAMES,
+    WholeFiles,
+    whole_files,
+)
 from robot_sysid.records.options import per_joint
 from robot_sysid.records.plan_settings import WEIGHT, command_after_weighing
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.torque_scale import write_torque_scale
-from robot_sysid.results.console import block_lines, clamping_lines, folder_text, more_lines
+from robot_sysid.results.console import (
+    block_lines,
+    clamping_lines,
+    folder_text,
+    more_lines,
+)
 from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.results.verdict import plan_verdict, shortfalls_of_plan, verdict_lines
 from robot_sysid.simulator import ArmTorque
@@ -70,11 +80,15 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
         robot = load(config, progress)
         if isinstance(config, SysidConfig) and config.trajectory.plan_only:
             with only_the_first():
-                return _plan_outcome(config, robot, designed(config, robot, progress)[0])
+                return _plan_outcome(
+                    config, robot, designed(config, robot, progress)[0]
+                )
         return written(config, robot, analysed(config, robot, progress), progress)
 
 
-def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tuple[CheckedPlan, int]:
+def designed(
+    config: SysidConfig, robot: RobotModel, progress: Progress
+) -> tuple[CheckedPlan, int]:
     """Return the motion that was asked for, checked, and the seed it was drawn with."""
     seed = config.seeded().trajectory.seed or 0
     limits = _within_motors(config.limits, config.motors, robot.n_joints)
@@ -85,13 +99,20 @@ def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tupl
         from robot_sysid.expected import known_of, outlook
 
         how = config.trajectory.sample_rate, config.estimation, config.poses.asked
-        told = partial(known_of, options=how[1], asked=how[2]), partial(outlook, how=how)
-    request = MotionRequest(*options, config.arm.noise_torque, played, config.poses, *told)
+        told = (
+            partial(known_of, options=how[1], asked=how[2]),
+            partial(outlook, how=how),
+        )
+    request = MotionRequest(
+        *options, config.arm.noise_torque, played, config.poses, *told
+    )
     request = replace(request, link_uncertainty=config.estimation.link_uncertainty)
     return make_plan(request, robot, seed, progress), seed
 
 
-def _within_motors(limits: LimitOptions, motors: MotorOptions, n_joints: int) -> LimitOptions:
+def _within_motors(
+    limits: LimitOptions, motors: MotorOptions, n_joints: int
+) -> LimitOptions:
     """Return limits that the motors which a motion is exported for can keep as well."""
     if not motors.export_damiao:
         return limits
@@ -130,7 +151,9 @@ def analysed(config: Config, robot: RobotModel, progress: Progress) -> Analysis:
     source = _of_itself
     if config.arm.plant_model is not None:
         from robot_sysid.log_pipeline import of_plant as source
-    return replace(source(config, robot, checked.plan, seed, progress), plan=checked.plan)
+    return replace(
+        source(config, robot, checked.plan, seed, progress), plan=checked.plan
+    )
 
 
 def load(config: Config, progress: Progress) -> RobotModel:
@@ -149,7 +172,9 @@ def load(config: Config, progress: Progress) -> RobotModel:
 
         # Refused before any work where the export could not be done.
         motors = config.motors
-        damiao_joints(motors.motor_type, robot.n_joints, motors.can_id, motors.master_id)
+        damiao_joints(
+            motors.motor_type, robot.n_joints, motors.can_id, motors.master_id
+        )
     return robot
 
 
@@ -170,7 +195,9 @@ def save_plan(
     return path, samples
 
 
-def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
+def _plan_outcome(
+    config: SysidConfig, robot: RobotModel, checked: CheckedPlan
+) -> Outcome:
     prediction = predict(config, checked)
     lines = [*promise(config, checked, prediction)]
     failure = checked.failure
@@ -204,7 +231,11 @@ def _shortfalls(
     shortfalls = shortfalls_of_plan(body_name, share, contact)
     # Another motion tells more of a mass; it does not clear the way.
     is_mass_unknown = bool(shortfalls_of_plan(body_name, share, None))
-    options = prediction.remedy_options() if prediction is not None and is_mass_unknown else ()
+    options = (
+        prediction.remedy_options()
+        if prediction is not None and is_mass_unknown
+        else ()
+    )
     if not options or config.plan_file is None:
         return shortfalls, ""
     arm, limits = config.words
@@ -249,22 +280,32 @@ def promise(
 
 
 def _of_itself(
-    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
+    config: SysidConfig,
+    robot: RobotModel,
+    plan: MotionPlan,
+    seed: int,
+    progress: Progress,
 ) -> Analysis:
     """Simulate the model along the trajectory and identify it, in constant memory."""
     rate = config.trajectory.sample_rate
     save_to = config.arm.save_measurements
-    result, traces = identify_itself(robot, plan, rate, seed, config.estimation, progress)
+    result, traces = identify_itself(
+        robot, plan, rate, seed, config.estimation, progress
+    )
     if save_to is not None:
         from robot_sysid.logs.reader import write_measurement_csv
         from robot_sysid.simulator import simulate_inverse
 
         simulated = simulate_inverse(robot, motion_chunks(plan, rate))
         write_measurement_csv(save_to, robot.joint_names, simulated)
-    return Analysis(result, plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)), traces)
+    return Analysis(
+        result, plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)), traces
+    )
 
 
-def written(config: Config, robot: RobotModel, found: Analysis, progress: Progress) -> Outcome:
+def written(
+    config: Config, robot: RobotModel, found: Analysis, progress: Progress
+) -> Outcome:
     """Write all results and pass on what writing them had to say."""
     folder = config.output.output_dir
     mesh_dir = config.model.mesh_dir
@@ -277,8 +318,14 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
         as_body = config.payload.as_body
         scales = config.payload.save_torque_scale
     elif isinstance(config, SysidConfig):
-        motor_file = None if found.plan is None else motor_writer(config, robot, found.plan)
-        if config.log.verify_rollout and result.file is not None and result.verdict.writes_model:
+        motor_file = (
+            None if found.plan is None else motor_writer(config, robot, found.plan)
+        )
+        if (
+            config.log.verify_rollout
+            and result.file is not None
+            and result.verdict.writes_model
+        ):
             from robot_sysid.log_pipeline import played
             from robot_sysid.results.rollout import refusal
 
@@ -304,9 +351,13 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
         *more_lines(result, config.output.links),
         *clamping_lines(saved.damiao, robot.joint_names),
     )
-    verdict = verdict_lines(result, saved.failure, _next_plan_command(config, saved.files))
+    verdict = verdict_lines(
+        result, saved.failure, _next_plan_command(config, saved.files)
+    )
     hashed = saved.result_hash
-    return Outcome(lines, verdict, saved.failure, saved.files, result, found.traces, hashed)
+    return Outcome(
+        lines, verdict, saved.failure, saved.files, result, found.traces, hashed
+    )
 
 
 def _next_plan_command(config: Config, files: Sequence[Path]) -> str:
@@ -314,10 +365,14 @@ def _next_plan_command(config: Config, files: Sequence[Path]) -> str:
     models = [path for path in files if path.name in MODEL_NAMES.values()]
     if not models or not isinstance(config, SysidConfig) or not config.log.measurements:
         return ""
-    return command_after_weighing(config.output.output_dir, config.model.path, models[0])
+    return command_after_weighing(
+        config.output.output_dir, config.model.path, models[0]
+    )
 
 
-def motor_writer(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:
+def motor_writer(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan
+) -> MotorFile | None:
     """Return what writes the trajectory for Damiao motors, or None where none was asked for."""
     motors = config.motors
     if not motors.export_damiao:
@@ -330,7 +385,9 @@ def motor_writer(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> Mo
         motion = commands(robot, plan, rate)
         ids = (motors.can_id, motors.master_id)
         names = robot.joint_names
-        return export_damiao_trajectory(motion, motors.motor_type, file, *ids, joint_names=names)
+        return export_damiao_trajectory(
+            motion, motors.motor_type, file, *ids, joint_names=names
+        )
 
     return write
 
@@ -342,6 +399,8 @@ def commands(robot: RobotModel, plan: MotionPlan, rate: float) -> Iterator[Motio
     """
     torque = ArmTorque(robot)
     for motion in motion_chunks(plan, rate):
-        smooth = robot.friction.dry(motion.qd, lambda qd: np.tanh(qd / _SMOOTH_REVERSAL))
+        smooth = robot.friction.dry(
+            motion.qd, lambda qd: np.tanh(qd / _SMOOTH_REVERSAL)
+        )
         tau = torque(motion) + smooth - robot.friction.dry(motion.qd)
         yield motion.time, motion.q, motion.qd, tau

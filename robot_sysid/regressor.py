@@ -41,12 +41,16 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
     adjoint = omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
     columns = []
     for k in range(len(PARAMETER_NAMES)):
-        m, hx, hy, hz, xx, xy, xz, yy, yz, zz = (int(i == k) for i in range(len(PARAMETER_NAMES)))
+        m, hx, hy, hz, xx, xy, xz, yy, yz, zz = (
+            int(i == k) for i in range(len(PARAMETER_NAMES))
+        )
         # G = [[I, [h]x], [-[h]x, m 1]].
         inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         h = hat(hx, hy, hz)
         spatial_inertia = inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
-        columns.append(spatial_inertia * acceleration - adjoint.T * (spatial_inertia * twist))
+        columns.append(
+            spatial_inertia * acceleration - adjoint.T * (spatial_inertia * twist)
+        )
     return sp.Matrix.hstack(*columns), motion
 
 

@@ -11,7 +11,13 @@ from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import SimulationError
 from robot_sysid.estimation.algebra.information import InformationAccumulator
-from robot_sysid.records import Array, Measurement, Motion, RobotModel, SquareRootInformation
+from robot_sysid.records import (
+    Array,
+    Measurement,
+    Motion,
+    RobotModel,
+    SquareRootInformation,
+)
 
 
 class ArmTorque:
@@ -31,7 +37,9 @@ class ArmTorque:
         return rigid + self._robot.friction.torque(motion.qd)
 
 
-def simulate_inverse(robot: RobotModel, motions: Iterable[Motion]) -> Iterator[Measurement]:
+def simulate_inverse(
+    robot: RobotModel, motions: Iterable[Motion]
+) -> Iterator[Measurement]:
     """Yield the torques that an arm needs to follow chunks of chain joint motion exactly.
 
     tau = inverse dynamics by MuJoCo + coulomb sign(qd) + viscous qd, with the model's own
@@ -58,7 +66,9 @@ def collect_sysid_data(
     """Stream measurements, chunks with accelerations, into square-root information in constant
     memory: one QR triangle per joint whose torque is used.
     """
-    accumulator = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    accumulator = InformationAccumulator(
+        equations.names, equations.joints, equations.columns
+    )
     for measurement in measurements:
         for index, (rows, tau) in enumerate(equations.rows(measurement)):
             accumulator.add(index, rows, tau)

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
-from robot_sysid.estimation.algebra.identifiability import N_INERTIAL, analyse_identifiability
+from robot_sysid.estimation.algebra.consistent_links import (
+    ConsistentLinks,
+    LinksProblem,
+)
+from robot_sysid.estimation.algebra.identifiability import (
+    N_INERTIAL,
+    analyse_identifiability,
+)
 from robot_sysid.estimation.algebra.information import residual_errors
 from robot_sysid.estimation.algebra.least_squares import ordinary, solver
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
@@ -40,7 +46,9 @@ def identify_parameters(
         method="ols",
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
-        noise_per_joint={joint: each[joint] for joint, count in counts.items() if count},
+        noise_per_joint={
+            joint: each[joint] for joint, count in counts.items() if count
+        },
         effective_samples={joint: float(count) for joint, count in counts.items()},
         constrained=bool(np.any(values != free)),
     )

@@ -12,7 +12,9 @@ import stat
 from robot_sysid.errors import InputError
 
 
-def refuse_special_file(path: str | os.PathLike[str], remedy: str = "give a file") -> None:
+def refuse_special_file(
+    path: str | os.PathLike[str], remedy: str = "give a file"
+) -> None:
     """Raise InputError where a path leads to a pipe, a device or a socket.
 
     Folders, and what cannot be looked at, are left to what opens them.

@@ -59,9 +59,13 @@ class SineTrajectory:
 
     def __post_init__(self) -> None:
         shape = (np.shape(self.center)[0], np.shape(self.amplitude)[1])
-        check_arrays(self, center=shape[:1], amplitude=shape, frequency_hz=shape, phase=shape)
+        check_arrays(
+            self, center=shape[:1], amplitude=shape, frequency_hz=shape, phase=shape
+        )
         if not 0.0 < 2.0 * self.fade <= self.duration:
-            raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
+            raise InputError(
+                f"fade {self.fade} s does not fit twice into {self.duration} s"
+            )
 
     def scaled(self, factor: Array | float) -> SineTrajectory:
         """Return the trajectory with each joint's amplitudes times ``factor`` (n,) or a number."""
@@ -91,7 +95,9 @@ Series = tuple[Array, Array, Array]
 def window(time: Array, duration: float, fade: float) -> Series:
     """Return w, w' and w'' (N,): a smooth step up, ones, and down again."""
     rising = time < 0.5 * duration
-    w, dw, ddw = smooth_step(np.clip(np.where(rising, time, duration - time) / fade, 0.0, 1.0))
+    w, dw, ddw = smooth_step(
+        np.clip(np.where(rising, time, duration - time) / fade, 0.0, 1.0)
+    )
     dw = dw / fade
     return w, np.where(rising, dw, -dw), ddw / fade**2
 
@@ -102,7 +108,11 @@ def smooth_step(x: Array) -> Series:
     Its first three derivatives vanish at both ends: motion starts and ends without a jerk.
     """
     w = x**4 * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x)))
-    return w, 140.0 * (x * (1.0 - x)) ** 3, 420.0 * (x * (1.0 - x)) ** 2 * (1.0 - 2.0 * x)
+    return (
+        w,
+        140.0 * (x * (1.0 - x)) ** 3,
+        420.0 * (x * (1.0 - x)) ** 2 * (1.0 - 2.0 * x),
+    )
 
 
 def faded(edge: Series, series: Series) -> Series:
@@ -119,7 +129,9 @@ def sample_times(
 
     Only those from ``start`` to ``end`` [s], with the next one outside, where these are given.
     """
-    count = int(min(sample_count(duration, sample_rate), np.ceil(end * sample_rate) + 1))
+    count = int(
+        min(sample_count(duration, sample_rate), np.ceil(end * sample_rate) + 1)
+    )
     for first in range(int(start * sample_rate), count, CHUNK):
         time = np.arange(first, min(first + CHUNK, count)) / sample_rate
         yield np.minimum(time, duration)
@@ -196,7 +208,9 @@ def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
     return np.clip(center, lower + reach + margin, upper - reach - margin), reach
 
 
-def _draw_sinusoids(rng: np.random.Generator, joints: int) -> tuple[Array, Array, Array]:
+def _draw_sinusoids(
+    rng: np.random.Generator, joints: int
+) -> tuple[Array, Array, Array]:
     """Return frequencies, phases and relative amplitudes (joints, K)."""
     # The band is cut into as many slots as there are sinusoids and each gets a slot of its own, so
     # that no two frequencies of the whole arm coincide; within its slot a frequency is a random

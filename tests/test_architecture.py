@@ -64,7 +64,15 @@ LAYERS = (
 )
 MAY_PRINT = {"cli", "commands"}
 LIBRARIES = {
-    "mujoco": {"model", "parser", "dynamics", "simulation", "motion", "results", "preview"}
+    "mujoco": {
+        "model",
+        "parser",
+        "dynamics",
+        "simulation",
+        "motion",
+        "results",
+        "preview",
+    }
     | {"estimation.algebra"},  # its solver of quadratic programs
     "can": {"damiao.bus", "damiao.serial_adapter"},
     "matplotlib": {"report", "preview", "api"},
@@ -115,14 +123,18 @@ def height(name: str) -> int:
     return next(len(LAYERS) - k for k, layer in enumerate(LAYERS) if name in layer)
 
 
-def imports(source: str, known: Mapping[str, str], top_level: bool = False) -> Iterator[str]:
+def imports(
+    source: str, known: Mapping[str, str], top_level: bool = False
+) -> Iterator[str]:
     """Yield the full names a module imports; names out of a package's module become that module."""
     module, *inner = nodes_of(source)
     for node in module.body if top_level else inner:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, "relative imports hide who imports whom; write them out"
+            assert node.level == 0, (
+                "relative imports hide who imports whom; write them out"
+            )
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
                 yield full if full in known else str(node.module)
@@ -139,7 +151,9 @@ def import_faults(sources: Mapping[str, str]) -> Iterator[str]:
             library = name.split(".")[0]
             if library == "robot_sysid":
                 theirs = layer_of(name)
-                if theirs is None or (theirs != layer and height(theirs) >= height(layer)):
+                if theirs is None or (
+                    theirs != layer and height(theirs) >= height(layer)
+                ):
                     yield f"{module} ({layer}) imports {name} ({theirs})"
             elif layer not in LIBRARIES.get(library, {layer}):
                 yield f"{module} ({layer}) imports {library}"
@@ -159,7 +173,10 @@ def folder_faults(sources: Mapping[str, str]) -> Iterator[str]:
 
 def circles(sources: Mapping[str, str]) -> Iterator[str]:
     """Yield one line per module that imports itself through others."""
-    graph = {m: {i for i in imports(s, sources) if i in sources} - {m} for m, s in sources.items()}
+    graph = {
+        m: {i for i in imports(s, sources) if i in sources} - {m}
+        for m, s in sources.items()
+    }
     for start in graph:
         reached = set()
         waiting = list(graph[start])
@@ -175,9 +192,13 @@ def circles(sources: Mapping[str, str]) -> Iterator[str]:
 def code_lines(source: str) -> set[int]:
     """Return the numbers of the lines with code: no comments, blank lines or docstrings."""
     written = enumerate(source.split("\n"), 1)
-    lines = {k for k, line in written if line.strip() and not line.lstrip().startswith("#")}
+    lines = {
+        k for k, line in written if line.strip() and not line.lstrip().startswith("#")
+    }
     for node in nodes_of(source):
-        if isinstance(node, (ast.Module, ast.ClassDef, *FUNCTIONS)) and ast.get_docstring(node):
+        if isinstance(
+            node, (ast.Module, ast.ClassDef, *FUNCTIONS)
+        ) and ast.get_docstring(node):
             lines -= set(range(node.body[0].lineno, node.body[0].end_lineno + 1))
     return lines
 
@@ -186,8 +207,14 @@ def nesting(node: ast.AST, level: int = 0) -> int:
     """Return how many blocks stand inside one another; an elif is on the level of its if."""
     depths = [level]
     for child in ast.iter_child_nodes(node):
-        is_elif = isinstance(node, ast.If) and node.orelse == [child] and isinstance(child, ast.If)
-        depths.append(nesting(child, level + (isinstance(child, BLOCKS) and not is_elif)))
+        is_elif = (
+            isinstance(node, ast.If)
+            and node.orelse == [child]
+            and isinstance(child, ast.If)
+        )
+        depths.append(
+            nesting(child, level + (isinstance(child, BLOCKS) and not is_elif))
+        )
     return max(depths)
 
 
@@ -229,7 +256,11 @@ def test_the_package_keeps_its_shape(check):
     assert list(check(package_sources())) == []
 
 
-GOOD = {"robot_sysid": "", "robot_sysid.parser": "x = 1\n", "robot_sysid.solver": "x = 1\n"}
+GOOD = {
+    "robot_sysid": "",
+    "robot_sysid.parser": "x = 1\n",
+    "robot_sysid.solver": "x = 1\n",
+}
 LONG = "def long():\n" + "    x = 1\n" * 61
 BLOCKS_OF = ("def deep():", "if 1:", "for _ in ():", "with x:", "while 1:", "pass")
 DEEP = "\n".join(4 * depth * " " + line for depth, line in enumerate(BLOCKS_OF))
@@ -241,11 +272,31 @@ DEEP = "\n".join(4 * depth * " " + line for depth, line in enumerate(BLOCKS_OF))
         ("solver", "import mujoco", import_faults, "(solver) imports mujoco"),
         ("nowhere", "", import_faults, "robot_sysid.nowhere lies in no layer"),
         ("logs.x", "from robot_sysid.motion import x", import_faults, "(logs) imports"),
-        ("solver", "from robot_sysid.parser import x", import_faults, "imports robot_sysid.parser"),
-        ("parser", "def f():\n    import matplotlib", import_faults, "imports matplotlib"),
-        ("damiao.bus.x", "import robot_sysid.damiao.player", import_faults, "(damiao.bus) imports"),
+        (
+            "solver",
+            "from robot_sysid.parser import x",
+            import_faults,
+            "imports robot_sysid.parser",
+        ),
+        (
+            "parser",
+            "def f():\n    import matplotlib",
+            import_faults,
+            "imports matplotlib",
+        ),
+        (
+            "damiao.bus.x",
+            "import robot_sysid.damiao.player",
+            import_faults,
+            "(damiao.bus) imports",
+        ),
         ("solver", "import scipy.linalg", import_faults, "at start-up"),
-        ("solver", "from robot_sysid import solver2", circles, "robot_sysid.solver imports itself"),
+        (
+            "solver",
+            "from robot_sysid import solver2",
+            circles,
+            "robot_sysid.solver imports itself",
+        ),
         ("solver", LONG, size_faults, "solver.long has 62 lines of code"),
         ("solver", DEEP, size_faults, "solver.deep is nested 4 deep"),
         ("solver", "\n" * 601, size_faults, "solver has 601 lines"),
@@ -253,8 +304,15 @@ DEEP = "\n".join(4 * depth * " " + line for depth, line in enumerate(BLOCKS_OF))
     ],
 )
 def test_a_fault_is_found(module, source, check, fault):
-    back = {"robot_sysid.solver2": "import robot_sysid.solver", "robot_sysid.damiao": ""}
-    back |= {"robot_sysid.motion": "", "robot_sysid.damiao.player.y": "", "robot_sysid.cli": ""}
+    back = {
+        "robot_sysid.solver2": "import robot_sysid.solver",
+        "robot_sysid.damiao": "",
+    }
+    back |= {
+        "robot_sysid.motion": "",
+        "robot_sysid.damiao.player.y": "",
+        "robot_sysid.cli": "",
+    }
     bad = {**GOOD, **back, f"robot_sysid.{module}": source}
     assert any(fault in found for found in check(bad))
 

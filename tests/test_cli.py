@@ -44,11 +44,16 @@ def test_bad_files_exit_2_with_one_line_and_nothing_written(arm, command):
     assert "is a folder" in command.refused(arm.parent)
 
 
-def test_a_log_that_is_not_understood_leaves_a_columns_file_and_never_over_another(arm, command):
+def test_a_log_that_is_not_understood_leaves_a_columns_file_and_never_over_another(
+    arm, command
+):
     arm.with_name("run.csv").write_text("time,q0,q1,A,B\n" + "0,0,0,0,0\n" * 20)
     said = command.run("log", "run.csv", arm, code=2).err
     assert "run.csv: the log needs one torque column for each" in said
-    assert "complete run_columns.txt, which was written for it, and add --columns run_col" in said
+    assert (
+        "complete run_columns.txt, which was written for it, and add --columns run_col"
+        in said
+    )
     mine = arm.with_name("run_columns.txt")
     assert "torque = ?, ?" in mine.read_text()
     mine.write_text("mine")
@@ -57,18 +62,42 @@ def test_a_log_that_is_not_understood_leaves_a_columns_file_and_never_over_anoth
 
 BAD_OPTIONS = {
     "zero duration": (["--duration", "0"], "--duration must be positive"),
-    "duration in words": (["--duration", "long"], "argument --duration: invalid float value"),
-    "one number of two": (["--workspace", "1"], "argument --workspace: expected 6 arguments"),
+    "duration in words": (
+        ["--duration", "long"],
+        "argument --duration: invalid float value",
+    ),
+    "one number of two": (
+        ["--workspace", "1"],
+        "argument --workspace: expected 6 arguments",
+    ),
     "two dashes": (["--duration=--"], "argument --duration: expected a value, not --"),
     "two dashes of several": (["--max-acceleration=--"], "expected a value, not --"),
-    "no such choice": (["--torques", "all"], "argument --torques: invalid choice: 'all'"),
-    "no output folder": (["--output-dir", ""], "--output-dir: the folder's name is empty"),
-    "output folder without a name": (["--output-dir", "\udcff"], "cannot be written as UTF-8"),
-    "output folder with too long a name": (["--output-dir", 300 * "n"], "File name too long"),
+    "no such choice": (
+        ["--torques", "all"],
+        "argument --torques: invalid choice: 'all'",
+    ),
+    "no output folder": (
+        ["--output-dir", ""],
+        "--output-dir: the folder's name is empty",
+    ),
+    "output folder without a name": (
+        ["--output-dir", "\udcff"],
+        "cannot be written as UTF-8",
+    ),
+    "output folder with too long a name": (
+        ["--output-dir", 300 * "n"],
+        "File name too long",
+    ),
     "log with too long a name": (["--measurements", 300 * "n"], "File name too long"),
     "unknown joint": (["--joint", "wrist"], "the model has: joint0, joint1"),
-    "a file for a folder": (["--output-dir", "arm.xml/results"], "arm.xml is not a folder"),
-    "unknown option": (["--measurement", "a"], "--measurement: did you mean --measurements?"),
+    "a file for a folder": (
+        ["--output-dir", "arm.xml/results"],
+        "arm.xml is not a folder",
+    ),
+    "unknown option": (
+        ["--measurement", "a"],
+        "--measurement: did you mean --measurements?",
+    ),
     "unknown motor type": (
         ["--export-damiao", "--motor-type", "DM1", "--motor-type", "DM4340"],
         "DM4340_48V",
@@ -84,16 +113,22 @@ def test_bad_options_exit_2_with_one_line_and_nothing_written(arm, command):
 
 
 def test_a_word_that_is_neither_model_nor_command_is_told_what_is_expected(command):
-    assert "no command identfy: did you mean identify?" in command.refused("identfy", "a.xml")
+    assert "no command identfy: did you mean identify?" in command.refused(
+        "identfy", "a.xml"
+    )
     for name, expected in (("nosuch", True), ("robot.stl", True), ("arm2.xml", False)):
         message = command.refused(name)
-        assert f"model file {Path(name).absolute()} not found; check the path" in message
+        assert (
+            f"model file {Path(name).absolute()} not found; check the path" in message
+        )
         assert ("Expected an XML model file" in message) == expected
 
 
 def test_of_a_long_name_beginning_and_end_are_shown(command):
     said = command.refused(f"begin{'n' * 100_000}end.xml")
-    assert "begin" in said and "[...]" in said and "end.xml" in said and len(said) < 2000
+    assert (
+        "begin" in said and "[...]" in said and "end.xml" in said and len(said) < 2000
+    )
 
 
 def test_names_cannot_steer_the_terminal(tmp_path, command, arm_file):
@@ -109,15 +144,23 @@ def test_names_do_not_break_the_lines_of_what_is_written(arm, command):
     odd = arm.with_name(f"a{ends}m.xml")
     references = "".join(f"&#{ord(end)};" for end in "\n\r\x85\u2028\u2029")
     odd.write_text(
-        ARM.replace("joint1", f"jo{references}int1").replace("link1", f"--{references}>")
+        ARM.replace("joint1", f"jo{references}int1").replace(
+            "link1", f"--{references}>"
+        )
     )
 
     def lines(model, folder):
         log = f"{folder}/log.csv"
-        made = command.run(model, *SHORT, "--save-measurements", log, "--output-dir", folder)
-        texts = [arm.parent / folder / name for name in ("updated_model.xml", "params.json")]
+        made = command.run(
+            model, *SHORT, "--save-measurements", log, "--output-dir", folder
+        )
+        texts = [
+            arm.parent / folder / name for name in ("updated_model.xml", "params.json")
+        ]
         text = [path.read_text(encoding="utf-8").strip() for path in texts]
-        return [len(each.splitlines()) for each in (*made, *command.run("log", log), *text)]
+        return [
+            len(each.splitlines()) for each in (*made, *command.run("log", log), *text)
+        ]
 
     assert lines(odd, f"o{ends[1:]}ut") == lines(arm, "out")
 
@@ -128,7 +171,9 @@ def test_what_is_not_sought_or_not_seen_is_said(arm, command):
     out = command.run(GUESS, *SHORT, "--torques", "terminal").out
     assert "Base parameters: 9" in out and "Mass: 0.789 kg" in out
     assert "says nothing of the real arm (not seen: mass" in out
-    arm.write_text(ARM.replace('<joint name="joint1"', '<joint name="joint1" type="slide"'))
+    arm.write_text(
+        ARM.replace('<joint name="joint1"', '<joint name="joint1" type="slide"')
+    )
     out = command.run(arm, *SHORT).out
     assert "  Coulomb friction: 0.00 N\n  Viscous friction: 0.00 N·s/m\n" in out
 
@@ -136,7 +181,9 @@ def test_what_is_not_sought_or_not_seen_is_said(arm, command):
 def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, command):
     """Exit code 1, params.json, no model; an older model goes, and is said to have gone."""
     assert command.run(arm, *SHORT, "--quiet") == ("", "")
-    arm.write_text(ARM.replace("<worldbody>", '<compiler settotalmass="2"/><worldbody>'))
+    arm.write_text(
+        ARM.replace("<worldbody>", '<compiler settotalmass="2"/><worldbody>')
+    )
     printed = command.run(arm, *SHORT, code=1)
     assert "Identified parameters:" in printed.out
     assert "settotalmass" in printed.err.splitlines()[-1]
@@ -150,7 +197,9 @@ def test_a_seed_repeats_a_run_to_the_last_bit_and_none_draws_another(arm, comman
         command.run(arm, *SHORT, "--output-dir", folder)
     one, other = (files_in(arm.parent / folder) for folder in "ab")
     assert one.pop("run.toml") and other.pop("run.toml") and one == other
-    drawn = [json.loads(command.run(arm, *SHORT[:4], "--json").out)["seed"] for _ in "ab"]
+    drawn = [
+        json.loads(command.run(arm, *SHORT[:4], "--json").out)["seed"] for _ in "ab"
+    ]
     assert drawn[0] != drawn[1]
     params = (folder := arm.parent / "sysid_output") / "params.json"
     kept = params.read_bytes()
@@ -186,13 +235,19 @@ def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", interrupted)
         printed = command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
-    assert printed.err == "robot-sysid: error: interrupted; no unfinished file is left\n"
+    assert (
+        printed.err == "robot-sysid: error: interrupted; no unfinished file is left\n"
+    )
     assert sorted(order) == RESULTS and order[-1] == "updated_model.xml"
     second = files_in(arm.parent / "sysid_output")
-    assert sorted(second) == RESULTS and all(second[name] != first[name] for name in RESULTS)
+    assert sorted(second) == RESULTS and all(
+        second[name] != first[name] for name in RESULTS
+    )
 
 
-def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(first, command, arm, monkeypatch):
+def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
+    first, command, arm, monkeypatch
+):
     def stop(*_, **__):
         signal.raise_signal(signal.SIGTERM)
 

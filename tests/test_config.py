@@ -11,7 +11,11 @@ from hypothesis import strategies as st
 from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.options import CHOSEN, DEFAULT_TERMINAL, EstimationOptions
+from robot_sysid.estimation.algebra.options import (
+    CHOSEN,
+    DEFAULT_TERMINAL,
+    EstimationOptions,
+)
 from robot_sysid.records.sampling import MOST_SAMPLES
 from robot_sysid.records.torque_scale import write_torque_scale
 from tests.support import option_samples
@@ -45,7 +49,9 @@ def test_every_option_is_accepted_in_some_run_and_kept():
         for there in ({}, OPTIMAL, STATIC, PLANT, LOG, SERVOS, MOTORS):
             values = {"motor_type": ("DM4340",), **there} if there is MOTORS else there
             try:
-                config = SysidConfig.of(MODEL, **{**values, sample.option.key: sample.value})
+                config = SysidConfig.of(
+                    MODEL, **{**values, sample.option.key: sample.value}
+                )
             except InputError:
                 continue
             assert getattr(getattr(config, sample.record), sample.field) == sample.value
@@ -57,25 +63,55 @@ def test_every_option_is_accepted_in_some_run_and_kept():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({**LOG, "duration": 3.0}, "--duration is about a motion; a log brings its own"),
+        (
+            {**LOG, "duration": 3.0},
+            "--duration is about a motion; a log brings its own",
+        ),
         ({**LOG, **MOTORS}, "--export-damiao is about a motion"),
         ({"units": "deg"}, "--units describes a log; add --measurements LOG.csv"),
         ({**PLANT, "torque_from": "position-error"}, "--torque-from describes a log"),
-        ({"noise_torque": 0.1}, "--noise-torque belongs to a simulated plant; add --plant-model"),
-        ({"cutoff": 3.0}, "--cutoff is about measured torques; add --measurements or --plant"),
-        ({**SERVOS, "torque_scale": 2.0}, "--torque-scale is about measured torques; leave it off"),
+        (
+            {"noise_torque": 0.1},
+            "--noise-torque belongs to a simulated plant; add --plant-model",
+        ),
+        (
+            {"cutoff": 3.0},
+            "--cutoff is about measured torques; add --measurements or --plant",
+        ),
+        (
+            {**SERVOS, "torque_scale": 2.0},
+            "--torque-scale is about measured torques; leave it off",
+        ),
         ({"for_": "friction"}, "--for says what a plan is for; use robot-sysid plan"),
-        ({**PLAN, "static": True}, "--static is about resting poses; add --for payload"),
-        ({"excitation_time_budget": 3.0}, "--excitation-time-budget is about a design; add"),
+        (
+            {**PLAN, "static": True},
+            "--static is about resting poses; add --for payload",
+        ),
+        (
+            {"excitation_time_budget": 3.0},
+            "--excitation-time-budget is about a design; add",
+        ),
         ({**FILE, "seed": 7}, "--seed has nothing to draw"),
         ({**FILE, **PLANT, "seed": 7}, "--seed has nothing to draw"),
-        ({**FILE, **PLAN, "noise_torque": 0.1, "seed": 7}, "--seed has nothing to draw"),
+        (
+            {**FILE, **PLAN, "noise_torque": 0.1, "seed": 7},
+            "--seed has nothing to draw",
+        ),
         ({**PLAN, "for_": "friction", "seed": 7}, "--seed has nothing to draw"),
-        ({**PLAN, "encoder_resolution": 0.1}, "--encoder-resolution belongs to a simulated plant"),
-        ({**PLAN, **PLANT}, "--plant-model is about an estimate; a plan stops before it"),
+        (
+            {**PLAN, "encoder_resolution": 0.1},
+            "--encoder-resolution belongs to a simulated plant",
+        ),
+        (
+            {**PLAN, **PLANT},
+            "--plant-model is about an estimate; a plan stops before it",
+        ),
         ({**PLAN, "no_friction": True}, "--no-friction is about an estimate"),
         ({**PLAN, "report": True}, "--report is about an estimate"),
-        ({"can_id": (3,)}, "--can-id is only used together with --export-damiao; add it"),
+        (
+            {"can_id": (3,)},
+            "--can-id is only used together with --export-damiao; add it",
+        ),
         ({"export_damiao": True}, "--export-damiao requires at least one --motor-type"),
     ],
 )
@@ -85,7 +121,9 @@ def test_an_option_that_does_not_count_is_refused(values, message):
 
 def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
     path = tmp_path / "scale.json"
-    write_torque_scale(path, {"two": (2.0, 0.02), "other": (3.0, 1.0), "one": (1.1, 0.0055)})
+    write_torque_scale(
+        path, {"two": (2.0, 0.02), "other": (3.0, 1.0), "one": (1.1, 0.0055)}
+    )
 
     def sure(**values):
         made = PayloadConfig.of(MODEL, **EMPTY_AND_LOADED, **values)
@@ -103,15 +141,30 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
         ({}, "--empty LOG... is missing"),
         ({"empty": (Path("a.csv"),)}, "--loaded LOG... is missing"),
         ({**EMPTY_AND_LOADED, "order": "AAB"}, "--order AAB"),
-        ({**EMPTY_AND_LOADED, "known_mass": 1.0, "keep": "links"}, "--keep is about a written"),
-        ({**EMPTY_AND_LOADED, "known_mass": 1.0, "as_body": "load"}, "--known-mass writes no"),
+        (
+            {**EMPTY_AND_LOADED, "known_mass": 1.0, "keep": "links"},
+            "--keep is about a written",
+        ),
+        (
+            {**EMPTY_AND_LOADED, "known_mass": 1.0, "as_body": "load"},
+            "--known-mass writes no",
+        ),
         (
             {**EMPTY_AND_LOADED, "known_mass": 1.0, "scale_uncertainty": 0.0},
             "--known-mass and --scale-uncertainty 0 exclude",
         ),
-        ({**EMPTY_AND_LOADED, "save_torque_scale": Path("s")}, "--save-torque-scale is about"),
-        ({**EMPTY_AND_LOADED, "static": True, "cutoff": 3.0}, "--cutoff is about motion; --static"),
-        ({**EMPTY_AND_LOADED, "empty": Path("sysid_output/params.json")}, "--output-dir would ov"),
+        (
+            {**EMPTY_AND_LOADED, "save_torque_scale": Path("s")},
+            "--save-torque-scale is about",
+        ),
+        (
+            {**EMPTY_AND_LOADED, "static": True, "cutoff": 3.0},
+            "--cutoff is about motion; --static",
+        ),
+        (
+            {**EMPTY_AND_LOADED, "empty": Path("sysid_output/params.json")},
+            "--output-dir would ov",
+        ),
     ],
 )
 def test_of_a_payload_as_well(values, message):
@@ -125,7 +178,10 @@ def test_of_a_payload_as_well(values, message):
         {**FILE, **OPTIMAL},
         {**FILE, "duration": 3.0},
         {**STATIC, **OPTIMAL},
-        {"measurements": (Path("a.csv"), Path("b.csv")), "save_measurements": Path("c.csv")},
+        {
+            "measurements": (Path("a.csv"), Path("b.csv")),
+            "save_measurements": Path("c.csv"),
+        },
         {**LOG, "verify_rollout": True, "torques": "terminal"},
         {**LOG, "no_friction": True, "keep": "friction"},
     ],
@@ -136,11 +192,18 @@ def test_options_that_exclude_each_other_are_refused(values):
 
 
 def test_what_goes_together_is_accepted():
-    for values in ({**PLANT, **OPTIMAL}, {**PLANT, **FILE}, {**PLAN, **OPTIMAL}, {**PLAN, **FILE}):
+    for values in (
+        {**PLANT, **OPTIMAL},
+        {**PLANT, **FILE},
+        {**PLAN, **OPTIMAL},
+        {**PLAN, **FILE},
+    ):
         SysidConfig.of(MODEL, **values)
     for values, measured in (({}, False), (OPTIMAL, False), (LOG, True), (PLANT, True)):
         assert SysidConfig.of(MODEL, **values).is_measured == measured
-    SysidConfig.of(MODEL, save_trajectory=Path("a.json"), save_measurements=Path("b.csv"))
+    SysidConfig.of(
+        MODEL, save_trajectory=Path("a.json"), save_measurements=Path("b.csv")
+    )
     SysidConfig.of(MODEL, **LOG, save_measurements=Path("other/log.csv"))
     PayloadConfig.of(MODEL, **EMPTY_AND_LOADED, order="AB")
 
@@ -162,7 +225,9 @@ def test_no_file_is_written_over_another_one(values):
 
 def test_an_unknown_key_names_the_nearest_or_lists_the_known_ones():
     assert refused(cutof=0.5) == "unknown option 'cutof'; did you mean 'cutoff'?"
-    assert refused(zzz=0.5).startswith("unknown option 'zzz'; valid: accept, below_base, bundle, ")
+    assert refused(zzz=0.5).startswith(
+        "unknown option 'zzz'; valid: accept, below_base, bundle, "
+    )
 
 
 @given(st.floats(0.01, 1e5), st.floats(0.01, 1e5))
@@ -186,8 +251,14 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
         ({"speed": 1e-12}, "a trajectory of 1.5e+13 s with --sample-rate"),
         ({**LOG, "cutoff": 0.0}, "--cutoff must be positive (got 0)"),
         ({**LOG, "friction_model": "glue"}, "unknown friction term 'glue'"),
-        ({**PLANT, "encoder_resolution": -1.0}, "--encoder-resolution must be a number"),
-        ({**PLANT, "torque_delay": 2.0}, "--torque-delay is given in seconds and may be at most 1"),
+        (
+            {**PLANT, "encoder_resolution": -1.0},
+            "--encoder-resolution must be a number",
+        ),
+        (
+            {**PLANT, "torque_delay": 2.0},
+            "--torque-delay is given in seconds and may be at most 1",
+        ),
         ({"torques": "all"}, "--torques 'all': choose one of chain, terminal"),
         ({"speed": 1.5}, "--speed must be above 0 and at most 1 (got 1.5)"),
         ({"seed": -1}, "--seed must be a number that is not negative"),

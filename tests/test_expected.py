@@ -93,14 +93,18 @@ def test_the_causes_add_up_to_the_promise():
     np.testing.assert_allclose(whole, expected.covariance, atol=1e-9 * np.max(whole))
 
 
-@pytest.mark.parametrize("options", [EstimationOptions(), KNOWN_ARM], ids=["usual", "known"])
+@pytest.mark.parametrize(
+    "options", [EstimationOptions(), KNOWN_ARM], ids=["usual", "known"]
+)
 def test_the_search_makes_small_what_is_promised(options):
     """It looks at all samples, the promise at a recording of them without its ends."""
     some = problem(ARM, noise_torque=SIGMA)
     known = known_of(some, options, "link")
     motion = PLAN.evaluate((np.arange(2000) + 0.5) * PLAN.duration / 2000)
     sigma = some.sigma * np.sqrt(2000 / (RATE * PLAN.duration))
-    told = predicted_information(some, sigma, known).evaluate(motion.q, motion.qd, motion.qdd)
+    told = predicted_information(some, sigma, known).evaluate(
+        motion.q, motion.qd, motion.qdd
+    )
     found = criterion(some, known).covariance(told.information)
     found = possible_covariance(some.robot.prior.theta, found)
     ratio = promised(options).deviation / np.sqrt(np.diag(found))
@@ -120,7 +124,9 @@ def test_of_friction_what_identifications_report_is_promised():
 
 def test_a_payload_is_told_by_the_difference_of_two_recordings():
     """Of it alone, so that what the model knows of links, and noise of both recordings, count."""
-    expected = expect(problem(ARM, noise_torque=SIGMA), PLAN, RATE, EstimationOptions(), "payload")
+    expected = expect(
+        problem(ARM, noise_torque=SIGMA), PLAN, RATE, EstimationOptions(), "payload"
+    )
     link = promised(EstimationOptions())
     assert 0.0 < expected.deviation[0] < 0.3 * link.deviation[0]
     assert expected.causes[NOISE][0, 0] > 0.5 * expected.covariance[0, 0]
@@ -155,9 +161,12 @@ def test_where_no_motion_tells_the_mass_it_is_said_beforehand_with_what_would():
 
 
 @pytest.mark.parametrize(
-    ("rate", "words"), [(4.0, "too few to choose a cut-off"), (1e9, "only motions up to")]
+    ("rate", "words"),
+    [(4.0, "too few to choose a cut-off"), (1e9, "only motions up to")],
 )
-def test_what_cannot_be_processed_gets_the_bound_and_the_reason(rate, words, monkeypatch):
+def test_what_cannot_be_processed_gets_the_bound_and_the_reason(
+    rate, words, monkeypatch
+):
     monkeypatch.setattr("robot_sysid.expected.MOST_SAMPLES", 1999)
     monkeypatch.setattr(possible_errors, "_DRAWS", 24)
     expected = expect(problem(ARM), PLAN, rate, EstimationOptions())
@@ -165,6 +174,8 @@ def test_what_cannot_be_processed_gets_the_bound_and_the_reason(rate, words, mon
 
 
 def test_an_arm_at_rest_shows_nothing():
-    still = FourierTrajectory(PLAN.basis, problem(ARM).rest, np.zeros_like(PLAN.coefficients))
+    still = FourierTrajectory(
+        PLAN.basis, problem(ARM).rest, np.zeros_like(PLAN.coefficients)
+    )
     expected = expect(problem(ARM), still, RATE, EstimationOptions())
     assert "moves faster" in expected.missing and np.all(np.isinf(expected.deviation))

@@ -12,7 +12,9 @@ import pytest
 from robot_sysid.cli import _remembered_interrupts
 from robot_sysid.interrupts import STOPPING, held_back, only_the_first
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals cannot be sent to oneself")
+pytestmark = pytest.mark.skipif(
+    os.name == "nt", reason="signals cannot be sent to oneself"
+)
 
 
 @pytest.fixture

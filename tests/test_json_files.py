@@ -10,7 +10,9 @@ from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
 
 
-@pytest.mark.parametrize("text", [None, b"{", b"[" * 100_000, b"\xff", b"", b"9" * 100_000 + b"x"])
+@pytest.mark.parametrize(
+    "text", [None, b"{", b"[" * 100_000, b"\xff", b"", b"9" * 100_000 + b"x"]
+)
 def test_what_is_no_json_is_refused_in_one_line(tmp_path, text):
     path = tmp_path / "a.json"
     if text is not None:

@@ -65,14 +65,19 @@ def test_joints_stand_at_the_published_heights_and_turn_in_the_published_sense(f
     expected = [down, sideways, down, sideways, down, sideways, down]
     np.testing.assert_allclose(data.xaxis, expected, atol=1e-12)
     outwards = data.site("flange").xpos - data.body("link6").xpos
-    np.testing.assert_allclose(data.body("link6").xmat.reshape(3, 3).T @ outwards, gen3.FLANGE)
+    np.testing.assert_allclose(
+        data.body("link6").xmat.reshape(3, 3).T @ outwards, gen3.FLANGE
+    )
 
 
 def written_theta(file: str, body: str) -> np.ndarray:
     """Return theta (10,) from the numbers in the file, before MuJoCo's compiler sees them."""
-    inertial = ElementTree.parse(EXAMPLE / "model" / file).find(f".//body[@name='{body}']/inertial")
+    inertial = ElementTree.parse(EXAMPLE / "model" / file).find(
+        f".//body[@name='{body}']/inertial"
+    )
     mass, com, full = (
-        np.array(inertial.get(key).split(), dtype=float) for key in ("mass", "pos", "fullinertia")
+        np.array(inertial.get(key).split(), dtype=float)
+        for key in ("mass", "pos", "fullinertia")
     )
     return spatial.theta_from_com(
         mass[0], com, spatial.symmetric_from_six(full[[0, 3, 4, 1, 5, 2]])
@@ -80,11 +85,17 @@ def written_theta(file: str, body: str) -> np.ndarray:
 
 
 def test_the_guess_has_the_terminal_link_of_the_readme():
-    np.testing.assert_allclose(written_theta(MODELS[0], "link6"), README_THETA, atol=1e-15)
-    np.testing.assert_allclose(theta_of(load(MODELS[0]), "link6"), README_THETA, atol=COMPILED)
+    np.testing.assert_allclose(
+        written_theta(MODELS[0], "link6"), README_THETA, atol=1e-15
+    )
+    np.testing.assert_allclose(
+        theta_of(load(MODELS[0]), "link6"), README_THETA, atol=COMPILED
+    )
 
 
-@pytest.mark.parametrize(("file", "table"), [(MODELS[0], "STANDARD"), (MODELS[1], "BRAKES")])
+@pytest.mark.parametrize(
+    ("file", "table"), [(MODELS[0], "STANDARD"), (MODELS[1], "BRAKES")]
+)
 def test_links_have_the_published_inertials_of_possible_bodies(file, table):
     model = load(file)
     for link in LINKS[:-1]:
@@ -100,7 +111,9 @@ def test_the_true_tool_is_the_sum_of_its_parts():
     """Mass and centre of mass by the lever rule along the flange direction, worked by hand."""
     theta = theta_of(load(MODELS[1]), "link6")
     masses = np.array([0.43504643, 0.6632, 2 * 0.05645, 0.306])
-    heights = np.array([0.03437502, 0.061525 + 0.03232, 0.061525 + 0.115, 0.061525 + 0.145])
+    heights = np.array(
+        [0.03437502, 0.061525 + 0.03232, 0.061525 + 0.115, 0.061525 + 0.145]
+    )
     np.testing.assert_allclose(theta[0], masses.sum(), rtol=1e-12)
     np.testing.assert_allclose(theta[3], masses @ heights, rtol=1e-12)
 
@@ -119,12 +132,16 @@ def test_home_is_reachable_free_and_held_within_the_nominal_torques(file):
     assert np.all(np.abs(data.qfrc_bias) < 0.5 * limits)
 
 
-@pytest.mark.parametrize("variant", make_model.variants(), ids=lambda variant: variant.file)
+@pytest.mark.parametrize(
+    "variant", make_model.variants(), ids=lambda variant: variant.file
+)
 def test_committed_models_are_what_the_script_writes(variant):
     committed = (EXAMPLE / "model" / variant.file).read_text(encoding="utf-8")
     written = make_model.model_xml(variant)
     assert NUMBER.sub("#", committed) == NUMBER.sub("#", written)
-    numbers = [[float(n) for n in NUMBER.findall(text)] for text in (committed, written)]
+    numbers = [
+        [float(n) for n in NUMBER.findall(text)] for text in (committed, written)
+    ]
     np.testing.assert_allclose(*numbers, rtol=1e-9, atol=1e-15)
 
 

@@ -12,7 +12,16 @@ from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.parser import load_robot_model
 from tests.support import arms
-from tests.support.arms import X, Y, Z, compile_xml, robot_of, serial_arm, serial_bodies, world
+from tests.support.arms import (
+    X,
+    Y,
+    Z,
+    compile_xml,
+    robot_of,
+    serial_arm,
+    serial_bodies,
+    world,
+)
 
 
 def test_a_file_becomes_an_arm(arm_file):
@@ -57,17 +66,22 @@ def test_prior_is_the_composite_that_mujoco_sees(name):
     mujoco.mj_comPos(robot.mj_model, data)
     rotation = data.xmat[robot.body_id].reshape(3, 3)
     com = rotation.T @ (data.subtree_com[robot.body_id] - data.xpos[robot.body_id])
-    assert robot.prior.mass == pytest.approx(robot.mj_model.body_subtreemass[robot.body_id])
+    assert robot.prior.mass == pytest.approx(
+        robot.mj_model.body_subtreemass[robot.body_id]
+    )
     np.testing.assert_allclose(robot.prior.com, com, atol=1e-14)
     assert robot.prior.is_consistent
 
 
 ONE_KEYFRAME = arms.HOME_KEYFRAME.replace('<key name="other" qpos="0 0 0 0 0 0"/>', "")
-NO_HOME = arms.HOME_KEYFRAME.replace('name="home"', 'name="stand"').replace('name="other"', "")
+NO_HOME = arms.HOME_KEYFRAME.replace('name="home"', 'name="stand"').replace(
+    'name="other"', ""
+)
 
 
 @pytest.mark.parametrize(
-    "xml", [arms.HOME_KEYFRAME, ONE_KEYFRAME, ONE_KEYFRAME.replace("home", "neutral_pose")]
+    "xml",
+    [arms.HOME_KEYFRAME, ONE_KEYFRAME, ONE_KEYFRAME.replace("home", "neutral_pose")],
 )
 def test_at_rest_the_arm_is_in_the_home_keyframe_or_in_the_only_one(xml):
     model = compile_xml(xml)
@@ -84,11 +98,17 @@ def test_of_several_keyframes_without_home_none_is_taken_unless_asked_for():
     robot = robot_of(NO_HOME)
     np.testing.assert_array_equal(robot.reference, np.zeros(4))
     assert any("--keyframe chooses one of #0, stand" in note for note in robot.notes)
-    np.testing.assert_allclose(robot_of(NO_HOME, keyframe="stand").reference[:2], [0.1, 0.2])
-    assert not any("keyframe" in note for note in robot_of(NO_HOME, keyframe="#0").notes)
+    np.testing.assert_allclose(
+        robot_of(NO_HOME, keyframe="stand").reference[:2], [0.1, 0.2]
+    )
+    assert not any(
+        "keyframe" in note for note in robot_of(NO_HOME, keyframe="#0").notes
+    )
 
 
-@pytest.mark.parametrize(("xml", "there"), [(NO_HOME, "#0, stand"), (arms.THREE, "none")])
+@pytest.mark.parametrize(
+    ("xml", "there"), [(NO_HOME, "#0, stand"), (arms.THREE, "none")]
+)
 def test_a_keyframe_that_is_not_there_is_refused(xml, there):
     with pytest.raises(InputError, match=f"no such keyframe; the model has {there}"):
         robot_of(xml, keyframe="home")
@@ -175,7 +195,10 @@ def test_a_model_is_found_by_its_name_where_no_file_has_it(package, tmp_path):
     ("name", "words"),
     [
         ("tvo_mj_description", "no such model in .*did you mean two_mj_description"),
-        ("far_description", "cannot fetch far_description: no route to host; check the network"),
+        (
+            "far_description",
+            "cannot fetch far_description: no route to host; check the network",
+        ),
         ("raw_description", "as Xacro only"),
         ("arm.xml", "arm.xml not found"),
     ],

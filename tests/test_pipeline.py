@@ -39,7 +39,12 @@ def arm(arm_file):
 
 
 def config(arm: Path, **more) -> SysidConfig:
-    values = {"duration": 3.0, "sample_rate": 200.0, "seed": 1, "output_dir": arm.parent / "out"}
+    values = {
+        "duration": 3.0,
+        "sample_rate": 200.0,
+        "seed": 1,
+        "output_dir": arm.parent / "out",
+    }
     return SysidConfig.of(arm, **{**values, **more})
 
 
@@ -76,10 +81,17 @@ def test_what_is_identified_of_every_joint_goes_into_the_model(arm):
 def test_an_updated_model_moves_together_with_the_original(tmp_path):
     home = tmp_path / "home"
     shutil.copytree(GUESS.parent, home / "model")
-    values = {"duration": 1.0, "sample_rate": 100.0, "seed": 1, "output_dir": home / "out"}
+    values = {
+        "duration": 1.0,
+        "sample_rate": 100.0,
+        "seed": 1,
+        "output_dir": home / "out",
+    }
     run(SysidConfig.of(home / "model" / GUESS.name, **values))
     home.rename(tmp_path / "moved")
-    assert load_robot_model(tmp_path / "moved" / "out" / "updated_model.xml").n_joints == 7
+    assert (
+        load_robot_model(tmp_path / "moved" / "out" / "updated_model.xml").n_joints == 7
+    )
 
 
 def test_a_folder_that_cannot_be_written_to_is_found_before_the_work(arm):

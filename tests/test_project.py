@@ -17,12 +17,21 @@ from tests.support.places import ROOT
 
 EXAMPLE = "examples/kinova/model/kinova_fullinertia_guess.xml"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.md")])
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.md")]
+)
 SECTIONS = (
     *("Overview", "System Identification Approach", "Key Features", "Installation"),
     *("Prerequisites", "Quick Start", "Usage", "Output Formats"),
     *("Understanding the System Identification Approach", "Project Structure"),
-    *("Troubleshooting", "Development", "Contributing", "Examples", "License", "Citation"),
+    *(
+        "Troubleshooting",
+        "Development",
+        "Contributing",
+        "Examples",
+        "License",
+        "Citation",
+    ),
 )
 QUICK_START = re.compile(r"<!-- quick start output -->\n```text\n(.*?)```", re.DOTALL)
 KINOVA_OUTPUT = re.compile(r"<!-- kinova output -->\n```text\n(.*?)```", re.DOTALL)
@@ -35,7 +44,9 @@ def test_readme_has_every_section():
 
 def test_readme_is_short_and_leads_to_every_page():
     assert len(README.splitlines()) <= 300
-    pages = {f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")} - {"docs/index.md"}
+    pages = {f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")} - {
+        "docs/index.md"
+    }
     assert pages - set(re.findall(r"\]\((docs/[\w-]+\.md)", README)) == set()
 
 
@@ -64,7 +75,10 @@ def test_printed_output_in_the_pages_is_real(tmp_path, monkeypatch, capsys):
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     assert main([EXAMPLE]) == 0
     printed = masked(capsys.readouterr().out)
-    pages = {"README.md": (QUICK_START, 16), "examples/kinova/README.md": (KINOVA_OUTPUT, None)}
+    pages = {
+        "README.md": (QUICK_START, 16),
+        "examples/kinova/README.md": (KINOVA_OUTPUT, None),
+    }
     for page, (pattern, lines) in pages.items():
         promised = pattern.search((ROOT / page).read_text(encoding="utf-8"))
         assert promised is not None
@@ -76,7 +90,10 @@ def written_regressor() -> list[list[str]]:
     page = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
     body = re.search(r"\\mathbf\{Y\} = \\begin\{bmatrix\}\n(.*?)\\end", page, re.DOTALL)
     assert body is not None
-    return [[expression(entry) for entry in row.split("&")] for row in body[1].split(r"\\")[:6]]
+    return [
+        [expression(entry) for entry in row.split("&")]
+        for row in body[1].split(r"\\")[:6]
+    ]
 
 
 def expression(latex: str) -> str:
@@ -89,7 +106,9 @@ def expression(latex: str) -> str:
 def test_the_written_formula_is_the_derived_regressor():
     derived, symbols = derive_regressor()
     values = dict(zip(map(str, symbols), np.random.default_rng(0).normal(size=12)))
-    written = [[eval(entry, {}, values) for entry in row] for row in written_regressor()]
+    written = [
+        [eval(entry, {}, values) for entry in row] for row in written_regressor()
+    ]
     numeric = np.array(derived.subs(dict(zip(symbols, values.values()))), dtype=float)
     np.testing.assert_allclose(written, numeric, rtol=1e-12)
 
@@ -97,10 +116,15 @@ def test_the_written_formula_is_the_derived_regressor():
 def test_version_is_the_same_everywhere():
     version = robot_sysid.__version__
     assert importlib.metadata.version("robot-sysid") == version
-    newest = re.search(r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    newest = re.search(
+        r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE
+    )
     assert newest is not None
     assert newest[1] == version
-    assert version not in (ROOT / "pyproject.toml").read_text().split("[project.optional")[0]
+    assert (
+        version
+        not in (ROOT / "pyproject.toml").read_text().split("[project.optional")[0]
+    )
 
 
 def test_links_to_files_and_headings_lead_somewhere():
@@ -114,19 +138,26 @@ def test_links_to_files_and_headings_lead_somewhere():
         path, _, anchor = target.partition("#")
         linked = page if not path else page.parent / path
         assert linked.exists(), f"{page.name} links to {target}"
-        assert not anchor or anchor in anchors(linked.read_text(encoding="utf-8")), (page, target)
+        assert not anchor or anchor in anchors(linked.read_text(encoding="utf-8")), (
+            page,
+            target,
+        )
 
 
 def anchors(text: str) -> set[str]:
     """Return the anchors of a page's headings, the way GitHub makes them."""
     titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+    return {
+        re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles
+    }
 
 
 def test_files_named_in_the_pages_exist():
     pages = ("README.md", "CONTRIBUTING.md", "docs/architecture.md")
     text = " ".join((ROOT / page).read_text(encoding="utf-8") for page in pages)
-    named = set(re.findall(r"`((?:robot_sysid|tests|docs|examples|\.ci)/[\w./-]*\w)`", text))
+    named = set(
+        re.findall(r"`((?:robot_sysid|tests|docs|examples|\.ci)/[\w./-]*\w)`", text)
+    )
     assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
 
 
@@ -156,7 +187,9 @@ def names_of(requirements: list[str]) -> set[str]:
 
 
 def test_conda_environment_has_the_core_dependencies():
-    listed = re.findall(r"^\s+- ([\w-]+)", (ROOT / "environment.yml").read_text(), re.MULTILINE)
+    listed = re.findall(
+        r"^\s+- ([\w-]+)", (ROOT / "environment.yml").read_text(), re.MULTILINE
+    )
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     core = re.search(r"^dependencies = \[\n(.*?)^\]", project, re.MULTILINE | re.DOTALL)
     assert core is not None

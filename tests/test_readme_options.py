@@ -16,8 +16,12 @@ def test_the_tables_are_what_the_generator_writes():
 
 
 def test_every_table_is_there_once():
-    assert sorted(n for text in TEXTS for n in option_tables.tables_in(text)) == sorted(TABLES)
+    assert sorted(n for text in TEXTS for n in option_tables.tables_in(text)) == sorted(
+        TABLES
+    )
 
 
 def test_the_noise_of_a_plan_is_what_the_page_says():
-    assert f"without `--noise-torque` is judged for {DEFAULT_NOISE_TORQUE:g} N·m." in PAGE
+    assert (
+        f"without `--noise-torque` is judged for {DEFAULT_NOISE_TORQUE:g} N·m." in PAGE
+    )

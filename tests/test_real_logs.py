@@ -17,13 +17,17 @@ from tests.support.places import DATA, ROOT
 KUKA = DATA / "kuka_lwr4"
 TX40 = DATA / "tx40"
 
-pytestmark = pytest.mark.skipif(not DATA.exists(), reason="the logs of real arms are not here")
+pytestmark = pytest.mark.skipif(
+    not DATA.exists(), reason="the logs of real arms are not here"
+)
 holds_motors = pytest.mark.skipif(not CAN_HOLD_ROTORS, reason="MuJoCo before 3.2.7")
 
 
 def identified(folder, model, log, *options):
     """(exit code, params.json) of one run."""
-    code = main([str(model), "--measurements", str(log), "--output-dir", str(folder), *options])
+    code = main(
+        [str(model), "--measurements", str(log), "--output-dir", str(folder), *options]
+    )
     return code, json.loads((folder / "params.json").read_text())
 
 
@@ -43,7 +47,9 @@ def on_the_page(row, column):
     """Relative torque error that docs/evidence.md states, to half of its last digit."""
     lines = (ROOT / "docs" / "evidence.md").read_text(encoding="utf-8").splitlines()
     (line,) = [line for line in lines if line.startswith(f"| {row} |")]
-    return pytest.approx(0.01 * float(line.split("|")[column + 2].strip(" %*")), abs=0.0006)
+    return pytest.approx(
+        0.01 * float(line.split("|")[column + 2].strip(" %*")), abs=0.0006
+    )
 
 
 @pytest.mark.parametrize(
@@ -67,7 +73,10 @@ def test_tx40s_rotor_inertia_is_seen(tmp_path):
     """Motor torques: without rotor inertia the error is several times larger."""
     log = TX40 / "tx40_500Hz.csv"
     model = TX40 / "tx40.urdf"
-    known = [f"--{cause}-uncertainty=0" for cause in ("link", "scale", "zero", "delay", "friction")]
+    known = [
+        f"--{cause}-uncertainty=0"
+        for cause in ("link", "scale", "zero", "delay", "friction")
+    ]
     found = {}
     for terms in ("coulomb-viscous-offset-armature", "coulomb-viscous-offset"):
         options = ("--friction-model", terms, *known)
@@ -104,7 +113,10 @@ def test_tx40s_shared_motor_is_in_its_file(tx40):
     assert file_error(tx40 / "last.csv", tx40 / "out" / "updated_model.urdf") < 20.0
     params = json.loads((tx40 / "out" / "params.json").read_text())
     assert list(params["couplings"]) == ["joint_5+joint_6"]
-    assert any("a URDF cannot hold the motor that turns with joint_5" in n for n in params["notes"])
+    assert any(
+        "a URDF cannot hold the motor that turns with joint_5" in n
+        for n in params["notes"]
+    )
 
 
 @pytest.mark.slow
@@ -121,15 +133,21 @@ def test_tx40s_motor_is_found_again_in_its_file(tx40, tmp_path):
     model = tx40 / "out" / "updated_model.xml"
     log = tx40 / "first.csv"
     code, params = identified(tmp_path, model, log)
-    before, after = (params["file"]["torque_error"][which] for which in ("before", "after"))
+    before, after = (
+        params["file"]["torque_error"][which] for which in ("before", "after")
+    )
     assert before < 0.06 and after < 0.06
     assert list(params["couplings"]) == ["joint_5+joint_6"]
     assert not any("a motor turns" in note for note in params["notes"])
 
 
 @pytest.mark.slow
-def test_tx40s_file_is_better_on_held_out_stretches_and_its_flange_weighs_nothing(tmp_path):
+def test_tx40s_file_is_better_on_held_out_stretches_and_its_flange_weighs_nothing(
+    tmp_path,
+):
     code, params = identified(tmp_path, TX40 / "tx40.urdf", TX40 / "tx40_500Hz.csv")
-    before, after = (params["file"]["torque_error"][which] for which in ("before", "after"))
+    before, after = (
+        params["file"]["torque_error"][which] for which in ("before", "after")
+    )
     assert code == 0 and after < 0.2 * before
     assert (tmp_path / "updated_model.urdf").exists()

@@ -17,7 +17,10 @@ def wrench_scale(theta, omega, alpha, acceleration):
     rates = np.linalg.norm(alpha) + omega @ omega
     linear = np.linalg.norm(acceleration)
     length = spatial.characteristic_length(theta)
-    return theta[0] * (linear + rates * length) * np.array([length] * 3 + [1.0] * 3) + 1e-30
+    return (
+        theta[0] * (linear + rates * length) * np.array([length] * 3 + [1.0] * 3)
+        + 1e-30
+    )
 
 
 def regressor_of(omega, alpha, v, acceleration):
@@ -37,7 +40,9 @@ def test_numeric_regressor_is_the_symbolic_one():
 def free_body(theta):
     """MuJoCo model of one free body with these parameters."""
     mass, com, inertia = spatial.com_from_theta(theta)
-    full = " ".join(f"{value:.17g}" for value in spatial.fullinertia_from_symmetric(inertia))
+    full = " ".join(
+        f"{value:.17g}" for value in spatial.fullinertia_from_symmetric(inertia)
+    )
     at = " ".join(f"{value:.17g}" for value in com)
     return mujoco.MjModel.from_xml_string(
         f'<mujoco><option gravity="1 2 -9"/><worldbody><body><freejoint/><inertial pos="{at}" '

@@ -40,7 +40,9 @@ def places(module: str, *names: str) -> tuple[Place, ...]:
     return tuple((f"robot_sysid.{module}", name) for name in names)
 
 
-ONLY = {"identify": places("log_pipeline", "of_logs") + places("servo.run", "run_servo")}
+ONLY = {
+    "identify": places("log_pipeline", "of_logs") + places("servo.run", "run_servo")
+}
 """Command to the stage that it takes of those that all questions share."""
 UNSAID = {
     "motors simulate": "; give --yes",
@@ -52,9 +54,13 @@ RUNS = ("run", "identify", "payload")
 """Commands whose options a page speaks of."""
 OF_PLANS = places("pipeline", "_plan_outcome")
 CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
-USUAL = places("records.sampling", "require_countable")  # the motion that nobody asked for is short
+USUAL = places(
+    "records.sampling", "require_countable"
+)  # the motion that nobody asked for is short
 SECOND = places("damiao.settings", "SecondArm")  # one arm at a time
-LIFTED = places("motion.problem", "_above_base")  # what was planned below the base may be played
+LIFTED = places(
+    "motion.problem", "_above_base"
+)  # what was planned below the base may be played
 EXPORT = places("damiao.protocol.joints", "damiao_joints")
 QUESTIONS = set(places("commands.run", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
 SHOWN = places("commands.preview", "require_preview", "show_plan")
@@ -72,7 +78,10 @@ NEVER = {
     + others("PLAN"),
     "identify": places("pipeline", "analysed", "designed", "motor_writer")
     + (*OF_PLANS, *USUAL, *EXPORT, *others("IDENTIFY", *SHOWN)),
-    "payload": (*places("pipeline", "_of_itself", "analysed", "designed", "motor_writer"), *USUAL)
+    "payload": (
+        *places("pipeline", "_of_itself", "analysed", "designed", "motor_writer"),
+        *USUAL,
+    )
     + (
         *others("PAYLOAD", *SHOWN),
         *OF_PLANS,
@@ -84,16 +93,26 @@ NEVER = {
     "report": places("model.chain", "_require_end")
     + (*places("errors", "AmbiguousJointError"), *places("parser", "_notes")),
     "example": places("commands.example", "_record"),  # with files of its own
-    **dict.fromkeys([f"motors {word}" for word in ("check", "play", "simulate")], LIFTED),
+    **dict.fromkeys(
+        [f"motors {word}" for word in ("check", "play", "simulate")], LIFTED
+    ),
     "motors hold": LIFTED + SECOND,
     "motors map": places(
-        *("damiao.preflight", "plan_checks", "bus_checks", "direction_checks", "limit_checks")
+        *(
+            "damiao.preflight",
+            "plan_checks",
+            "bus_checks",
+            "direction_checks",
+            "limit_checks",
+        )
     )
     + places("damiao.model_check", "model_checks", "torque_checks", "way_check")
     + SECOND
     + places("damiao.execution", "MotorRun"),  # nothing is played
     # No model.
-    **dict.fromkeys(("motors monitor", "motors setup"), places("commands.motors.asked", "Asked")),
+    **dict.fromkeys(
+        ("motors monitor", "motors setup"), places("commands.motors.asked", "Asked")
+    ),
 }
 """Command to what it never comes to: stages of other questions, and what it does not ask."""
 
@@ -103,13 +122,17 @@ def parser_of(command: str):
     word, _, name = command.partition(" ")
     if word in MODULES:
         return MODULES[word].build_parser()
-    return motors.build_parser(name) if name else run.build_parser(word.replace("run", ""))
+    return (
+        motors.build_parser(name) if name else run.build_parser(word.replace("run", ""))
+    )
 
 
 @cache
 def options_of(command: str) -> frozenset[str]:
     """Return the options of a command."""
-    return frozenset(o for action in parser_of(command)._actions for o in action.option_strings)
+    return frozenset(
+        o for action in parser_of(command)._actions for o in action.option_strings
+    )
 
 
 # ---- what a command reaches
@@ -123,8 +146,14 @@ def definitions(module: str) -> dict[str, ast.AST]:
         if isinstance(node, (*FUNCTIONS, ast.ClassDef)):
             found[node.name] = node
         if isinstance(node, ast.ClassDef):
-            inner = [each for each in node.body if isinstance(each, (ast.Assign, ast.AnnAssign))]
-            found |= {f"{node.name}.{name}": each for each in inner for name in targets(each)}
+            inner = [
+                each
+                for each in node.body
+                if isinstance(each, (ast.Assign, ast.AnnAssign))
+            ]
+            found |= {
+                f"{node.name}.{name}": each for each in inner for name in targets(each)
+            }
         found |= dict.fromkeys(targets(node), node)
     return found
 
@@ -132,7 +161,9 @@ def definitions(module: str) -> dict[str, ast.AST]:
 def targets(node: ast.AST) -> list[str]:
     """Return the names that a statement assigns to."""
     told = getattr(node, "targets", [getattr(node, "target", None)])
-    return [n.id for each in told if each for n in ast.walk(each) if isinstance(n, ast.Name)]
+    return [
+        n.id for each in told if each for n in ast.walk(each) if isinstance(n, ast.Name)
+    ]
 
 
 @cache
@@ -140,11 +171,15 @@ def imported(module: str) -> dict[str, Place]:
     """Return name in a module to what of the package it stands for; "" is a module itself."""
     found = {}
     for node in nodes_of(package_sources()[module]):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("robot_sysid"):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
+            "robot_sysid"
+        ):
             for each in node.names:
                 whole = f"{node.module}.{each.name}"
                 known = whole in package_sources()
-                found[each.asname or each.name] = (whole, "") if known else (node.module, each.name)
+                found[each.asname or each.name] = (
+                    (whole, "") if known else (node.module, each.name)
+                )
     return found
 
 
@@ -182,7 +217,9 @@ def leads_to(place: Place) -> frozenset[Place]:
     found = set()
     own = parts_of(place)
     local = {n.arg for n in own if isinstance(n, ast.arg)}
-    local |= {n.id for n in own if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    local |= {
+        n.id for n in own if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+    }
     local = local if isinstance(definitions(module)[name], FUNCTIONS) else set()
     for node in own:
         if isinstance(node, ast.Name) and node.id not in local:
@@ -201,7 +238,9 @@ def reached(command: str) -> frozenset[Place]:
     """Return what a command may run."""
     word, _, name = command.partition(" ")
     if name:
-        waiting = [(motors.COMMANDS[name].run.__module__, motors.COMMANDS[name].run.__name__)]
+        waiting = [
+            (motors.COMMANDS[name].run.__module__, motors.COMMANDS[name].run.__name__)
+        ]
     else:
         start = f"robot_sysid.commands.{NAMES.get(word, 'run')}"
         waiting = [*((start, each) for each in definitions(start)), *ONLY.get(word, ())]
@@ -226,7 +265,9 @@ def texts(place: Place) -> tuple[str, ...]:
     found = []
     for node in parts_of(place):
         if isinstance(node, ast.JoinedStr):
-            filled = [p.value if isinstance(p, ast.Constant) else "{}" for p in node.values]
+            filled = [
+                p.value if isinstance(p, ast.Constant) else "{}" for p in node.values
+            ]
             found.append("".join(map(str, filled)))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             found.append(node.value)
@@ -262,8 +303,14 @@ def test_what_a_command_may_say_names_its_own_options(command):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_a_command_names_its_own_options(command):
     parser = parser_of(command)
-    told = [parser._example, parser.description, *(each.help for each in parser._actions)]
-    assert [(text, each) for text in told for each in faults(command, f"{text or ''}")] == []
+    told = [
+        parser._example,
+        parser.description,
+        *(each.help for each in parser._actions),
+    ]
+    assert [
+        (text, each) for text in told for each in faults(command, f"{text or ''}")
+    ] == []
 
 
 def test_what_is_left_out_is_there():

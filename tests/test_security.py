@@ -74,13 +74,19 @@ HELD = {
 
 def test_each_line_of_the_page_has_its_test():
     page = " ".join((ROOT / "docs" / "security.md").read_text(encoding="utf-8").split())
-    rows = page.partition("| --- | --- |")[2].partition("Nothing is written")[0].split(" | | ")
+    rows = (
+        page.partition("| --- | --- |")[2]
+        .partition("Nothing is written")[0]
+        .split(" | | ")
+    )
     for row in rows:
         assert any(words in row for words in HELD), row
     for words, test in HELD.items():
         path, _, name = test.partition("::")
         assert words in page, words
-        assert f"def {name}(" in (ROOT / "tests" / path).read_text(encoding="utf-8"), test
+        assert f"def {name}(" in (ROOT / "tests" / path).read_text(encoding="utf-8"), (
+            test
+        )
 
 
 WATCHED = """
@@ -126,10 +132,18 @@ def test_files_are_written_where_a_command_says_and_no_network_is_opened(tmp_pat
     temporary.mkdir()
     cache = home / "cache"
     places = {"HOME": str(home), "TMPDIR": str(temporary)}
-    settings = {"MPLCONFIGDIR": str(cache), "PYTHONDONTWRITEBYTECODE": "1", "PYTHONPATH": str(ROOT)}
+    settings = {
+        "MPLCONFIGDIR": str(cache),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONPATH": str(ROOT),
+    }
     call = [sys.executable, "-c", WATCHED, *LINES]
     done = subprocess.run(
-        call, cwd=tmp_path, env={**os.environ, **places, **settings}, capture_output=True, text=True
+        call,
+        cwd=tmp_path,
+        env={**os.environ, **places, **settings},
+        capture_output=True,
+        text=True,
     )
     codes, seen = json.loads(done.stdout.splitlines()[-1])
     assert set(codes) <= {0, 1}, done.stderr

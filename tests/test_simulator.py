@@ -17,7 +17,9 @@ from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
 
-PLAIN = {name: robot_of(arms.MODELS[name]) for name in ("seven", "dry friction", "springs")}
+PLAIN = {
+    name: robot_of(arms.MODELS[name]) for name in ("seven", "dry friction", "springs")
+}
 
 
 def random_chunk(robot, seed, samples=5):
@@ -66,7 +68,9 @@ def test_friction_is_coulomb_and_viscous_with_the_models_coefficients(name, seed
     )
     assert np.max(np.abs(friction)) > 0.0
     rest = simulated(robot, motion).tau - friction
-    np.testing.assert_allclose(rest, smooth, rtol=0.0, atol=1e-13 * np.max(np.abs(smooth)))
+    np.testing.assert_allclose(
+        rest, smooth, rtol=0.0, atol=1e-13 * np.max(np.abs(smooth))
+    )
 
 
 def test_contacts_and_joint_limits_do_not_push():
@@ -75,10 +79,14 @@ def test_contacts_and_joint_limits_do_not_push():
     wall = '<geom type="plane" size="5 5 1" pos="0 0 5"/>'
     boxed = arms.serial_arm(("0 0 1", "0 1 0", "1 0 0"), joint='range="-.1 .1"')
     tip = '<geom size=".1" mass="0"/></body></body></body>'
-    boxed = boxed.replace("</body></body></body>", tip).replace("<worldbody>", f"<worldbody>{wall}")
+    boxed = boxed.replace("</body></body></body>", tip).replace(
+        "<worldbody>", f"<worldbody>{wall}"
+    )
     motion = random_chunk(robot_of(free), 2)
     expected = simulated(robot_of(free), motion).tau
-    np.testing.assert_allclose(simulated(robot_of(boxed), motion).tau, expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        simulated(robot_of(boxed), motion).tau, expected, rtol=1e-12
+    )
 
 
 def test_a_torque_that_is_not_finite_stops_the_run_with_time_joint_and_cause():

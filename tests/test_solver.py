@@ -67,13 +67,17 @@ def test_scaling_all_torques_scales_the_estimate(seed, factor):
         accumulator.add(k, joint.triangle[:, :-1], factor * joint.triangle[:, -1])
     plain = identify_parameters(information, prior)
     scaled = identify_parameters(accumulator.result(), factor * prior)
-    np.testing.assert_allclose(scaled.values, factor * plain.values, rtol=1e-9, atol=1e-12 * factor)
+    np.testing.assert_allclose(
+        scaled.values, factor * plain.values, rtol=1e-9, atol=1e-12 * factor
+    )
 
 
 @given(SEEDS, st.permutations(range(3)))
 def test_the_order_of_joints_does_not_matter(seed, order):
     information, _, rng = noisy_arm(seed)
-    shuffled = SquareRootInformation(information.names, tuple(information.joints[k] for k in order))
+    shuffled = SquareRootInformation(
+        information.names, tuple(information.joints[k] for k in order)
+    )
     prior = rng.normal(size=16)
     one = identify_parameters(information, prior)
     other = identify_parameters(shuffled, prior)
@@ -90,7 +94,11 @@ def test_an_estimate_carries_what_it_was_made_of(seed):
     assert estimate.samples == dict.fromkeys(joints, 40)
     assert not estimate.constrained
     assert estimate.identifiability.rank == 12
-    for kept in (estimate.rmse_per_joint, estimate.noise_per_joint, estimate.effective_samples):
+    for kept in (
+        estimate.rmse_per_joint,
+        estimate.noise_per_joint,
+        estimate.effective_samples,
+    ):
         assert tuple(kept) == joints
     residuals = [rows @ estimate.values[c] - tau
                  for (rows, c), tau in zip(samples.equations, samples.torques)]  # fmt: skip
@@ -104,16 +112,22 @@ def test_an_estimate_carries_what_it_was_made_of(seed):
 
 
 @given(SEEDS, st.floats(0.0, 30.0), st.booleans())
-def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(seed, noise, terminal):
+def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(
+    seed, noise, terminal
+):
     """A thin body under heavy noise, seen whole or by its own joint alone: law 9."""
     rng = np.random.default_rng(seed)
-    truth = np.append(random_body(rng, 0.1), rng.uniform(0.1, 1.0, 2 if terminal else 6))
+    truth = np.append(
+        random_body(rng, 0.1), rng.uniform(0.1, 1.0, 2 if terminal else 6)
+    )
     prior = np.append(random_body(rng), np.zeros(len(truth) - 10))
     if terminal:
         information = terminal_information(rng, truth, noise=noise)
     else:
         information = information_of(*arm_equations(rng), truth, noise, rng)
-    plain, found = (identify_parameters(information, prior, own) for own in (False, True))
+    plain, found = (
+        identify_parameters(information, prior, own) for own in (False, True)
+    )
     wrong = not spatial.is_consistent(plain.values[:10])
     assert found.constrained is wrong and not plain.constrained
     assert spatial.is_consistent(found.values[:10])
@@ -149,7 +163,9 @@ POSSIBLE = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))
         (1e-9, 1.1e-6, 12, Verdict.TOO_WEAK),
     ],
 )
-def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(scale, error, rank, expected):
+def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
+    scale, error, rank, expected
+):
     estimate = results.estimate(
         values=np.append(scale * POSSIBLE, np.zeros(4)),
         standard_errors=np.append(error, np.zeros(13)),

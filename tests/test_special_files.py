@@ -27,7 +27,14 @@ def pipe(tmp_path):
 
 def test_files_folders_and_what_is_not_there_are_left_alone(tmp_path):
     (tmp_path / "a").touch()
-    for path in (tmp_path, tmp_path / "a", tmp_path / "b", str(tmp_path), "a" * 5000, "a\0"):
+    for path in (
+        tmp_path,
+        tmp_path / "a",
+        tmp_path / "b",
+        str(tmp_path),
+        "a" * 5000,
+        "a\0",
+    ):
         refuse_special_file(path)
 
 
@@ -36,7 +43,9 @@ def test_a_device_is_neither_read_nor_replaced(tmp_path, pipe):
     for path in (pipe, tmp_path / "null"):
         with pytest.raises(InputError, match="is a pipe or a device; do this"):
             read_json(path, "do this")
-        with pytest.raises(InputError, match="is a pipe or a device; choose another name"):
+        with pytest.raises(
+            InputError, match="is a pipe or a device; choose another name"
+        ):
             write_whole(path, "content")
     assert not (tmp_path / "null").is_file() and pipe.is_fifo()
 
@@ -62,5 +71,7 @@ def test_parts_of_a_bag_are_files(tmp_path, pipe):
 
 
 def test_python_programs_get_the_same_refusal(pipe):
-    with pytest.raises(rs.InputError, match="pipe is a pipe or a device; give columns another"):
+    with pytest.raises(
+        rs.InputError, match="pipe is a pipe or a device; give columns another"
+    ):
         rs.identify("arm.xml", "log.csv", columns=pipe)

@@ -27,7 +27,9 @@ DURATIONS = st.one_of(st.floats(0.02, 3.0), st.floats(3.0, 60.0))
 
 
 def excitation(robot, seed, duration=15.0, torque=None):
-    return generate_excitation_trajectory(robot, np.random.default_rng(seed), duration, torque)
+    return generate_excitation_trajectory(
+        robot, np.random.default_rng(seed), duration, torque
+    )
 
 
 def dense(plan, points=4001):
@@ -43,7 +45,9 @@ def limited_arms(draw, torque=False):
     for _ in range(3):
         middle = draw(st.floats(-6.0, 6.0))
         width = draw(st.floats(1e-3, 12.0))
-        open_below, open_above = draw(st.sampled_from([(0, 0), (0, 0), (1, 1), (0, 1), (1, 0)]))
+        open_below, open_above = draw(
+            st.sampled_from([(0, 0), (0, 0), (1, 1), (0, 1), (1, 0)])
+        )
         lower.append(-np.inf if open_below else middle - 0.5 * width)
         upper.append(np.inf if open_above else middle + 0.5 * width)
         velocity.append(draw(st.floats(0.01, 20.0)))
@@ -79,11 +83,15 @@ def test_every_joint_moves_and_uses_what_it_may(robot, seed, duration):
 
 @pytest.mark.slow
 @given(limited_arms(torque=True), SEEDS, DURATIONS)
-def test_torque_limits_hold_unless_the_smallest_motion_breaks_them(robot, seed, duration):
+def test_torque_limits_hold_unless_the_smallest_motion_breaks_them(
+    robot, seed, duration
+):
     torque = ArmTorque(robot)
     plan, notes = excitation(robot, seed, duration, torque)
     peak = np.max(np.abs(torque(dense(plan, 801))), axis=0)
-    excused = np.array([any(f"joint {name};" in note for note in notes) for name in NAMES])
+    excused = np.array(
+        [any(f"joint {name};" in note for note in notes) for name in NAMES]
+    )
     at_rest = np.abs(torque(plan.evaluate(np.zeros(1)))[0])
     assert np.all((peak <= robot.limits.torque) | excused)
     assert np.all(at_rest[excused] > 0.9 * robot.limits.torque[excused])
@@ -96,7 +104,9 @@ NAMES = THREE.joint_names
 def test_frequencies_are_in_the_band_and_never_meet(seed):
     plan, _ = excitation(robot_of(arms.SEVEN), seed)
     used = plan.amplitude != 0.0
-    assert set(np.sum(used, axis=1)) <= set(range(TERMS_PER_JOINT[0], TERMS_PER_JOINT[1] + 1))
+    assert set(np.sum(used, axis=1)) <= set(
+        range(TERMS_PER_JOINT[0], TERMS_PER_JOINT[1] + 1)
+    )
     frequency = np.sort(plan.frequency_hz[used])
     assert FREQUENCY_BAND_HZ[0] < frequency[0]
     assert frequency[-1] < FREQUENCY_BAND_HZ[1]
@@ -109,7 +119,9 @@ def test_samples_are_the_same_however_they_are_cut(duration, rate, chunk):
         patch.setattr(trajectory, "CHUNK", chunk)
         times = np.concatenate(list(sample_times(duration, rate)))
     assert len(times) == sample_count(duration, rate)
-    np.testing.assert_array_equal(times, np.concatenate(list(sample_times(duration, rate))))
+    np.testing.assert_array_equal(
+        times, np.concatenate(list(sample_times(duration, rate)))
+    )
     assert times[0] == 0.0
     assert duration - 1.0 / rate < times[-1] <= duration
     assert np.all(np.diff(times) > 0.0)

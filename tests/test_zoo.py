@@ -14,7 +14,11 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
+from robot_sysid.dynamics.equations import (
+    TERMINAL_FRICTION,
+    Equations,
+    friction_per_joint,
+)
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -27,11 +31,17 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
-from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory, motion_chunks
+from robot_sysid.trajectory import (
+    TrajectoryOptions,
+    generate_excitation_trajectory,
+    motion_chunks,
+)
 from tests.support import arms
 from tests.support.places import MODELS
 
-pytestmark = pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
+pytestmark = pytest.mark.skipif(
+    not MODELS.is_dir(), reason="the public models are not here"
+)
 
 # Model, terminal joint, number of joints that carry the link.
 WHOLE_ARMS = [
@@ -48,7 +58,10 @@ WHOLE_ARMS = [
     ("trossen/wxai/scene_wxai_pick_place.xml", "joint_5", 6),
 ]
 DOUBTFUL = [
-    ("openarm_v2/openarm_bimanual.xml", ["openarm_left_joint7", "openarm_right_joint7"]),
+    (
+        "openarm_v2/openarm_bimanual.xml",
+        ["openarm_left_joint7", "openarm_right_joint7"],
+    ),
     ("aloha/aloha.xml", ["left/wrist_rotate", "right/wrist_rotate"]),
     ("so101/so101_new_calib.xml", ["wrist_roll", "gripper"]),
     ("so101/so101_new_calib.urdf", ["wrist_roll", "gripper"]),
@@ -121,7 +134,9 @@ def test_rest_plus_link_is_mujocos_inverse_dynamics(model, joint):
     rows, rest = arms.rows_and_rest(robot, (motion.q, motion.qd, motion.qdd))
     predicted = rest + rows @ theta
     actual = ArmDynamics(robot, heavier).torque(motion.q, motion.qd, motion.qdd)
-    np.testing.assert_allclose(predicted, actual, rtol=0.0, atol=1e-9 * np.max(np.abs(actual)))
+    np.testing.assert_allclose(
+        predicted, actual, rtol=0.0, atol=1e-9 * np.max(np.abs(actual))
+    )
 
 
 @pytest.mark.parametrize(("model", "joint"), slow_unless_quick(CHOICES))

@@ -29,9 +29,15 @@ def main() -> int:
     parser.add_argument(
         "--first", type=int, default=0, metavar="NUMBER", help="input to begin with"
     )
-    parser.add_argument("--only", type=int, metavar="NUMBER", help="this input, unprotected")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="where inputs with findings go")
-    parser.add_argument("--atheris", type=int, metavar="SECONDS", help="guided by coverage")
+    parser.add_argument(
+        "--only", type=int, metavar="NUMBER", help="this input, unprotected"
+    )
+    parser.add_argument(
+        "--keep", type=Path, metavar="DIR", help="where inputs with findings go"
+    )
+    parser.add_argument(
+        "--atheris", type=int, metavar="SECONDS", help="guided by coverage"
+    )
     given = parser.parse_args()
     if given.atheris:
         from benchmarks.fuzz.guided import fuzz
@@ -47,12 +53,16 @@ def main() -> int:
         if isinstance(told, Finding):
             found[told.kind] += 1
             if found[told.kind] == 1:
-                print(f"\n{given.target} --seed {given.seed} --only {told.number}: {told.kind}")
+                print(
+                    f"\n{given.target} --seed {given.seed} --only {told.number}: {told.kind}"
+                )
                 print(told.text, flush=True)
                 _keep(given.keep, case_of(target, given.seed, told.number), told.number)
         else:
             last = told
-            print(f"{time.time() - started:6.0f} s: {last}", file=sys.stderr, flush=True)
+            print(
+                f"{time.time() - started:6.0f} s: {last}", file=sys.stderr, flush=True
+            )
     took = time.time() - started
     count = f"{sum(found.values())} findings of {len(found)} kinds"
     print(f"{given.target}: {last}, {count}, {took:.0f} s")

@@ -43,12 +43,17 @@ _FLAGS = ("fd", "error", "echo")
 def case(random: Random) -> Case:
     """Frames of 13 bytes each: id, flags, length, data; biased to what motors say."""
     count = random.randint(1, 40)
-    return {"frames": b"".join(_frame(random) for _ in range(count)), "line": _line(random)}
+    return {
+        "frames": b"".join(_frame(random) for _ in range(count)),
+        "line": _line(random),
+    }
 
 
 def _frame(random: Random) -> bytes:
     data = bytearray(
-        random.choice((bytes(8), b"\xff" * 8, random.getrandbits(64).to_bytes(8, "big")))
+        random.choice(
+            (bytes(8), b"\xff" * 8, random.getrandbits(64).to_bytes(8, "big"))
+        )
     )
     data[0] = random.choice((0x11, 0x12, 1, 2, data[0]))
     if random.random() < 0.5:
@@ -118,14 +123,22 @@ def _answer(frame: Frame, said: bytes) -> Frame:
     """Return what a motor would answer, its figures being those of other bytes."""
     if frame.id == REGISTER_ID and frame.data[2] == REFRESH:
         # Where an arm stands is believed when two answers agree.
-        return Frame(frame.data[0] + 16, bytes([frame.data[0] & 0xF]) + AT_REST, bus=frame.bus)
+        return Frame(
+            frame.data[0] + 16, bytes([frame.data[0] & 0xF]) + AT_REST, bus=frame.bus
+        )
     if frame.data[7:] == bytes([ENABLE]):
-        return Frame(frame.id + 16, bytes([0x10 | frame.id & 0xF]) + AT_REST, bus=frame.bus)
+        return Frame(
+            frame.id + 16, bytes([0x10 | frame.id & 0xF]) + AT_REST, bus=frame.bus
+        )
     if frame.id == REGISTER_ID:
         motor = frame.data[0]
         return Frame(motor + 16, frame.data[:4] + said[4:], bus=frame.bus)
-    status = {ENABLE: 1, DISABLE: 0}.get(frame.data[7], 1) if is_special(frame.data) else 1
-    return Frame(frame.id + 16, bytes([status << 4 | frame.id & 0xF]) + said[1:], bus=frame.bus)
+    status = (
+        {ENABLE: 1, DISABLE: 0}.get(frame.data[7], 1) if is_special(frame.data) else 1
+    )
+    return Frame(
+        frame.id + 16, bytes([status << 4 | frame.id & 0xF]) + said[1:], bus=frame.bus
+    )
 
 
 @functools.cache
@@ -148,7 +161,9 @@ def use(case: Case, folder: Path) -> None:
 
 
 def _codec(frames: list[Frame]) -> None:
-    raw = np.array([list(f.data) for f in frames if len(f.data) == 8], np.uint8).reshape(-1, 1, 8)
+    raw = np.array(
+        [list(f.data) for f in frames if len(f.data) == 8], np.uint8
+    ).reshape(-1, 1, 8)
     numbers = raw.view("<f4").ravel()
     limits = [tuple(np.resize(numbers, 3))] if numbers.size else [(1.0, 1.0, 1.0)]
     for each in ([(12.5, 10.0, 28.0)], limits):

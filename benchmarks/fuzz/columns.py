@@ -28,7 +28,11 @@ velocity = none
 rate = 200
 acceleration = #1, #2, #3
 """
-FACTORS = {"version": 1, SCALE: {"base": 1.3, "elbow": 1.2, "wrist": 1.1}, CONSTANTS: {"base": 0.1}}
+FACTORS = {
+    "version": 1,
+    SCALE: {"base": 1.3, "elbow": 1.2, "wrist": 1.1},
+    CONSTANTS: {"base": 0.1},
+}
 MAP = """joint,bus,can_id,master_id,direction,offset,torque_ratio
 base,can0,1,0x11,+1,0.0,1.0
 elbow,can0,2,0x12,-1,0.785,1.0
@@ -52,7 +56,9 @@ def case(random: Random) -> Case:
         for _ in range(random.randint(1, 3)):
             place = random.randrange(len(lines))
             key, _, value = lines[place].partition("=")
-            lines[place] = random.choice((f"{key}={odd(random)}", f"{odd(random)}={value}", key))
+            lines[place] = random.choice(
+                (f"{key}={odd(random)}", f"{odd(random)}={value}", key)
+            )
         data = "\n".join(lines).encode()
         return {"lines.txt": damaged(random, data) if random.random() < 0.3 else data}
     if kind < 0.8:
@@ -71,6 +77,8 @@ def use(case: Case, folder: Path) -> None:
         joints = damiao_joints(["DM4340"] * 3, 3)
         map_joints(joints, read_joint_map(path), ("can0", "can1"), log_files.JOINTS)
     else:
-        titles = ("", "<script>", *_log().titles[2:]) if len(case[name]) % 50 == 0 else None
+        titles = (
+            ("", "<script>", *_log().titles[2:]) if len(case[name]) % 50 == 0 else None
+        )
         table = dataclasses.replace(_log(), titles=titles) if titles else _log()
         open_log(_ARM, table, LogOptions(columns=path))

@@ -50,7 +50,8 @@ def fuzz(name: str, seconds: int, seed: int) -> int:
 
     limits = [f"-max_total_time={seconds}", f"-seed={seed or 1}", "-max_len=4096"]
     atheris.Setup(
-        [sys.argv[0], *limits, "-print_final_stats=1", f"-artifact_prefix={folder}/"], one
+        [sys.argv[0], *limits, "-print_final_stats=1", f"-artifact_prefix={folder}/"],
+        one,
     )
     atheris.Fuzz()
     return 0

@@ -30,8 +30,22 @@ LONGEST = 10
 MOST_MEMORY = 10**9
 """Bytes that an input may take beyond what the process has already."""
 BATCH = 2000
-_ACTS = ("os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.truncate")
-_NEVER = ("socket.connect", "subprocess.Popen", "os.system", "os.exec", "pickle.find_class")
+_ACTS = (
+    "os.remove",
+    "os.rename",
+    "os.mkdir",
+    "os.rmdir",
+    "os.link",
+    "os.symlink",
+    "os.truncate",
+)
+_NEVER = (
+    "socket.connect",
+    "subprocess.Popen",
+    "os.system",
+    "os.exec",
+    "pickle.find_class",
+)
 _STATE = struct.Struct("3q")
 
 Case = Mapping[str, bytes]
@@ -108,7 +122,9 @@ def _place(error: BaseException) -> str:
     return f"{Path(ours[-1].filename).name}:{ours[-1].lineno}"
 
 
-def run(target: Target, inputs: int, seed: int, first: int = 0) -> Iterator[Finding | str]:
+def run(
+    target: Target, inputs: int, seed: int, first: int = 0
+) -> Iterator[Finding | str]:
     """Use many inputs; yield the findings and, now and then, how far it is."""
     state = mmap.mmap(-1, _STATE.size)
     case_of(target, seed, first)  # what all inputs are made from is made once
@@ -119,12 +135,16 @@ def run(target: Target, inputs: int, seed: int, first: int = 0) -> Iterator[Find
             end = min(number + BATCH, first + inputs)
             log = folder / "findings"
             log.write_bytes(b"")
-            work = functools.partial(_batch, target, range(number, end), seed, folder, state)
+            work = functools.partial(
+                _batch, target, range(number, end), seed, folder, state
+            )
             status = _in_child(work)
             yield from _told(log)
             at, results, refused = _STATE.unpack_from(state)
             if status:
-                yield Finding(at, _ending(status), (folder / "stack").read_text(errors="replace"))
+                yield Finding(
+                    at, _ending(status), (folder / "stack").read_text(errors="replace")
+                )
             number = at + 1 if status else end
             yield f"{number - first} inputs: {results} results, {refused} refused"
 
@@ -152,10 +172,14 @@ def _ending(status: int) -> str:
     number = os.WTERMSIG(status)
     if number == signal.SIGALRM:
         return f"longer than {LONGEST} s"
-    return f"ended by {signal.Signals(number).name}" if number else f"exit {status >> 8}"
+    return (
+        f"ended by {signal.Signals(number).name}" if number else f"exit {status >> 8}"
+    )
 
 
-def _batch(target: Target, numbers: range, seed: int, folder: Path, state: mmap.mmap) -> None:
+def _batch(
+    target: Target, numbers: range, seed: int, folder: Path, state: mmap.mmap
+) -> None:
     """Use inputs one after the other and note what went wrong; the child's side."""
     watch = Watch(folder)
     _, results, refused = _STATE.unpack_from(state)
@@ -190,7 +214,9 @@ class Watch:
         sys.dont_write_bytecode = True
         self._log = (folder / "findings").open("a")
         self._stack = (folder / "stack").open("w")
-        faulthandler.register(signal.SIGALRM, file=self._stack, all_threads=False, chain=True)
+        faulthandler.register(
+            signal.SIGALRM, file=self._stack, all_threads=False, chain=True
+        )
         faulthandler.enable(file=self._stack, all_threads=False)
         used = int(Path("/proc/self/statm").read_text().split()[0]) * mmap.PAGESIZE
         resource.setrlimit(resource.RLIMIT_AS, (used + MOST_MEMORY,) * 2)
@@ -225,7 +251,9 @@ class Watch:
         # A link is written where it is made, whatever it points at.
         places = values[1:2] if event in ("os.link", "os.symlink") else values[:1]
         places = values[:2] if event == "os.rename" else places
-        if event in _NEVER or (writes and not inside and not all(map(self._may_write, places))):
+        if event in _NEVER or (
+            writes and not inside and not all(map(self._may_write, places))
+        ):
             self._acts.append(f"{event} {values[:2]}")
 
     def _may_write(self, path: Any) -> bool:
@@ -237,4 +265,6 @@ class Watch:
 
 def _is_writing(values: tuple[Any, ...]) -> bool:
     flags = values[2] if len(values) > 2 else 0
-    return isinstance(flags, int) and bool(flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
+    return isinstance(flags, int) and bool(
+        flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
+    )

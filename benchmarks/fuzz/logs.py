@@ -15,7 +15,14 @@ from random import Random
 import numpy as np
 
 from benchmarks.fuzz.harness import Case, written
-from benchmarks.fuzz.mutations import NUMBERS, TEXTS, damaged, damaged_json, damaged_table, odd
+from benchmarks.fuzz.mutations import (
+    NUMBERS,
+    TEXTS,
+    damaged,
+    damaged_json,
+    damaged_table,
+    odd,
+)
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import open_log
 from tests.support import log_files, recorded
@@ -43,9 +50,14 @@ def seeds() -> Mapping[str, tuple[str, Case]]:
             files = {str(p.relative_to(folder)): p.read_bytes() for p in _files(folder)}
             made[form] = str(path.relative_to(folder)), files
         folder = Path(name)
-        table = log_files.write(folder / "plain.csv", log_files.table(data).tolist()).read_bytes()
+        table = log_files.write(
+            folder / "plain.csv", log_files.table(data).tolist()
+        ).read_bytes()
         made["plain"] = "plain.csv", {"plain.csv": table}
-        made["ALOHA"] = "episode.hdf5", {"episode.hdf5": _aloha(folder / "episode.hdf5")}
+        made["ALOHA"] = (
+            "episode.hdf5",
+            {"episode.hdf5": _aloha(folder / "episode.hdf5")},
+        )
     return made
 
 
@@ -85,7 +97,9 @@ def case(random: Random) -> Case:
 
 def _damaged_file(random: Random, name: str, content: bytes) -> bytes:
     if name.endswith(".csv"):
-        return damaged_table(random, content.decode(), " " if name == "rtde.csv" else ",")
+        return damaged_table(
+            random, content.decode(), " " if name == "rtde.csv" else ","
+        )
     if name.endswith(".json"):
         return damaged_json(random, json.loads(content))
     return damaged(random, content, 8)
@@ -118,19 +132,29 @@ def _array(random: Random, name: str) -> bytes:
     with np.errstate(all="ignore"):
         values = ramp.astype("<i8").astype(kind) if "M8" in kind else ramp.astype(kind)
     if random.random() < 0.02:
-        values = np.array([random.choice((*NUMBERS, *TEXTS)), {}, None] * 8, dtype=object)
+        values = np.array(
+            [random.choice((*NUMBERS, *TEXTS)), {}, None] * 8, dtype=object
+        )
     buffer = io.BytesIO()
     np.save(buffer, values, allow_pickle=True)
     data = buffer.getvalue()
     if random.random() < 0.05:
         length = str(ROWS).encode()
-        data = data.replace(length, str(random.choice((10**10, -1, 10**30, 0))).encode(), 1)
+        data = data.replace(
+            length, str(random.choice((10**10, -1, 10**30, 0))).encode(), 1
+        )
     return damaged(random, data) if random.random() < 0.05 else data
 
 
 def use(case: Case, folder: Path) -> None:
     """Recognise, check and read the log."""
-    place = written({name: text for name, text in case.items() if name != "read"}, folder)
+    place = written(
+        {name: text for name, text in case.items() if name != "read"}, folder
+    )
     currents = (1.0,) if len(case["read"]) % 2 else None
     path = place / case["read"].decode()
-    open_log(_ARM, path, LogOptions(torque_constants=currents if "npz" in path.name else None))
+    open_log(
+        _ARM,
+        path,
+        LogOptions(torque_constants=currents if "npz" in path.name else None),
+    )

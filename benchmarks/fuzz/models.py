@@ -21,11 +21,61 @@ from tests.support import arms, model_files, urdf
 from tests.support.places import MODELS
 
 ATTRIBUTES = (
-    *("name", "pos", "quat", "euler", "axis", "range", "mass", "inertia", "fullinertia", "class"),
-    *("childclass", "file", "type", "size", "damping", "armature", "frictionloss", "ref", "angle"),
-    *("xyz", "rpy", "filename", "lower", "upper", "effort", "velocity", "ixx", "izz", "value"),
-    *("inertiafromgeom", "meshdir", "balanceinertia", "settotalmass", "gravity", "fromto", "count"),
-    *("joint", "limited", "gravcomp", "mocap", "timestep", "link", "stiffness", "springref", "key"),
+    *(
+        "name",
+        "pos",
+        "quat",
+        "euler",
+        "axis",
+        "range",
+        "mass",
+        "inertia",
+        "fullinertia",
+        "class",
+    ),
+    *(
+        "childclass",
+        "file",
+        "type",
+        "size",
+        "damping",
+        "armature",
+        "frictionloss",
+        "ref",
+        "angle",
+    ),
+    *(
+        "xyz",
+        "rpy",
+        "filename",
+        "lower",
+        "upper",
+        "effort",
+        "velocity",
+        "ixx",
+        "izz",
+        "value",
+    ),
+    *(
+        "inertiafromgeom",
+        "meshdir",
+        "balanceinertia",
+        "settotalmass",
+        "gravity",
+        "fromto",
+        "count",
+    ),
+    *(
+        "joint",
+        "limited",
+        "gravcomp",
+        "mocap",
+        "timestep",
+        "link",
+        "stiffness",
+        "springref",
+        "key",
+    ),
 )
 PARTS = (
     '<include file="part.xml"/>',
@@ -101,14 +151,18 @@ def _public() -> tuple[tuple[Path, Any], ...]:
     """Public models with where they lie; none where they are absent."""
     paths = sorted(path for form in ("*.xml", "*.urdf") for path in MODELS.rglob(form))
     small = [path for path in paths if path.stat().st_size < 30_000]
-    return tuple((path, etree.fromstring(masked_comments(path.read_bytes()))) for path in small)
+    return tuple(
+        (path, etree.fromstring(masked_comments(path.read_bytes()))) for path in small
+    )
 
 
 def case(random: Random) -> Case:
     """A model with what it may refer to."""
     files = {"part.xml": _PART, "shape.obj": model_files.TETRAHEDRON.encode()}
     if random.random() < 0.1:
-        files["part.xml"] = damaged_xml(random, random.choice(_roots()), ATTRIBUTES, PARTS)
+        files["part.xml"] = damaged_xml(
+            random, random.choice(_roots()), ATTRIBUTES, PARTS
+        )
     root = random.choice(_roots())
     if _public() and random.random() > 1.0 - PUBLIC_SHARE:
         path, root = random.choice(_public())

@@ -11,13 +11,54 @@ from typing import Any
 from lxml import etree
 
 NUMBERS = (
-    *("nan", "inf", "-inf", "0", "-0", "-1", "1", "1e308", "-1e308", "1e-308", "1e400", "1e12"),
-    *("1e6", "1e-9", "0.5", "2147483648", "9" * 40, "1,5", "0x10", "1_000", "\u0661\u0662", "1 2"),
+    *(
+        "nan",
+        "inf",
+        "-inf",
+        "0",
+        "-0",
+        "-1",
+        "1",
+        "1e308",
+        "-1e308",
+        "1e-308",
+        "1e400",
+        "1e12",
+    ),
+    *(
+        "1e6",
+        "1e-9",
+        "0.5",
+        "2147483648",
+        "9" * 40,
+        "1,5",
+        "0x10",
+        "1_000",
+        "\u0661\u0662",
+        "1 2",
+    ),
     *("1 2 3 4", "0 0 0", "0 0 0 0", "nan nan nan", "1e300 1 1", "true", "-3"),
 )
 TEXTS = (
-    *("", " ", "<script>alert(1)</script>", "a" * 300, "a" * 5000, "../../../../etc/passwd"),
-    *("/dev/zero", "/dev/null", "/", ".", "..", "\u202e", "\u95a2\u7bc0", "\x1b[31m", "%s%n%d"),
+    *(
+        "",
+        " ",
+        "<script>alert(1)</script>",
+        "a" * 300,
+        "a" * 5000,
+        "../../../../etc/passwd",
+    ),
+    *(
+        "/dev/zero",
+        "/dev/null",
+        "/",
+        ".",
+        "..",
+        "\u202e",
+        "\u95a2\u7bc0",
+        "\x1b[31m",
+        "%s%n%d",
+    ),
     *(
         "'",
         '"',
@@ -142,7 +183,11 @@ def damaged_json(random: Random, content: Any) -> bytes:
 
 
 def _odd_value(random: Random) -> Any:
-    return copy.deepcopy(random.choice(_ODD_JSON)) if random.random() < 0.7 else odd(random)
+    return (
+        copy.deepcopy(random.choice(_ODD_JSON))
+        if random.random() < 0.7
+        else odd(random)
+    )
 
 
 def _damaged_value(random: Random, content: Any) -> Any:

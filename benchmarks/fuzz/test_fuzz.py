@@ -20,7 +20,9 @@ from benchmarks.fuzz.guided import BytesRandom
 from benchmarks.fuzz.harness import outcome
 from tests.support.places import ROOT
 
-INPROCESS = settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+INPROCESS = settings(
+    max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 WRONG = """
 import os, socket, sys, time
 from pathlib import Path
@@ -54,12 +56,16 @@ def run(*arguments):
     """Run Python in the checkout; a process of its own may crash, and be limited for good."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     call = [sys.executable, *arguments]
-    return subprocess.run(call, cwd=ROOT, env=environment, capture_output=True, text=True)
+    return subprocess.run(
+        call, cwd=ROOT, env=environment, capture_output=True, text=True
+    )
 
 
 # A run tells the user of numerical warnings, and goes on.
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("target", [can_frames, columns, trajectories], ids=lambda t: t.__name__)
+@pytest.mark.parametrize(
+    "target", [can_frames, columns, trajectories], ids=lambda t: t.__name__
+)
 def test_no_input_does_harm(tmp_path, target):
     ends = set()
 
@@ -88,7 +94,13 @@ def test_no_file_does_harm(target):
 def test_the_harness_sees_all_that_can_go_wrong():
     done = run("-c", WRONG)
     kinds = re.findall(r"\[(.*)\]", done.stdout)
-    expected = ("ZeroDivisionError", "written outside", "MemoryError", "written outside", "SIGABRT")
+    expected = (
+        "ZeroDivisionError",
+        "written outside",
+        "MemoryError",
+        "written outside",
+        "SIGABRT",
+    )
     assert len(kinds) == len(expected) + 1, done.stdout + done.stderr
     for kind, words in zip(kinds, (*expected, "longer than 1 s")):
         assert words in kind

@@ -14,7 +14,10 @@ import numpy as np
 from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged_json, damaged_table
 from robot_sysid.damiao.preflight import Plan, plan_checks
-from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.damiao.trajectory import (
+    export_damiao_trajectory,
+    read_damiao_trajectory,
+)
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import (
@@ -98,7 +101,9 @@ def use(case: Case, folder: Path) -> None:
         pass
     if len(case["motion.json"]) % 8:
         return  # the check takes ten times as long as all the rest
-    faster = max(1.0, saved.plan.duration / LONGEST)  # a day's motion is checked for minutes
+    faster = max(
+        1.0, saved.plan.duration / LONGEST
+    )  # a day's motion is checked for minutes
     options = TrajectoryOptions(sample_rate=RATE, file=path, speed=faster)
     given = ExcitationOptions(), LimitOptions(), "chain", 0.0, True, PoseOptions()
     made = make_plan(MotionRequest(options, *given), _robot(), 0, Progress())

@@ -29,7 +29,10 @@ from cosmic_ray.plugins import get_operator, operator_names
 ROOT = Path(__file__).parents[2]
 _PATIENCE = 300
 _BINARY = "core/ReplaceBinaryOperator_"
-_SWAPS = {f"{_BINARY}{swap}" for swap in ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul")}
+_SWAPS = {
+    f"{_BINARY}{swap}"
+    for swap in ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul")
+}
 """Of the eleven things that cosmic-ray puts in place of a binary operator, the one most like it."""
 _HEAVY = ("mujoco", "scipy.linalg", "scipy.spatial.transform", "sympy")
 """Imported once, before the forks."""
@@ -53,7 +56,9 @@ def import_time(source: str) -> str:
 def _for_mutmut(tree: ast.Module) -> list[ast.FunctionDef]:
     """Return the functions without decorators that nothing calls at import."""
     definitions = ast.FunctionDef, ast.ClassDef
-    outside = [statement for statement in tree.body if not isinstance(statement, definitions)]
+    outside = [
+        statement for statement in tree.body if not isinstance(statement, definitions)
+    ]
     names = {n.id for s in outside for n in ast.walk(s) if isinstance(n, ast.Name)}
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
     return [f for f in functions if not f.decorator_list and f.name not in names]
@@ -62,12 +67,21 @@ def _for_mutmut(tree: ast.Module) -> list[ast.FunctionDef]:
 def mutants(source: str) -> Iterator[str]:
     """Yield every different source that cosmic-ray makes of this one and that matters at import."""
     seen = {import_time(source)}
-    inside = [range(f.body[0].lineno, f.end_lineno + 1) for f in _for_mutmut(ast.parse(source))]
+    inside = [
+        range(f.body[0].lineno, f.end_lineno + 1)
+        for f in _for_mutmut(ast.parse(source))
+    ]
     for name in operator_names():
-        if get_operator(name).arguments() or (name.startswith(_BINARY) and name not in _SWAPS):
+        if get_operator(name).arguments() or (
+            name.startswith(_BINARY) and name not in _SWAPS
+        ):
             continue
         operator = get_operator(name)()
-        places = [p for n in ast_nodes(get_ast(source)) for p in operator.mutation_positions(n)]
+        places = [
+            p
+            for n in ast_nodes(get_ast(source))
+            for p in operator.mutation_positions(n)
+        ]
         for occurrence, (start, _) in enumerate(places):
             if any(start[0] in lines for lines in inside):
                 continue
@@ -105,7 +119,11 @@ def main() -> None:
             folder.mkdir(exist_ok=True)
             copy(ROOT / part, folder / part)
         for module in sys.argv[1:] or settings["only_mutate"]:
-            _try_all(folder, module, next(t for t in tests if t.endswith(f"_{Path(module).name}")))
+            _try_all(
+                folder,
+                module,
+                next(t for t in tests if t.endswith(f"_{Path(module).name}")),
+            )
 
 
 def _try_all(folder: Path, module: str, test: str) -> None:
@@ -118,11 +136,15 @@ def _try_all(folder: Path, module: str, test: str) -> None:
         (folder / module).write_text(mutant)
         count += 1
         if survives(folder, test):
-            lines = difflib.unified_diff(source.splitlines(), mutant.splitlines(), n=0, lineterm="")
+            lines = difflib.unified_diff(
+                source.splitlines(), mutant.splitlines(), n=0, lineterm=""
+            )
             alive.append("\n".join(list(lines)[2:]))
             print(alive[-1], flush=True)
     (folder / module).write_text(source)
-    print(f"{module}: {count} mutants, {count - len(alive)} killed, {len(alive)} survived")
+    print(
+        f"{module}: {count} mutants, {count - len(alive)} killed, {len(alive)} survived"
+    )
 
 
 if __name__ == "__main__":

@@ -37,7 +37,9 @@ FLANGE = (0.0, 0.0, 0.061525)
 BRACELET_TO_LINK6 = np.diag([1.0, -1.0, -1.0])
 
 # link: (mass, centre of mass, (Ixx, Ixy, Ixz, Iyy, Iyz, Izz) about the centre of mass)
-Inertial = tuple[float, tuple[float, float, float], tuple[float, float, float, float, float, float]]
+Inertial = tuple[
+    float, tuple[float, float, float], tuple[float, float, float, float, float, float]
+]
 
 STANDARD: Mapping[str, Inertial] = {
     "base": (
@@ -123,7 +125,11 @@ BRAKES_BRACELET: Inertial = (
 )
 
 # Base of a two-finger gripper (Robotiq 2F-85) in the flange frame.
-GRIPPER_BASE: Inertial = (0.66320, (0.0, 2.3e-5, 0.03232), (5.16e-4, 0, 0, 5.88e-4, 0, 3.95e-4))
+GRIPPER_BASE: Inertial = (
+    0.66320,
+    (0.0, 2.3e-5, 0.03232),
+    (5.16e-4, 0, 0, 5.88e-4, 0, 3.95e-4),
+)
 
 # Wrist link of the guess: the terminal link that the project's README identifies, inertia about
 # the body origin, order of spatial.PARAMETER_NAMES.
@@ -198,7 +204,9 @@ ARMATURE = 0.1
 def theta(inertial: Inertial) -> Array:
     """Return the ten parameters (10,) of a published inertial, in its own frame."""
     mass, com, six = inertial
-    return spatial.theta_from_com(mass, np.array(com), spatial.symmetric_from_six(np.array(six)))
+    return spatial.theta_from_com(
+        mass, np.array(com), spatial.symmetric_from_six(np.array(six))
+    )
 
 
 def solid_box(mass: float, centre: tuple[float, float, float], size: Array) -> Array:
@@ -220,7 +228,9 @@ def gripper() -> Array:
     Each finger counts as one bar of knuckle and finger mass (0.01385 + 0.0426 kg).
     """
     bar = np.array([0.02, 0.022, 0.09])
-    fingers = [solid_box(0.05645, (side * 0.035, 0.0, 0.115), bar) for side in (-1.0, 1.0)]
+    fingers = [
+        solid_box(0.05645, (side * 0.035, 0.0, 0.115), bar) for side in (-1.0, 1.0)
+    ]
     return theta(GRIPPER_BASE) + sum(fingers)
 
 
@@ -231,5 +241,7 @@ def workpiece() -> Array:
 
 def true_link6(tool: Array) -> Array:
     """Return theta (10,) of the brakes arm's bracelet with a tool, given in the flange frame."""
-    bracelet = spatial.transform_theta(theta(BRAKES_BRACELET), BRACELET_TO_LINK6, np.zeros(3))
+    bracelet = spatial.transform_theta(
+        theta(BRAKES_BRACELET), BRACELET_TO_LINK6, np.zeros(3)
+    )
     return bracelet + spatial.transform_theta(tool, np.eye(3), np.array(FLANGE))

@@ -63,7 +63,9 @@ def _crossing_link(reach: float, offset: float, radius: float, end: float) -> Ar
     return turned(moved(turned(limb, END_FOR_END), (0.0, 0.0, reach)), TO_MINUS_Y)
 
 
-def _limb(radii: tuple[float, float], reach: float, y: tuple[float, float], side: float) -> Array:
+def _limb(
+    radii: tuple[float, float], reach: float, y: tuple[float, float], side: float
+) -> Array:
     """Return a tube along +z that ends in half a knuckle about an axis parallel to y.
 
     Args:
@@ -75,7 +77,9 @@ def _limb(radii: tuple[float, float], reach: float, y: tuple[float, float], side
     foot, radius = radii
     middle, split = y
     top = knuckle_height(radius)
-    half = ring((0.0, split + side * 0.5 * (GAP + top), 0.0), radius, 0.5 * (top - GAP), 5.0)
+    half = ring(
+        (0.0, split + side * 0.5 * (GAP + top), 0.0), radius, 0.5 * (top - GAP), 5.0
+    )
     tube = _rounded_foot(foot, middle)
     neck = ring((0.0, middle, reach - 1.75 * radius), radius, radius)
     tube += _blend(tube[-1], neck, 9)[1:]
@@ -111,7 +115,9 @@ def _base() -> Array:
 
 def _bracelet() -> Array:
     body = [(0.031, GAP), (0.034, 0.003), (0.0365, 0.010), (0.0375, 0.022)]
-    return lathe([*body, (0.0375, 0.054), (0.036, 0.058), (0.033, 0.0605), (0.0315, 0.0615)])
+    return lathe(
+        [*body, (0.0375, 0.054), (0.036, 0.058), (0.033, 0.0605), (0.0315, 0.0615)]
+    )
 
 
 def _camera() -> Array:
@@ -122,8 +128,23 @@ def _camera() -> Array:
 
 def _probe() -> Array:
     adapter = [(0.0315, 0.0619), (0.0315, 0.072), (0.024, 0.076)]
-    handle = [(0.021, 0.085), (0.0225, 0.11), (0.0225, 0.17), (0.019, 0.195), (0.010, 0.215)]
-    return lathe([*adapter, *handle, (0.005, 0.235), (0.005, 0.292), (0.003, 0.298), (0.001, 0.3)])
+    handle = [
+        (0.021, 0.085),
+        (0.0225, 0.11),
+        (0.0225, 0.17),
+        (0.019, 0.195),
+        (0.010, 0.215),
+    ]
+    return lathe(
+        [
+            *adapter,
+            *handle,
+            (0.005, 0.235),
+            (0.005, 0.292),
+            (0.003, 0.298),
+            (0.001, 0.3),
+        ]
+    )
 
 
 def _gripper() -> Array:

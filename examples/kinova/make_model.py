@@ -87,7 +87,10 @@ def variants() -> tuple[Variant, Variant, Variant]:
         gen3.true_link6(gen3.gripper() + gen3.workpiece()),
         gen3.TRUE_FRICTION,
         (("gripper", "dark"), ("fingers", "steel"), ("workpiece", "accent")),
-        (((-0.03, 0, 0.115, 0.03, 0, 0.115), 0.035), ((-0.02, 0, 0.19, 0.02, 0, 0.19), 0.03)),
+        (
+            ((-0.03, 0, 0.115, 0.03, 0, 0.115), 0.035),
+            ((-0.02, 0, 0.19, 0.02, 0, 0.19), 0.03),
+        ),
     )
     empty = replace(
         truth,
@@ -102,7 +105,9 @@ def variants() -> tuple[Variant, Variant, Variant]:
 def model_xml(variant: Variant) -> str:
     """Return a variant as MJCF text."""
     root = ET.Element("mujoco", model=Path(variant.file).stem)
-    root.append(_comment(variant.note + " Written by make_model.py; change the numbers there."))
+    root.append(
+        _comment(variant.note + " Written by make_model.py; change the numbers there.")
+    )
     ET.SubElement(root, "compiler", angle="radian", meshdir="meshes")
     _add_look(root)
     _add_assets(root, variant)
@@ -137,7 +142,11 @@ def _comment(text: str) -> ET.Element:
 def _add_look(root: ET.Element) -> None:
     visual = ET.SubElement(root, "visual")
     ET.SubElement(
-        visual, "headlight", ambient=".38 .38 .38", diffuse=".28 .28 .28", specular=".1 .1 .1"
+        visual,
+        "headlight",
+        ambient=".38 .38 .38",
+        diffuse=".28 .28 .28",
+        specular=".1 .1 .1",
     )
     ET.SubElement(visual, "global", offwidth="1920", offheight="1440")
     ET.SubElement(visual, "quality", shadowsize="4096", offsamples="8")
@@ -152,16 +161,32 @@ def _add_look(root: ET.Element) -> None:
 def _add_assets(root: ET.Element, variant: Variant) -> None:
     asset = ET.SubElement(root, "asset")
     for name, colour in COLOURS.items():
-        ET.SubElement(asset, "material", name=name, rgba=colour, specular=".3", shininess=".4")
-    for mesh in (*gen3.LINKS[:-1], "bracelet", "camera", *(name for name, _ in variant.tool)):
+        ET.SubElement(
+            asset, "material", name=name, rgba=colour, specular=".3", shininess=".4"
+        )
+    for mesh in (
+        *gen3.LINKS[:-1],
+        "bracelet",
+        "camera",
+        *(name for name, _ in variant.tool),
+    ):
         ET.SubElement(asset, "mesh", name=mesh, file=f"{mesh}.stl")
 
 
 def _add_bodies(world: ET.Element, variant: Variant) -> None:
     ET.SubElement(
-        world, "light", directional="true", pos=".7 -1 2", dir="-.35 .5 -1", diffuse=".5 .5 .5"
+        world,
+        "light",
+        directional="true",
+        pos=".7 -1 2",
+        dir="-.35 .5 -1",
+        diffuse=".5 .5 .5",
     )
-    world.append(_comment("The floor is only drawn: the arm's own contacts are what matters here."))
+    world.append(
+        _comment(
+            "The floor is only drawn: the arm's own contacts are what matters here."
+        )
+    )
     floor = {"name": "floor", "type": "plane", "size": "0 0 .05", "material": "floor"}
     ET.SubElement(world, "geom", floor, contype="0", conaffinity="0")
     parent = world
@@ -170,12 +195,18 @@ def _add_bodies(world: ET.Element, variant: Variant) -> None:
         if number >= 0:
             _add_joint(parent, number, variant.friction[number])
         _add_geoms(parent, name, variant)
-    ET.SubElement(parent, "site", name="flange", pos=_numbers(gen3.FLANGE), size=".004", group="4")
+    ET.SubElement(
+        parent, "site", name="flange", pos=_numbers(gen3.FLANGE), size=".004", group="4"
+    )
 
 
 def _add_body(parent: ET.Element, name: str, variant: Variant) -> ET.Element:
     if name == "link6":
-        parent.append(_comment("The terminal link with its tool; +z leaves the arm at the flange."))
+        parent.append(
+            _comment(
+                "The terminal link with its tool; +z leaves the arm at the flange."
+            )
+        )
     body = ET.SubElement(parent, "body", name=name)
     if name in gen3.FRAMES:
         position, turn = gen3.FRAMES[name]
@@ -183,7 +214,13 @@ def _add_body(parent: ET.Element, name: str, variant: Variant) -> ET.Element:
         body.set("quat", _numbers(turn))
     mass, com, inertia = _inertial(name, variant)
     about_com = _numbers(spatial.fullinertia_from_symmetric(inertia))
-    ET.SubElement(body, "inertial", pos=_numbers(com), mass=_numbers([mass]), fullinertia=about_com)
+    ET.SubElement(
+        body,
+        "inertial",
+        pos=_numbers(com),
+        mass=_numbers([mass]),
+        fullinertia=about_com,
+    )
     return body
 
 
@@ -216,9 +253,15 @@ def _add_geoms(body: ET.Element, name: str, variant: Variant) -> None:
     if name == "link6":
         drawn = (("bracelet", "shell"), ("camera", "dark"), *variant.tool)
     for mesh, material in drawn:
-        ET.SubElement(body, "geom", {"class": "visual", "mesh": mesh, "material": material})
+        ET.SubElement(
+            body, "geom", {"class": "visual", "mesh": mesh, "material": material}
+        )
     for ends, size in _capsules(name) + (variant.hull if name == "link6" else ()):
-        capsule = {"class": "collision", "fromto": _numbers(ends), "size": _numbers([size])}
+        capsule = {
+            "class": "collision",
+            "fromto": _numbers(ends),
+            "size": _numbers([size]),
+        }
         ET.SubElement(body, "geom", capsule)
 
 
@@ -243,7 +286,10 @@ def _capsules(name: str) -> tuple[Cylinder, ...]:
     if name == "base":
         return (((0, 0, 0.05, 0, 0, 0.11), LARGE),)
     if name == "link6":
-        return (((0, 0, 0.03, 0, 0, 0.04), 0.03), ((-0.025, 0.05, 0.04, 0.025, 0.05, 0.04), 0.02))
+        return (
+            ((0, 0, 0.03, 0, 0, 0.04), 0.03),
+            ((-0.025, 0.05, 0.04, 0.025, 0.05, 0.04), 0.02),
+        )
     child = gen3.LINKS[gen3.LINKS.index(name) + 1]
     radius = SMALL if name in ("link4", "link5") else LARGE
     return (((0, 0, 0, *gen3.FRAMES[child][0]), radius),)
@@ -251,13 +297,17 @@ def _capsules(name: str) -> tuple[Cylinder, ...]:
 
 def _add_contact(root: ET.Element) -> None:
     contact = ET.SubElement(root, "contact")
-    contact.append(_comment("MuJoCo leaves out contacts of neighbours, but not with a fixed base."))
+    contact.append(
+        _comment("MuJoCo leaves out contacts of neighbours, but not with a fixed base.")
+    )
     ET.SubElement(contact, "exclude", body1="base", body2="link0")
 
 
 def _add_actuators(root: ET.Element) -> None:
     actuator = ET.SubElement(root, "actuator")
-    actuator.append(_comment("Nominal torques; the actuators' hard limits are 105 and 52 N m."))
+    actuator.append(
+        _comment("Nominal torques; the actuators' hard limits are 105 and 52 N m.")
+    )
     for number, joint in enumerate(gen3.JOINTS):
         limit = _numbers((-joint.torque, joint.torque))
         names = {"name": f"motor{number}", "joint": f"joint{number}"}

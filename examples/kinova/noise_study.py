@@ -29,7 +29,13 @@ from robot_sysid.estimation.fit import evidence, solve
 from robot_sysid.estimation.unknowns import Choice, Question
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Estimate, MotionPlan, RobotModel, SquareRootInformation, Validation
+from robot_sysid.records import (
+    Estimate,
+    MotionPlan,
+    RobotModel,
+    SquareRootInformation,
+    Validation,
+)
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
@@ -43,7 +49,10 @@ SAMPLE_RATE = 1000.0
 ENCODER_STEP = 1e-4
 NORMAL_95 = 1.96
 KNOWN = dict.fromkeys(
-    (f"{cause}_uncertainty" for cause in ("link", "scale", "zero", "gravity", "delay", "friction")),
+    (
+        f"{cause}_uncertainty"
+        for cause in ("link", "scale", "zero", "gravity", "delay", "friction")
+    ),
     0.0,
 )
 """All that is not noise is known."""
@@ -110,7 +119,9 @@ class NoiseStudy:
     def __init__(self, plan: MotionPlan | None = None, seed: int = 1) -> None:
         self.plant = load_robot_model(MODELS / "kinova_fullinertia.xml")
         guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml").prior
-        self.robot = replace(self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess)
+        self.robot = replace(
+            self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess
+        )
         self.plan = plan or random_plan(self.robot, seed)
         self.signals = self.recorded()
         self.friction = (friction_model(DEFAULT_MEASURED),) * self.robot.n_joints
@@ -147,7 +158,9 @@ class NoiseStudy:
         """Return the Cramer-Rao bound (p,) of the whole log: exact motion, white noise."""
         exact = simulate_inverse(self.plant, motion_chunks(self.plan, SAMPLE_RATE))
         information = collect_sysid_data(self._equations(), exact)
-        level = np.broadcast_to(np.asarray(noise.level, dtype=float), (self.robot.n_joints,))
+        level = np.broadcast_to(
+            np.asarray(noise.level, dtype=float), (self.robot.n_joints,)
+        )
         return np.sqrt(np.diag(cramer_rao_bound(information, level)))
 
     def noisy(self, noise: Noise, rng: np.random.Generator) -> DecimatedSamples:
@@ -165,7 +178,9 @@ class NoiseStudy:
         fit = solve(self.columns, question, choice, start, data, (samples,))
         fits, errors = (fit, replace(fit, values=fit.free)), fit_errors(fit)
         untested = Validation("nothing", 0, np.nan, None, {}, {})
-        possible, plain = (estimate_of(Answer(each, None, errors, untested)) for each in fits)
+        possible, plain = (
+            estimate_of(Answer(each, None, errors, untested)) for each in fits
+        )
         return possible, plain
 
     def run(self, noise: Noise, draws: int, seed: int = 0) -> Outcome:
@@ -176,7 +191,9 @@ class NoiseStudy:
             estimate, plain = self.identified(samples)
             errors.append(self.errors(estimate))
             plain_errors.append(self.errors(plain))
-            reach.append([NORMAL_95 * (estimate.error(name) or 0.0) for name in self.names])
+            reach.append(
+                [NORMAL_95 * (estimate.error(name) or 0.0) for name in self.names]
+            )
             constrained += estimate.constrained
             impossible += not estimate.inertial.is_consistent
         return Outcome(
@@ -190,7 +207,9 @@ class NoiseStudy:
 
     def errors(self, estimate: Estimate) -> Array:
         """Return (p,) estimate minus truth."""
-        return np.array([estimate.value(name) or 0.0 for name in self.names]) - self.truth
+        return (
+            np.array([estimate.value(name) or 0.0 for name in self.names]) - self.truth
+        )
 
 
 def random_plan(robot: RobotModel, seed: int) -> MotionPlan:

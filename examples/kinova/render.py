@@ -32,11 +32,15 @@ def main() -> int:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        print("No pictures drawn: they are written by matplotlib (pip install matplotlib).")
+        print(
+            "No pictures drawn: they are written by matplotlib (pip install matplotlib)."
+        )
         return 0
     backend = find_backend()
     if backend is None:
-        print("No pictures drawn: neither EGL nor OSMesa works here (Debian: libegl1 libosmesa6).")
+        print(
+            "No pictures drawn: neither EGL nor OSMesa works here (Debian: libegl1 libosmesa6)."
+        )
         return 0
     os.environ["MUJOCO_GL"] = backend
     pictures = {
@@ -56,7 +60,9 @@ def find_backend() -> str | None:
     chosen = os.environ.get("MUJOCO_GL")
     for backend in (chosen,) if chosen else BACKENDS:
         environment = {**os.environ, "MUJOCO_GL": backend}
-        tried = subprocess.run([sys.executable, "-c", PROBE], env=environment, capture_output=True)
+        tried = subprocess.run(
+            [sys.executable, "-c", PROBE], env=environment, capture_output=True
+        )
         if tried.returncode == 0:
             return backend
     return None
@@ -74,7 +80,9 @@ class Studio:
         import mujoco
 
         self.mujoco = mujoco
-        self.model = mujoco.MjModel.from_xml_string(_with_background(HERE / "model" / file))
+        self.model = mujoco.MjModel.from_xml_string(
+            _with_background(HERE / "model" / file)
+        )
         self.data = mujoco.MjData(self.model)
         self.renderer = mujoco.Renderer(self.model, size[1], size[0], max_geom=4000)
         self.options = mujoco.MjvOption()
@@ -84,7 +92,11 @@ class Studio:
     def look(self, at: Sequence[float], distance: float, azimuth: float) -> None:
         """Place the camera: the point it looks at [m], its distance [m] and azimuth [degree]."""
         self.camera.lookat = at
-        self.camera.distance, self.camera.azimuth, self.camera.elevation = distance, azimuth, -18
+        self.camera.distance, self.camera.azimuth, self.camera.elevation = (
+            distance,
+            azimuth,
+            -18,
+        )
 
     def pose(self, qpos: Array, shadow: bool = True) -> None:
         """Put the arm at joint positions (7,) [rad] and start a new picture with it."""
@@ -122,7 +134,9 @@ class Studio:
         """Add a line through points (N, 3) [m] to the picture."""
         capsule = self.mujoco.mjtGeom.mjGEOM_CAPSULE
         for start, end in zip(points[:-1], points[1:]):
-            geom = self._new_geom(capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+            geom = self._new_geom(
+                capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba
+            )
             self.mujoco.mjv_connector(geom, capsule, radius, start, end)
 
     def show_inertia(self, body: int) -> None:
@@ -151,7 +165,9 @@ class Studio:
     ) -> Any:
         scene = self.renderer.scene
         geom = scene.geoms[scene.ngeom]
-        self.mujoco.mjv_initGeom(geom, kind, size, place, turn, np.array(rgba, dtype=np.float32))
+        self.mujoco.mjv_initGeom(
+            geom, kind, size, place, turn, np.array(rgba, dtype=np.float32)
+        )
         geom.segid = -1
         scene.ngeom += 1
         return geom
@@ -228,7 +244,13 @@ def _with_background(path: Path) -> str:
     """Return the model as text with a plain sky; meshes are found by their full path."""
     root = ET.parse(path).getroot()
     root.find("compiler").set("meshdir", str(path.parent / "meshes"))
-    sky = {"type": "skybox", "builtin": "flat", "rgb1": BACKGROUND, "width": "64", "height": "64"}
+    sky = {
+        "type": "skybox",
+        "builtin": "flat",
+        "rgb1": BACKGROUND,
+        "width": "64",
+        "height": "64",
+    }
     ET.SubElement(root.find("asset"), "texture", sky)
     ET.SubElement(root.find("visual"), "rgba", haze=BACKGROUND + " 1")
     ET.SubElement(root.find("visual"), "map", haze=".35")

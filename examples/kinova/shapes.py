@@ -25,7 +25,10 @@ _STL_TRIANGLE = np.dtype(
 
 
 def ring(
-    centre: Sequence[float], half_width: float, half_depth: float, squareness: float = 2.0
+    centre: Sequence[float],
+    half_width: float,
+    half_depth: float,
+    squareness: float = 2.0,
 ) -> Array:
     """Return a superellipse |x/a|^k + |y/b|^k = 1 parallel to the xy plane.
 
@@ -59,8 +62,13 @@ def lathe(profile: Sequence[tuple[float, float]]) -> Array:
 def drum(radius: float, bottom: float, top: float, edge: float) -> Array:
     """Return a cylinder about z with both edges rounded by a quarter circle of radius ``edge``."""
     turn = np.linspace(0.0, 0.5 * np.pi, 5)
-    lower = [(radius - edge + edge * np.sin(a), bottom + edge - edge * np.cos(a)) for a in turn]
-    upper = [(radius - edge + edge * np.cos(a), top - edge + edge * np.sin(a)) for a in turn]
+    lower = [
+        (radius - edge + edge * np.sin(a), bottom + edge - edge * np.cos(a))
+        for a in turn
+    ]
+    upper = [
+        (radius - edge + edge * np.cos(a), top - edge + edge * np.sin(a)) for a in turn
+    ]
     return lathe(lower + upper)
 
 
@@ -73,7 +81,9 @@ def box(centre: Sequence[float], half_sizes: Sequence[float]) -> Array:
     """
     x, y, z = centre
     a, b, c = half_sizes
-    return loft([ring((x, y, z + side * c), a, b, squareness=12.0) for side in (-1.0, 1.0)])
+    return loft(
+        [ring((x, y, z + side * c), a, b, squareness=12.0) for side in (-1.0, 1.0)]
+    )
 
 
 def turned(mesh: Array, rotation: Array) -> Array:

@@ -36,7 +36,9 @@ def main() -> int:
         model = known_links_guessed_tool(folder)
         print("1. export: robot-sysid MODEL --export-damiao --motor-type ...")
         trajectory = exported_trajectory(model, folder)
-        print("2. play and record: robot-sysid motors simulate ... --play --record measured.csv")
+        print(
+            "2. play and record: robot-sysid motors simulate ... --play --record measured.csv"
+        )
         play_and_record(trajectory, folder / "measured.csv")
         print("3. identify: robot-sysid MODEL --measurements measured.csv")
         close = compare(identified(model, folder / "measured.csv", folder))
@@ -86,7 +88,16 @@ def exported_trajectory(model: Path, folder: Path, duration: float = DURATION) -
 
 def play_and_record(trajectory: Path, record: Path) -> None:
     """Play on the simulated arm, in simulated time, and print how that went."""
-    played = "motors", "simulate", trajectory, "--model", TRUTH, "--play", "--record", record
+    played = (
+        "motors",
+        "simulate",
+        trajectory,
+        "--model",
+        TRUTH,
+        "--play",
+        "--record",
+        record,
+    )
     for line in succeeding(*played).splitlines():
         if line.startswith(("played ", "largest distance ")):
             print(f"   {line}")
@@ -107,7 +118,9 @@ def compare(found: dict[str, object]) -> bool:
     com = np.array(found["center_of_mass_moment"], dtype=float) / mass
     mass_error = mass / truth.mass - 1.0
     com_error = float(np.linalg.norm(com - truth.com))
-    print(f"   mass [kg]: guess {guess.mass:.4f}, found {mass:.4f}, truth {truth.mass:.4f}")
+    print(
+        f"   mass [kg]: guess {guess.mass:.4f}, found {mass:.4f}, truth {truth.mass:.4f}"
+    )
     print(f"   centre of mass [mm]: found {1e3 * com}, truth {1e3 * truth.com}")
     print(f"   off by {100 * mass_error:+.3f} % and {1e3 * com_error:.3f} mm")
     return abs(mass_error) < MASS_TOLERANCE and com_error < COM_TOLERANCE

@@ -68,7 +68,9 @@ def identify(
     terms = friction or friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
     equations = Equations(robot, torques, terms)
     measurements = simulate_inverse(plant, motion_chunks(plan, SAMPLE_RATE))
-    return identify_parameters(collect_sysid_data(equations, measurements), equations.prior)
+    return identify_parameters(
+        collect_sysid_data(equations, measurements), equations.prior
+    )
 
 
 def own_simulation(guess: RobotModel, plan: MotionPlan) -> bool:
@@ -77,9 +79,13 @@ def own_simulation(guess: RobotModel, plan: MotionPlan) -> bool:
     return compare(known(guess), identify(guess, guess, plan), guess)
 
 
-def terminal_torque_only(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
+def terminal_torque_only(
+    guess: RobotModel, truth: RobotModel, plan: MotionPlan
+) -> bool:
     """The last joint's torque shows seven combinations; mass and h_z must stay the guess's."""
-    print("\n2. The truth, seen by its last joint only: what it cannot see stays as guessed")
+    print(
+        "\n2. The truth, seen by its last joint only: what it cannot see stays as guessed"
+    )
     estimate = identify(guess, truth, plan, torques="terminal")
     print(f"   not visible: {'; '.join(estimate.identifiability.unidentifiable)}")
     expected = known(truth)
@@ -98,20 +104,29 @@ def links_known(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
     return compare(known(truth), identify(start, truth, plan), guess)
 
 
-def payload_by_difference(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
+def payload_by_difference(
+    guess: RobotModel, truth: RobotModel, plan: MotionPlan
+) -> bool:
     """The tool alone, from two runs on one trajectory: whatever is wrong in both cancels.
 
     tau_with - tau_without = Y (theta_with - theta_without) = Y theta_tool.
     """
-    print("\n4. The tool alone: run with it minus run without it, all other links guessed wrong")
+    print(
+        "\n4. The tool alone: run with it minus run without it, all other links guessed wrong"
+    )
     tool = spatial.transform_theta(
         gen3.gripper() + gen3.workpiece(), np.eye(3), np.array(gen3.FLANGE)
     )
     bare = truth.prior.theta - tool
-    unloaded = replace(truth, mj_model=with_link(truth, bare), prior=InertialParameters(bare))
+    unloaded = replace(
+        truth, mj_model=with_link(truth, bare), prior=InertialParameters(bare)
+    )
     equations = Equations(guess, "chain", (NO_FRICTION,) * guess.n_joints)
     found = InformationAccumulator(equations.names, equations.joints, equations.columns)
-    runs = (simulate_inverse(arm, motion_chunks(plan, SAMPLE_RATE)) for arm in (truth, unloaded))
+    runs = (
+        simulate_inverse(arm, motion_chunks(plan, SAMPLE_RATE))
+        for arm in (truth, unloaded)
+    )
     for pair in zip(*runs):
         (loaded, empty) = (equations.rows(measurement) for measurement in pair)
         for joint, ((rows, tau), (_, tau_empty)) in enumerate(zip(loaded, empty)):
@@ -120,9 +135,13 @@ def payload_by_difference(guess: RobotModel, truth: RobotModel, plan: MotionPlan
     return print_table(tool, estimate.values, guess)
 
 
-def links_from_the_catalogue(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> None:
+def links_from_the_catalogue(
+    guess: RobotModel, truth: RobotModel, plan: MotionPlan
+) -> None:
     """What a real arm does: the other links are not quite what the model says."""
-    print("\n5. The truth, when all other links are only guessed (not expected to be exact)")
+    print(
+        "\n5. The truth, when all other links are only guessed (not expected to be exact)"
+    )
     everywhere = (TERMINAL_FRICTION,) * guess.n_joints
     estimate = identify(guess, truth, plan, friction=everywhere)
     compare(known(truth), estimate, guess)

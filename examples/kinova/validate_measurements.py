@@ -18,7 +18,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from validate_damiao_loop import GUESS, MODELS, TRUTH, known_links_guessed_tool, robot_sysid
+from validate_damiao_loop import (
+    GUESS,
+    MODELS,
+    TRUTH,
+    known_links_guessed_tool,
+    robot_sysid,
+)
 
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel
@@ -80,7 +86,10 @@ def saved_and_read_again(bench: Bench) -> bool:
     sensors = ("--noise-torque", 0.1, "--encoder-resolution", 1e-4)
     first = bench.identify("--plant-model", TRUTH, *sensors, "--save-measurements", log)
     again = bench.identify("--measurements", log)
-    same = all(first[key] == again[key] for key in ("mass", "inertia_tensor", "standard_errors"))
+    same = all(
+        first[key] == again[key]
+        for key in ("mass", "inertia_tensor", "standard_errors")
+    )
     print(f"   mass {again['mass']:.6f} kg; all numbers the same: {same}")
     return same
 
@@ -104,7 +113,11 @@ def friction_errors(found: Mapping[str, Any], truth: RobotModel) -> tuple[float,
     for term in ("coulomb", "viscous"):
         terms = [found["joints"][joint]["terms"] for joint in truth.joint_names]
         values = [each[term]["value"] if term in each else 0.0 for each in terms]
-        worst.append(float(np.max(np.abs(np.array(values) / getattr(truth.friction, term) - 1.0))))
+        worst.append(
+            float(
+                np.max(np.abs(np.array(values) / getattr(truth.friction, term) - 1.0))
+            )
+        )
     return worst[0], worst[1]
 
 
@@ -115,7 +128,12 @@ def delay_and_tilt(bench: Bench) -> bool:
     passed = True
     for delay, tilt in INJECTED:
         found = bench.identify(
-            *("--plant-model", tilted_truth(bench.folder, tilt), "--torque-delay", 1e-3 * delay),
+            *(
+                "--plant-model",
+                tilted_truth(bench.folder, tilt),
+                "--torque-delay",
+                1e-3 * delay,
+            ),
             *("--encoder-resolution", 1e-4, "--delay", "auto", "--tilt", "auto"),
         )
         got, angle = 1e3 * found["delay"], np.degrees(found["tilt"])
@@ -132,7 +150,9 @@ def tilted_truth(folder: Path, degrees: float) -> Path:
     root, compiler = tree.getroot(), tree.find("compiler")
     assert compiler is not None
     compiler.set("meshdir", str(MODELS / compiler.get("meshdir", "")))
-    ElementTree.SubElement(root, "option", gravity=" ".join(map(repr, map(float, down))))
+    ElementTree.SubElement(
+        root, "option", gravity=" ".join(map(repr, map(float, down)))
+    )
     path = folder / "tilted.xml"
     tree.write(path)
     return path
@@ -147,18 +167,28 @@ def other_trajectory(bench: Bench) -> bool:
         *(bench.model, "--plant-model", TRUTH, *sensors, "--seed", 2),
         *("--save-measurements", other, "--output-dir", bench.folder / "other"),
     )
-    found = bench.identify("--plant-model", TRUTH, *sensors, "--validation-measurements", other)
+    found = bench.identify(
+        "--plant-model", TRUTH, *sensors, "--validation-measurements", other
+    )
     fitted, predicted = found["rmse"], found["validation"][-1]["rmse"]
-    print(f"   torque error on fitted data {fitted:.4f} N m, on the other log {predicted:.4f} N m")
+    print(
+        f"   torque error on fitted data {fitted:.4f} N m, on the other log {predicted:.4f} N m"
+    )
     return bool(predicted < 1.5 * fitted)
 
 
 def links_only_guessed(bench: Bench) -> None:
     """What a real arm does: the other links are not quite what the model says."""
-    print("5. the other links only guessed: the interval allows for that, and the verdict says so")
-    found = bench.identify("--plant-model", TRUTH, "--encoder-resolution", 1e-4, model=GUESS)
+    print(
+        "5. the other links only guessed: the interval allows for that, and the verdict says so"
+    )
+    found = bench.identify(
+        "--plant-model", TRUTH, "--encoder-resolution", 1e-4, model=GUESS
+    )
     error = found["standard_errors"]["m"]
-    print(f"   mass {found['mass']:.3f} ± {error:.3f} kg, truth {bench.truth.prior.mass:.3f} kg")
+    print(
+        f"   mass {found['mass']:.3f} ± {error:.3f} kg, truth {bench.truth.prior.mass:.3f} kg"
+    )
     for sentence in found["limitations"]:
         print(f"   {sentence}")
 

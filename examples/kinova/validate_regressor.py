@@ -34,13 +34,19 @@ RANDOM_LINKS = 3
 def main() -> int:
     """Compare on both models and print a line per terminal link; returns the exit code."""
     rng = np.random.default_rng(0)
-    print(f"{SAMPLES} random states each; torques in N m, error relative to the largest torque")
-    print(f"{'model':<32}{'terminal link':<16}{'largest torque':>16}{'largest error':>16}")
+    print(
+        f"{SAMPLES} random states each; torques in N m, error relative to the largest torque"
+    )
+    print(
+        f"{'model':<32}{'terminal link':<16}{'largest torque':>16}{'largest error':>16}"
+    )
     worst = 0.0
     for file in ("kinova_fullinertia_guess.xml", "kinova_fullinertia.xml"):
         robot = load_robot_model(MODELS / file)
         for name, theta in terminal_links(robot, rng):
-            expected, found = both_torques(robot, theta, random_motion(robot.n_joints, rng))
+            expected, found = both_torques(
+                robot, theta, random_motion(robot.n_joints, rng)
+            )
             scale = float(np.max(np.abs(expected)))
             error = float(np.max(np.abs(found - expected))) / scale
             worst = max(worst, error)
@@ -50,7 +56,9 @@ def main() -> int:
     return 0 if worst < TOLERANCE else 1
 
 
-def terminal_links(robot: RobotModel, rng: np.random.Generator) -> Iterator[tuple[str, Array]]:
+def terminal_links(
+    robot: RobotModel, rng: np.random.Generator
+) -> Iterator[tuple[str, Array]]:
     """Yield (name, theta (10,)): the model's own link, then random ones that can exist."""
     yield "of the model", robot.prior.theta
     for number in range(1, RANDOM_LINKS + 1):
@@ -60,11 +68,15 @@ def terminal_links(robot: RobotModel, rng: np.random.Generator) -> Iterator[tupl
 
 def random_motion(joints: int, rng: np.random.Generator) -> Motion:
     """Return unrelated random positions, speeds and accelerations."""
-    q, qd, qdd = (scale * rng.normal(size=(SAMPLES, joints)) for scale in (2.0, 3.0, 10.0))
+    q, qd, qdd = (
+        scale * rng.normal(size=(SAMPLES, joints)) for scale in (2.0, 3.0, 10.0)
+    )
     return Motion(np.arange(SAMPLES, dtype=float), q, qd, qdd)
 
 
-def both_torques(robot: RobotModel, theta: Array, motion: Motion) -> tuple[Array, Array]:
+def both_torques(
+    robot: RobotModel, theta: Array, motion: Motion
+) -> tuple[Array, Array]:
     """Return torques (N, n) without friction: MuJoCo's, and known part + Y theta."""
     equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
     each = np.stack([*equations.bodies(motion)], axis=1)

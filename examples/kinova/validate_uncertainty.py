@@ -52,8 +52,12 @@ def report(name: str, noise: Noise, study: NoiseStudy, draws: int) -> bool:
     if noise.memory == 0.0:
         ratio = outcome.over_bound(study.bound(noise))
         median, worst = f"{np.median(ratio):.3f}", f"{np.max(ratio):.3f}"
-        efficient = np.median(ratio) <= MEDIAN_OVER_BOUND and np.max(ratio) <= WORST_OVER_BOUND
-    plain, result = (float(np.mean(c)) for c in (outcome.plain_covered, outcome.covered))
+        efficient = (
+            np.median(ratio) <= MEDIAN_OVER_BOUND and np.max(ratio) <= WORST_OVER_BOUND
+        )
+    plain, result = (
+        float(np.mean(c)) for c in (outcome.plain_covered, outcome.covered)
+    )
     print(
         f"{name:<24}{median:>8}{worst:>8}{100.0 * plain:>7.1f} %{100.0 * result:>7.1f} %"
         f"{100.0 * outcome.constrained:>13.0f} %{outcome.impossible:>12}"

@@ -52,7 +52,9 @@ class Frame(Protocol):
     def __getitem__(self, name: Any, /) -> Any: ...
 
 
-Log = Union[str, "os.PathLike[str]", Mapping[str, Any], Frame, Measurement, MeasurementLog]
+Log = Union[
+    str, "os.PathLike[str]", Mapping[str, Any], Frame, Measurement, MeasurementLog
+]
 """A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
 rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
 _ADDED = Path("added information")
@@ -264,14 +266,18 @@ def identify_from(
     """
     for each in (found, validation):
         if not isinstance(each, (LogInformation, type(None))) or found is None:
-            raise InputError(f"a sum of rs.information is needed, not {type(each).__name__}")
+            raise InputError(
+                f"a sum of rs.information is needed, not {type(each).__name__}"
+            )
     robot = arm_of(model, options)
     arm = record_from(ModelOptions, options)
     logs = LogOptions(measurements=(_ADDED,))
     config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
     with _quietly() as notes:
         answer = sums.answer_from(robot, found, validation)
-        analysis = Analysis(result_of(answer, found.origin), found.checkpoints, _no_traces, answer)
+        analysis = Analysis(
+            result_of(answer, found.origin), found.checkpoints, _no_traces, answer
+        )
     return Identified(robot, analysis, config, (*found.notes, *notes.notes))
 
 

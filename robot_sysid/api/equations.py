@@ -82,7 +82,9 @@ def regressor(
     if len({len(each) for each in motion}) > 1:
         raise InputError("q, qd and qdd need the same number of samples")
     links = [k for k, link in enumerate(robot.links) if link.has_mass]
-    of_joints = [np.eye(n) * each[:, None] for each in (motion[2], motion[1], np.sign(motion[1]))]
+    of_joints = [
+        np.eye(n) * each[:, None] for each in (motion[2], motion[1], np.sign(motion[1]))
+    ]
     columns = LinkDynamics(robot).motion(*motion).columns(links)
     joint = robot.armature, robot.friction.viscous, robot.friction.coulomb
     theta = [*(robot.links[k].theta for k in links), *joint]

@@ -82,7 +82,9 @@ class ReadLogKeywords(TypedDict, total=False):
     torque_scale: float | Numbers | File | None
     units: str | None
 
-class InformationKeywords(ReadLogKeywords, IdentifyFromKeywords, _InformationPlan, total=False):
+class InformationKeywords(
+    ReadLogKeywords, IdentifyFromKeywords, _InformationPlan, total=False
+):
     accept: Accept | Sequence[Accept]
     coupling: File | None
     cutoff: float | None

@@ -25,7 +25,12 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.model.in_memory import InMemory, compiled_in_memory, file_of, is_in_memory
+from robot_sysid.model.in_memory import (
+    InMemory,
+    compiled_in_memory,
+    file_of,
+    is_in_memory,
+)
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.parser import load_robot_model, robot_from_compiled
@@ -57,12 +62,18 @@ def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
     chosen = option_records.record_from(ModelOptions, values)
     if is_in_memory(model):
         compiled = compiled_in_memory(model)
-        return robot_from_compiled(compiled, Path("model"), chosen.joint, keyframe=chosen.keyframe)
-    return load_robot_model(path_of(model), chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)
+        return robot_from_compiled(
+            compiled, Path("model"), chosen.joint, keyframe=chosen.keyframe
+        )
+    return load_robot_model(
+        path_of(model), chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe
+    )
 
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-_ARM, _PAYLOAD = (tuple(get_type_hints(kind).values()) for kind in (SysidConfig, PayloadConfig))
+_ARM, _PAYLOAD = (
+    tuple(get_type_hints(kind).values()) for kind in (SysidConfig, PayloadConfig)
+)
 _MOTORS = (
     BusAddress,
     BusTiming,
@@ -74,7 +85,9 @@ _MOTORS = (
 )
 RECORDS: Mapping[str, Sequence[Any]] = {
     "identify": tuple(each for each in _ARM if each.__name__ != "PoseOptions"),
-    "plan": tuple(each for each in _ARM if each.__name__ not in ("LogOptions", "OutputOptions")),
+    "plan": tuple(
+        each for each in _ARM if each.__name__ not in ("LogOptions", "OutputOptions")
+    ),
     "payload": _PAYLOAD,
     "read_log": (LogOptions,),
     "information": (ModelOptions, LogOptions, EstimationOptions),
@@ -100,7 +113,9 @@ _USELESS: Mapping[str, Mapping[str, str]] = {
     "plan": dict.fromkeys(_ESTIMATED, "is about an estimate; a plan stops before it"),
     "payload": {"links": "means nothing for a payload; leave it out"},
     "read_log": {"accept": "is about an estimate; reading makes none"},
-    "play": dict.fromkeys(keys_of(LimitOptions) - {*LIMITS}, "is for designing a motion; see plan"),
+    "play": dict.fromkeys(
+        keys_of(LimitOptions) - {*LIMITS}, "is for designing a motion; see plan"
+    ),
     "hold": {"also": "is a motion; an arm that is held has none"},
 }
 _NAMED = {"measurements": "log", "validation_measurements": "validation"}
@@ -134,7 +149,9 @@ def with_keywords(**usual: Any) -> Callable[[Function], Function]:
                 for key in asked:
                     if key in refused:
                         raise InputError(f"{key} {refused[key]}")
-                option_records.refuse_unknown(asked, {*known, *own.parameters} - {"options"})
+                option_records.refuse_unknown(
+                    asked, {*known, *own.parameters} - {"options"}
+                )
                 return function(*given, **options)
 
         shown = [each for each in own.parameters.values() if each.name != "options"]
@@ -162,7 +179,9 @@ def in_python() -> Iterator[None]:
 @functools.cache
 def _options() -> Mapping[str, Option]:
     records = {*_ARM, *_PAYLOAD, *_MOTORS}
-    return {each.flag: each for record in records for each in options_of(record).values()}
+    return {
+        each.flag: each for record in records for each in options_of(record).values()
+    }
 
 
 _OF_RUNS = ("--model", "--joint-map")

@@ -64,7 +64,11 @@ def play(
             may still be enabled.
     """
     with _motor_file(trajectory) as (path, own):
-        chosen = {**own, **({} if model is None else {"model": path_of(model)}), **options}
+        chosen = {
+            **own,
+            **({} if model is None else {"model": path_of(model)}),
+            **options,
+        }
         asked = _asked(say, trajectory=path, joint_map=joint_map, **chosen)
         plan = asked.plan()
         require_no_stop(asked.checks(plan), "not played")
@@ -101,7 +105,9 @@ def _asked(say: Say, **values: Any) -> MotorRun:
     return MotorRun(values, lambda words, last: say(words))
 
 
-def _played(asked: MotorRun, link: GuardedLink, plan: Plan, say: Say, real: bool) -> PlayReport:
+def _played(
+    asked: MotorRun, link: GuardedLink, plan: Plan, say: Say, real: bool
+) -> PlayReport:
     stop = StopRequest()
     inspection = inspect_bus(link)
     require_no_stop(asked.met_checks(plan, inspection, real), "not played")
@@ -109,7 +115,9 @@ def _played(asked: MotorRun, link: GuardedLink, plan: Plan, say: Say, real: bool
 
 
 @contextlib.contextmanager
-def _motor_file(trajectory: Path | str | PlanResult) -> Iterator[tuple[Path, Mapping[str, Any]]]:
+def _motor_file(
+    trajectory: Path | str | PlanResult,
+) -> Iterator[tuple[Path, Mapping[str, Any]]]:
     """Yield the file of a trajectory, and which arm it is for, where a plan tells."""
     from robot_sysid.api.results import PlanResult
     from robot_sysid.pipeline import motor_writer
@@ -122,9 +130,17 @@ def _motor_file(trajectory: Path | str | PlanResult) -> Iterator[tuple[Path, Map
     config = trajectory.config
     write = motor_writer(config, trajectory.robot, trajectory.checked.plan)
     if write is None:
-        raise InputError("the plan is for no motors; give rs.plan export_damiao and motor_type")
-    arm = {each.key: getattr(config.model, each.key) for each in given_options(config.model)}
-    with temporary_folder() as folder, open(folder / DAMIAO_NAME, "w", encoding="utf-8") as file:
+        raise InputError(
+            "the plan is for no motors; give rs.plan export_damiao and motor_type"
+        )
+    arm = {
+        each.key: getattr(config.model, each.key)
+        for each in given_options(config.model)
+    }
+    with (
+        temporary_folder() as folder,
+        open(folder / DAMIAO_NAME, "w", encoding="utf-8") as file,
+    ):
         write(file)
         file.flush()
         yield folder / DAMIAO_NAME, {"model": config.model.path, **arm}

@@ -111,8 +111,16 @@ class Identified:
         if not self.result.is_measured:
             estimate = self.result.estimate
             joint = self.robot.terminal_joint
-            names = {n.partition("[")[0]: n for n in estimate.names if n.endswith(f"[{joint}]")}
-            return {joint: {term: estimate.value(name) or 0.0 for term, name in names.items()}}
+            names = {
+                n.partition("[")[0]: n
+                for n in estimate.names
+                if n.endswith(f"[{joint}]")
+            }
+            return {
+                joint: {
+                    term: estimate.value(name) or 0.0 for term, name in names.items()
+                }
+            }
         return {
             joint: {term: figure.value for term, figure in each.terms.items()}
             for joint, each in self.result.joints.items()
@@ -156,7 +164,9 @@ class Identified:
             return (*files, *(write_bundle(model, Path(folder)) for model in models))
 
     def _write(self, folder: Path) -> Outcome:
-        there = replace(self.config, output=replace(self.config.output, output_dir=folder))
+        there = replace(
+            self.config, output=replace(self.config.output, output_dir=folder)
+        )
         return written(there, self.robot, self.analysis, Progress())
 
     def spec(self) -> Any:
@@ -168,7 +178,9 @@ class Identified:
         with in_python(), one_thread(), temporary_folder() as folder:
             saved = self._write(folder)
             if not _models_in(saved.files):
-                raise SysidError(saved.failure or "this result is written into no model")
+                raise SysidError(
+                    saved.failure or "this result is written into no model"
+                )
             return model_in_memory(_models_in(saved.files)[0])
 
     def plot(self) -> Any:
@@ -184,7 +196,13 @@ class Identified:
         dots: Any = {"ls": "none", "marker": ".", "ms": 2, "color": "#0072B2"}
         for k, (axis, joint) in enumerate(zip(axes, traces.joints)):
             axis.plot(traces.time, traces.measured[:, k], label="measured", **dots)
-            axis.plot(traces.time, traces.predicted[:, k], lw=1, color="#D55E00", label="predicted")
+            axis.plot(
+                traces.time,
+                traces.predicted[:, k],
+                lw=1,
+                color="#D55E00",
+                label="predicted",
+            )
             axis.set_ylabel(f"{joint}\n[{'N' if traces.is_slide[k] else 'N m'}]")
         axes[-1].set_xlabel("time [s]")
         axes[0].legend(loc="upper right", ncols=2)
@@ -202,8 +220,15 @@ class Identified:
     def _repr_html_(self) -> str:
         """Return the table before -> after for a notebook, with the verdict above it."""
         lines = [("th", HEADINGS), *(("td", row.cells) for row in self.rows)]
-        rows = ("".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells) for tag, cells in lines)
-        verdict = f"<p><b>Not to be used:</b> {escape(self.failure)}</p>" if self.failure else ""
+        rows = (
+            "".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells)
+            for tag, cells in lines
+        )
+        verdict = (
+            f"<p><b>Not to be used:</b> {escape(self.failure)}</p>"
+            if self.failure
+            else ""
+        )
         return f"{verdict}<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 
 
@@ -277,7 +302,9 @@ class PlanResult:
         """
         if self.failure:
             raise SysidError(f"{self.failure}; nothing was written")
-        config = replace(self.config, trajectory=replace(self.config.trajectory, save=Path(path)))
+        config = replace(
+            self.config, trajectory=replace(self.config.trajectory, save=Path(path))
+        )
         with in_python(), one_thread(), whole_files() as files:
             return save_plan(files, config, self.robot, self.checked.plan)
 
@@ -296,11 +323,15 @@ class PlanResult:
             for axis, values in zip(row, (motion.q, motion.qd, motion.qdd)):
                 axis.plot(motion.time, values[:, joint], lw=1, color="#0072B2")
             for axis, pair in zip(row, bounds):
-                for bound in (float(each[joint]) for each in pair if np.isfinite(each[joint])):
+                for bound in (
+                    float(each[joint]) for each in pair if np.isfinite(each[joint])
+                ):
                     axis.axhline(bound, lw=1, ls="--", color="#D55E00")
             unit = "m" if self.robot.is_slide[joint] else "rad"
             row[0].set_ylabel(f"{self.robot.joint_names[joint]} [{unit}]")
-        for axis, title in zip(axes[0], ("position", "speed, per s", "acceleration, per s²")):
+        for axis, title in zip(
+            axes[0], ("position", "speed, per s", "acceleration, per s²")
+        ):
             axis.set_title(title, fontsize="medium")
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
@@ -310,7 +341,9 @@ class PlanResult:
         return "\n".join(self.promised)
 
     def __repr__(self) -> str:
-        playable = f"not to be played: {self.failure}" if self.failure else "keeps all limits"
+        playable = (
+            f"not to be played: {self.failure}" if self.failure else "keeps all limits"
+        )
         what = f"{self.duration:g} s for {self.robot.n_joints} joints of {self.robot.path.name}"
         return f"<PlanResult {what}, {playable}>"
 

@@ -61,11 +61,15 @@ class Parser(argparse.ArgumentParser):
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse all arguments; an unknown option is told with the known one that is nearest."""
         for word in args or ():
-            if word.startswith("-") and word.endswith("=--"):  # argparse makes an empty list of it
+            if word.startswith("-") and word.endswith(
+                "=--"
+            ):  # argparse makes an empty list of it
                 self.error(f"argument {word[:-3]}: expected a value, not --")
         known, unknown = self.parse_known_args(args, namespace)
         if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{self._meant(unknown)}")
+            self.error(
+                f"unrecognized arguments: {' '.join(unknown)}{self._meant(unknown)}"
+            )
         return known
 
     def with_config(self, path: Path, arguments: Sequence[str]) -> dict[str, Any]:
@@ -86,18 +90,26 @@ class Parser(argparse.ArgumentParser):
             raise InputError(f"{path}: {error}") from None
         both = (*held.items(), *vars(self.parse_args(arguments)).items())
         values = {key: value for key, value in both if value not in (None, [])}
-        missing = [str(action.metavar) for action in needed if action.dest not in values]
+        missing = [
+            str(action.metavar) for action in needed if action.dest not in values
+        ]
         if missing:
             self.error(f"the following arguments are required: {', '.join(missing)}")
         return values
 
     def _words_in(self, path: Path) -> Iterator[str]:
         """Yield what would be typed for the options in a file."""
-        known = {action.dest: action for action in self._actions if action.dest not in _TYPED_ONLY}
+        known = {
+            action.dest: action
+            for action in self._actions
+            if action.dest not in _TYPED_ONLY
+        }
         content = read_toml(path)
         for key in content:
             if key not in known:
-                raise InputError(f"{path}: {self.prog} has no option {key}; leave it out")
+                raise InputError(
+                    f"{path}: {self.prog} has no option {key}; leave it out"
+                )
         # Positional words come first.
         for key in sorted(content, key=lambda key: bool(known[key].option_strings)):
             action = known[key]
@@ -105,14 +117,20 @@ class Parser(argparse.ArgumentParser):
             if isinstance(value, bool) != (action.nargs == 0):
                 takes = "true or false" if action.nargs == 0 else "a value"
                 raise InputError(f"{path}: {key} takes {takes} (got {value!r})")
-            yield from _flagged(action, value) if action.option_strings else _texts(value)
+            yield from (
+                _flagged(action, value) if action.option_strings else _texts(value)
+            )
 
     def _meant(self, unknown: Sequence[str]) -> str:
         from difflib import get_close_matches
 
         flags = [flag for action in self._actions for flag in action.option_strings]
         for word in unknown:
-            near = get_close_matches(word.split("=")[0], flags, 1) if word[:1] == "-" else []
+            near = (
+                get_close_matches(word.split("=")[0], flags, 1)
+                if word[:1] == "-"
+                else []
+            )
             if near:
                 return f"; {word.split('=')[0]}: did you mean {near[0]}?"
         return ""
@@ -136,8 +154,12 @@ class Parser(argparse.ArgumentParser):
         group = self.add_argument_group(title)
         for record in records:
             for name, each in options.options_of(record).items():
-                if each.key not in (*leave_out, *PYTHON_ONLY) and (not only or each.key in only):
-                    default = (usual or {}).get(each.key, options.default_of(record, name))
+                if each.key not in (*leave_out, *PYTHON_ONLY) and (
+                    not only or each.key in only
+                ):
+                    default = (usual or {}).get(
+                        each.key, options.default_of(record, name)
+                    )
                     hidden = self._main is not None and each.key not in self._main
                     _add(group, each, default, hidden)
         return group
@@ -146,7 +168,9 @@ class Parser(argparse.ArgumentParser):
         """Add what every command has, and return the parser."""
         group = self.add("console", ConsoleOptions)
         version = f"{PROGRAM} {__version__}"
-        group.add_argument("--version", action="version", version=version, help="print the version")
+        group.add_argument(
+            "--version", action="version", version=version, help="print the version"
+        )
         group.add_argument("-h", "--help", action="help", help="print the main options")
         group.add_argument("--help-all", action="help", help="print all options")
         return self
@@ -200,7 +224,11 @@ def default_text(each: options.Option, default: Any) -> str:
 def _add(group: Any, each: options.Option, default: Any, hidden: bool) -> None:
     text = argparse.SUPPRESS if hidden else described(each, default).replace("%", "%%")
     flags = [each.short, each.flag] if each.short else [each.flag]
-    words: dict[str, Any] = {"help": text, "default": argparse.SUPPRESS, "dest": each.key}
+    words: dict[str, Any] = {
+        "help": text,
+        "default": argparse.SUPPRESS,
+        "dest": each.key,
+    }
     if isinstance(default, bool):
         group.add_argument(*flags, action="store_true", **words)
         return
@@ -243,7 +271,11 @@ def parsed(
     asked = argparse.ArgumentParser(add_help=False, formatter_class=_Formatter)
     asked.add_argument("--config", nargs="?", type=Path)
     file = asked.parse_known_args(arguments)[0].config
-    given = parser.with_config(file, arguments) if file else vars(parser.parse_args(arguments))
+    given = (
+        parser.with_config(file, arguments)
+        if file
+        else vars(parser.parse_args(arguments))
+    )
     values = {key: options.frozen(value) for key, value in given.items()}
     console = options.record_from(Console, values)
     for name in options.options_of(Console):

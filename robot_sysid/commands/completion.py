@@ -47,4 +47,8 @@ def _parser(done: Sequence[str]) -> tuple[argparse.ArgumentParser, int, Sequence
         choice.add_argument("command", choices=module.COMMANDS)
         return choice, 2, ()
     asked = (name,) if kind == "run" else ()
-    return module.build_parser(*asked), 2 if name else 1, () if done else tuple(COMMANDS)
+    return (
+        module.build_parser(*asked),
+        2 if name else 1,
+        () if done else tuple(COMMANDS),
+    )

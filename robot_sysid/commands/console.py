@@ -29,7 +29,9 @@ class ConsoleOptions(OptionRecord):
         False, "print the result as JSON on standard output, all else on standard error"
     )
     config: Path | None = option(
-        None, "take options from this TOML file too, such as the run.toml of a run", "FILE"
+        None,
+        "take options from this TOML file too, such as the run.toml of a run",
+        "FILE",
     )
 
 
@@ -85,7 +87,10 @@ class Console(ConsoleOptions, Progress):
             from tqdm import tqdm
 
             self.close()
-            look = {"bar_format": "{l_bar}{bar}| [{elapsed}<{remaining}{postfix}]", "leave": False}
+            look = {
+                "bar_format": "{l_bar}{bar}| [{elapsed}<{remaining}{postfix}]",
+                "leave": False,
+            }
             self._bar = tqdm(desc=label, total=total, initial=done, delay=0.5, **look)
         self._bar.set_postfix_str(text, refresh=False)
         self._bar.update(done - self._bar.n)

@@ -59,7 +59,9 @@ def build_parser(full: bool = True) -> Parser:
         None if full else MAIN,
         codes=(0, 2, 130),
     )
-    parser.add_argument("name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES))
+    parser.add_argument(
+        "name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES)
+    )
     parser.add("output", ExampleOptions)
     return parser.with_console()
 
@@ -91,7 +93,9 @@ def _copy(home: Path, place: Path) -> None:
             _record(draft / "model", draft)
             os.rename(draft, place)
     except OSError as error:
-        raise InputError(f"cannot copy the example to {place}: {words_of(error)}") from None
+        raise InputError(
+            f"cannot copy the example to {place}: {words_of(error)}"
+        ) from None
 
 
 def _home(name: str) -> Path:
@@ -100,7 +104,9 @@ def _home(name: str) -> Path:
     for place in (package / "examples" / name, package.parent / "examples" / name):
         if (place / "model").is_dir():
             return place
-    raise InputError(f"the example {name} is not in this installation; install it again")
+    raise InputError(
+        f"the example {name} is not in this installation; install it again"
+    )
 
 
 def _record(model: Path, place: Path) -> None:
@@ -108,6 +114,10 @@ def _record(model: Path, place: Path) -> None:
     from robot_sysid.pipeline import run
 
     for seed, (log, played) in enumerate(PLAYED.items(), start=1):
-        arm = {"plant_model": model / played, "save_measurements": place / log, "seed": seed}
+        arm = {
+            "plant_model": model / played,
+            "save_measurements": place / log,
+            "seed": seed,
+        }
         with temporary_folder() as nowhere:
             run(SysidConfig.of(model / GUESS, **RECORDING, **arm, output_dir=nowhere))

@@ -31,8 +31,12 @@ def build_parser(full: bool = True) -> Parser:
         "With a model, also look for what is wrong with it, as every identification does before it "
         f"fits: {', '.join(CHECKS)}.",
     )
-    parser.add_argument("log", metavar="LOG", type=Path, help="file or folder of the recording")
-    parser.add_argument("path", metavar="MODEL", type=Path, nargs="?", help="MJCF or URDF file")
+    parser.add_argument(
+        "log", metavar="LOG", type=Path, help="file or folder of the recording"
+    )
+    parser.add_argument(
+        "path", metavar="MODEL", type=Path, nargs="?", help="MJCF or URDF file"
+    )
     parser.add("model", ModelOptions)
     parser.add("log", LogOptions, leave_out=LEFT_OUT)
     parser.add("preview", PreviewOptions)
@@ -60,7 +64,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _checked(
-    values: Mapping[str, Any], options: LogOptions, preview: PreviewOptions, console: Console
+    values: Mapping[str, Any],
+    options: LogOptions,
+    preview: PreviewOptions,
+    console: Console,
 ) -> int:
     from robot_sysid.diagnosis.run import check_against_model, require_acceptable
     from robot_sysid.logs.reader import open_log
@@ -72,7 +79,9 @@ def _checked(
     log = open_log(robot, values["log"], options, console)
     console.stage(*map(str, log.notes))  # details are what is asked for here
     rate = (len(log.samples) - 1) / log.duration
-    console.stage(f"{len(log.samples)} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
+    console.stage(
+        f"{len(log.samples)} samples in {log.duration:.4g} s, {rate:.4g} Hz on average"
+    )
     found = check_against_model(robot, log.pieces, divided=log.torque_scale)
     console.stage(*(each.line() for each in found))
     if preview.view or preview.video:
@@ -81,8 +90,12 @@ def _checked(
         show_preview(robot, shown_log(robot, log.samples), preview, console)
     named = [{**vars(each), "level": each.level.value} for each in found]
     about = {"samples": len(log.samples), "duration": log.duration, "sample_rate": rate}
-    console.result({"log": str(log.path), **about, "notes": log.notes, "findings": named})
+    console.result(
+        {"log": str(log.path), **about, "notes": log.notes, "findings": named}
+    )
     require_acceptable(str(log.path), found, options.accept)
     console.stage("Usable: nothing that stops an identification was found")
-    console.stage(f"Next: robot-sysid identify {quote(str(path))} {quote(str(log.path))}")
+    console.stage(
+        f"Next: robot-sysid identify {quote(str(path))} {quote(str(log.path))}"
+    )
     return 0

@@ -21,7 +21,9 @@ def film_path(text: str) -> Path:
     """Return the path of a film."""
     path = Path(text)
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{text!r} is no film; its name ends in {' or '.join(SUFFIXES)}")
+        raise InputError(
+            f"{text!r} is no film; its name ends in {' or '.join(SUFFIXES)}"
+        )
     return path
 
 
@@ -49,7 +51,9 @@ def require_preview(wanted: PreviewOptions) -> None:
             require_film(wanted.video)
 
 
-def show_preview(robot: RobotModel, shown: Shown, wanted: PreviewOptions, console: Console) -> None:
+def show_preview(
+    robot: RobotModel, shown: Shown, wanted: PreviewOptions, console: Console
+) -> None:
     """Render and play a motion."""
     from robot_sysid.preview.film import view, write_film
 
@@ -64,7 +68,11 @@ def show_preview(robot: RobotModel, shown: Shown, wanted: PreviewOptions, consol
 def show_plan(outcome: Any, wanted: PreviewOptions, console: Console) -> None:
     """Show the motion that was planned, if there is one."""
     checked = outcome.checked
-    if checked is not None and checked.problem is not None and (wanted.view or wanted.video):
+    if (
+        checked is not None
+        and checked.problem is not None
+        and (wanted.view or wanted.video)
+    ):
         from robot_sysid.preview.film import shown_plan
 
         shown = shown_plan(checked.problem, checked.plan)

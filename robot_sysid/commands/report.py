@@ -20,7 +20,11 @@ class PageOptions(OptionRecord):
     """Where the page goes, and what goes beside it."""
 
     output_dir: Path | None = option(
-        None, "folder for the page", "DIR", parse=folder, usual="the run's own, or the first one's"
+        None,
+        "folder for the page",
+        "DIR",
+        parse=folder,
+        usual="the run's own, or the first one's",
     )
     plots: bool = option(False, "also write the figures as PNG and SVG")
 
@@ -34,7 +38,11 @@ def build_parser(full: bool = True) -> Parser:
         "without a network. Several folders are compared in comparison.html.",
     )
     parser.add_argument(
-        "folders", metavar="DIR", nargs="+", type=Path, help="folder that a run wrote to"
+        "folders",
+        metavar="DIR",
+        nargs="+",
+        type=Path,
+        help="folder that a run wrote to",
     )
     parser.add("page", PageOptions)
     parser.add("model", ModelOptions, only=("mesh_dir",))
@@ -53,7 +61,9 @@ def main(arguments: Sequence[str]) -> int:
 
     runs = [load_run(folder) for folder in values["folders"]]
     destination = page.output_dir or runs[0].folder
-    written = write_report(runs, destination, model.mesh_dir, plots=page.plots, progress=console)
+    written = write_report(
+        runs, destination, model.mesh_dir, plots=page.plots, progress=console
+    )
     console.stage(f"Written: {written[0]}")
     if len(written) > 1:
         console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")
@@ -95,7 +105,11 @@ def report_of(
         run = load_run(output.output_dir)
         written = write_report([run], run.folder, mesh_dir, page, output.plots, console)
     except Exception as error:  # the run is done, and what it found must stand
-        cause = str(error) if isinstance(error, SysidError) else f"{type(error).__name__}: {error}"
+        cause = (
+            str(error)
+            if isinstance(error, SysidError)
+            else f"{type(error).__name__}: {error}"
+        )
         if not wanted:
             console.note(f"nothing was left for a later report: {cause}")
             return None

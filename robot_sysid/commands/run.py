@@ -204,13 +204,19 @@ def build_parser(command: str = "", full: bool = True) -> Parser:
     asked = QUESTIONS[command]
     main = None if full else asked.main
     parser = Parser(command, asked.example, asked.description, main, asked.epilog)
-    parser.add_argument("path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file")
+    parser.add_argument(
+        "path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file"
+    )
     if command == "identify":
         logs = "recording of the real arm"
-        parser.add_argument("measurements", metavar="LOG", nargs="+", type=Path, help=logs)
+        parser.add_argument(
+            "measurements", metavar="LOG", nargs="+", type=Path, help=logs
+        )
     for title, records in asked.groups.items():
         only = asked.only.get(title, ())
-        parser.add(title, *records, only=only, leave_out=asked.left_out, usual=asked.usual)
+        parser.add(
+            title, *records, only=only, leave_out=asked.left_out, usual=asked.usual
+        )
     return parser.with_console()
 
 
@@ -219,7 +225,11 @@ def main(arguments: Sequence[str], command: str = "") -> int:
     values, console = parsed(partial(build_parser, command), arguments)
     preview = record_from(PreviewOptions, values)
     require_preview(preview)
-    own = {key: value for key, value in values.items() if key not in keys_of(PreviewOptions)}
+    own = {
+        key: value
+        for key, value in values.items()
+        if key not in keys_of(PreviewOptions)
+    }
     return carry_out(QUESTIONS[command].config(**own), console, preview)
 
 
@@ -251,7 +261,9 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
 
         names = atomic_files.MODEL_NAMES.values()
         for model in [path for path in outcome.files if path.name in names][:1]:
-            console.stage(f"Bundle saved to {write_bundle(model, config.output.output_dir)}")
+            console.stage(
+                f"Bundle saved to {write_bundle(model, config.output.output_dir)}"
+            )
     console.stage(*outcome.verdict)
     if failure:
         raise SysidError(failure)
@@ -319,7 +331,9 @@ def warnings_as_notes(console: Console) -> Iterator[None]:
     """Turn warnings of Python libraries into notes; --debug shows where they come from."""
 
     def show(message: Any, *_: Any, **__: Any) -> None:
-        console.note(f"numerical warning: {message}; check the result (--debug says where)")
+        console.note(
+            f"numerical warning: {message}; check the result (--debug says where)"
+        )
 
     with warnings.catch_warnings():
         if not console.debug:

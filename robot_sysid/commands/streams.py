@@ -48,7 +48,9 @@ def print_text(text: str, stream: Any) -> None:
         _silence(stream)
     except OSError as error:
         _silence(stream)
-        raise InputError(f"cannot print: {error.strerror}; send the output elsewhere") from None
+        raise InputError(
+            f"cannot print: {error.strerror}; send the output elsewhere"
+        ) from None
 
 
 def _on_terminal(text: str) -> str:
@@ -62,7 +64,9 @@ def _on_terminal(text: str) -> str:
     whole = "  " in text.strip() or text.startswith(_COMMANDS)
     if len(text) > width > 20 and not whole:
         rest = " " * (indent + 2)
-        lines = textwrap.wrap(text, width, subsequent_indent=rest, break_on_hyphens=False)
+        lines = textwrap.wrap(
+            text, width, subsequent_indent=rest, break_on_hyphens=False
+        )
         text = "\n".join(lines)
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return text

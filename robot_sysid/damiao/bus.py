@@ -134,7 +134,10 @@ class BusAddress(OptionRecord):
     """Where the bus is."""
 
     interface: str = option(
-        "socketcan", "kind of adapter: " + ", ".join(INTERFACES), "NAME", choices=INTERFACES
+        "socketcan",
+        "kind of adapter: " + ", ".join(INTERFACES),
+        "NAME",
+        choices=INTERFACES,
     )
     channel: tuple[str, ...] = option(
         (),
@@ -159,7 +162,9 @@ class BusAddress(OptionRecord):
         for names in zip(*pairs):
             for name in names:
                 if names.count(name) > 1:
-                    raise InputError(f"--channel names {name} twice; give each bus once")
+                    raise InputError(
+                        f"--channel names {name} twice; give each bus once"
+                    )
         return dict(pairs)
 
 
@@ -259,7 +264,10 @@ class DriverWatch:
         while self._looks < _LOOKS_TO_END and not self._closed.wait(_LOOK):
             self._looks += self._call is last_call is not self._no_call
             last_call = self._call
-            if last_call is not self._no_call and self._looks in (_LOOKS_TO_SAY, _LOOKS_TO_END):
+            if last_call is not self._no_call and self._looks in (
+                _LOOKS_TO_SAY,
+                _LOOKS_TO_END,
+            ):
                 self._tell(
                     f"the adapter's driver has not returned for {_LOOK * self._looks:.0f} s, and "
                     "nothing can be sent meanwhile: motors that were enabled are stopped by their "
@@ -294,10 +302,15 @@ class BusLink:
                     return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
             except (Exception, SystemExit) as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
-                codes = getattr(error, "error_code", None), getattr(error, "errno", None)
+                codes = (
+                    getattr(error, "error_code", None),
+                    getattr(error, "errno", None),
+                )
                 if errno.ENOBUFS not in codes:
                     reason = _driver_words(error)
-                    raise LinkError(f"the CAN bus does not take frames: {reason}") from error
+                    raise LinkError(
+                        f"the CAN bus does not take frames: {reason}"
+                    ) from error
                 if self._clock.now() >= patience:
                     raise LinkError(_FULL) from error
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
@@ -324,7 +337,9 @@ class BusLink:
                 self._note_garbled(error)
                 message = None
             except (Exception, SystemExit) as error:
-                raise LinkError(f"the CAN bus cannot be read: {_driver_words(error)}") from error
+                raise LinkError(
+                    f"the CAN bus cannot be read: {_driver_words(error)}"
+                ) from error
             if message is None and self._clock.now() >= until:
                 return None
             if message is not None and not message.is_extended_id:
@@ -333,7 +348,10 @@ class BusLink:
     def _note_garbled(self, error: Exception) -> None:
         now = self._clock.now()
         self._garbled_at.append(now)
-        if len(self._garbled_at) == _MOST_GARBLED and now - self._garbled_at[0] < _GARBLED_TIME:
+        if (
+            len(self._garbled_at) == _MOST_GARBLED
+            and now - self._garbled_at[0] < _GARBLED_TIME
+        ):
             raise LinkError(f"{_GARBLED} ({words_of(error)})") from error
 
     def close(self) -> None:
@@ -369,7 +387,9 @@ def open_bus(
     ``tell`` is told of a driver that does not return, see ``DriverWatch``.
     """
     if timing.fd and address.interface == SERIAL_ADAPTER:
-        raise InputError("the maker's serial adapter sends classic CAN frames only; leave --fd off")
+        raise InputError(
+            "the maker's serial adapter sends classic CAN frames only; leave --fd off"
+        )
     buses: list[Any] = []
     watch = DriverWatch(tell)
     link = BusLink(buses, clock, watch)
@@ -394,14 +414,18 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
     try:
         if interface == SERIAL_ADAPTER:
             return serial_adapter.DamiaoSerialBus(channel, **options)
-        bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+        bus = can.Bus(
+            channel=channel, interface=interface, ignore_config=True, **options
+        )
         if interface == "slcan":
             serial_adapter.read_in_pieces(bus, len(address.buses) == 1, _SEND_TIMEOUT)
         return bus
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.
         reason = _driver_words(error)
-        raise InputError(f"cannot open {interface} channel {channel}: {reason}") from error
+        raise InputError(
+            f"cannot open {interface} channel {channel}: {reason}"
+        ) from error
 
 
 def _value(text: str) -> Any:
@@ -422,9 +446,16 @@ def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
         return {"receive_own_messages": True, "protocol": protocol}
     if not timing.fd:
         return {"bitrate": int(timing.bitrate)}
-    rates = {"nom_bitrate": int(timing.bitrate), "data_bitrate": int(timing.data_bitrate)}
+    rates = {
+        "nom_bitrate": int(timing.bitrate),
+        "data_bitrate": int(timing.data_bitrate),
+    }
     points = {"nom_sample_point": 80.0, "data_sample_point": 75.0}
-    return {"timing": can.BitTimingFd.from_sample_point(f_clock=_FD_CLOCK, **rates, **points)}
+    return {
+        "timing": can.BitTimingFd.from_sample_point(
+            f_clock=_FD_CLOCK, **rates, **points
+        )
+    }
 
 
 class RawFrameLog:

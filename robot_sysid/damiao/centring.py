@@ -47,7 +47,13 @@ class SamplingRipple:
         self._viscous = viscous
 
     def motion(
-        self, q: Array, acted: MitCommand, step: Array, growth: Array, time: Array, period: float
+        self,
+        q: Array,
+        acted: MitCommand,
+        step: Array,
+        growth: Array,
+        time: Array,
+        period: float,
     ) -> tuple[Array, Array]:
         """Return the positions and velocities (n,) that are added [rad, rad/s].
 
@@ -59,7 +65,9 @@ class SamplingRipple:
         """
         n = self.n_joints
         mobility = self._mobility(q)
-        if not (np.all(np.isfinite(mobility)) and np.linalg.eigvalsh(mobility)[0] > 0.0):
+        if not (
+            np.all(np.isfinite(mobility)) and np.linalg.eigvalsh(mobility)[0] > 0.0
+        ):
             # The model states no inertia that could tell.
             return np.zeros(n), np.zeros(n)
 
@@ -125,7 +133,9 @@ class Centring:
         q, time, step = state[:, arm]
         if np.all(np.isfinite(state[:, arm])):
             steps = step, growth[arm]
-            position, velocity = self._ripple.motion(q, acted, *steps, time, self._period)
+            position, velocity = self._ripple.motion(
+                q, acted, *steps, time, self._period
+            )
             torque[arm] = acted.kp[arm] * position + acted.kd[arm] * velocity
         return torque
 

@@ -25,9 +25,19 @@ from robot_sysid.damiao.player import Player, PlayReport
 from robot_sysid.damiao.preflight import Check, Plan
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, map_joints, read_joint_map
+from robot_sysid.damiao.protocol.joints import (
+    DamiaoJoint,
+    JointSpace,
+    map_joints,
+    read_joint_map,
+)
 from robot_sysid.damiao.protocol.motors import matching_types
-from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
+from robot_sysid.damiao.recorder import (
+    Aside,
+    MeasurementRecorder,
+    RecordingOptions,
+    head_lines,
+)
 from robot_sysid.damiao.references import (
     STRAIGHT,
     FileHolding,
@@ -81,11 +91,17 @@ class MotorRun:
         """Whether both arms of the model are meant."""
         values = self.values
         second = record_from(SecondArm, values)
-        if second.also is None and second.also_joint and values.get("trajectory") is not None:
+        if (
+            second.also is None
+            and second.also_joint
+            and values.get("trajectory") is not None
+        ):
             raise InputError("--also-joint is about a second arm; add --also")
         is_named = second.also_joint and values.get("model") and values.get("joint")
         if (second.also or second.also_joint) and not is_named:
-            raise InputError("two arms need --model, --joint and --also-joint: which they are")
+            raise InputError(
+                "two arms need --model, --joint and --also-joint: which they are"
+            )
         return second.also_joint is not None
 
     def hold_plan(self, inspection: Inspection) -> Plan:
@@ -106,7 +122,9 @@ class MotorRun:
                 reason = "does not tell its state" if types else "is of no known type"
                 if motor is None:
                     reason = "does not answer"
-                raise HardwareAbort(f"{joint.label} {reason}; see robot-sysid motors check")
+                raise HardwareAbort(
+                    f"{joint.label} {reason}; see robot-sysid motors check"
+                )
             master = joint.master_id or motor.master_id
             joints.append(replace(joint, motor_type=types[0], master_id=master))
             motor_positions.append(motor.position)
@@ -152,8 +170,14 @@ class MotorRun:
         limits = {key: self.values[key] for key in motion.LIMITS if key in self.values}
         for key in motion.MODEL_LIMITS if self.robot is None else ():
             if key in limits:
-                raise InputError(f"--{key.replace('_', '-')} is about a model; add --model")
-        free = {"max_velocity": motion.NO_LIMITS.max_velocity, "clearance": 0.0, "below_base": True}
+                raise InputError(
+                    f"--{key.replace('_', '-')} is about a model; add --model"
+                )
+        free = {
+            "max_velocity": motion.NO_LIMITS.max_velocity,
+            "clearance": 0.0,
+            "below_base": True,
+        }
         return record_from(LimitOptions, {**free, **limits})
 
     def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
@@ -184,7 +208,11 @@ class MotorRun:
             for model_option in given_options(record_from(ModelOptions, self.values)):
                 raise InputError(f"{model_option.flag} is about a model; add --model")
             return checks
-        from robot_sysid.damiao.model_check import model_checks, torque_checks, way_check
+        from robot_sysid.damiao.model_check import (
+            model_checks,
+            torque_checks,
+            way_check,
+        )
 
         checks += model_checks(plan, self._contacts)
         if plan.pose is not None:
@@ -212,7 +240,9 @@ class MotorRun:
 
         return Contacts(self.robots, self._limits())
 
-    def met_checks(self, plan: Plan, inspection: Inspection, real: bool = True) -> list[Check]:
+    def met_checks(
+        self, plan: Plan, inspection: Inspection, real: bool = True
+    ) -> list[Check]:
         """Return what motors that were met say, and whether ``real`` ones turn as they should."""
         checks = preflight.bus_checks(plan, inspection)
         q = plan.joint_positions(inspection)
@@ -242,7 +272,9 @@ class MotorRun:
             holding = self.holding(plan)
             orders = self.orders(plan, plan.joint_positions(inspection))
             try:
-                return run(link, plan, inspection, stop, on_phase, on_progress, holding, orders)
+                return run(
+                    link, plan, inspection, stop, on_phase, on_progress, holding, orders
+                )
             except Overload as error:
                 if self.robot is None:
                     raise
@@ -292,24 +324,32 @@ class MotorRun:
         )
         names = [name for arm in arms for name in arm.joint_names]
         for name in (name for name in names if names.count(name) > 1):
-            raise InputError(f"--joint and --also-joint are of one arm: both move {name}")
+            raise InputError(
+                f"--joint and --also-joint are of one arm: both move {name}"
+            )
         return arms
 
-    def simulated_arm(self, plan: Plan, watchdog: float, *timestep: float) -> SimulatedArm:
+    def simulated_arm(
+        self, plan: Plan, watchdog: float, *timestep: float
+    ) -> SimulatedArm:
         """Return the model's arm at the plan's first point, driven by simulated motors."""
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
         from robot_sysid.simulation.forward_dynamics import ArmStepper
 
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
-        return SimulatedArm(ArmStepper(self.robot, plan.trajectory.q[0], *timestep), motors)
+        return SimulatedArm(
+            ArmStepper(self.robot, plan.trajectory.q[0], *timestep), motors
+        )
 
     @contextlib.contextmanager
     def simulated_bus(self, arm: SimulatedArm) -> Iterator[bus.GuardedLink]:
         """Open a bus with a simulated arm on it, in simulated time."""
         clock = bus.SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
-        yield bus.GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
+        yield bus.GuardedLink(
+            wire, clock, self.timing.fd, self.channels or ("simulated",)
+        )
 
     def open(self, timing: BusTiming | None = None) -> bus.Link:
         """Open the bus, with other bit rates than those asked for if given."""
@@ -317,13 +357,19 @@ class MotorRun:
 
     @contextlib.contextmanager
     def bus(
-        self, refuse: Callable[[Frame], None] = refuse_harmful, timing: BusTiming | None = None
+        self,
+        refuse: Callable[[Frame], None] = refuse_harmful,
+        timing: BusTiming | None = None,
     ) -> Iterator[bus.GuardedLink]:
         """Open the bus for as long as the block runs; what ``refuse`` raises for is not sent."""
         if not self.address.channel:
-            raise InputError("this command needs --channel, for instance --channel can0")
+            raise InputError(
+                "this command needs --channel, for instance --channel can0"
+            )
         with contextlib.closing(self.open(timing)) as link:
-            yield bus.GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
+            yield bus.GuardedLink(
+                link, self.clock, self.timing.fd, self.channels, refuse
+            )
 
 
 def lasting(plan: Plan, seconds: float) -> Plan:
@@ -362,7 +408,11 @@ def run(
     held_positions = np.array([motor.position for motor in motors[n:]])
     session = MotorSession(link, joints, scaling, plan.command_range(held_positions))
     settings = _settings_with(plan, held_joints)
-    park = settings.park if plan.pose is None else np.concatenate([plan.pose, held_positions])
+    park = (
+        settings.park
+        if plan.pose is None
+        else np.concatenate([plan.pose, held_positions])
+    )
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     try:
@@ -371,7 +421,9 @@ def run(
             watchdog = plan.allowed.watchdog
             if watchdog is not None:
                 client = RegisterClient(link)
-                stack.enter_context(watchdogs_set_to(client, motors, watchdog, session.is_off))
+                stack.enter_context(
+                    watchdogs_set_to(client, motors, watchdog, session.is_off)
+                )
             stack.enter_context(session)
             holding = holding or FileHolding(plan.trajectory)
             player = Player(
@@ -390,7 +442,9 @@ def run(
     finally:
         console.finish()
     _require_complete(console, writer)
-    return replace(report, missed=report.missed[:n], worst_tracking=report.worst_tracking[:n])
+    return replace(
+        report, missed=report.missed[:n], worst_tracking=report.worst_tracking[:n]
+    )
 
 
 def _held_joints(plan: Plan, inspection: Inspection) -> tuple[DamiaoJoint, ...]:
@@ -398,7 +452,9 @@ def _held_joints(plan: Plan, inspection: Inspection) -> tuple[DamiaoJoint, ...]:
     if plan.settings.others != "hold":
         return ()
     return tuple(
-        DamiaoJoint(name, motor.can_id, motor.master_id, "", motor.address.bus, motor.channel)
+        DamiaoJoint(
+            name, motor.can_id, motor.master_id, "", motor.address.bus, motor.channel
+        )
         for motor in plan.others(inspection)
         for name in matching_types(motor.limits)[:1]
     )
@@ -419,7 +475,10 @@ def _settings_with(plan: Plan, held_joints: Sequence[DamiaoJoint]) -> PlaySettin
 
 def _require_complete(console: Aside, writer: Aside) -> None:
     """Raise SysidError where a run went well, and recording or telling about it did not."""
-    for aside, problem in ((writer, "the recording is not complete"), (console, "cannot print")):
+    for aside, problem in (
+        (writer, "the recording is not complete"),
+        (console, "cannot print"),
+    ):
         if aside.failure is not None:
             raise SysidError(
                 "the trajectory was played and all motors are disabled, but "
@@ -439,7 +498,9 @@ def _recorder(
         return
     registers = [motor.registers for motor in motors[: played.n_joints]]
     head = head_lines(played.joints, registers, plan.settings, played.path.name)
-    names = [joint.name if played.both else f"j{j}" for j, joint in enumerate(played.joints)]
+    names = [
+        joint.name if played.both else f"j{j}" for j, joint in enumerate(played.joints)
+    ]
     # Frames alone are written as the run goes on too: kept until its end, they fill the memory.
     with contextlib.ExitStack() as stack:
         frames = stack.enter_context(bus.RawFrameLog(path, link))

@@ -47,7 +47,9 @@ class RegisterClient:
         """Return a register's value, or None where the motor does not answer."""
         return next(iter(self.answers(frames.read_frame(motor, register), 1)), None)
 
-    def write(self, motor: frames.Address, register: int, value: float, heard: bool = True) -> None:
+    def write(
+        self, motor: frames.Address, register: int, value: float, heard: bool = True
+    ) -> None:
         """Write a register (lost at power-off), or raise HardwareAbort.
 
         A motor refuses a value by answering with the old one, so the answer is compared; unless it
@@ -60,7 +62,9 @@ class RegisterClient:
             return self._link.send(request)
         replies = self.answers(request, 1)
         if not replies:
-            raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")
+            raise HardwareAbort(
+                f"motor {motor.can_id} did not answer to writing {name}"
+            )
         stored = replies[0].value
         if frames.bytes_from_value(register, stored) != raw:
             raise HardwareAbort(
@@ -80,26 +84,37 @@ class RegisterClient:
         frame = self.refresh(motor.address, motor.reply_ids[0])
         return None if frame is None else motor.meaning(frame.data)
 
-    def seconds_to_refresh(self, motors: Sequence[tuple[frames.Address, int]]) -> float | None:
+    def seconds_to_refresh(
+        self, motors: Sequence[tuple[frames.Address, int]]
+    ) -> float | None:
         """Return the time until all motors, asked at once, have answered [s], or None."""
         self._link.drain()
         start = self._clock.now()
         for motor, _ in motors:
             self._send(frames.refresh_frame(motor))
         missing = {(motor.bus, reply_id) for motor, reply_id in motors}
-        while missing and (frame := self._link.receive(start + _LONGEST_CYCLE)) is not None:
+        while (
+            missing
+            and (frame := self._link.receive(start + _LONGEST_CYCLE)) is not None
+        ):
             if not frame.echo and not frame.error:
                 missing.discard((frame.bus, frame.id))
         return None if missing else self._clock.now() - start
 
-    def answers(self, request: frames.Frame, limit: int | None = None) -> list[RegisterReply]:
+    def answers(
+        self, request: frames.Frame, limit: int | None = None
+    ) -> list[RegisterReply]:
         """Return up to ``limit`` answers; more than one tells that motors share an id."""
         tries = (list(islice(self._replies(request), limit)) for _ in range(_TRIES))
         return next(filter(None, tries), [])
 
     def _replies(self, request: frames.Frame) -> Iterator[RegisterReply]:
         # Most firmware answers a write with 0x55, some with 0x33.
-        codes = (frames.READ, frames.WRITE) if request.data[2] == frames.WRITE else (frames.READ,)
+        codes = (
+            (frames.READ, frames.WRITE)
+            if request.data[2] == frames.WRITE
+            else (frames.READ,)
+        )
         heads = [request.data[:2] + bytes([code, request.data[3]]) for code in codes]
         for frame in self._frames_after(request):
             if frame.data[:4] in heads:
@@ -141,7 +156,9 @@ def watchdogs_set_to(
     old_values = {motor.address: motor.registers[frames.TIMEOUT] for motor in motors}
     try:
         for address in old_values:
-            client.write(address, frames.TIMEOUT, float(round(seconds / frames.TIMEOUT_UNIT)))
+            client.write(
+                address, frames.TIMEOUT, float(round(seconds / frames.TIMEOUT_UNIT))
+            )
         yield
     finally:
         for address in filter(is_off, old_values):
@@ -191,7 +208,9 @@ class InspectedMotor:
     @property
     def limits(self) -> tuple[float, float, float]:
         """(PMAX, VMAX, TMAX) from its registers; 0 where it does not tell."""
-        position, velocity, torque = (self.registers.get(k, 0.0) for k in frames.SCALING)
+        position, velocity, torque = (
+            self.registers.get(k, 0.0) for k in frames.SCALING
+        )
         return position, velocity, torque
 
     def meaning(self, feedback: bytes) -> Feedback | None:
@@ -228,12 +247,18 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         unsolicited += not frame.echo
     client = RegisterClient(link, timeout=_ASK_TIMEOUT)
     motors = {}
-    for address in (frames.Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS):
+    for address in (
+        frames.Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS
+    ):
         answers = client.answers(frames.read_frame(address, frames.ESC_ID))
         if not answers:
             continue
         replies = {number: client.read(address, number) for number in frames.LOGGED}
-        registers = {number: reply.value for number, reply in replies.items() if reply is not None}
+        registers = {
+            number: reply.value
+            for number, reply in replies.items()
+            if reply is not None
+        }
         reply_ids = tuple(answer.reply_id for answer in answers)
         channel = link.channels[address.bus] if len(link.channels) > 1 else ""
         motor = InspectedMotor(address, reply_ids, registers, None, channel)

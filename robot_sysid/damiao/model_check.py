@@ -73,7 +73,9 @@ class SampledTrajectory:
 class Contacts:
     """Where the arms of a model touch themselves, each other, what is around them, or planes."""
 
-    def __init__(self, arms: Sequence[RobotModel], limits: LimitOptions = NO_LIMITS) -> None:
+    def __init__(
+        self, arms: Sequence[RobotModel], limits: LimitOptions = NO_LIMITS
+    ) -> None:
         self.arms = arms
         self.between = BetweenArms(*arms) if len(arms) > 1 else None
         self.problems = [build_problem(robot, limits) for robot in arms]
@@ -98,7 +100,9 @@ class Contacts:
         """Return what touches on straight lines between poses (n,), "" where nothing does."""
         for begin, end in zip(poses, poses[1:]):
             for problem, joints in zip(self.problems, self.joints_of_arms):
-                contact = first_contact(problem, straight_way(begin[joints], end[joints]))
+                contact = first_contact(
+                    problem, straight_way(begin[joints], end[joints])
+                )
                 if contact is not None:
                     return contact.label
             line = straight_way(begin, end)
@@ -119,13 +123,19 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     played = plan.trajectory
     speed = plan.settings.speed
     excesses: list[str] = []
-    for robot, problem, joints in zip(contacts.arms, contacts.problems, contacts.joints_of_arms):
-        columns = {name: getattr(played, name)[:, joints] for name in ("q", "qd", "tau")}
+    for robot, problem, joints in zip(
+        contacts.arms, contacts.problems, contacts.joints_of_arms
+    ):
+        columns = {
+            name: getattr(played, name)[:, joints] for name in ("q", "qd", "tau")
+        }
         of_arm = replace(played, joints=played.joints[joints], **columns)
         motion = SampledTrajectory(of_arm, speed)
         excesses += _joint_excesses(robot, motion)
         if (contact := first_contact(problem, motion)) is not None:
-            excesses.append(f"the model's {contact.label} touch at {contact.time:.2f} s")
+            excesses.append(
+                f"the model's {contact.label} touch at {contact.time:.2f} s"
+            )
     if excesses:
         remedy = _smaller_motion_remedy(played, contacts.arms[0])
         excesses = [f"{excess}; {remedy}" for excess in excesses]
@@ -135,7 +145,9 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     both_arms = SampledTrajectory(played, speed)
     between = contacts.between
     if between is not None and (at := between.touch_at(both_arms)) is not None:
-        excesses.append(f"the arms touch while both move, at {at:.2f} s; play one after the other")
+        excesses.append(
+            f"the arms touch while both move, at {at:.2f} s; play one after the other"
+        )
     yield from (Check(STOP, excess) for excess in excesses)
     if not excesses:
         name = contacts.arms[0].path.name
@@ -170,7 +182,9 @@ def way_check(name: str, order: str, touching: str) -> Iterator[Check]:
     if order:
         yield Check(NOTE, f"{finding}: it goes {order}")
         return
-    remedy = "choose another --park" if "parked" in name else "bring the arm nearer by hand"
+    remedy = (
+        "choose another --park" if "parked" in name else "bring the arm nearer by hand"
+    )
     yield Check(STOP, f"{finding}, and joint by joint something touches too; {remedy}")
 
 
@@ -243,21 +257,31 @@ def torque_checks(
         )
 
 
-def _foreign_torque_checks(trajectory: DamiaoTrajectory, robot: RobotModel) -> Iterator[Check]:
+def _foreign_torque_checks(
+    trajectory: DamiaoTrajectory, robot: RobotModel
+) -> Iterator[Check]:
     """Yield of which joints a file's torque is not that of its motion, by a model."""
     fed = _FedTorque.of(trajectory, robot)
     is_as_planned = bool(np.any(fed.is_foreign)) and _is_as_planned(trajectory)
     for j in np.flatnonzero(fed.is_foreign).tolist():
-        why = "has the other sign" if fed.is_against[j] else "is another joint's or another arm's"
+        why = (
+            "has the other sign"
+            if fed.is_against[j]
+            else "is another joint's or another arm's"
+        )
         finding = (
             f"{trajectory.joints[j].label}: the torque that the file feeds forward "
             f"{'is missing' if fed.is_missing[j] else why}: it is off by {fed.error[j]:.1f} N m "
             f"where {robot.path.name} needs {fed.needed[j]:.1f} (rms)"
         )
         if is_as_planned and _is_weighing(trajectory):
-            yield Check(NOTE, f"{finding}; the file is as its model has it, and weighs this arm")
+            yield Check(
+                NOTE, f"{finding}; the file is as its model has it, and weighs this arm"
+            )
             continue
-        remedy = (weighing_remedy if is_as_planned else _export_remedy)(trajectory, robot)
+        remedy = (weighing_remedy if is_as_planned else _export_remedy)(
+            trajectory, robot
+        )
         yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
 
 
@@ -282,7 +306,9 @@ class _FedTorque:
     @classmethod
     def of(cls, trajectory: DamiaoTrajectory, robot: RobotModel) -> _FedTorque:
         """Compare the torque of a file with a model's, both at the file's own speed."""
-        motion = Motion(trajectory.time, trajectory.q, trajectory.qd, _accelerations(trajectory))
+        motion = Motion(
+            trajectory.time, trajectory.q, trajectory.qd, _accelerations(trajectory)
+        )
         needed = ArmTorque(robot)(motion)
         doubt = torque_doubt(trajectory.joints) + robot.friction.largest_dry
         needed_rms = np.sqrt(np.mean(needed**2, axis=0))
@@ -315,7 +341,9 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
     free = float("inf")
     try:
         path = Path(settings[1]["path"])
-        robot = load_robot_model(path, model.mesh_dir, model.joint, free, model.keyframe)
+        robot = load_robot_model(
+            path, model.mesh_dir, model.joint, free, model.keyframe
+        )
     except (InputError, KeyError):
         # What is not there any more speaks for no file.
         return False
@@ -392,7 +420,9 @@ def gravity_check(
     def load(q: Array) -> Array:
         # A mass follows the end of the arm: its torque is minus gravity times that place's slope.
         steps = _STEP * np.eye(len(q))
-        slopes = np.array([tip(q + step) - tip(q - step) for step in steps]) / (2.0 * _STEP)
+        slopes = np.array([tip(q + step) - tip(q - step) for step in steps]) / (
+            2.0 * _STEP
+        )
         return -slopes @ gravity
 
     needs = f"the model {robot.path.name} needs"

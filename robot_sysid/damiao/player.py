@@ -17,7 +17,12 @@ from robot_sysid.damiao import references as paths
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
-from robot_sysid.damiao.references import HoldingCheck, Reference, ReferenceFunction, hold
+from robot_sysid.damiao.references import (
+    HoldingCheck,
+    Reference,
+    ReferenceFunction,
+    hold,
+)
 from robot_sysid.damiao.safety.observer import Fault, Observer
 from robot_sysid.damiao.safety.realtime import lacks_priority, undisturbed
 from robot_sysid.damiao.safety.samples import Replies
@@ -61,7 +66,11 @@ class CycleTimer:
         self._index += skip + 1
         if late > self.max_lateness and not lenient:
             can_be_allowed = self._clock.live and lacks_priority()
-            allow = "allow real-time priority (see docs/damiao.md), " if can_be_allowed else ""
+            allow = (
+                "allow real-time priority (see docs/damiao.md), "
+                if can_be_allowed
+                else ""
+            )
             raise HardwareAbort(
                 f"the computer was {1e3 * late:.1f} ms late for a control cycle, limit "
                 f"{1e3 * self.max_lateness:g} ms; {allow}close other programs or lower --rate"
@@ -70,7 +79,9 @@ class CycleTimer:
 
     def lateness(self, percentile: float) -> float:
         """Return a percentile of how late cycles started [s]."""
-        return float(np.percentile(self._lateness, percentile)) if self._lateness else 0.0
+        return (
+            float(np.percentile(self._lateness, percentile)) if self._lateness else 0.0
+        )
 
 
 # Stiffness and the torque that carries the arm come in together, in this share of the ramp: before
@@ -177,7 +188,9 @@ class Player:
                     raise self._explain(error) from None
                 if isinstance(error, HardwareAbort):
                     raise
-                raise HardwareAbort(f"{type(error).__name__}: {words_of(error)}") from error
+                raise HardwareAbort(
+                    f"{type(error).__name__}: {words_of(error)}"
+                ) from error
         timer = self._timer
         counts = self._played, timer.skipped, timer.lateness(50.0), timer.lateness(99.0)
         watched = self._observer.total_missed, self._observer.worst_tracking
@@ -293,7 +306,9 @@ class Player:
                 # Also what is not recorded: its frames would all be written at once later.
                 self._recorder.end_cycle()
             is_lowered = self._follower is not None
-            self._observer.check(replies, acted, self._standing, self._rising, is_lowered)
+            self._observer.check(
+                replies, acted, self._standing, self._rising, is_lowered
+            )
 
     def _stop_if_asked(self) -> None:
         if self._stop.count:
@@ -305,10 +320,14 @@ class Player:
     def _cycle(self, reference: Reference) -> tuple[Replies, MitCommand]:
         """Exchange one command; return the replies and the command they were sampled under."""
         steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
-        self._gain = min(self._gain + 1.0 / steps, 1.0) if steps > _LEAST_LIFT_STEPS else 1.0
+        self._gain = (
+            min(self._gain + 1.0 / steps, 1.0) if steps > _LEAST_LIFT_STEPS else 1.0
+        )
         command = self._command_for(reference)
         # A motor makes no torque before its first command.
-        idle = command._replace(kp=0.0 * self._kp, kd=0.0 * self._kd, torque=0.0 * command.torque)
+        idle = command._replace(
+            kp=0.0 * self._kp, kd=0.0 * self._kd, torque=0.0 * command.torque
+        )
         acted = self._command or idle
         replies = self._session.exchange(command, self._reply_deadline())
         self._observer.update(replies)
@@ -333,7 +352,9 @@ class Player:
             self._still.append(np.stack([q, self._motor_torque]))
             del self._still[:-_STILL_SAMPLES]
 
-    def _keep(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
+    def _keep(
+        self, time: float, origin: float, replies: Replies, acted: MitCommand
+    ) -> None:
         self._played += 1
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
@@ -343,7 +364,9 @@ class Player:
 
     def _command_for(self, reference: Reference) -> MitCommand:
         position, velocity, torque = reference
-        return MitCommand(position, velocity, self._gain * self._kp, self._kd, self._gain * torque)
+        return MitCommand(
+            position, velocity, self._gain * self._kp, self._kd, self._gain * torque
+        )
 
     def _reply_deadline(self) -> float:
         return self._clock.now() + _REPLY_SHARE * self._settings.period
@@ -387,7 +410,9 @@ class Player:
         carrying_torque = model if self._holding.is_model else recent_torque
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
         start = StopStart(
-            Reference(self._session.sent_position, reference.velocity, reference.torque),
+            Reference(
+                self._session.sent_position, reference.velocity, reference.torque
+            ),
             q,
             qd,
             np.nan_to_num(fed),

@@ -21,7 +21,12 @@ from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.recorder import RecordingOptions
-from robot_sysid.damiao.references import FileHolding, HoldingCheck, torque_doubt, way_rows
+from robot_sysid.damiao.references import (
+    FileHolding,
+    HoldingCheck,
+    torque_doubt,
+    way_rows,
+)
 from robot_sysid.damiao.safety.bounds import CommandRange
 from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import PlaySettings
@@ -122,7 +127,9 @@ class Plan:
 
     def __post_init__(self) -> None:
         if len(self.trajectory.time) < 2:
-            raise InputError(f"{self.trajectory.path} needs at least two rows to be played")
+            raise InputError(
+                f"{self.trajectory.path} needs at least two rows to be played"
+            )
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(specs, self.timing, self.inertia)
         object.__setattr__(self, "settings", settings)
@@ -148,7 +155,9 @@ class Plan:
                 f"--park takes rest, start or a file with a line of {n} positions; {park}: {error}"
             ) from None
         if pose.shape != (n,) or not np.all(np.isfinite(pose)):
-            raise InputError(f"{park} has to hold {n} positions in one line, separated by commas")
+            raise InputError(
+                f"{park} has to hold {n} positions in one line, separated by commas"
+            )
         return pose
 
     def command_range(self, held: Array) -> CommandRange:
@@ -157,7 +166,10 @@ class Plan:
         Positions are within the model's range, or else within that of the trajectory.
         """
         played = self.trajectory
-        lower, upper = self.model_range or (np.min(played.q, axis=0), np.max(played.q, axis=0))
+        lower, upper = self.model_range or (
+            np.min(played.q, axis=0),
+            np.max(played.q, axis=0),
+        )
         if self.model_range is None and self.pose is not None:
             lower = np.minimum(lower, self.pose)
             upper = np.maximum(upper, self.pose)
@@ -182,7 +194,10 @@ class Plan:
         """Return where the joints stand (n,) [rad]; NaN where a motor does not tell."""
         joints = self.trajectory.joints
         motors = inspection.motors
-        positions = [motors[j.address].position if j.address in motors else np.nan for j in joints]
+        positions = [
+            motors[j.address].position if j.address in motors else np.nan
+            for j in joints
+        ]
         return JointSpace.of(joints).joint_position(np.array(positions))
 
     def others(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
@@ -192,7 +207,9 @@ class Plan:
         return tuple(motor for address, motor in motors if address not in addresses)
 
 
-def limit_checks(plan: Plan, q: Array | None = None, orders: Sequence[str] = ()) -> list[Check]:
+def limit_checks(
+    plan: Plan, q: Array | None = None, orders: Sequence[str] = ()
+) -> list[Check]:
     """Return where the trajectory, or else the ways from q (n,) [rad], break the user's limits.
 
     ``orders`` are those of the joints on each way.
@@ -200,9 +217,13 @@ def limit_checks(plan: Plan, q: Array | None = None, orders: Sequence[str] = ())
     played = plan.trajectory
     settings = plan.settings
     if q is None:
-        return list(map(_stop, motion.limit_excesses(played, settings.speed, plan.limits)))
+        return list(
+            map(_stop, motion.limit_excesses(played, settings.speed, plan.limits))
+        )
     pace = settings.approach_speed, settings.approach_time
-    remedy = f"move it nearer by hand, or lower --approach-speed {settings.approach_speed:g}"
+    remedy = (
+        f"move it nearer by hand, or lower --approach-speed {settings.approach_speed:g}"
+    )
     checks = []
     for (name, begin, end), order in zip(plan.ways(q), orders):
         rows = way_rows(played, begin, end, pace, order)
@@ -235,7 +256,9 @@ def plan_checks(plan: Plan) -> list[Check]:
 
 
 def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    problems = [_stop(text) for text in id_problems([(*j.address, j.master_id) for j in joints])]
+    problems = [
+        _stop(text) for text in id_problems([(*j.address, j.master_id) for j in joints])
+    ]
     unique = f"ids are unique: {', '.join(str(j.can_id) for j in joints)}"
     yield from problems or [Check(OK, unique)]
     if any(joint.master_id == 0 for joint in joints):
@@ -268,7 +291,9 @@ def _motors(plan: Plan) -> Iterator[Check]:
     settings = plan.settings
     steps = Scaling(joint.spec.limits for joint in joints).steps[2]
     inertias = [np.inf] * len(joints) if plan.inertia is None else plan.inertia
-    yield from map(_stop, motion.rotor_problems(played, settings.speed, torque_doubt(joints)))
+    yield from map(
+        _stop, motion.rotor_problems(played, settings.speed, torque_doubt(joints))
+    )
     fastest = np.abs(played.qd).max(axis=0)
     strongest = np.abs(played.tau).max(axis=0)
     for j, (joint, step, inertia) in enumerate(zip(joints, steps, inertias)):
@@ -286,7 +311,9 @@ def _motors(plan: Plan) -> Iterator[Check]:
 
 
 def _load(
-    addresses: Iterable[frames.Address], settings: PlaySettings, timing: frames.BusTiming
+    addresses: Iterable[frames.Address],
+    settings: PlaySettings,
+    timing: frames.BusTiming,
 ) -> Check:
     buses = [bus for bus, _ in addresses]
     limit = frames.PLANNING_LIMIT
@@ -311,7 +338,9 @@ def _within_limits(
         positions = np.vstack([positions, plan.pose])
         remedy = f"{remedy}, or choose another --park"
     slope = np.diff(played.q, axis=0) / np.diff(played.time)[:, None]
-    p, v, t = JointSpace.of(played.joints).to_motors(positions, speed * played.qd, played.tau)
+    p, v, t = JointSpace.of(played.joints).to_motors(
+        positions, speed * played.qd, played.tau
+    )
     position_limit, velocity_limit, torque_limit = zip(*limits)
     checks = []
     for quantity, unit, values, tops in (
@@ -323,7 +352,9 @@ def _within_limits(
         peaks = np.abs(values).max(axis=0)
         for joint, peak, top in zip(played.joints, peaks, tops):
             if peak > top * (1.0 + _FLOAT32_SLACK):
-                finding = f"{quantity} {peak:.4g} {unit} is beyond {whose} limit {top:g}"
+                finding = (
+                    f"{quantity} {peak:.4g} {unit} is beyond {whose} limit {top:g}"
+                )
                 checks.append(_stop(f"{joint.label}: {finding}; {remedy}"))
     return checks or [Check(OK, f"the trajectory stays within {whose} limits")]
 
@@ -336,8 +367,14 @@ def general_checks(
 ) -> list[Check]:
     """Return what motors say on their own, without a trajectory to compare them with."""
     motors = inspection.motors.values()
-    conditions = [check for m in motors for check in _condition(m, settings, Permissions())]
-    return [_load(inspection.motors, settings, timing), *_bus_itself(inspection), *conditions]
+    conditions = [
+        check for m in motors for check in _condition(m, settings, Permissions())
+    ]
+    return [
+        _load(inspection.motors, settings, timing),
+        *_bus_itself(inspection),
+        *conditions,
+    ]
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
@@ -345,11 +382,15 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
     joints = plan.trajectory.joints
     settings = plan.settings
     checks = list(_bus_itself(inspection))
-    present = [inspection.motors[j.address] for j in joints if j.address in inspection.motors]
+    present = [
+        inspection.motors[j.address] for j in joints if j.address in inspection.motors
+    ]
     for joint in joints:
         if (motor := inspection.motors.get(joint.address)) is None:
             checks.append(
-                _stop(f"{joint.label} does not answer; check power, wiring, its id, bit rate")
+                _stop(
+                    f"{joint.label} does not answer; check power, wiring, its id, bit rate"
+                )
             )
         else:
             checks += _condition(motor, settings, plan.allowed, joint)
@@ -381,20 +422,26 @@ def _other_motors(plan: Plan, others: Sequence[InspectedMotor]) -> Iterator[Chec
         return
     names = ", ".join(motor.name for motor in others)
     if plan.settings.others == "limp":
-        yield _note(f"not in the trajectory and left limp: {names} (--others hold holds them)")
+        yield _note(
+            f"not in the trajectory and left limp: {names} (--others hold holds them)"
+        )
         yield from (check for motor in others for check in _left_alone(motor))
         return
     yield _note(f"not in the trajectory and held where they are: {names}")
     for motor in others:
         yield from _condition(motor, plan.settings, plan.allowed, taken_over=True)
         if not matching_types(motor.limits):
-            yield _stop(f"{motor.name} is of no known type and cannot be held; use --others limp")
+            yield _stop(
+                f"{motor.name} is of no known type and cannot be held; use --others limp"
+            )
 
 
 def _left_alone(motor: InspectedMotor) -> Iterator[Check]:
     """Yield what forbids to leave a motor as it is: it drives something, and nobody watches it."""
     if motor.feedback is None:
-        yield _stop(f"{motor.name} does not tell whether it is enabled; take it off the bus")
+        yield _stop(
+            f"{motor.name} does not tell whether it is enabled; take it off the bus"
+        )
     elif motor.feedback.status[0] == frames.ENABLED:
         yield _stop(
             f"{motor.name} is enabled by another program and not in the trajectory; end that "
@@ -413,7 +460,9 @@ def _condition(
     registers = motor.registers
     if len(motor.reply_ids) > 1:
         yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
-    lacking = [frames.NAMES[number] for number in frames.REQUIRED if number not in registers]
+    lacking = [
+        frames.NAMES[number] for number in frames.REQUIRED if number not in registers
+    ]
     if lacking:
         yield _stop(f"{name} does not answer for {', '.join(lacking)}; try again")
         return
@@ -443,7 +492,9 @@ def _identity(motor: InspectedMotor, joint: DamiaoJoint, name: str) -> Iterator[
         )
 
 
-def _scaling(motor: InspectedMotor, joint: DamiaoJoint, permissions: Permissions) -> Check:
+def _scaling(
+    motor: InspectedMotor, joint: DamiaoJoint, permissions: Permissions
+) -> Check:
     limits = motor.limits
     stored = ", ".join(f"{limit:g}" for limit in limits)
     nominal = ", ".join(f"{limit:g}" for limit in joint.spec.limits)
@@ -453,7 +504,11 @@ def _scaling(motor: InspectedMotor, joint: DamiaoJoint, permissions: Permissions
     return _first(
         (STOP, min(limits) <= 0.0, f"{text}: not usable"),
         (OK, limits_agree(joint.spec.limits, limits), same),
-        (NOTE, permissions.register_limits, f"{other}: the motor's own values are used"),
+        (
+            NOTE,
+            permissions.register_limits,
+            f"{other}: the motor's own values are used",
+        ),
         (STOP, True, f"{other}; if the motor is right, give --accept-register-limits"),
     )
 
@@ -466,7 +521,9 @@ def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
         options = f"--rate {slowest:g} and --set-watchdog {_LONGEST_SET_WATCHDOG:g}"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
     absent = f"{name} has no watchdog: it would go on for ever if this program died"
-    endless = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
+    endless = (
+        f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
+    )
     short = f"{watchdog} is too short for {settings.rate:g} Hz; give {options}"
     return _first(
         (STOP, timeout == 0.0, f"{absent}; give {options} or set TIMEOUT"),
@@ -493,11 +550,15 @@ def _state(
         yield _stop(f"{name} is enabled already; end the program that uses it")
     elif code != frames.DISABLED:
         fault = frames.describe(code)
-        yield _stop(f"{name} reports {fault}; find the cause, then clear it or power-cycle")
+        yield _stop(
+            f"{name} reports {fault}; find the cause, then clear it or power-cycle"
+        )
     temperature = max(feedback.temperature_mos[0], feedback.temperature_rotor[0])
     if temperature > settings.start_temperature:
         limit = f"{settings.start_temperature:g}"
-        yield _stop(f"{name} is at {temperature} deg C, above {limit}; let it cool down")
+        yield _stop(
+            f"{name} is at {temperature} deg C, above {limit}; let it cool down"
+        )
 
 
 def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
@@ -511,15 +572,21 @@ def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
         f"--rate {fits:g} or a faster adapter"
     )
     timely = took <= _ANSWER_SHARE * settings.period
-    yield _first((OK, timely, f"{text}, in time for {settings.rate:g} Hz"), (STOP, True, late))
+    yield _first(
+        (OK, timely, f"{text}, in time for {settings.rate:g} Hz"), (STOP, True, late)
+    )
 
 
 def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
     """Yield which joints' directions nothing has shown, and what to do."""
     holding = model or FileHolding(plan.trajectory)
-    unverified = [joint.label for joint in holding.unverified_joints(plan.trajectory.q[0])]
+    unverified = [
+        joint.label for joint in holding.unverified_joints(plan.trajectory.q[0])
+    ]
     if not unverified:
-        yield Check(OK, "gravity shows which way each joint turns, or somebody has verified it")
+        yield Check(
+            OK, "gravity shows which way each joint turns, or somebody has verified it"
+        )
         return
     finding = (
         f"nobody has verified which way {', '.join(unverified)} turn, and where the trajectory "
@@ -546,5 +613,7 @@ def _near_start(plan: Plan, q: Array) -> Iterator[Check]:
             f"more than {tolerance:g} away; move it there by hand"
         )
         if abs(distance - 2.0 * np.pi) < tolerance:
-            text += "; a whole turn apart: the motor lost its turn count when it was off"
+            text += (
+                "; a whole turn apart: the motor lost its turn count when it was off"
+            )
         yield _stop(text)

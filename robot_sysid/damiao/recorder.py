@@ -118,9 +118,13 @@ class RecordingOptions(OptionRecord):
         used = {os.path.realpath(path) for path in read}
         for path in filter(None, (self.record, self.frames)):
             if os.path.realpath(path) in used:
-                raise InputError(f"{path} is needed for something else; choose another name")
+                raise InputError(
+                    f"{path} is needed for something else; choose another name"
+                )
             if os.path.exists(path) and not self.overwrite:
-                raise InputError(f"{path} exists; choose another --record file or give --overwrite")
+                raise InputError(
+                    f"{path} exists; choose another --record file or give --overwrite"
+                )
             used.add(os.path.realpath(path))
 
 
@@ -180,7 +184,9 @@ class MeasurementRecorder:
             columns += [f"{label}_{signal}" for label in labels for signal in signals]
         try:
             self._file = open(path, "w" if overwrite else "x", encoding="utf-8")  # noqa: SIM115
-            self._file.writelines([*(f"# {line}\n" for line in head), ",".join(columns) + "\n"])
+            self._file.writelines(
+                [*(f"# {line}\n" for line in head), ",".join(columns) + "\n"]
+            )
             self._file.flush()
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror}") from None
@@ -193,8 +199,12 @@ class MeasurementRecorder:
     def __enter__(self) -> MeasurementRecorder:
         return self
 
-    def __exit__(self, error_type: object, error: BaseException | None, trace: object) -> None:
-        ending = "completed" if error is None else f"stopped: {error}".replace("\n", " ")
+    def __exit__(
+        self, error_type: object, error: BaseException | None, trace: object
+    ) -> None:
+        ending = (
+            "completed" if error is None else f"stopped: {error}".replace("\n", " ")
+        )
         self.end_cycle()
         self._aside(lambda: self._file.write(f"# end: {ending}\n"))
         self._aside(self._file.close)
@@ -203,7 +213,9 @@ class MeasurementRecorder:
             with contextlib.suppress(OSError):
                 self._file.close()
 
-    def write(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
+    def write(
+        self, time: float, origin: float, replies: Replies, acted: MitCommand
+    ) -> None:
         """Write a cycle at ``time`` after ``origin`` [s]; its samples were under ``acted``."""
         self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
 
@@ -215,7 +227,9 @@ class MeasurementRecorder:
             frames = frame_log.take_frames()
             self._aside(lambda: frame_log.write(frames))
 
-    def _row(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> str:
+    def _row(
+        self, time: float, origin: float, replies: Replies, acted: MitCommand
+    ) -> str:
         measured = replies.feedback
         step, centre = self._centring.torques(replies, acted)
         cells = [f"{time:.6f}"]

@@ -125,12 +125,16 @@ def way_rows(
     reference, duration = approach(start, target, *pace, order)
     time = np.linspace(0.0, duration, int(np.ceil(duration * WAY_RATE)) + 1)
     q, qd, tau = (np.array(signal) for signal in zip(*map(reference, time)))
-    return replace(trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau)
+    return replace(
+        trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau
+    )
 
 
 def hold(reference: Reference) -> ReferenceFunction:
     """Return a function that stays at a reference, at rest."""
-    at_rest = Reference(reference.position, np.zeros_like(reference.velocity), reference.torque)
+    at_rest = Reference(
+        reference.position, np.zeros_like(reference.velocity), reference.torque
+    )
     return lambda time: at_rest
 
 
@@ -203,7 +207,9 @@ _BARE = 0.5
 
 def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
     """Return the torque (n,) up to which a joint's says nothing about what it carries [N m]."""
-    return _DOUBT * np.array([joint.spec.peak_torque * joint.torque_ratio for joint in joints])
+    return _DOUBT * np.array(
+        [joint.spec.peak_torque * joint.torque_ratio for joint in joints]
+    )
 
 
 MotionCheck = Callable[[float, Array, Array, Array], Optional[tuple[int, str]]]
@@ -249,7 +255,9 @@ class HoldingCheck:
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) shows no direction."""
         bare = np.abs(self._due(q)) <= _LOADED * self.doubt
-        return [j for j, is_bare in zip(self._joints, bare) if is_bare and not j.verified]
+        return [
+            j for j, is_bare in zip(self._joints, bare) if is_bare and not j.verified
+        ]
 
     def load(self, q: Array) -> Array:
         """Return the torque (n,) that a kilogram at the arm's end takes at q [N m]."""
@@ -258,7 +266,9 @@ class HoldingCheck:
 
     def torque(self, q: Array) -> Array:
         """Return what holds the arm at q [N m]; zero for motors beside it, behind the joints."""
-        return np.append(self._due(q[: self.n_joints]), np.zeros(len(q) - self.n_joints))
+        return np.append(
+            self._due(q[: self.n_joints]), np.zeros(len(q) - self.n_joints)
+        )
 
     def __call__(self, q: Array, tau: Array) -> None:
         """Raise HardwareAbort where a torque (n,) [N m] at rest at q (n,) is not what holds it."""
@@ -290,11 +300,15 @@ class FileHolding(HoldingCheck):
 
     def __init__(self, played: DamiaoTrajectory) -> None:
         is_near = np.all(np.abs(played.q - played.q[0]) <= _NEAR, axis=1)
-        acceleration = np.max(np.abs(np.gradient(played.qd, played.time, axis=0)), axis=1)
+        acceleration = np.max(
+            np.abs(np.gradient(played.qd, played.time, axis=0)), axis=1
+        )
         row = int(np.argmin(np.where(is_near, acceleration, np.inf)))
         torque = played.tau[row]
         self._at_rest = acceleration[row] < _GENTLE
-        super().__init__(played.joints, lambda q: torque, 0.0, "the trajectory feeds forward")
+        super().__init__(
+            played.joints, lambda q: torque, 0.0, "the trajectory feeds forward"
+        )
         self._first = played.q[0]
         self._carries = bool(np.any(np.abs(played.tau).max(axis=0) > self.doubt))
 

@@ -38,7 +38,9 @@ _DATA = 8
 def packet(identifier: int, data: bytes) -> bytes:
     """Return the 30 bytes that send a frame of up to eight bytes, or raise ValueError."""
     if len(data) > _DATA or not 0 <= identifier <= 0x7FF:
-        raise ValueError("the adapter sends classic frames with 11-bit ids and up to 8 bytes")
+        raise ValueError(
+            "the adapter sends classic frames with 11-bit ids and up to 8 bytes"
+        )
     body = identifier.to_bytes(4, "little") + bytes([0, len(data), 0, 0])
     return _HEAD + body + data.ljust(_DATA, b"\0") + b"\0"
 
@@ -90,7 +92,9 @@ def _bus_class() -> Any:
             write_timeout: float = _WRITE_TIMEOUT,
             **bus_options: Any,
         ) -> None:
-            self._port = serial.Serial(channel, baudrate, timeout=0, write_timeout=write_timeout)
+            self._port = serial.Serial(
+                channel, baudrate, timeout=0, write_timeout=write_timeout
+            )
             self._reader = PacketReader()
             self._waiting = deque[Any]()
             self.channel_info = f"Damiao serial adapter at {channel}"
@@ -107,7 +111,11 @@ def _bus_class() -> Any:
                 # The rest of what has come already, or the first byte of what comes next.
                 piece = self._port.read(max(self._port.in_waiting, 1))
                 self._waiting.extend(self._reader.take(piece))
-                if not self._waiting and until is not None and time.monotonic() >= until:
+                if (
+                    not self._waiting
+                    and until is not None
+                    and time.monotonic() >= until
+                ):
                     return None, False
             frame = self._waiting.popleft()
             message = can.Message(

@@ -125,7 +125,9 @@ class MotorSession:
         self._outstanding = Outstanding(self.n_joints)
         self._foreign = np.zeros(self.n_joints, int)
         self._regardless = True
-        self._by_reply = {(joint.bus, joint.master_id): j for j, joint in enumerate(joints)}
+        self._by_reply = {
+            (joint.bus, joint.master_id): j for j, joint in enumerate(joints)
+        }
         self._by_command = {joint.address: j for j, joint in enumerate(joints)}
 
     def _scale(self) -> CommandRange:
@@ -164,7 +166,9 @@ class MotorSession:
     def __enter__(self) -> MotorSession:
         return self
 
-    def __exit__(self, error_type: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(
+        self, error_type: object, error: BaseException | None, trace: object
+    ) -> None:
         if not self.unconfirmed:
             return
         self.disable()
@@ -193,7 +197,9 @@ class MotorSession:
         self._sent_at = np.full(self.n_joints, now)
         return position
 
-    def _enable_one(self, j: int, joint: DamiaoJoint, status: int, position: float) -> float:
+    def _enable_one(
+        self, j: int, joint: DamiaoJoint, status: int, position: float
+    ) -> float:
         for _ in range(_ENABLE_TRIES):
             last_status = status
             last_position = position
@@ -213,7 +219,9 @@ class MotorSession:
         self._link.drain()
         self._link.send(request)
         this_motor = np.arange(self.n_joints) == j
-        feedback = self._collect(this_motor, self.clock.now() + _CONFIRM_TIMEOUT).feedback
+        feedback = self._collect(
+            this_motor, self.clock.now() + _CONFIRM_TIMEOUT
+        ).feedback
         return int(feedback.status[j]), float(feedback.position[j])
 
     def exchange(
@@ -250,8 +258,13 @@ class MotorSession:
         old = acted or new
         in_force = (np.where(commanded, *pair) for pair in zip(new, old))
         self._command = codec.MitCommand(*in_force)
-        used = np.abs(new.position - self._sent_position) / self._bounds.command_range.speed
-        unused = np.clip(self._time_to_move(now) - np.nan_to_num(used), 0.0, _MOST_CREDIT)
+        used = (
+            np.abs(new.position - self._sent_position)
+            / self._bounds.command_range.speed
+        )
+        unused = np.clip(
+            self._time_to_move(now) - np.nan_to_num(used), 0.0, _MOST_CREDIT
+        )
         self._credit = np.where(commanded, unused, self._credit)
         self._sent_position = np.where(commanded, new.position, self._sent_position)
         self._sent_at = np.where(commanded, now, self._sent_at)
@@ -269,9 +282,13 @@ class MotorSession:
         """
         return np.minimum(now - self._sent_at, _LONGEST_PAUSE) + self._credit
 
-    def _bound(self, command: codec.MitCommand, now: float, braking: bool) -> codec.MitCommand:
+    def _bound(
+        self, command: codec.MitCommand, now: float, braking: bool
+    ) -> codec.MitCommand:
         """Return a command within the bounds, or raise BeyondBounds unless ``braking``."""
-        last = np.where(np.isnan(self._sent_position), command.position, self._sent_position)
+        last = np.where(
+            np.isnan(self._sent_position), command.position, self._sent_position
+        )
         elapsed = self._time_to_move(now)
         if braking:
             return self._bounds.confine(command, last, elapsed, self._filter.q)
@@ -335,15 +352,21 @@ class MotorSession:
         finally:
             answered = np.isfinite(received)
             decoded = codec.decode_feedback(raw, self.scaling, half_step=True)
-            measured = self.space.to_joints(decoded.position, decoded.velocity, decoded.torque)
+            measured = self.space.to_joints(
+                decoded.position, decoded.velocity, decoded.torque
+            )
             q, qd, tau = np.where(answered, measured, np.nan)
             status = np.where(answered, decoded.status, NO_STATUS)
-            feedback = replace(decoded, status=status, position=q, velocity=qd, torque=tau)
+            feedback = replace(
+                decoded, status=status, position=q, velocity=qd, torque=tau
+            )
             stamps = np.where(answered & np.isfinite(sent), sent, received)
             replies = Replies(answered, stamps, feedback, motors, command)
             if believe:
                 surplus = self._outstanding.surplus.copy()
-                counted = replace(replies, surplus=surplus, foreign=self._foreign.copy())
+                counted = replace(
+                    replies, surplus=surplus, foreign=self._foreign.copy()
+                )
                 replies = self._filter.believe(counted, acted)
             self.last_replies = replies
         return replies
@@ -360,7 +383,11 @@ class MotorSession:
         if j is None:
             return False
         timely = self._outstanding.heard(j)
-        if not motors[j] or np.isfinite(received[j]) or not (timely or self._regardless):
+        if (
+            not motors[j]
+            or np.isfinite(received[j])
+            or not (timely or self._regardless)
+        ):
             return False
         raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
         received[j] = frame.time

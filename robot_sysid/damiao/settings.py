@@ -39,7 +39,11 @@ def _stiffness(value: float) -> str | None:
 def _damping(value: float) -> str | None:
     # Below half a step a frame carries no damping at all, and the motor would ring.
     fits = 0.5 * KD_STEP < value <= KD_MAX
-    return None if fits else f"must be at least {KD_STEP:.2g} and at most {KD_MAX:g} N m s/rad"
+    return (
+        None
+        if fits
+        else f"must be at least {KD_STEP:.2g} and at most {KD_MAX:g} N m s/rad"
+    )
 
 
 @dataclass(frozen=True)
@@ -70,10 +74,18 @@ class PlaySettings(OptionRecord):
         "HZ [Hz] > 0",
         usual="250, with --fd 500, less where the bus is full",
     )
-    speed: float = option(1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=speed_factor)
-    approach_speed: float = option(0.2, "joint speed on the way to the first point", _SPEED)
-    start_tolerance: float = option(0.5, "how far a joint may be from the first point", _ANGLE)
-    max_tracking_error: float = option(0.2, "how far a joint may leave its path", _ANGLE)
+    speed: float = option(
+        1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=speed_factor
+    )
+    approach_speed: float = option(
+        0.2, "joint speed on the way to the first point", _SPEED
+    )
+    start_tolerance: float = option(
+        0.5, "how far a joint may be from the first point", _ANGLE
+    )
+    max_tracking_error: float = option(
+        0.2, "how far a joint may leave its path", _ANGLE
+    )
     max_speed_error: float = option(
         1.0, "how much a joint may be faster or slower than commanded", _SPEED
     )
@@ -105,7 +117,10 @@ class PlaySettings(OptionRecord):
     deceleration: float = 10.0
 
     def for_motors(
-        self, specs: Sequence[MotorSpec], timing: BusTiming, inertia: Array | None = None
+        self,
+        specs: Sequence[MotorSpec],
+        timing: BusTiming,
+        inertia: Array | None = None,
     ) -> PlaySettings:
         """Return the settings with gains per joint and a rate that suit these motors and this bus.
 
@@ -152,4 +167,6 @@ class SecondArm(OptionRecord):
     also: Path | None = option(
         None, "trajectory of the model's other arm, played at the same time", "FILE"
     )
-    also_joint: str | None = option(None, "terminal joint of the model's other arm", "NAME")
+    also_joint: str | None = option(
+        None, "terminal joint of the model's other arm", "NAME"
+    )

@@ -103,7 +103,9 @@ class SimulatedMotor:
         if data is None:
             return None
         fd = self.registers[frames.CAN_BR] > frames.FD_BITRATE_CODES_ABOVE
-        return frames.Frame(int(self.registers[frames.MST_ID]), data, fd=fd, bus=self.joint.bus)
+        return frames.Frame(
+            int(self.registers[frames.MST_ID]), data, fd=fd, bus=self.joint.bus
+        )
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         self.fed_at = time
@@ -160,22 +162,33 @@ class SimulatedMotor:
             full = (1 << bits) - 1
             code = math.floor((value + limit) * (full / (2.0 * limit)))
             word = word << bits | min(max(code, 0), full)
-        return word.to_bytes(6, "big") + bytes([self.temperature_mos, self.temperature_rotor])
+        return word.to_bytes(6, "big") + bytes(
+            [self.temperature_mos, self.temperature_rotor]
+        )
 
     def _unpack(self, data: bytes) -> list[float]:
         """Return p, v, kp, kd and t of a command's frame, as ``codec.decode_mit`` reads them."""
         pmax, vmax, tmax = (self.registers[number] for number in frames.SCALING)
-        ranges = ((-pmax, pmax), (-vmax, vmax), (0.0, codec.KP_MAX), (0.0, codec.KD_MAX))
+        ranges = (
+            (-pmax, pmax),
+            (-vmax, vmax),
+            (0.0, codec.KP_MAX),
+            (0.0, codec.KD_MAX),
+        )
         word = int.from_bytes(data, "big")
         values = []
-        for (low, high), bits in zip(reversed((*ranges, (-tmax, tmax))), reversed(_COMMAND_BITS)):
+        for (low, high), bits in zip(
+            reversed((*ranges, (-tmax, tmax))), reversed(_COMMAND_BITS)
+        ):
             full = (1 << bits) - 1
             values.append((word & full) * ((high - low) / full) + low)
             word >>= bits
         return values[::-1]
 
 
-def simulated_motor(joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG) -> SimulatedMotor:
+def simulated_motor(
+    joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG
+) -> SimulatedMotor:
     """Return a joint's motor as it leaves the factory, apart from ids and watchdog [s]."""
     peak = joint.spec.peak_torque
     gear = joint.spec.gear_ratio
@@ -186,7 +199,9 @@ def simulated_motor(joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG) -> S
         frames.CTRL_MODE: float(frames.MIT_MODE),
         frames.TIMEOUT: float(round(watchdog / frames.TIMEOUT_UNIT)),
     }  # fmt: skip
-    registers.update(zip(frames.SCALING, np.array(joint.spec.limits, np.float32).tolist()))
+    registers.update(
+        zip(frames.SCALING, np.array(joint.spec.limits, np.float32).tolist())
+    )
     # Shorted windings brake strongly: a full peak torque sinks at about 2 rad/s.
     return SimulatedMotor(joint, registers, peak, brake=0.5 * peak)
 
@@ -203,7 +218,9 @@ class SimulatedArm:
     def __init__(self, mechanism: ArmStepper, motors: Sequence[SimulatedMotor]) -> None:
         self.mechanism = mechanism
         self.motors = list(motors)
-        self._space = JointSpace.of([m.joint for m in self.motors[: mechanism.n_joints]])
+        self._space = JointSpace.of(
+            [m.joint for m in self.motors[: mechanism.n_joints]]
+        )
         self.time = 0.0
         self._was_enabled = False
         self._changed = True
@@ -262,7 +279,9 @@ class SimulatedArm:
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
         *commands, brake, peak = table.T
-        self._p, v, kp, kd, t = self._space.command_to_joints(codec.MitCommand(*commands))
+        self._p, v, kp, kd, t = self._space.command_to_joints(
+            codec.MitCommand(*commands)
+        )
         self._peak = peak * self._space.ratio
         self._kd = np.where(driving, kd, brake)
         self._offset = np.where(driving, kd * v + t, 0.0)
@@ -286,7 +305,9 @@ class SimulatedArm:
         q = self.mechanism.q
         qd = self.mechanism.qd
         torque, damping = self._law(q)
-        readings = np.transpose(self._space.to_motors(q, qd, torque - damping * qd)).tolist()
+        readings = np.transpose(
+            self._space.to_motors(q, qd, torque - damping * qd)
+        ).tolist()
         for motor, (position, velocity, motor_torque) in zip(self.motors, readings):
             motor.position = position
             motor.velocity = velocity
@@ -307,7 +328,11 @@ class SimulatedLink:
     """
 
     def __init__(
-        self, clock: SimulatedClock, arm: SimulatedArm, timing: BusTiming, echo: bool = False
+        self,
+        clock: SimulatedClock,
+        arm: SimulatedArm,
+        timing: BusTiming,
+        echo: bool = False,
     ) -> None:
         self.clock = clock
         self.arm = arm
@@ -326,7 +351,9 @@ class SimulatedLink:
         if self._echo:
             self._deliver(frame._replace(time=end, echo=True))
         for reply in self.arm.handle(frame, end):
-            heapq.heappush(self._replies, (end + _TURNAROUND, reply.id, next(self._order), reply))
+            heapq.heappush(
+                self._replies, (end + _TURNAROUND, reply.id, next(self._order), reply)
+            )
 
     def receive(self, until: float) -> Frame | None:
         """Return the next frame that is through by ``until`` [s], or None at that time."""

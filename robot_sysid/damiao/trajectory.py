@@ -36,8 +36,17 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.protocol.frames import PLANNING_LIMIT, BusTiming, bus_load, suggested_rate
-from robot_sysid.damiao.protocol.joints import MASTER_ID_OFFSET, DamiaoJoint, damiao_joints
+from robot_sysid.damiao.protocol.frames import (
+    PLANNING_LIMIT,
+    BusTiming,
+    bus_load,
+    suggested_rate,
+)
+from robot_sysid.damiao.protocol.joints import (
+    MASTER_ID_OFFSET,
+    DamiaoJoint,
+    damiao_joints,
+)
 from robot_sysid.damiao.protocol.motors import RPM, motor_spec
 from robot_sysid.errors import InputError
 from robot_sysid.motion.options import LimitOptions
@@ -101,7 +110,9 @@ def export_damiao_trajectory(
     first = next(chunks, None)
     if first is None or len(first[0]) == 0:
         raise InputError("the trajectory to export has no samples")
-    joints = damiao_joints(motor_types, np.shape(first[1])[1], can_ids, master_ids, joint_names)
+    joints = damiao_joints(
+        motor_types, np.shape(first[1])[1], can_ids, master_ids, joint_names
+    )
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
     rows = 0
     (changed, peak_velocity, peak_torque) = np.zeros((3, len(joints)))
@@ -113,13 +124,19 @@ def export_damiao_trajectory(
             asked = _checked(chunk, len(joints))
             inside = np.clip(asked, -limits, limits)
             changed += np.any(inside != asked, axis=0).sum(axis=0)
-            peak_velocity = np.maximum(peak_velocity, np.abs(asked[1]).max(axis=0, initial=0.0))
-            peak_torque = np.maximum(peak_torque, np.abs(asked[2]).max(axis=0, initial=0.0))
+            peak_velocity = np.maximum(
+                peak_velocity, np.abs(asked[1]).max(axis=0, initial=0.0)
+            )
+            peak_torque = np.maximum(
+                peak_torque, np.abs(asked[2]).max(axis=0, initial=0.0)
+            )
             rows += len(chunk[0])
             file.write(_rows(chunk[0], inside, decimals))
     percent = 100.0 * changed / rows
     warnings = []
-    for joint, share, velocity, torque in zip(joints, percent, peak_velocity, peak_torque):
+    for joint, share, velocity, torque in zip(
+        joints, percent, peak_velocity, peak_torque
+    ):
         if share:
             warnings.append(
                 f"{joint.label}: {share:.2f} % of the samples were clamped to the limits of a "
@@ -133,10 +150,16 @@ def export_damiao_trajectory(
 def _head(joints: Sequence[DamiaoJoint]) -> str:
     lines = [
         f"# motor_type={j.motor_type},can_id={j.can_id},mode=MIT"
-        + ("" if j.master_id == j.can_id + MASTER_ID_OFFSET else f",master_id={j.master_id}")
+        + (
+            ""
+            if j.master_id == j.can_id + MASTER_ID_OFFSET
+            else f",master_id={j.master_id}"
+        )
         for j in joints
     ]
-    return "\n".join([*lines, ",".join(["time", *trajectory_columns(len(joints))])]) + "\n"
+    return (
+        "\n".join([*lines, ",".join(["time", *trajectory_columns(len(joints))])]) + "\n"
+    )
 
 
 def trajectory_columns(n_joints: int) -> list[str]:
@@ -148,7 +171,9 @@ def _checked(chunk: MotionChunk, n: int) -> Array:
     """Return position, velocity and torque (3, N, n) of a chunk that can be written."""
     time, *signals = (np.asarray(x, dtype=float) for x in chunk)
     if time.ndim != 1 or any(x.shape != (len(time), n) for x in signals):
-        raise InputError(f"motion chunks must be (N,), (N, {n}), (N, {n}), (N, {n}) arrays")
+        raise InputError(
+            f"motion chunks must be (N,), (N, {n}), (N, {n}), (N, {n}) arrays"
+        )
     if not all(np.all(np.isfinite(x)) for x in (time, *signals)):
         raise InputError("the trajectory to export contains values that are not finite")
     return np.stack(signals)
@@ -165,7 +190,9 @@ CANNOT_FOLLOW = "it cannot follow"
 """How a sentence about a motor ends that cannot do what a motion asks."""
 
 
-def rating_warnings(joint: DamiaoJoint, velocity: float, torque: float) -> Iterator[str]:
+def rating_warnings(
+    joint: DamiaoJoint, velocity: float, torque: float
+) -> Iterator[str]:
     """Yield a sentence for each rating of a motor that a peak velocity or torque exceeds."""
     spec = joint.spec
     for limit, name, remedy in (
@@ -190,7 +217,9 @@ def rating_warnings(joint: DamiaoJoint, velocity: float, torque: float) -> Itera
 _MOMENT = 0.1
 
 
-def rotor_problems(played: DamiaoTrajectory, speed: float, doubt: Array) -> Iterator[str]:
+def rotor_problems(
+    played: DamiaoTrajectory, speed: float, doubt: Array
+) -> Iterator[str]:
     """Yield which joints cannot follow, played at a share of their speed: known without a model.
 
     A motor turns its own rotor at least. Where that takes more than the ``doubt`` (n,) [N m] from
@@ -236,17 +265,25 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
         raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
     n = len(joints)
     if n == 0:
-        raise InputError(f"{path} has no '# motor_type=...' lines; it is not a Damiao trajectory")
+        raise InputError(
+            f"{path} has no '# motor_type=...' lines; it is not a Damiao trajectory"
+        )
     if [name.strip() for name in line.split(",")] != ["time", *trajectory_columns(n)]:
         expected = f"expected the columns time,j0_pos,j0_vel,j0_tau,... for {n} joints"
         raise InputError(f"{path}, line {number}: {expected}")
-    filled = [(k, row) for k, row in enumerate(lines[number:], number + 1) if row.strip()]
+    filled = [
+        (k, row) for k, row in enumerate(lines[number:], number + 1) if row.strip()
+    ]
     width = 1 + 3 * n
-    table = np.array([_numbers(row, width, path, k) for k, row in filled]).reshape(-1, width)
+    table = np.array([_numbers(row, width, path, k) for k, row in filled]).reshape(
+        -1, width
+    )
     numbers = np.array([k for k, _ in filled], int)
     time = table[:, 0].copy()
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
-        raise InputError(f"{path}, near line {numbers[row + 1]}: time does not increase")
+        raise InputError(
+            f"{path}, near line {numbers[row + 1]}: time does not increase"
+        )
     q, qd, tau = (table[:, k::3] for k in (1, 2, 3))
     return DamiaoTrajectory(path, tuple(joints), numbers, time, q, qd, tau)
 
@@ -308,7 +345,9 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
             f"{path}, line {number}: expected '# motor_type=TYPE,can_id=NUMBER,mode=MIT'"
         ) from None
     if mode != "MIT":
-        raise InputError(f"{path}, line {number}: mode {mode!r} cannot be played, only MIT")
+        raise InputError(
+            f"{path}, line {number}: mode {mode!r} cannot be played, only MIT"
+        )
     return DamiaoJoint(motor_type, can_id, master_id)
 
 
@@ -328,8 +367,20 @@ def limit_excesses(
     printed = 2.0 * _ROUNDING / step.min()
     shaken = np.gradient(trajectory.qd, trajectory.time, axis=0)
     for values, most, unit, flag, slack in (
-        (speed * trajectory.qd, limits.max_velocity, "rad/s", "--max-velocity", _ROUNDING),
-        (speed**2 * shaken, limits.max_acceleration, "rad/s^2", "--max-acceleration", printed),
+        (
+            speed * trajectory.qd,
+            limits.max_velocity,
+            "rad/s",
+            "--max-velocity",
+            _ROUNDING,
+        ),
+        (
+            speed**2 * shaken,
+            limits.max_acceleration,
+            "rad/s^2",
+            "--max-acceleration",
+            printed,
+        ),
         (trajectory.tau, limits.max_torque, "N m", "--max-torque", _ROUNDING),
     ):
         tops = per_joint(np.inf if most is None else most, trajectory.n_joints, flag)
@@ -362,11 +413,16 @@ def velocity_mismatch(time: Array, q: Array, qd: Array) -> Mismatch | None:
     """Return where velocities (N, n) first differ from the positions' changes, or None."""
     step = np.diff(time)[:, None]
     slope = np.diff(q, axis=0) / step
-    return next(chain(_rows_off(step, slope, qd), _windows_off(time, q, qd, slope)), None)
+    return next(
+        chain(_rows_off(step, slope, qd), _windows_off(time, q, qd, slope)), None
+    )
 
 
 def _rows_off(step: Array, slope: Array, qd: Array) -> Iterator[Mismatch]:
-    padded = (np.pad(each, ((_AROUND, _AROUND), (0, 0)), mode="edge") for each in (slope, step))
+    padded = (
+        np.pad(each, ((_AROUND, _AROUND), (0, 0)), mode="edge")
+        for each in (slope, step)
+    )
     slopes, steps = (sliding_window_view(each, 2 * _AROUND, axis=0) for each in padded)
     low = slopes.min(axis=-1)
     high = slopes.max(axis=-1)
@@ -376,7 +432,9 @@ def _rows_off(step: Array, slope: Array, qd: Array) -> Iterator[Mismatch]:
     # The last rows have no slopes behind them.
     off[len(off) - _AROUND :] = 0.0
     for row, joint in np.argwhere(off > 0.0)[:1]:
-        yield Mismatch(int(row), int(joint), float(qd[row, joint]), float(slope[row, joint]))
+        yield Mismatch(
+            int(row), int(joint), float(qd[row, joint]), float(slope[row, joint])
+        )
 
 
 def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mismatch]:
@@ -404,7 +462,9 @@ def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mis
     allowed = shifted + bent + 2.0 * _ROUNDING + _ROUNDING * length
     for k, j in np.argwhere(np.abs(came - said) > allowed * (1.0 + 1e-9))[:1]:
         span = float(length[k, 0])
-        yield Mismatch(int(starts[k]), int(j), float(said[k, j]) / span, float(came[k, j]) / span)
+        yield Mismatch(
+            int(starts[k]), int(j), float(said[k, j]) / span, float(came[k, j]) / span
+        )
 
 
 def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:

@@ -121,7 +121,10 @@ class Contest:
     """
 
     def __init__(
-        self, robot: RobotModel, signals: Sequence[ProcessedSignals], options: EstimationOptions
+        self,
+        robot: RobotModel,
+        signals: Sequence[ProcessedSignals],
+        options: EstimationOptions,
     ) -> None:
         self.signals = signals
         self.options = options
@@ -130,7 +133,9 @@ class Contest:
         self.base = Hypotheses(self.log, self.prior)
         self.posterior = self.base.posterior()
 
-    def last_mass(self, posterior: Posterior, prior: Prior | None = None) -> tuple[float, float]:
+    def last_mass(
+        self, posterior: Posterior, prior: Prior | None = None
+    ) -> tuple[float, float]:
         """Return the last link's mass and its standard error [kg]."""
         prior = prior or self.prior
         mass = prior.mean[0] + prior.spread[0] * posterior.values[0]
@@ -172,7 +177,9 @@ class Contest:
         """
         prior = prior or self.prior
         robot = self.log.robot
-        names = [name for link in other_links(robot) for name in link_names(robot, link)]
+        names = [
+            name for link in other_links(robot) for name in link_names(robot, link)
+        ]
         at = np.searchsorted(prior.kept, self.log.columns.at(names))
         off = posterior.values[at]
         quadratic_forms = [off @ p[np.ix_(at, at)] @ off for p in prior.precisions]
@@ -191,12 +198,16 @@ class Contest:
         undone = undone_torques(self.log, self.signals, self.base, self.posterior)
         best = self.posterior if winner is None else winner.posterior
         by_joint = misfit_by_joint(self.log, best)
-        is_gross = misfit(self.log, best) > GROSS or float(np.max(by_joint)) > GROSS_JOINT
+        is_gross = (
+            misfit(self.log, best) > GROSS or float(np.max(by_joint)) > GROSS_JOINT
+        )
         is_far = is_gross or not self.is_plausible(best)
         if is_far or abs(np.log(usual_scale(self.log))) > np.log(ODD_SCALE):
             undone += undone_scales(self.log, self.posterior, self.options, divided)
         if is_far:
-            undone += undone_columns(self.log, self.signals, self.posterior, self.options)
+            undone += undone_columns(
+                self.log, self.signals, self.posterior, self.options
+            )
         most = max(misfit(self.log, self.posterior), SMALL)
         fitting = [m for m in undone if misfit(m.log, m.posterior) <= most]
         plausible = [
@@ -249,7 +260,9 @@ class Contest:
             if gains[k] > _WORTH:
                 best_of_family.setdefault(offered[k].family, int(k))
         finalists = list(best_of_family.values())[:count]
-        scores = [self._score(model, posterior, offered[k], columns[k]) for k in finalists]
+        scores = [
+            self._score(model, posterior, offered[k], columns[k]) for k in finalists
+        ]
         scores = [
             self._refined(model, posterior, score) if score.gain > MARGIN else score
             for score in scores
@@ -266,14 +279,28 @@ class Contest:
         """Return an explanation's score beside a model, with noise of its own."""
         width = len(explanation.spread)
         nothing = np.zeros((len(model.right), width))
-        wider = model.with_columns([nothing if column is None else column for column in columns])
+        wider = model.with_columns(
+            [nothing if column is None else column for column in columns]
+        )
         after = wider.posterior(posterior.noise)
-        gain = after.log_evidence - posterior.log_evidence - float(np.log(explanation.choices))
+        gain = (
+            after.log_evidence
+            - posterior.log_evidence
+            - float(np.log(explanation.choices))
+        )
         scaled = after.values[-width:]
         covariance = after.covariance[-width:, -width:]
         sureness = float(np.sqrt(scaled @ np.linalg.solve(covariance, scaled)))
         errors = explanation.spread * np.sqrt(np.diag(covariance))
-        return Score(explanation, gain, explanation.spread * scaled, errors, sureness, wider, after)
+        return Score(
+            explanation,
+            gain,
+            explanation.spread * scaled,
+            errors,
+            sureness,
+            wider,
+            after,
+        )
 
     def _refined(self, model: Hypotheses, posterior: Posterior, score: Score) -> Score:
         """Return the best of the explanations near one, or that one."""
@@ -305,7 +332,9 @@ class Contest:
         is_large = bool(abs(score.values[0]) >= explanation.harmful_from)
         if is_large or explanation.level is Level.REFUSE:
             return True
-        return self.torque_share(score) > HARMFUL_SHARE or self.moves_link(score, before)
+        return self.torque_share(score) > HARMFUL_SHARE or self.moves_link(
+            score, before
+        )
 
     def torque_share(self, score: Score) -> float:
         """Return the varying torque that an explanation makes, as a part of all torque."""
@@ -347,7 +376,9 @@ def transform_columns(
     """Return per explanation and joint its columns (K, e), transformed, in units of its prior."""
     transformed: list[list[Array | None]] = [[None] * len(model.rows) for _ in offered]
     for joint in range(len(model.rows)):
-        of_joint = {k: explanation.of_joint(joint) for k, explanation in enumerate(offered)}
+        of_joint = {
+            k: explanation.of_joint(joint) for k, explanation in enumerate(offered)
+        }
         columns = {k: column for k, column in of_joint.items() if column is not None}
         if not columns:
             continue
@@ -366,7 +397,9 @@ def screen_gains(
     With E its columns, r the residual and C the posterior covariance, in units of noise and prior,
     that is 1/2 v' (1 + M)^-1 v - 1/2 log |1 + M|, M = E'E - E'A C A'E and v = E'r.
     """
-    widths = [next(c.shape[1] for c in of_joints if c is not None) for of_joints in columns]
+    widths = [
+        next(c.shape[1] for c in of_joints if c is not None) for of_joints in columns
+    ]
     ends = np.cumsum([0, *widths])
     crossed = np.zeros((len(posterior.values), ends[-1]))
     pull = np.zeros(ends[-1])
@@ -390,7 +423,9 @@ def screen_gains(
         of_explanation = slice(ends[k], ends[k + 1])
         inside = square - crossed[:, of_explanation].T @ solved[:, of_explanation]
         best = np.linalg.solve(inside, pull[of_explanation])
-        gains.append(0.5 * (float(pull[of_explanation] @ best) - np.linalg.slogdet(inside)[1]))
+        gains.append(
+            0.5 * (float(pull[of_explanation] @ best) - np.linalg.slogdet(inside)[1])
+        )
     return np.array(gains)
 
 
@@ -443,7 +478,9 @@ def name_causes(contest: Contest, rounds: Sequence[Sequence[Score]]) -> list[Fin
             best: dict[str, Score] = {}
             for score in clear:
                 best.setdefault(score.explanation.name, score)
-            harmful = [score for score in best.values() if contest.is_harmful(score, before)]
+            harmful = [
+                score for score in best.values() if contest.is_harmful(score, before)
+            ]
             named.append(_finding([*best.values()], harmful))
         before = ranked[0].posterior
     return named
@@ -464,7 +501,9 @@ def unexplained_torque(contest: Contest, posterior: Posterior) -> Finding:
     by_joint = misfit_by_joint(log, posterior)
     share = misfit(log, posterior)
     worst = np.argsort(-by_joint * log.usual)[:3]
-    listed = ", ".join(f"{log.robot.joint_names[j]} {percent(float(by_joint[j]))}" for j in worst)
+    listed = ", ".join(
+        f"{log.robot.joint_names[j]} {percent(float(by_joint[j]))}" for j in worst
+    )
     text = (
         f"{percent(share)} of the torque is explained by nothing that is looked for ({listed} of "
         f"its own{stretch_of_misfit(contest, posterior)}): is the model of this arm, with what is "

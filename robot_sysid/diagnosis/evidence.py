@@ -71,13 +71,17 @@ class Transform:
         from scipy.fft import dct
 
         used = rows * self._used[:, joint, None]
-        return np.concatenate([dct(used[w], axis=0, norm="ortho") for w in self._windows])
+        return np.concatenate(
+            [dct(used[w], axis=0, norm="ortho") for w in self._windows]
+        )
 
     def undone(self, transformed: Array) -> Array:
         """Return the rows (K, n) of all joints of which some are the transform."""
         from scipy.fft import idct
 
-        return np.concatenate([idct(transformed[w], axis=0, norm="ortho") for w in self._windows])
+        return np.concatenate(
+            [idct(transformed[w], axis=0, norm="ortho") for w in self._windows]
+        )
 
 
 class Hypotheses:
@@ -109,7 +113,9 @@ class Hypotheses:
             self.rows.append(self.transform.of_joint(joint, scaled))
         self.right = self._transformed_right(log)
         self.explained = tuple(np.zeros((len(self.right), 0)) for _ in self.rows)
-        self.determinants = [np.linalg.slogdet(precision)[1] for precision in prior.precisions]
+        self.determinants = [
+            np.linalg.slogdet(precision)[1] for precision in prior.precisions
+        ]
 
     def _transformed_right(self, log: LogRows) -> Array:
         columns = []
@@ -148,7 +154,9 @@ class Hypotheses:
             spectra += [1.0 - share + share * slow for share in SHARES]
         return np.array(spectra)
 
-    def posterior(self, noise: Array | None = None, rounds: int = _MORE_ROUNDS) -> Posterior:
+    def posterior(
+        self, noise: Array | None = None, rounds: int = _MORE_ROUNDS
+    ) -> Posterior:
         """Return the posterior under the most likely noise, sought from some (K, n) on."""
         if noise is None:
             noise = np.tile((_FIRST_NOISE * self._usual) ** 2, (len(self.right), 1))
@@ -184,7 +192,9 @@ class Hypotheses:
             for joint, (places, rows) in enumerate(equations):
                 residual[:, joint] -= rows @ values[places]
             # Of what is left, not of differences of what is large.
-            squares = float(np.sum(residual**2 / noise) + values @ prior_precision @ values)
+            squares = float(
+                np.sum(residual**2 / noise) + values @ prior_precision @ values
+            )
             shrinking = 2.0 * float(np.sum(np.log(np.diag(root)))) - determinant
             evidence = -0.5 * (squares + shrinking + noise_size)
             if best is None or evidence > max(evidences):

@@ -125,7 +125,9 @@ class Fitted:
         self.rigid = log.links_torque(bodies)
         self._thetas = log.columns.thetas(bodies[: len(log.columns.names)])
         filtered = [log.passed(self._of_positions, smooth=True) for log in signals]
-        self.weight, self.tip_force, self.last_weight = map(np.concatenate, zip(*filtered))
+        self.weight, self.tip_force, self.last_weight = map(
+            np.concatenate, zip(*filtered)
+        )
 
     def _of_positions(self, motion: Motion) -> tuple[Array, Array, Array]:
         """Return what follows from positions alone, see the attributes."""
@@ -133,7 +135,10 @@ class Fitted:
         last = self.robot.n_joints - 1
         # A mass of one kilogram under an acceleration of one: the torque that holds it.
         pulls = [LinkDynamics(self.robot, axis) for axis in np.eye(3)]
-        forces = [-pull.motion(motion.q, still, still).columns([last])[:, :, :4] for pull in pulls]
+        forces = [
+            -pull.motion(motion.q, still, still).columns([last])[:, :, :4]
+            for pull in pulls
+        ]
         resting = LinkDynamics(self.robot).motion(motion.q, still, still)
         columns = resting.columns([last])[:, :, :4]
         return resting.torque(self._thetas), np.concatenate(forces, axis=-1), columns
@@ -147,7 +152,9 @@ class Fitted:
         """Return the derivative (K, n) by time [N m/s]."""
         derivative = np.empty_like(torque)
         for window in self.log.windows:
-            derivative[window] = np.gradient(torque[window], self.log.motion.time[window], axis=0)
+            derivative[window] = np.gradient(
+                torque[window], self.log.motion.time[window], axis=0
+            )
         return derivative
 
 
@@ -155,7 +162,9 @@ def _says(text: str, factor: float = 1.0, unit: str = "", shift: float = 0.0) ->
     """Return words in which {} stands for the first coefficient, in a unit, with its error."""
 
     def words(v: Array, e: Array) -> str:
-        return text.format(with_error(factor * (float(v[0]) + shift), abs(factor) * e[0], unit))
+        return text.format(
+            with_error(factor * (float(v[0]) + shift), abs(factor) * e[0], unit)
+        )
 
     return words
 
@@ -185,7 +194,11 @@ def torque_scales(fit: Fitted) -> Iterator[Explanation]:
     text = "torque of joint {0} reads {{}} what links and the other joints say; weigh a known mass "
     text += "(payload --known-mass) and pass the file that it writes as --torque-scale"
     yield from _of_each_joint(
-        fit, "torque-scale", fit.rigid, 0.3, lambda j: _says(text.format(j), 1.0, "times", 1.0)
+        fit,
+        "torque-scale",
+        fit.rigid,
+        0.3,
+        lambda j: _says(text.format(j), 1.0, "times", 1.0),
     )
 
 
@@ -195,7 +208,9 @@ def drifting_scales(fit: Fitted) -> Iterator[Explanation]:
     text += "up, and record again"
     drifting = fit.rigid * fit.time[:, None]
     words = _says(text.format("all joints"), 200.0, "%")
-    yield Explanation("torque-scale", Level.WARN, drifting[:, :, None], np.array([0.1]), words)
+    yield Explanation(
+        "torque-scale", Level.WARN, drifting[:, :, None], np.array([0.1]), words
+    )
     yield from _of_each_joint(
         fit,
         "torque-scale",
@@ -208,14 +223,18 @@ def drifting_scales(fit: Fitted) -> Iterator[Explanation]:
 def _columns(fit: Fitted, names: Sequence[str]) -> Array:
     """Return the columns (K, n, e) of some parameters of the estimate."""
     joints = range(fit.robot.n_joints)
-    return np.transpose([[fit.log.column(j, name) for j in joints] for name in names], (2, 1, 0))
+    return np.transpose(
+        [[fit.log.column(j, name) for j in joints] for name in names], (2, 1, 0)
+    )
 
 
 def zeros(fit: Fitted) -> Iterator[Explanation]:
     """Yield that a joint's position is off by a constant."""
     for name in fit.robot.joint_names:
         words = _says(
-            f"the position of joint {name} reads {{}} too much; correct its zero", 1.0, "rad"
+            f"the position of joint {name} reads {{}} too much; correct its zero",
+            1.0,
+            "rad",
         )
         columns = _columns(fit, [f"zero[{name}]"])
         yield Explanation(
@@ -228,7 +247,9 @@ def tilt(fit: Fitted) -> Iterator[Explanation]:
     if np.any(gravity(fit.robot)):
         text = "the base is tilted by {} against the model's; have it found (identify --tilt auto)"
         words = _size_says(text, float(np.degrees(1.0)), "degrees")
-        yield Explanation("tilt", Level.WARN, _columns(fit, TILT_NAMES), np.full(2, 0.15), words)
+        yield Explanation(
+            "tilt", Level.WARN, _columns(fit, TILT_NAMES), np.full(2, 0.15), words
+        )
 
 
 def time_base(fit: Fitted) -> Iterator[Explanation]:
@@ -249,9 +270,13 @@ def time_base(fit: Fitted) -> Iterator[Explanation]:
             f"first, {_too_long(v[0] + v[1])} at the end; {advice}"
         )
 
-    yield Explanation("clock", Level.WARN, slope, np.array([0.1]), stretched, harmful_from=0.0)
+    yield Explanation(
+        "clock", Level.WARN, slope, np.array([0.1]), stretched, harmful_from=0.0
+    )
     both = np.concatenate((slope, slope * fit.time[:, None, None]), axis=-1)
-    yield Explanation("clock", Level.WARN, both, np.full(2, 0.1), drifting, harmful_from=0.0)
+    yield Explanation(
+        "clock", Level.WARN, both, np.full(2, 0.1), drifting, harmful_from=0.0
+    )
 
 
 def _too_long(share: float) -> str:
@@ -261,8 +286,12 @@ def _too_long(share: float) -> str:
 def delays(fit: Fitted) -> Iterator[Explanation]:
     """Yield that torque belongs to an earlier or later position."""
     late = -fit.derivative(fit.rigid)
-    text = "torque lags position by {}; record both at the same instant, or have it found "
-    words = _says(f"{text}(identify --delay auto; payload does so by itself)", 1e3, "ms")
+    text = (
+        "torque lags position by {}; record both at the same instant, or have it found "
+    )
+    words = _says(
+        f"{text}(identify --delay auto; payload does so by itself)", 1e3, "ms"
+    )
     yield Explanation("delay", Level.WARN, late[:, :, None], np.array([0.04]), words)
     text = "torque of joint {0} alone lags position by {{}}; record all joints at once"
     yield from _of_each_joint(
@@ -273,16 +302,14 @@ def delays(fit: Fitted) -> Iterator[Explanation]:
 def weight_share(fit: Fitted) -> Iterator[Explanation]:
     """Yield that a part of the links' weight, and of what they carry, is not in the torque."""
     total = fit.robot.mass
-    text = (
-        "{} of the links' weight is missing from the torque: is there a spring balancer that the "
-    )
-    text += "model lacks, or is gravity compensated in part? record the measured joint torque, not "
+    text = "{} of the links' weight is missing from the torque: is there a spring balancer that "
+    text += "the model lacks, or is gravity compensated in part? record the measured joint torque, "
     yield Explanation(
         "gravity",
         Level.REFUSE,
         np.concatenate((fit.weight[:, :, None], fit.last_weight), axis=-1),
         np.append(0.5, parameter_scale(0.1 * total, 0.1)[:4]),
-        _says(f"{text}the command", -100.0, "%"),
+        _says(f"{text}not the command", -100.0, "%"),
         is_possible=lambda v, e: bool(-1.0 - 3.0 * e[0] < v[0] < -0.05),
     )
 
@@ -306,7 +333,9 @@ def _payload_step(fit: Fitted, row: int, spacing: int, choices: int) -> Explanat
     def nearby() -> list[Explanation]:
         step = -(-spacing // 6)
         rows = range(row - step * ((spacing - 1) // step), row + spacing, step)
-        return [_payload_step(fit, k, step, choices) for k in rows if 0 < k < len(bodies)]
+        return [
+            _payload_step(fit, k, step, choices) for k in rows if 0 < k < len(bodies)
+        ]
 
     def words(v: Array, e: Array) -> str:
         return (
@@ -345,9 +374,13 @@ def forces(fit: Fitted) -> Iterator[Explanation]:
         return bool(np.linalg.norm(v[force]) > 3.0 * np.max(e[force]))
 
     columns = fit.tip_force
-    yield Explanation("force", Level.REFUSE, columns, spread, words, is_possible=is_sure)
+    yield Explanation(
+        "force", Level.REFUSE, columns, spread, words, is_possible=is_sure
+    )
     text = "the last link weighs {} more than its inertia says: something holds a part of it, or "
-    carried = _says(f"{text}pulls, as a hand or a hose does; take it away, record again", 1.0, "kg")
+    carried = _says(
+        f"{text}pulls, as a hand or a hose does; take it away, record again", 1.0, "kg"
+    )
     spread = parameter_scale(0.1 * total, 0.1)[:4]
     yield Explanation("force", Level.REFUSE, fit.last_weight, spread, carried)
 
@@ -360,7 +393,9 @@ def springs(fit: Fitted) -> Iterator[Explanation]:
         q = fit.log.motion.q[:, joint]
         shapes = np.stack((q, np.sin(q), np.cos(q)), axis=1)
         spread = np.full(3, 0.5 * fit.log.usual[joint])
-        yield Explanation("force", Level.REFUSE, shapes, spread, _says(text.format(name)), joint)
+        yield Explanation(
+            "force", Level.REFUSE, shapes, spread, _says(text.format(name)), joint
+        )
 
 
 def pushes(fit: Fitted) -> Iterator[Explanation]:
@@ -401,7 +436,15 @@ def _push(fit: Fitted, start: int, width: int, choices: int) -> Explanation:
     level = Level.WARN
     spread = fit.log.usual
     return Explanation(
-        "contact", level, columns, spread, words, None, choices, nearby=nearby, harmful_from=0.0
+        "contact",
+        level,
+        columns,
+        spread,
+        words,
+        None,
+        choices,
+        nearby=nearby,
+        harmful_from=0.0,
     )
 
 
@@ -417,9 +460,13 @@ def hums(fit: Fitted) -> Iterator[Explanation]:
         best = int(np.argmax(power[:, joint]))
         columns = np.stack((waves[best].real, waves[best].imag), axis=1)
         text = f"torque of joint {name} hums: a sine of {rates[best]:.2g} Hz and {{}} that neither "
-        words = _size_says(f"{text}motion nor friction makes; find its source", 1.0, "N m")
+        words = _size_says(
+            f"{text}motion nor friction makes; find its source", 1.0, "N m"
+        )
         spread = np.full(2, 0.1 * fit.log.usual[joint])
-        yield Explanation("contact", Level.WARN, columns, spread, words, joint, len(rates))
+        yield Explanation(
+            "contact", Level.WARN, columns, spread, words, joint, len(rates)
+        )
 
 
 def ripples(fit: Fitted) -> Iterator[Explanation]:
@@ -428,18 +475,20 @@ def ripples(fit: Fitted) -> Iterator[Explanation]:
         waves = np.exp(1j * np.outer(fit.log.motion.q[:, joint], RIPPLES))
         best = int(np.argmax(np.abs(fit.residual[:, joint] @ waves)))
         columns = np.stack((waves[:, best].real, waves[:, best].imag), axis=1)
-        text = (
-            f"torque of joint {name} ripples about {RIPPLES[best]} times per turn by {{}}, as of "
-        )
-        words = _size_says(f"{text}cogging; errors count it as noise", 1.0, "N m")
+        text = f"torque of joint {name} ripples about {RIPPLES[best]} times per turn by {{}}, "
+        words = _size_says(f"{text}as of cogging; errors count it as noise", 1.0, "N m")
         spread = np.full(2, 0.1 * fit.log.usual[joint])
-        yield Explanation("ripple", Level.NOTE, columns, spread, words, joint, len(RIPPLES))
+        yield Explanation(
+            "ripple", Level.NOTE, columns, spread, words, joint, len(RIPPLES)
+        )
 
 
 def couplings(fit: Fitted) -> Iterator[Explanation]:
     """Yield motors that turn with two joints, and torques that read a part of a neighbour's."""
     terms = ("coulomb", "viscous", "armature")
-    units = np.array([1.0, np.max(rms(fit.log.motion.qd)), np.max(rms(fit.log.motion.qdd))])
+    units = np.array(
+        [1.0, np.max(rms(fit.log.motion.qd)), np.max(rms(fit.log.motion.qdd))]
+    )
     names = fit.robot.joint_names
     for motor in fit.log.columns.couplings:
         columns = _columns(fit, [f"{term}[{motor.name}]" for term in terms])
@@ -454,7 +503,9 @@ def couplings(fit: Fitted) -> Iterator[Explanation]:
             words = _says(text.format(names[one], names[other]), 100.0, "%")
             share = 0.1 * min(1.0, fit.log.usual[one] / fit.log.usual[other])
             column = fit.rigid[:, other, None]
-            yield Explanation("crosstalk", Level.WARN, column, np.array([share]), words, one)
+            yield Explanation(
+                "crosstalk", Level.WARN, column, np.array([share]), words, one
+            )
 
 
 def warming(fit: Fitted) -> Iterator[Explanation]:
@@ -463,7 +514,9 @@ def warming(fit: Fitted) -> Iterator[Explanation]:
     names = [f"coulomb[{name}]" for name in fit.robot.joint_names]
     sizes = np.abs(fit.values[fit.log.columns.at(names)])
     spread = 0.5 * np.maximum(sizes, 0.01 * fit.log.usual)
-    words = _says("friction falls over the log; let the arm warm up before it is recorded")
+    words = _says(
+        "friction falls over the log; let the arm warm up before it is recorded"
+    )
     for constant in WARM_UP if time[-1] > WARM_UP[0] else ():
         columns = _columns(fit, names) * np.exp(-time / constant)[:, None, None]
         count = len(WARM_UP)

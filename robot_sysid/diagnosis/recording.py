@@ -82,7 +82,9 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     speed, longer = (np.concatenate(same) for same in zip(*parts))
     if len(speed) < _ENOUGH:
         return
-    jumps = int(np.count_nonzero((longer > _JUMP) & (speed * longer < _NO_WAY) & (speed > 0.0)))
+    jumps = int(
+        np.count_nonzero((longer > _JUMP) & (speed * longer < _NO_WAY) & (speed > 0.0))
+    )
     plain = longer < _JUMP
     lost = float(np.mean(plain & (speed > LOST[0]) & (speed < LOST[1])))
     between = float(np.mean(plain & (speed > 1.25) & (speed < 1.5)))
@@ -94,7 +96,11 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
         if share > FEW:
             text = f"{100.0 * share:.2g} % of the steps {what}; record the time of each sample"
             # A low-pass takes out a repeated sample, not a time that was lost.
-            levels = (Level.WARN, Level.REFUSE) if "lost" in what else (Level.NOTE, Level.WARN)
+            levels = (
+                (Level.WARN, Level.REFUSE)
+                if "lost" in what
+                else (Level.NOTE, Level.WARN)
+            )
             yield Finding("clock", levels[share > MANY], text)
     if jumps:
         text = f"the clock jumps ahead {jumps} times without a sample missing; use the stamps of "
@@ -135,7 +141,13 @@ def velocity_findings(
         for k in off
     ]
     if said:
-        name = "order" if np.any(rest[off]) else "sign" if np.any(each[off] < 0.0) else "angle-unit"
+        name = (
+            "order"
+            if np.any(rest[off])
+            else "sign"
+            if np.any(each[off] < 0.0)
+            else "angle-unit"
+        )
         text = f"recorded velocities are not how positions change ({', '.join(said)}); nothing is "
         text += "made from them, but look which column is wrong, and name it with --columns FILE"
         yield Finding(name, Level.NOTE, text)
@@ -195,7 +207,9 @@ _RUN = 4
 _SEEN = 20
 
 
-def sensor_findings(pieces: Sequence[Measurement], joint_names: Sequence[str]) -> Iterator[Finding]:
+def sensor_findings(
+    pieces: Sequence[Measurement], joint_names: Sequence[str]
+) -> Iterator[Finding]:
     """Yield what the torque channels of a log's pieces say."""
     for joint, name in enumerate(joint_names):
         tau = np.concatenate([piece.tau[:, joint] for piece in pieces])
@@ -214,7 +228,9 @@ def sensor_findings(pieces: Sequence[Measurement], joint_names: Sequence[str]) -
         if held > LONG:
             text = f"the torque of joint {name} stands still for {held:.2g} s while the arm moves: "
             yield Finding(
-                "held", Level.WARN, f"{text}the channel holds its last value; record again"
+                "held",
+                Level.WARN,
+                f"{text}the channel holds its last value; record again",
             )
 
 
@@ -223,7 +239,9 @@ def _at_end(tau: Array, sign: float) -> tuple[float, float]:
     end = float(np.max(sign * tau))
     there = sign * tau == end
     near = (sign * tau > end - 0.02 * float(np.ptp(tau))) & ~there
-    runs = np.diff(np.flatnonzero(np.diff(np.concatenate(([0], there.view(np.int8), [0])))))
+    runs = np.diff(
+        np.flatnonzero(np.diff(np.concatenate(([0], there.view(np.int8), [0]))))
+    )
     count = int(np.sum(there))
     beside = int(np.sum(near))
     steady = np.max(runs[::2], initial=0) >= _RUN and count > 3 * beside

@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.evidence import Hypotheses, Posterior
-from robot_sysid.diagnosis.rows import LEAST_TORQUE, LogRows, Prior, base_prior, log_rows, rms
+from robot_sysid.diagnosis.rows import (
+    LEAST_TORQUE,
+    LogRows,
+    Prior,
+    base_prior,
+    log_rows,
+    rms,
+)
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.records import Array, Motion, RobotModel
@@ -85,7 +92,9 @@ class Relabelling:
     def _of(self, signals: ProcessedSignals) -> ProcessedSignals:
         arrays: dict[str, Any] = {}
         if self.motion is not None:
-            arrays = {name: self.motion(getattr(signals, name)) for name in ("q", "qd", "qdd")}
+            arrays = {
+                name: self.motion(getattr(signals, name)) for name in ("q", "qd", "qdd")
+            }
         if self.torque is not None:
             arrays["tau"] = self.torque(signals.tau)
         return replace(signals, **arrays)
@@ -107,7 +116,9 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
                 f"the {' and '.join(which)} of joint {name} has the opposite sign of the model's; "
                 f"flip it in the file of --columns: {columns}"
             )
-            yield Relabelling("sign", text, flip if moved else None, flip if turned else None)
+            yield Relabelling(
+                "sign", text, flip if moved else None, flip if turned else None
+            )
         where = "" if moved and turned else f" in the {which[0]}s"
         for text, order in orders:
 
@@ -123,7 +134,9 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
             )
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     yield Relabelling(
-        "angle-unit", "positions look like degrees; pass --units deg", to_radians.__mul__
+        "angle-unit",
+        "positions look like degrees; pass --units deg",
+        to_radians.__mul__,
     )
     yield Relabelling(
         "angle-unit",
@@ -157,7 +170,10 @@ class Relabelled:
 
 
 def undone_torques(
-    log: LogRows, signals: Sequence[ProcessedSignals], base: Hypotheses, base_posterior: Posterior
+    log: LogRows,
+    signals: Sequence[ProcessedSignals],
+    base: Hypotheses,
+    base_posterior: Posterior,
 ) -> list[Relabelled]:
     """Return mistakes of torques alone, of which the rows are those of the log itself."""
     mistakes = [m for m in relabellings(log.robot) if m.motion is None]
@@ -178,7 +194,9 @@ def undone_torques(
     return undone
 
 
-def _without_links(log: LogRows, signals: Sequence[ProcessedSignals]) -> Iterator[Relabelling]:
+def _without_links(
+    log: LogRows, signals: Sequence[ProcessedSignals]
+) -> Iterator[Relabelling]:
     """Yield that the links' weight, or all that they make, was taken off the torque."""
     robot = log.robot
 
@@ -235,7 +253,9 @@ def undone_columns(
 def _relabelled(
     mistake: Relabelling, gain: float, posterior: Posterior, prior: Prior, log: LogRows
 ) -> Relabelled:
-    return Relabelled(mistake.name, Level.REFUSE, mistake.text, float(gain), posterior, prior, log)
+    return Relabelled(
+        mistake.name, Level.REFUSE, mistake.text, float(gain), posterior, prior, log
+    )
 
 
 def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
@@ -313,8 +333,12 @@ def undone_scales(
     prior = base_prior(undone, options)
     posterior = Hypotheses(undone, prior).posterior()
     density = float(np.sum(np.maximum(np.sum(log.used, axis=0), 1) * np.log(scale)))
-    gain = posterior.log_evidence - density - base_posterior.log_evidence - scales.penalty
-    listed = ", ".join(f"{log.robot.joint_names[j]} {scale[j]:.3g}" for j in scales.shown)
+    gain = (
+        posterior.log_evidence - density - base_posterior.log_evidence - scales.penalty
+    )
+    listed = ", ".join(
+        f"{log.robot.joint_names[j]} {scale[j]:.3g}" for j in scales.shown
+    )
     text = (
         f"torque reads {typical:.3g} times what the model takes ({listed}): "
         f"{_meaning(typical, scales.spread, common_error, divided)}"
@@ -366,7 +390,9 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
     """
     model = model_torque(log)
     loaded = model > _LOADED * float(np.max(model))
-    ratio = np.clip(rms(log.torque) / np.maximum(model, 1e-6 * np.max(model)), _LEAST, _MOST)
+    ratio = np.clip(
+        rms(log.torque) / np.maximum(model, 1e-6 * np.max(model)), _LEAST, _MOST
+    )
     usual = float(np.median(ratio[loaded]))
     # Friction makes the torque of a joint that links hardly load.
     is_odd = np.abs(np.log(ratio / usual)) > np.log(_FRICTION)
@@ -389,7 +415,9 @@ def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
         posterior = base.with_columns(columns).posterior()
         sought = slice(len(prior.kept), None)
         change = np.clip(1.0 + _FAR * posterior.values[sought], 0.2, 5.0)
-        covariance = _FAR**2 * posterior.covariance[sought, sought] / np.outer(change, change)
+        covariance = (
+            _FAR**2 * posterior.covariance[sought, sought] / np.outer(change, change)
+        )
         scale = np.clip(scale * change, least, most)
         values = prior.parameters(posterior.values)
     is_sure = np.sqrt(np.diag(covariance)) < _KNOWN
@@ -404,7 +432,11 @@ def _unit_near(typical: float, error: float) -> float | None:
     """Return the unit's factor that a scale with some relative error is, if any."""
     nearest = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
     off = abs(np.log(typical / nearest))
-    return nearest if off < max(np.log(_CLOSE), 3.0 * error) and abs(np.log(nearest)) > 1 else None
+    return (
+        nearest
+        if off < max(np.log(_CLOSE), 3.0 * error) and abs(np.log(nearest)) > 1
+        else None
+    )
 
 
 def _meaning(typical: float, spread: float, error: float, divided: Array) -> str:
@@ -424,7 +456,9 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
                 f"{factors}motor currents in amperes have (give the torque per ampere with "
                 "--torque-constants), or the model of another arm"
             )
-        for_joints = "per joint" if np.all(divided == 1.0) else "per joint, times the one given"
+        for_joints = (
+            "per joint" if np.all(divided == 1.0) else "per joint, times the one given"
+        )
         return (
             f"{factors}uncalibrated currents or per cent of rated torque have, or the model of "
             f"another arm; {remedy} {for_joints}: the file of robot-sysid payload --known-mass"
@@ -439,4 +473,6 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
             f"as on the motor's side of a gear of 1:{1.0 / typical:.0f}, or in amperes; give the "
             f"ratio as --torque-scale {in_all(typical)}, or --torque-constants"
         )
-    return f"another scale, or the model of another arm; {remedy} {in_all(typical, '.3g')}"
+    return (
+        f"another scale, or the model of another arm; {remedy} {in_all(typical, '.3g')}"
+    )

@@ -19,7 +19,11 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.nuisances import TILT_NAMES
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
+from robot_sysid.dynamics.spatial import (
+    PARAMETER_NAMES,
+    characteristic_length,
+    parameter_scale,
+)
 from robot_sysid.estimation.algebra.link_scales import EXPECTED
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.choices import WITH_ALL
@@ -71,7 +75,9 @@ def rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
 
 
-def low_pass(pieces: Sequence[Measurement], cutoff: float | None) -> list[ProcessedSignals]:
+def low_pass(
+    pieces: Sequence[Measurement], cutoff: float | None
+) -> list[ProcessedSignals]:
     """Return the signals of a log, of evenly spread windows where it is long.
 
     Args:
@@ -84,7 +90,9 @@ def low_pass(pieces: Sequence[Measurement], cutoff: float | None) -> list[Proces
         # Every row is used: those of a joint that is too slow are masked later.
         found = process(log_piece, (), cutoff_hz)
         sure = np.zeros_like(found.turning)
-        signals.append(replace(found, deadband=np.zeros_like(found.deadband), turning=sure))
+        signals.append(
+            replace(found, deadband=np.zeros_like(found.deadband), turning=sure)
+        )
     return signals
 
 
@@ -96,7 +104,9 @@ def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
     windows = []
     for piece in pieces:
         count = max(1, int((piece.time[-1] - piece.time[0]) / WINDOW))
-        windows += [_cut(piece, rows) for rows in np.array_split(np.arange(len(piece)), count)]
+        windows += [
+            _cut(piece, rows) for rows in np.array_split(np.arange(len(piece)), count)
+        ]
     spread = np.linspace(0, len(windows) - 1, MOST_WINDOWS)
     return [windows[k] for k in np.unique(spread.astype(int))]
 
@@ -105,7 +115,9 @@ def _cut(piece: Measurement, rows: NDArray[np.int64]) -> Measurement:
     arrays: dict[str, Any] = {
         name: None if v is None else v[rows] for name, v in vars(piece).items()
     }
-    return Measurement(**{name: arrays[name] for name in Measurement.__dataclass_fields__})
+    return Measurement(
+        **{name: arrays[name] for name in Measurement.__dataclass_fields__}
+    )
 
 
 @dataclass(frozen=True)
@@ -204,7 +216,15 @@ def log_rows(
         places.append(np.append(samples[0].columns[joint], more_places))
     windows = _windows([len(piece) for piece in samples], signals[0])
     return LogRows(
-        columns, motion, torque, tuple(places), tuple(rows), right, used, windows, point.values
+        columns,
+        motion,
+        torque,
+        tuple(places),
+        tuple(rows),
+        right,
+        used,
+        windows,
+        point.values,
     )
 
 
@@ -273,7 +293,12 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     spread[: len(PARAMETER_NAMES)] = _last_link_spread(robot)
     speed = np.maximum(rms(log.motion.qd), 1e-9)
     turning = np.maximum(rms(log.motion.qdd), 1e-9)
-    units = {"viscous": speed, "armature": turning, "sqrt": np.sqrt(speed), "load": log.usual}
+    units = {
+        "viscous": speed,
+        "armature": turning,
+        "sqrt": np.sqrt(speed),
+        "load": log.usual,
+    }
     for term, share in FRICTION.items():
         sizes = share * log.usual / units.get(term, np.ones_like(speed))
         spread[columns.at([f"{term}[{joint}]" for joint in robot.joint_names])] = sizes
@@ -284,7 +309,9 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     # that the estimate allows for is worth a word all the same.
     links = max(options.link_uncertainty, EstimationOptions().link_uncertainty)
     late = min(options.delay_uncertainty, WORTH_A_WORD)
-    question = Question(replace(options, link_uncertainty=links, delay_uncertainty=late))
+    question = Question(
+        replace(options, link_uncertainty=links, delay_uncertainty=late)
+    )
     model = friction_model(WITH_ALL)
     shown = np.ones(count, dtype=bool)
     factors = []
@@ -295,7 +322,9 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
         for group in groups:
             at = columns.at(group.names)
             mean[at] = group.mean
-            spread[at] = np.maximum(spread[at], np.sqrt(np.sum(group.factor**2, axis=1)))
+            spread[at] = np.maximum(
+                spread[at], np.sqrt(np.sum(group.factor**2, axis=1))
+            )
         factors.append(groups)
     wide = {**dict.fromkeys(TILT_NAMES, WIDE_TILT), DELAY_NAME: WIDE_DELAY}
     for name in set(wide) & set(sought.settle):
@@ -316,6 +345,10 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
 
 def _last_link_spread(robot: RobotModel) -> Array:
     """Return (10,) how far the last link's parameters may be off: anything may hang on it."""
-    own_size = characteristic_length(robot.prior.theta) if robot.prior.mass > 0.0 else 0.0
+    own_size = (
+        characteristic_length(robot.prior.theta) if robot.prior.mass > 0.0 else 0.0
+    )
     distance = float(np.linalg.norm(robot.prior.com))
-    return parameter_scale(PAYLOAD * robot.mass, max(REACH * robot.length, own_size, distance))
+    return parameter_scale(
+        PAYLOAD * robot.mass, max(REACH * robot.length, own_size, distance)
+    )

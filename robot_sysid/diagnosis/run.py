@@ -19,7 +19,16 @@ from robot_sysid.records.figures import percent
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.process import ProcessedSignals
 
-OF_LINKS = ("torque-scale", "zero", "tilt", "model", "unexplained", "clock", "gravity", "force")
+OF_LINKS = (
+    "torque-scale",
+    "zero",
+    "tilt",
+    "model",
+    "unexplained",
+    "clock",
+    "gravity",
+    "force",
+)
 """Findings that other links than the model's would bring as well."""
 # What is left of a torque that follows from rigid bodies alone, its noise and friction, as parts.
 _EXACT = 0.004
@@ -55,11 +64,17 @@ def check_against_model(
     found = [*recording.enough_findings(pieces, signals[0].cutoff)]
     if not found:
         contest = Contest(robot, signals, options)
-        scales = np.ones(robot.n_joints) if divided is None else np.asarray(divided, dtype=float)
+        scales = (
+            np.ones(robot.n_joints)
+            if divided is None
+            else np.asarray(divided, dtype=float)
+        )
         found = _computed_findings(contest) or findings(contest, scales)
         found = found or [*recording.slow_findings(contest.log.motion.qd)]
     if not links_known:
-        found = [replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found]
+        found = [
+            replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found
+        ]
     return (*raw, *found)
 
 
@@ -73,10 +88,14 @@ def look_at(
 ) -> None:
     """Tell what ``check_against_model`` finds wrong with a log, and ``require_acceptable``."""
     with named(str(log.path)):
-        found = check_against_model(robot, log.pieces, options, links_known, log.torque_scale)
+        found = check_against_model(
+            robot, log.pieces, options, links_known, log.torque_scale
+        )
     for each in found:
         # What stops a log is told when it does.
-        if each.level is Level.NOTE or (each.level is Level.WARN and each.name in accepted):
+        if each.level is Level.NOTE or (
+            each.level is Level.WARN and each.name in accepted
+        ):
             progress.note(each.line().removeprefix("note: "))
     try:
         require_acceptable(str(log.path), found, accepted)
@@ -101,9 +120,13 @@ def require_acceptable(
         raise InputError(f"{log}: {'; '.join(refused)}")
     warned = [f for f in found if f.level is Level.WARN and f.name not in accepted]
     if warned:
-        names = " ".join(f"--accept {name}" for name in dict.fromkeys(f.name for f in warned))
+        names = " ".join(
+            f"--accept {name}" for name in dict.fromkeys(f.name for f in warned)
+        )
         texts = "; ".join(each.text for each in warned)
-        raise SysidError(f"{log}: {texts}; nothing was written (to go on all the same: {names})")
+        raise SysidError(
+            f"{log}: {texts}; nothing was written (to go on all the same: {names})"
+        )
 
 
 def _computed_findings(contest: Contest) -> list[Finding]:
@@ -129,5 +152,7 @@ def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
     parts = []
     for each in signals:
         half = each.low_pass.half_width
-        parts.append(each.tau[half : len(each) - half] - each.low_pass.filtered(each.tau))
+        parts.append(
+            each.tau[half : len(each) - half] - each.low_pass.filtered(each.tau)
+        )
     return rms(np.concatenate(parts))

@@ -73,7 +73,9 @@ class Equations:
             coulomb=np.where(is_known, robot.friction.coulomb, 0.0),
             viscous=np.where(is_known, robot.friction.viscous, 0.0),
         )
-        self._armature_sought = np.array(["armature" in model.terms for model in friction])
+        self._armature_sought = np.array(
+            ["armature" in model.terms for model in friction]
+        )
         self._links = tuple(links)
         self._dynamics = LinkDynamics(robot)
         self._beyond = BeyondRigidBodies(robot)
@@ -94,8 +96,15 @@ class Equations:
         # Which parameters (k,) each joint's equations contain: of links those that it carries.
         self.columns: tuple[NDArray[np.int64], ...] = ()
         for j in self.rows_of:
-            beyond = (name for link, each in others.items() if link >= j for name in each)
-            turned = (n for each in self._motors if each.ratios[j] for n in each.parameter_names)
+            beyond = (
+                name for link, each in others.items() if link >= j for name in each
+            )
+            turned = (
+                n
+                for each in self._motors
+                if each.ratios[j]
+                for n in each.parameter_names
+            )
             mine = (*PARAMETER_NAMES, *own[j], *turned, *beyond)
             self.columns += (np.array([place[name] for name in mine]),)
         thetas = [robot.links[link].theta for link in self._links]
@@ -113,7 +122,9 @@ class Equations:
         for motor in self._motors:
             values.update(zip(motor.parameter_names, motor.model))
         for link in self._links:
-            values.update(zip(link_names(self._robot, link), self._robot.links[link].theta))
+            values.update(
+                zip(link_names(self._robot, link), self._robot.links[link].theta)
+            )
         return np.array([float(values.get(name, 0.0)) for name in self.names])
 
     def rows(self, measurement: Measurement) -> Iterator[tuple[Array, Array]]:
@@ -121,7 +132,9 @@ class Equations:
         qd = measurement.qd
         qdd = measurement.qdd
         if qd is None or qdd is None:
-            raise InputError("a log without velocities or accelerations; differentiate it first")
+            raise InputError(
+                "a log without velocities or accelerations; differentiate it first"
+            )
         motion = Motion(measurement.time, measurement.q, qd, qdd)
         # Joint by joint: all of a long arm's rows are far more than one's.
         bodies, same = itertools.tee(self.bodies(motion))

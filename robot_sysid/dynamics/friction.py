@@ -80,11 +80,17 @@ _STRIBECK = BentTerm(
 # The square of cosh(300) is the last one that is a number.
 _SIGMOID = BentTerm(
     lambda qd, speed: np.sign(qd) * np.tanh(np.abs(qd) / speed),
-    lambda qd, speed: -qd / (speed * np.cosh(np.minimum(np.abs(qd / speed), 300.0))) ** 2,
+    lambda qd, speed: (
+        -qd / (speed * np.cosh(np.minimum(np.abs(qd / speed), 300.0))) ** 2
+    ),
     usual=0.05,
     tried=(0.01, 0.03, 0.1, 0.3),
 )
-FADING_SPEEDS: Mapping[str, float] = {"fading_fast": 0.04, "fading": 0.13, "fading_slow": 0.4}
+FADING_SPEEDS: Mapping[str, float] = {
+    "fading_fast": 0.04,
+    "fading": 0.13,
+    "fading_slow": 0.4,
+}
 """Term to the speed over which it fades [rad/s]: together they follow any friction that falls with
 speed, whatever its own speed is."""
 
@@ -109,7 +115,10 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "quadratic": lambda qd, qdd, load: qd * np.abs(qd),
     "cubic": lambda qd, qdd, load: qd * qd * qd,
     "sigmoid": lambda qd, qdd, load: _SIGMOID.column(qd, _SIGMOID.usual),
-    **{name: partial(_fading, fading_speed=speed) for name, speed in FADING_SPEEDS.items()},
+    **{
+        name: partial(_fading, fading_speed=speed)
+        for name, speed in FADING_SPEEDS.items()
+    },
 }
 """Term name to the function that makes its column, see ``FrictionModel.columns``; a new term is one
 more line here. Those of ``BENT`` take their usual speed."""
@@ -126,7 +135,9 @@ class FrictionModel:
 
     def __post_init__(self) -> None:
         if len(set(self.terms)) != len(self.terms):
-            raise InputError(f"friction terms {list(self.terms)} name a term twice; use each once")
+            raise InputError(
+                f"friction terms {list(self.terms)} name a term twice; use each once"
+            )
 
     @property
     def name(self) -> str:

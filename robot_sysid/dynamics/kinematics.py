@@ -22,7 +22,11 @@ def analysis_copy(mj_model: Any) -> Any:
     """
     model = copy.copy(mj_model)
     disable = mujoco.mjtDisableBit
-    for flag in (disable.mjDSBL_CONSTRAINT, disable.mjDSBL_CONTACT, disable.mjDSBL_SENSOR):
+    for flag in (
+        disable.mjDSBL_CONSTRAINT,
+        disable.mjDSBL_CONTACT,
+        disable.mjDSBL_SENSOR,
+    ):
         model.opt.disableflags |= int(flag)
     # "invdiscrete" would reinterpret qacc, "fwdinv" and "energy" only cost time.
     model.opt.enableflags = 0

@@ -33,7 +33,12 @@ from itertools import accumulate
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, cross, skew, symmetric_from_six
+from robot_sysid.dynamics.spatial import (
+    PARAMETER_NAMES,
+    cross,
+    skew,
+    symmetric_from_six,
+)
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
 
@@ -74,7 +79,11 @@ class LinksMotion:
         return np.einsum("inab,bin->ain", back, twists)
 
     def gradient(
-        self, rates: Sequence[Array], screws: Array, twists: Sequence[Array], turns: Array
+        self,
+        rates: Sequence[Array],
+        screws: Array,
+        twists: Sequence[Array],
+        turns: Array,
     ) -> tuple[Array, Array, Array]:
         """Return a scalar's gradient (N, n) by q, qd and qdd, in reverse mode, at rates qd and qdd
         (N, n) from that by ``joint_twists``, by links' ``velocity`` and ``acceleration``, and by
@@ -84,7 +93,9 @@ class LinksMotion:
         own = self.joint_twists
         moves = (np.stack(each, axis=1) for each in (self.velocity, self.acceleration))
         here, faster = map(self._from_links, moves)
-        velocity, acceleration = (np.einsum("inba,bin->ain", self.to_links, x) for x in twists)
+        velocity, acceleration = (
+            np.einsum("inba,bin->ain", self.to_links, x) for x in twists
+        )
         turns = turns + bracket_transposed(here, velocity)
         turns += bracket_transposed(faster, acceleration)
         acceleration = _beyond(acceleration)
@@ -93,7 +104,9 @@ class LinksMotion:
         screws += bracket_transposed(here, acceleration) * speed
         turns -= bracket_transposed(own, screws)
         by_speed = np.sum(own * velocity + bracket(here, own) * acceleration, axis=0)
-        by_place, by_change = (np.sum(own * x, axis=0) for x in (_beyond(turns), acceleration))
+        by_place, by_change = (
+            np.sum(own * x, axis=0) for x in (_beyond(turns), acceleration)
+        )
         return by_place.T, by_speed.T, by_change.T
 
     def columns(self, links: Sequence[int]) -> Array:
@@ -110,7 +123,9 @@ class LinksMotion:
                 twist[:] = np.einsum("abn,bn->an", self.steps[link], twist)
             jacobian[link] = self.screws[link][:, None]
             for place in np.flatnonzero(np.equal(links, link)):
-                wrench = wrench_regressor(self.velocity[link].T, self.acceleration[link].T)
+                wrench = wrench_regressor(
+                    self.velocity[link].T, self.acceleration[link].T
+                )
                 for twist, own in zip(jacobian[: link + 1], columns[:, place]):
                     np.einsum("in,ikn->kn", twist, wrench, out=own)
         return columns.reshape(joints, -1, samples).transpose(2, 0, 1)
@@ -156,7 +171,9 @@ class LinksMotion:
         wrench = np.zeros((6, samples))
         turned = np.zeros((6, count, samples))
         for link in reversed(range(count)):
-            wrench = wrench + _wrench(thetas[link], self.velocity[link], self.acceleration[link])
+            wrench = wrench + _wrench(
+                thetas[link], self.velocity[link], self.acceleration[link]
+            )
             turned[:, : link + 1] += bodies[link]
             slopes[:, link] = np.tensordot(self.screws[link], turned, 1).T
             turned[:, link] -= bracket_transposed(self.screws[link][:, None], wrench)
@@ -175,11 +192,15 @@ class LinkDynamics:
         self._slides = robot.is_slide
         self._screws = tuple(link.screw for link in robot.links)
         # ad(S), and what Ad(T^-1) has of 1, sin d and 1 - cos d, by that at home.
-        self._brackets = [_lower(skew(screw[:3]), skew(screw[3:])) for screw in self._screws]
+        self._brackets = [
+            _lower(skew(screw[:3]), skew(screw[3:])) for screw in self._screws
+        ]
         self._steps = []
         for ad, link in zip(self._brackets, robot.links):
             at_home = _lower(link.rotation.T, -link.rotation.T @ skew(link.translation))
-            self._steps.append(np.stack((at_home, -ad @ at_home, ad @ ad @ at_home), axis=-1))
+            self._steps.append(
+                np.stack((at_home, -ad @ at_home, ad @ ad @ at_home), axis=-1)
+            )
         options = robot.mj_model.opt
         weightless = options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         there = np.array(options.gravity) if gravity is None else gravity
@@ -189,7 +210,9 @@ class LinkDynamics:
         """Return the motion of all links for chain motions (N, n) [rad, rad/s, rad/s^2]."""
         return LinksMotion(*zip(*self.moves(q, qd, qdd)))
 
-    def moves(self, q: Array, qd: Array, qdd: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
+    def moves(
+        self, q: Array, qd: Array, qdd: Array
+    ) -> Iterator[tuple[Array, Array, Array, Array]]:
         """Yield velocity, acceleration, step and screw of each link, see ``LinksMotion``."""
         velocity, acceleration = np.zeros((2, 6, len(q)))
         acceleration[3:] = -self._gravity
@@ -199,8 +222,12 @@ class LinkDynamics:
         for i, screw in enumerate(self._screws):
             grown = np.stack((np.ones(len(q)), sines[i], versines[i]))
             step = np.tensordot(self._steps[i], grown, 1)
-            velocity = np.einsum("abn,bn->an", step, velocity) + np.outer(screw, qd[:, i])
-            acceleration = np.einsum("abn,bn->an", step, acceleration) + np.outer(screw, qdd[:, i])
+            velocity = np.einsum("abn,bn->an", step, velocity) + np.outer(
+                screw, qd[:, i]
+            )
+            acceleration = np.einsum("abn,bn->an", step, acceleration) + np.outer(
+                screw, qdd[:, i]
+            )
             acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
             yield velocity, acceleration, step, screw
 
@@ -215,12 +242,16 @@ def in_parts(width: int, *motion: Array) -> Iterator[tuple[Array, ...]]:
 
 def bracket(a: Array, b: Array) -> Array:
     """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] for twists (6, ...)."""
-    return np.concatenate((cross(a[:3], b[:3]), cross(a[3:], b[:3]) + cross(a[:3], b[3:])), axis=0)
+    return np.concatenate(
+        (cross(a[:3], b[:3]), cross(a[3:], b[:3]) + cross(a[:3], b[3:])), axis=0
+    )
 
 
 def bracket_transposed(a: Array, b: Array) -> Array:
     """Return ad(a)^T b = -[w_a x m + v_a x f, w_a x f] for b = [m, f] (6, ...)."""
-    return -np.concatenate((cross(a[:3], b[:3]) + cross(a[3:], b[3:]), cross(a[:3], b[3:])), axis=0)
+    return -np.concatenate(
+        (cross(a[:3], b[:3]) + cross(a[3:], b[3:]), cross(a[:3], b[3:])), axis=0
+    )
 
 
 def _beyond(values: Array) -> Array:

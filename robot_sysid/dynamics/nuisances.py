@@ -57,7 +57,9 @@ def tilt_axes(level: Array, vector: Array | None = None) -> Array:
     there = vector / np.linalg.norm(vector)
     turn = np.cross(down, there)
     once = np.cross(turn, axes)
-    return np.asarray(axes + once + np.cross(turn, once) / max(1.0 + down @ there, _OPPOSITE))
+    return np.asarray(
+        axes + once + np.cross(turn, once) / max(1.0 + down @ there, _OPPOSITE)
+    )
 
 
 def turned(vector: Array, angles: Array, axes: Array | None = None) -> Array:
@@ -80,7 +82,9 @@ def tilt_angles(level: Array, vector: Array) -> Array:
     return np.asarray(angle / sine * (tilt_axes(level) @ turn))
 
 
-def tilt_columns(robot: RobotModel, thetas: Array, q: Array, level: Array | None = None) -> Array:
+def tilt_columns(
+    robot: RobotModel, thetas: Array, q: Array, level: Array | None = None
+) -> Array:
     """Return (N, n, 2) torque per radian of tilt around the arm's gravity [N m/rad], of links
     known as theta (n, 10), at positions q (N, n).
 
@@ -105,4 +109,6 @@ def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
     dynamics = LinkDynamics(robot)
     width = 12 * motion.q.shape[1] ** 2
     parts = in_parts(width, motion.q, motion.qd, motion.qdd)
-    return np.concatenate([-dynamics.motion(*each).slopes(thetas, each[1]) for each in parts])
+    return np.concatenate(
+        [-dynamics.motion(*each).slopes(thetas, each[1]) for each in parts]
+    )

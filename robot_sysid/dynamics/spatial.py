@@ -26,7 +26,11 @@ _OF_SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 def cross(a: Array, b: Array) -> Array:
     """Return a x b for component-first arrays (3, ...); numpy's own takes ten times as long."""
     return np.stack(
-        (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+        (
+            a[1] * b[2] - a[2] * b[1],
+            a[2] * b[0] - a[0] * b[2],
+            a[0] * b[1] - a[1] * b[0],
+        )
     )
 
 
@@ -177,7 +181,9 @@ def lifted_body(theta: Array, scale_of: Array, floor: float) -> Array:
     lifted = np.maximum(values, floor * max(float(np.max(np.abs(values))), 1.0))
     if lifted[0] == values[0]:
         return np.array(theta, dtype=float)
-    return theta_from_pseudo_inertia((vectors * lifted) @ vectors.T * np.outer(units, units))
+    return theta_from_pseudo_inertia(
+        (vectors * lifted) @ vectors.T * np.outer(units, units)
+    )
 
 
 def _build_pseudo_basis() -> Array:

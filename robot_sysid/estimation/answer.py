@@ -19,7 +19,11 @@ from robot_sysid.estimation.algebra.base_parameters import (
     essential,
 )
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
-from robot_sysid.estimation.algebra.information import residual_errors, restrict, sample_counts
+from robot_sysid.estimation.algebra.information import (
+    residual_errors,
+    restrict,
+    sample_counts,
+)
 from robot_sysid.estimation.algebra.uncertainty import triangle_of
 from robot_sysid.estimation.choices import Errors
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
@@ -95,7 +99,9 @@ class Answer:
     def pick(self, names: Sequence[str]) -> Array:
         """Return the rows (m, k) that select parameters from the estimated ones."""
         indices = self.fit.unknowns.kept
-        return np.eye(len(indices))[np.searchsorted(indices, self.fit.columns.at(names))]
+        return np.eye(len(indices))[
+            np.searchsorted(indices, self.fit.columns.at(names))
+        ]
 
     def body(
         self, name: str, change: Array, theta: Array, model_theta: Array | None
@@ -118,12 +124,18 @@ class Answer:
     def links(self) -> Iterator[BodyEstimate]:
         """Yield every estimated link, base to terminal."""
         pairs = zip(self.robot.joint_names, self.robot.links)
-        joints = {link.body_name: (joint, link.theta) for joint, link in pairs if link.has_mass}
+        joints = {
+            link.body_name: (joint, link.theta)
+            for joint, link in pairs
+            if link.has_mass
+        }
         for name, (indices, _) in self.fit.unknowns.bodies.items():
             if name in joints:
                 joint, model_theta = joints[name]
                 names = [self.fit.columns.names[k] for k in indices]
-                body = self.body(name, self.pick(names), self.fit.values[indices], model_theta)
+                body = self.body(
+                    name, self.pick(names), self.fit.values[indices], model_theta
+                )
                 yield replace(body, joint=joint)
 
     def figure(self, name: str) -> Figure:
@@ -144,7 +156,8 @@ class Answer:
         models = dict(zip(robot.joint_names, self.fit.choice.friction))
         for index, joint in enumerate(robot.joint_names):
             terms = {
-                name: self.figure(f"{name}[{joint}]") for name in friction_terms.get(joint, ())
+                name: self.figure(f"{name}[{joint}]")
+                for name in friction_terms.get(joint, ())
             }
             model_terms = {
                 "coulomb": float(robot.friction.coulomb[index]),
@@ -171,7 +184,10 @@ class Answer:
             }
             of_model = zip(motor.terms, motor.model.tolist())
             model_terms = {} if motor.tendon is None else dict(of_model)
-            yield motor.name, JointEstimate("-".join(terms) or "none", terms, model_terms)
+            yield (
+                motor.name,
+                JointEstimate("-".join(terms) or "none", terms, model_terms),
+            )
 
     def _friction_by_log(self, owner: str) -> dict[str, dict[str, Figure]]:
         """Return the friction terms of a joint by log; empty for a single log."""
@@ -195,7 +211,9 @@ class Answer:
         if friction is None:
             return {}
         figures = [self.figure(name) for name in friction.names]
-        errors = friction.between.next_log(np.array([figure.error for figure in figures]))
+        errors = friction.between.next_log(
+            np.array([figure.error for figure in figures])
+        )
         return {
             term: Figure(figures[index].value, float(errors[index]))
             for term, index in friction.terms_of(owner).items()
@@ -203,7 +221,9 @@ class Answer:
 
     def _own_terms(self) -> dict[str, list[str]]:
         """Return the estimated friction terms of each joint and motor."""
-        lacking = {n for g in self.fit.unknowns.groups if g.cause == LACKING for n in g.names}
+        lacking = {
+            n for g in self.fit.unknowns.groups if g.cause == LACKING for n in g.names
+        }
         other = {"scale", "zero", "drift"}
         terms: dict[str, list[str]] = {}
         for name in (*self.fit.unknowns.kept_names, *self.fit.unknowns.at_bound):
@@ -212,29 +232,41 @@ class Answer:
                 terms.setdefault(owner[:-1], []).append(term)
         return terms
 
-    def _two_ways(self, joint: str, terms: Mapping[str, Figure]) -> tuple[Figure, Figure] | None:
+    def _two_ways(
+        self, joint: str, terms: Mapping[str, Figure]
+    ) -> tuple[Figure, Figure] | None:
         """Return Coulomb friction forward and backward, which differ by twice the offset [N m]."""
         level = "coulomb" if "coulomb" in terms else "sigmoid"
         if level not in terms or "offset" not in terms or np.isnan(terms[level].error):
             return None
         both = self.pick([f"{level}[{joint}]", f"offset[{joint}]"])
-        spread = np.sqrt(np.maximum(np.diag(_SIGNS @ self.errors.of(both)[0] @ _SIGNS.T), 0.0))
+        spread = np.sqrt(
+            np.maximum(np.diag(_SIGNS @ self.errors.of(both)[0] @ _SIGNS.T), 0.0)
+        )
         values = _SIGNS @ [terms[level].value, terms["offset"].value]
         return tuple(Figure(*pair) for pair in zip(values.tolist(), spread.tolist()))  # type: ignore[return-value]
 
     def body_names(self) -> set[str]:
         """Return the names of all estimated parameters of bodies."""
         unknowns = self.fit.unknowns
-        return {unknowns.names[k] for indices, _ in unknowns.bodies.values() for k in indices}
+        return {
+            unknowns.names[k]
+            for indices, _ in unknowns.bodies.values()
+            for k in indices
+        }
 
     def sensors(self) -> dict[str, Figure]:
         """Return scales, zeros, drift, tilt, delay, and friction terms that are nuisances."""
         friction_names = {
-            f"{term}[{owner}]" for owner, terms in self._own_terms().items() for term in terms
+            f"{term}[{owner}]"
+            for owner, terms in self._own_terms().items()
+            for term in terms
         }
         bodies = self.body_names()
         names = [
-            n for n in self.fit.unknowns.kept_names if n not in friction_names and n not in bodies
+            n
+            for n in self.fit.unknowns.kept_names
+            if n not in friction_names and n not in bodies
         ]
         return {name: self.figure(name) for name in names}
 
@@ -254,7 +286,9 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     notes = []
     kept_parts = fit.question.kept_parts
     for owner, joint in file_answer.joints():
-        written = {name: figure for name, figure in joint.terms.items() if name != "offset"}
+        written = {
+            name: figure for name, figure in joint.terms.items() if name != "offset"
+        }
         rotor = joint.before.get("armature", 0.0)
         if fit.choice.rotors.get(owner, rotor) != rotor:
             written["armature"] = answer.figure(f"armature[{owner}]")
@@ -284,14 +318,19 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     )
     if file.beside is not None:
         urdf, _ = model_file(replace(answer, file=file.beside))
-        return replace(written_file, beside=urdf), (*notes, _urdf_note(written_file, urdf))
+        return replace(written_file, beside=urdf), (
+            *notes,
+            _urdf_note(written_file, urdf),
+        )
     return written_file, tuple(notes)
 
 
 def _urdf_note(file: ModelFile, urdf: ModelFile) -> str:
     """Return a sentence on the URDF that is written with an MJCF."""
     shares = [
-        "" if test is None or test.relative_error is None else percent(test.relative_error)
+        ""
+        if test is None or test.relative_error is None
+        else percent(test.relative_error)
         for test in (urdf.after, file.after)
     ]
     motors = ", ".join(motor.name for motor in file.motors)
@@ -349,8 +388,13 @@ def estimate_of(answer: Answer) -> Estimate:
     sensors = answer.sensors()
     settled = {DELAY_NAME, "tilt_1", "tilt_2"} & set(fit.unknowns.settle)
     links = answer.body_names() - set(PARAMETER_NAMES)
-    interest = [n for n in names if n not in links and (n not in sensors or n in settled)]
-    order = [names.index(n) for n in (*interest, *(n for n in names if n not in set(interest)))]
+    interest = [
+        n for n in names if n not in links and (n not in sensors or n in settled)
+    ]
+    order = [
+        names.index(n)
+        for n in (*interest, *(n for n in names if n not in set(interest)))
+    ]
     residuals = residual_errors(fit.evidence.whole, fit.values)
     return Estimate(
         names=tuple(names[k] for k in order),
@@ -388,7 +432,9 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     # Priors of sensors are needed: free torque scales would explain all torques by themselves.
     priors = [g.rows(fit.columns.names) for g in unknowns.groups if g.cause != LINKS]
     selected = np.concatenate((others, [-1], order[combinations.leading]))
-    rows = triangle_of(block[:, selected] for block in itertools.chain(data(fit.weights), priors))
+    rows = triangle_of(
+        block[:, selected] for block in itertools.chain(data(fit.weights), priors)
+    )
     nuisance_columns, right_side, base_columns = np.split(
         rows, (len(others), len(others) + 1), axis=1
     )
@@ -415,10 +461,14 @@ def structural_base(robot: RobotModel, seed: int = 0) -> BaseCombinations:
     rng = np.random.default_rng(seed)
     shape = (_RANDOM_POSES, robot.n_joints)
     q = robot.reference + rng.uniform(-np.pi, np.pi, shape)
-    moves = LinkDynamics(robot).motion(q, rng.normal(0.0, 3.0, shape), rng.normal(0.0, 3.0, shape))
+    moves = LinkDynamics(robot).motion(
+        q, rng.normal(0.0, 3.0, shape), rng.normal(0.0, 3.0, shape)
+    )
     links = [k for k, link in enumerate(robot.links) if link.has_mass]
     columns = moves.columns(links)
-    return base_combinations(columns.reshape(-1, columns.shape[-1]), parameter_scale(len(links)))
+    return base_combinations(
+        columns.reshape(-1, columns.shape[-1]), parameter_scale(len(links))
+    )
 
 
 _NOT_FRICTION = ("armature", "zero", "scale", "drift")
@@ -459,7 +509,9 @@ def make_traces(
     measured = stack_joints("measured")
     limits = robot.limits
     rubbing = {
-        n: v for n, v in estimate.items() if "[" in n and n.split("[")[0] not in _NOT_FRICTION
+        n: v
+        for n, v in estimate.items()
+        if "[" in n and n.split("[")[0] not in _NOT_FRICTION
     }
     return Traces(
         joints=joints,
@@ -480,7 +532,9 @@ def make_traces(
     )
 
 
-def _products(samples: Sequence[DecimatedSamples], values: Mapping[str, float]) -> Array:
+def _products(
+    samples: Sequence[DecimatedSamples], values: Mapping[str, float]
+) -> Array:
     """Return the torque (K, joints) of parameters [N m]; missing ones are zero."""
     coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
     torques = [
@@ -496,9 +550,15 @@ def traces_of(answer: Answer) -> Traces:
     """
     fit = answer.fit if answer.file is None else answer.file.fit
     names = fit.columns.names
-    estimate, prior = (dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.prior))
+    estimate, prior = (
+        dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.prior)
+    )
     if fit.question.loaded:
-        prior = {name: value for name, value in estimate.items() if name not in PAYLOAD_NAMES}
+        prior = {
+            name: value for name, value in estimate.items() if name not in PAYLOAD_NAMES
+        }
     prior.update({n: v for n, v in estimate.items() if n.startswith("offset[")})
-    motions = [dataset.remove_delay(fit.point.delay).motion for dataset in fit.columns.datasets]
+    motions = [
+        dataset.remove_delay(fit.point.delay).motion for dataset in fit.columns.datasets
+    ]
     return make_traces(fit.columns.robot, fit.samples, motions, estimate, prior)

@@ -28,7 +28,11 @@ from robot_sysid.estimation.algebra.information import (
     sample_counts,
     update_triangle,
 )
-from robot_sysid.estimation.algebra.link_scales import LinkEvidence, average_scales, link_evidence
+from robot_sysid.estimation.algebra.link_scales import (
+    LinkEvidence,
+    average_scales,
+    link_evidence,
+)
 from robot_sysid.estimation.algebra.nuisances import (
     SURE,
     LinkScales,
@@ -137,7 +141,9 @@ class HeldOut:
         indices = np.append(np.flatnonzero(self._available), -1)
         grams = np.zeros((len(self.data.blocks), len(indices) + 1, len(indices) + 1))
         for gram, block in zip(grams, self.data.blocks):
-            gram[:-1, :-1] = normal_matrix(block, 1.0 / self.noise)[np.ix_(indices, indices)]
+            gram[:-1, :-1] = normal_matrix(block, 1.0 / self.noise)[
+                np.ix_(indices, indices)
+            ]
         for row_of_blocks in grams.swapaxes(0, 1):  # which takes no memory
             row_of_blocks[:] = np.array(_sums_of_others(row_of_blocks, np.add))
         return grams
@@ -149,7 +155,9 @@ class HeldOut:
         """
         return self.data.squared_residuals(self._values(unknowns)[..., None])[..., 0]
 
-    def _normal_equations(self, unknowns: Unknowns) -> Iterator[tuple[Array, Array, Array]]:
+    def _normal_equations(
+        self, unknowns: Unknowns
+    ) -> Iterator[tuple[Array, Array, Array]]:
         """Yield scaled normal equations (k, k), right side (k,) and scale (k,) without each block.
 
         Friction terms that the other blocks do not identify stay near zero; all other parameters
@@ -166,7 +174,9 @@ class HeldOut:
         held_indices = np.flatnonzero(held)
         for gram in self._grams:
             crossed = gram[np.ix_(indices, gram_indices[held_indices])]
-            right_side = gram[indices, -2] - crossed @ held[held_indices] + prior_gram[:-1, -1]
+            right_side = (
+                gram[indices, -2] - crossed @ held[held_indices] + prior_gram[:-1, -1]
+            )
             matrix = gram[np.ix_(indices, indices)] + prior_gram[:-1, :-1]
             size = np.sqrt(np.diagonal(matrix))
             scale = 1.0 / np.where(size > 0.0, size, 1.0)
@@ -191,7 +201,9 @@ class HeldOut:
         unknowns = fit.unknowns
         expected = self.counts * fit.noise**2
         equations = self._normal_equations(unknowns)
-        for block, block_expected, (matrix, _, scale) in zip(self.data.blocks, expected, equations):
+        for block, block_expected, (matrix, _, scale) in zip(
+            self.data.blocks, expected, equations
+        ):
             root = np.linalg.inv(np.linalg.cholesky(matrix)) * scale
             for row, joint in enumerate(block.joints):
                 is_unknown = np.isin(joint.columns, unknowns.kept)
@@ -210,7 +222,9 @@ class HeldOut:
         bodies = [indices for indices, _ in unknowns.bodies.values()]
         path_end = None
         for block, estimate in enumerate(values):
-            if bodies and not all(spatial.is_consistent(estimate[indices]) for indices in bodies):
+            if bodies and not all(
+                spatial.is_consistent(estimate[indices]) for indices in bodies
+            ):
                 rows = np.vstack((self._other_triangles(unknowns)[block], prior_rows))
                 path_end = self._path_ends.get(block, path_end)
                 solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, path_end)
@@ -225,7 +239,9 @@ class HeldOut:
         if key not in self._triangles:
             restriction = unknowns.kept_names, unknowns.held
             blocks = (restrict(block, *restriction) for block in self.data.blocks)
-            stacked = (np.column_stack(block.stacked(1.0 / self.noise)) for block in blocks)
+            stacked = (
+                np.column_stack(block.stacked(1.0 / self.noise)) for block in blocks
+            )
             empty = np.zeros((0, len(unknowns.kept) + 1))
             triangles = [update_triangle(empty, block) for block in stacked]
             self._triangles[key] = _sums_of_others(triangles, update_triangle)
@@ -249,7 +265,9 @@ def held_out(fit: Fit, superset: Unknowns | None = None) -> HeldOut:
     return HeldOut(fit.evidence, 1.0 / fit.weights, superset)
 
 
-def _sums_of_others(summands: Sequence[Array], add: Callable[[Array, Array], Array]) -> list[Array]:
+def _sums_of_others(
+    summands: Sequence[Array], add: Callable[[Array, Array], Array]
+) -> list[Array]:
     """Return for each summand, two at least, the sum of all others.
 
     They are added up from both ends: subtracting a summand from the total would leave rounding
@@ -277,7 +295,9 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
     return bool(lower and mean < threshold and mean + CLEARLY * standard_error < 0.0)
 
 
-def without_standing(robot: RobotModel, dataset: Dataset, options: EstimationOptions) -> Dataset:
+def without_standing(
+    robot: RobotModel, dataset: Dataset, options: EstimationOptions
+) -> Dataset:
     """Return a recording without the rows over turns at which joints stand for a while.
 
     Low-passed positions do not show standing (``signals.turning``), but residuals do. Rows over
@@ -292,12 +312,16 @@ def without_standing(robot: RobotModel, dataset: Dataset, options: EstimationOpt
     if signals is None or not np.any(signals.turning):
         return dataset
 
-    columns = Columns(robot, [dataset], options.torques, couplings_of(robot, options)[0])
+    columns = Columns(
+        robot, [dataset], options.torques, couplings_of(robot, options)[0]
+    )
     model = friction_model(WITH_ALL)
     if options.friction is not None and not options.friction.terms:
         model = options.friction
     choice = Choice((model,) * robot.n_joints, columns.couplings)
-    question = Question(replace(options, delay="off", tilt="off"), loaded=dataset.is_loaded)
+    question = Question(
+        replace(options, delay="off", tilt="off"), loaded=dataset.is_loaded
+    )
     fit = Fitter(columns, mean_torque([dataset])).fit(question, choice, rounds=1)
 
     (samples,) = fit.samples
@@ -322,7 +346,9 @@ def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
         return False
     mean_square = float(np.mean(other_residual**2))
     squared = float(np.sum(doubted**2)) / mean_square if mean_square > 0.0 else 0.0
-    return squared > WORSE * len(doubted) and is_no_chance(squared, len(doubted), 1.0 - SURE)
+    return squared > WORSE * len(doubted) and is_no_chance(
+        squared, len(doubted), 1.0 - SURE
+    )
 
 
 def choose(
@@ -371,7 +397,9 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
     number = {link.body_name: index for index, link in enumerate(columns.robot.links)}
     names = list(dict.fromkeys(group.members))
     thetas = [columns.robot.links[number[name]].theta for name in names]
-    is_stated = np.array([columns.usual[name] is theta for name, theta in zip(names, thetas)])
+    is_stated = np.array(
+        [columns.usual[name] is theta for name, theta in zip(names, thetas)]
+    )
     if not np.any(is_stated):
         return None
     stated = np.flatnonzero(is_stated).tolist()
@@ -385,10 +413,14 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
 
 
 def _unknowns_of(fit: Fit, question: Question, choice: Choice) -> Unknowns:
-    return build_unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero)
+    return build_unknowns(
+        fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
+    )
 
 
-def squared_errors(judge: HeldOut, columns: Columns, question: Question, choice: Choice) -> Array:
+def squared_errors(
+    judge: HeldOut, columns: Columns, question: Question, choice: Choice
+) -> Array:
     """Return held-out squared errors (blocks, joints) of a choice [N^2 m^2]."""
     data = judge.data
     return judge.squared_errors(
@@ -398,7 +430,9 @@ def squared_errors(judge: HeldOut, columns: Columns, question: Question, choice:
 
 def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
     """Return ``HeldOut.score`` (blocks,) of a choice, bodies physically consistent."""
-    return judge.score(judge.of(replace(fit, unknowns=_unknowns_of(fit, question, choice))))
+    return judge.score(
+        judge.of(replace(fit, unknowns=_unknowns_of(fit, question, choice)))
+    )
 
 
 def _select_friction(
@@ -413,13 +447,18 @@ def _select_friction(
     friction = list(choice.friction)
     point_speeds = dict(point.speed or {})
     errors = {}
-    for row, (index, joint) in enumerate(zip(fitter.columns.rows_of, fitter.columns.joints)):
+    for row, (index, joint) in enumerate(
+        zip(fitter.columns.rows_of, fitter.columns.joints)
+    ):
         joint_errors = {name: error[:, row] for name, error in squared.items()}
         rows = np.maximum(counts[:, row], 1.0)
         total = max(np.sum(counts[:, row]), 1.0)
-        best = clearly_best({name: error / rows for name, error in joint_errors.items()})
+        best = clearly_best(
+            {name: error / rows for name, error in joint_errors.items()}
+        )
         errors[joint] = {
-            name: float(np.sqrt(np.sum(error) / total)) for name, error in joint_errors.items()
+            name: float(np.sqrt(np.sum(error) / total))
+            for name, error in joint_errors.items()
         }
         friction[index] = friction_model(best)
         for term in friction[index].bent:
@@ -442,7 +481,8 @@ def _candidate_errors(
     speeds: dict[str, Array] = {}
     for number in range(max(len(bent.tried) for bent in BENT.values())):
         trial_speeds = {
-            term: np.full(robot.n_joints, bent.tried[number]) for term, bent in BENT.items()
+            term: np.full(robot.n_joints, bent.tried[number])
+            for term, bent in BENT.items()
         }
         data, _ = fitter.around(replace(point, speed=trial_speeds, exact_load=True))
         judge = HeldOut(data, noise)
@@ -456,9 +496,14 @@ def _candidate_errors(
             least = squared.get(name, np.full_like(error, np.inf))
             lower = error.sum(axis=0) < least.sum(axis=0)
             squared[name] = np.where(lower, error, least)
-            speeds[name] = np.where(lower, speed, speeds.get(name, np.zeros(error.shape[1])))
+            speeds[name] = np.where(
+                lower, speed, speeds.get(name, np.zeros(error.shape[1]))
+            )
         counts = judge.counts
-        del data, judge  # before the next ones are made: they take as much memory as the rows
+        del (
+            data,
+            judge,
+        )  # before the next ones are made: they take as much memory as the rows
     return squared, speeds, counts
 
 
@@ -466,7 +511,9 @@ def clearly_best(scores: Mapping[str, Array]) -> str:
     """Return the best candidate, from the squared errors (blocks,) of each."""
     best = next(iter(scores))
     while True:
-        better = [name for name in scores if is_clearly_lower(scores[name], scores[best])]
+        better = [
+            name for name in scores if is_clearly_lower(scores[name], scores[best])
+        ]
         if not better:
             return best
         fewest = min(len(friction_model(name).terms) for name in better)
@@ -481,10 +528,14 @@ def is_scaled(fit: Fit, question: Question, choice: Choice) -> bool:
     """
     unknowns = _unknowns_of(fit, question, replace(choice, common_scale=COMMON_SCALE))
     names = [f"scale[{joint}]" for joint in fit.columns.joints]
-    return unknowns.may_be_scaled(question) and is_worth_a_word(*posterior_of(fit, unknowns, names))
+    return unknowns.may_be_scaled(question) and is_worth_a_word(
+        *posterior_of(fit, unknowns, names)
+    )
 
 
-def posterior_of(fit: Fit, unknowns: Unknowns, names: Sequence[str]) -> tuple[Array, Array]:
+def posterior_of(
+    fit: Fit, unknowns: Unknowns, names: Sequence[str]
+) -> tuple[Array, Array]:
     """Return values (m,) and covariance (m, m) of some unknowns, around a fit's point."""
     problem = WithPriors(fit.evidence.of(unknowns), 1.0 / fit.weights)
     values, covariance, _ = problem.solve(unknowns.groups)
@@ -503,13 +554,21 @@ def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
     unknowns = _unknowns_of(fit, question, choice)
     zero_joints = list(choice.offsets)
     names = unknowns.kept_names
-    free = [j for j in fit.columns.joints if j not in zero_joints and f"offset[{j}]" in names]
-    offsets, covariance = posterior_of(fit, unknowns, [f"offset[{joint}]" for joint in free])
+    free = [
+        j
+        for j in fit.columns.joints
+        if j not in zero_joints and f"offset[{j}]" in names
+    ]
+    offsets, covariance = posterior_of(
+        fit, unknowns, [f"offset[{joint}]" for joint in free]
+    )
     while free:
         significance = np.abs(offsets) / np.sqrt(np.diag(covariance))
         index = int(np.argmin(significance))
         if significance[index] > CLEAR_OFFSET:
-            return replace(choice, offsets={joint: deviations[joint] for joint in zero_joints})
+            return replace(
+                choice, offsets={joint: deviations[joint] for joint in zero_joints}
+            )
         # Condition the other offsets on zero for this one.
         gain = covariance[:, index] / covariance[index, index]
         others = np.arange(len(free)) != index
@@ -528,7 +587,10 @@ def select_rotors(fit: Fit) -> dict[str, float]:
     """
     columns = fit.columns
     unknowns = _unknowns_of(fit, fit.question, fit.choice)
-    owners = [*columns.robot.joint_names, *(motor.name for motor in fit.choice.couplings)]
+    owners = [
+        *columns.robot.joint_names,
+        *(motor.name for motor in fit.choice.couplings),
+    ]
     owners = [owner for owner in owners if f"armature[{owner}]" in unknowns.kept_names]
     names = [f"armature[{owner}]" for owner in owners]
     if not names:

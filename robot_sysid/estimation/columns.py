@@ -56,7 +56,12 @@ from robot_sysid.dynamics.nuisances import (
     zero_columns,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, RowsBeside, store_rows
+from robot_sysid.estimation.dataset import (
+    Dataset,
+    DecimatedSamples,
+    RowsBeside,
+    store_rows,
+)
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
 
 PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
@@ -64,7 +69,16 @@ LINEAR = tuple(term for term in TERMS if term not in ("load", *BENT))
 """Friction terms whose columns depend on the motion alone."""
 PLACEHOLDER = 1e-3
 """Share of the other links' median mass below which a body's inertia counts as a placeholder."""
-_DRIFTING = ("coulomb", "viscous", "sqrt", "load", *BENT, "quadratic", "cubic", *FADING_SPEEDS)
+_DRIFTING = (
+    "coulomb",
+    "viscous",
+    "sqrt",
+    "load",
+    *BENT,
+    "quadratic",
+    "cubic",
+    *FADING_SPEEDS,
+)
 _SMOOTH = ("viscous", "armature")
 # Rows whose link-dependent columns are computed in one call: calls against memory.
 _TOGETHER = 4000
@@ -115,7 +129,11 @@ class Columns:
         self.couplings = tuple(couplings)
         self._base: tuple[Array, float, list[DecimatedSamples]] | None = None
         self._arm: tuple[Array, RobotModel] | None = None
-        self._link_columns: tuple[Any, dict[bool, list[Array]], list[Array]] = ((), {}, [])
+        self._link_columns: tuple[Any, dict[bool, list[Array]], list[Array]] = (
+            (),
+            {},
+            [],
+        )
         arm = self._equations(robot)
         self._arm_names = arm.names
         self.rows_of = arm.rows_of
@@ -139,12 +157,18 @@ class Columns:
         terms = [name.partition("[") for name in arm.names]
         joints = {f"{joint}]" for joint in self.joints}
         self._of_bodies = np.array([not bracket for _, bracket, _ in terms])
-        self._drifting = np.array([t in _DRIFTING and joint in joints for t, _, joint in terms])
+        self._drifting = np.array(
+            [t in _DRIFTING and joint in joints for t, _, joint in terms]
+        )
         self._believed = np.zeros(len(arm.names), dtype=bool)
-        for link in other_links(robot) if torques == "chain" and not self._loaded else ():
+        for link in (
+            other_links(robot) if torques == "chain" and not self._loaded else ()
+        ):
             if self.usual[robot.links[link].body_name] is robot.links[link].theta:
                 self._believed[self.at(link_names(robot, link))] = True
-        self._smooth = self._of_bodies | np.array([term in _SMOOTH for term, _, _ in terms])
+        self._smooth = self._of_bodies | np.array(
+            [term in _SMOOTH for term, _, _ in terms]
+        )
 
     def with_couplings(self, couplings: tuple[Coupling, ...]) -> Columns:
         """Return the columns with some of the couplings; they take over the stored rows."""
@@ -205,7 +229,10 @@ class Columns:
         new[self.at(settle)] = 0.0
         angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
         for term, bent in BENT.items():
-            steps = [step.get(speed_name(term, joint), 0.0) for joint in self.robot.joint_names]
+            steps = [
+                step.get(speed_name(term, joint), 0.0)
+                for joint in self.robot.joint_names
+            ]
             speed[term] = np.clip(speed[term] + steps, *bent.bounds)
         return replace(
             point,
@@ -219,7 +246,9 @@ class Columns:
         """Return a point's gravity (3,) tilted by angles (2,) [rad] about axes fixed to it."""
         if not np.any(angles):
             return point.gravity
-        return turned(point.gravity, angles, tilt_axes(gravity(self.robot), point.gravity))
+        return turned(
+            point.gravity, angles, tilt_axes(gravity(self.robot), point.gravity)
+        )
 
     def whole_tilt(self, point: Point, values: Array) -> Array:
         """Return the angles (2,) [rad] from the model's gravity to that of an estimate (p,)."""
@@ -237,7 +266,9 @@ class Columns:
         columns = zip(bases, delayed, *self._by_links(arm, point, delayed))
         return tuple(self._linearise(point, *log_columns) for log_columns in columns)
 
-    def _under(self, point: Point, delayed: Sequence[Dataset]) -> Iterator[DecimatedSamples]:
+    def _under(
+        self, point: Point, delayed: Sequence[Dataset]
+    ) -> Iterator[DecimatedSamples]:
         """Yield the rows under a point's gravity that do not depend on its other values.
 
         They are linear in gravity. The change by a small tilt is as slow as the positions, so that
@@ -246,9 +277,17 @@ class Columns:
         base = self._base
         down = point.gravity
         turn = np.inf if base is None else np.linalg.norm(down - base[0])
-        if base is None or base[1] != point.delay or turn > _SMALL_TURN * np.linalg.norm(down):
+        if (
+            base is None
+            or base[1] != point.delay
+            or turn > _SMALL_TURN * np.linalg.norm(down)
+        ):
             equations = self._equations(self._arm_at(down))
-            base = down, point.delay, store_rows(dataset.samples(equations) for dataset in delayed)
+            base = (
+                down,
+                point.delay,
+                store_rows(dataset.samples(equations) for dataset in delayed),
+            )
             self._base = base
         if np.array_equal(base[0], down):
             yield from base[2]
@@ -273,7 +312,9 @@ class Columns:
 
     def arm_torque(self, point: Point, is_loaded: bool) -> tuple[Equations, Array]:
         """Return the equations that depend on motion alone and their parameters' values (q,)."""
-        return self._equations(self._arm_at(point.gravity)), self._arm_values(point, is_loaded)
+        return self._equations(self._arm_at(point.gravity)), self._arm_values(
+            point, is_loaded
+        )
 
     def _arm_values(self, point: Point, is_loaded: bool) -> Array:
         values = point.values[: len(self._arm_names)].copy()
@@ -282,7 +323,12 @@ class Columns:
         return values
 
     def _linearise(
-        self, point: Point, base: DecimatedSamples, dataset: Dataset, load: Array, common: Array
+        self,
+        point: Point,
+        base: DecimatedSamples,
+        dataset: Dataset,
+        load: Array,
+        common: Array,
     ) -> DecimatedSamples:
         """Return one recording's rows with the columns that depend on the point."""
         later = {"load": load, **self._nonlinear(dataset, point)}
@@ -296,7 +342,12 @@ class Columns:
             coefficients = values[base.columns[row]]
             bodies, believed, drifting, smooth = (
                 which[base.columns[row]]
-                for which in (self._of_bodies, self._believed, self._drifting, self._smooth)
+                for which in (
+                    self._of_bodies,
+                    self._believed,
+                    self._drifting,
+                    self._smooth,
+                )
             )
             scale, drift = point.values[self.at((self._scales[row], self._drifts[row]))]
             scaled = np.where(believed, self.prior[base.columns[row]], coefficients)
@@ -306,7 +357,9 @@ class Columns:
             friction_names = {term: f"{term}[{self.joints[row]}]" for term in later}
             friction = block[:, drifting] @ coefficients[drifting]
             for term in ("load", *BENT):
-                friction += later[term][:, row] * point.values[self.place[friction_names[term]]]
+                friction += (
+                    later[term][:, row] * point.values[self.place[friction_names[term]]]
+                )
             drifted = 1.0 + drift * dataset.place
             factor = np.where(bodies, 1.0 + exact, np.where(drifting, drifted, 1.0))
             late = _late(dataset, base.time, block[:, smooth] @ coefficients[smooth])
@@ -321,7 +374,11 @@ class Columns:
                 (DELAY_NAME,): (late[:, None], 1.0),
                 PAYLOAD_NAMES: (slice(N_INERTIAL), (1.0 + exact) * dataset.is_loaded),
             }
-            sides = {names: side for names, side in sides.items() if names[0] not in self._nowhere}
+            sides = {
+                names: side
+                for names, side in sides.items()
+                if names[0] not in self._nowhere
+            }
             blocks.append(((slice(None), factor), *sides.values()))
             right_sides.append(tau + exact * linear + drift * dataset.place * friction)
             columns.append(np.concatenate((base.columns[row], *map(self.at, sides))))
@@ -349,7 +406,9 @@ class Columns:
             for joint in self.rows_of
         ]
         columns = tuple(np.append(at, indices) for at in base.columns)
-        return replace(base, names=self.names, columns=columns, rows=RowsBeside(base.rows, blocks))
+        return replace(
+            base, names=self.names, columns=columns, rows=RowsBeside(base.rows, blocks)
+        )
 
     def _tilt(self, arm: RobotModel, thetas: Array, motion: Motion) -> Array:
         """Return the columns of gravity's direction (K, n, 2); none (K, n, 0) without gravity."""
@@ -358,7 +417,10 @@ class Columns:
         return tilt_columns(arm, thetas, motion.q, gravity(self.robot))
 
     def _of_links(
-        self, point: Point, delayed: Sequence[Dataset], make: Callable[[Array, Motion], Array]
+        self,
+        point: Point,
+        delayed: Sequence[Dataset],
+        make: Callable[[Array, Motion], Array],
     ) -> list[Array]:
         """Return ``make`` (links (n, 10), motion (K, n)) of each recording.
 
@@ -371,9 +433,13 @@ class Columns:
         def batch(k: int) -> tuple[bool, int]:
             return delayed[k].is_loaded, ends[k] // _TOGETHER
 
-        for (loaded, _), group in groupby(sorted(range(len(delayed)), key=batch), batch):
+        for (loaded, _), group in groupby(
+            sorted(range(len(delayed)), key=batch), batch
+        ):
             which = list(group)
-            motion = Motion(*map(np.concatenate, zip(*(vars(motions[k]).values() for k in which))))
+            motion = Motion(
+                *map(np.concatenate, zip(*(vars(motions[k]).values() for k in which)))
+            )
             counts = np.cumsum([len(motions[k].time) for k in which])[:-1]
             blocks = np.split(make(self.thetas(point.values, loaded), motion), counts)
             columns.update(zip(which, blocks))
@@ -388,7 +454,11 @@ class Columns:
         They depend on the links alone, so that trials of friction share them.
         """
         thetas = [self.thetas(point.values, loaded) for loaded in (False, True)]
-        key = (point.delay, point.gravity.tobytes(), *(theta.tobytes() for theta in thetas))
+        key = (
+            point.delay,
+            point.gravity.tobytes(),
+            *(theta.tobytes() for theta in thetas),
+        )
         if self._link_columns[0] != key:
             # They are smooth and small, so that they need no low-pass: the motion at a row's own
             # instant is accurate enough.
@@ -418,12 +488,19 @@ class Columns:
         """
         rows = list(self.rows_of)
         speed = point.speed or {}
-        sizes = {t: point.values[self.at([f"{t}[{joint}]" for joint in self.joints])] for t in BENT}
+        sizes = {
+            t: point.values[self.at([f"{t}[{joint}]" for joint in self.joints])]
+            for t in BENT
+        }
         sloped = [term for term, size in sizes.items() if np.any(size)]
 
         def make(motion: Motion) -> Array:
-            columns = [bent.column(motion.qd, speed[t])[:, rows] for t, bent in BENT.items()]
-            slopes = [sizes[t] * BENT[t].slope(motion.qd, speed[t])[:, rows] for t in sloped]
+            columns = [
+                bent.column(motion.qd, speed[t])[:, rows] for t, bent in BENT.items()
+            ]
+            slopes = [
+                sizes[t] * BENT[t].slope(motion.qd, speed[t])[:, rows] for t in sloped
+            ]
             return np.stack((*columns, *slopes), axis=-1)
 
         columns = np.moveaxis(_low_pass(dataset, point, make), -1, 0)
@@ -467,10 +544,14 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
     ] or list(bodies.values())
     median_mass = float(np.median([theta[0] for theta in believed]))
     inertias = [spatial.com_from_theta(theta) for theta in believed]
-    gyration = float(np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in inertias]))
+    gyration = float(
+        np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in inertias])
+    )
     for name, theta in bodies.items():
         if theta[0] < PLACEHOLDER * median_mass or not spatial.is_consistent(theta):
             mass = max(median_mass, float(theta[0]))
             com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
-            bodies[name] = spatial.theta_from_com(mass, com, mass * gyration * np.eye(3))
+            bodies[name] = spatial.theta_from_com(
+                mass, com, mass * gyration * np.eye(3)
+            )
     return bodies

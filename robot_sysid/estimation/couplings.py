@@ -15,7 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, Coupling, FrictionModel, friction_model
+from robot_sysid.dynamics.friction import (
+    DEFAULT_MEASURED,
+    Coupling,
+    FrictionModel,
+    friction_model,
+)
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, WithPriors
@@ -75,7 +80,9 @@ def couplings_of_model(robot: RobotModel) -> tuple[Coupling, ...]:
     A tendon without friction and rotor inertia is no motor, but a spring or a gripper's fingers.
     """
     ratios = shared_motors(robot.mj_model, robot.dof_index)
-    motors = (coupling(robot, joint_ratios, tendon) for tendon, joint_ratios in ratios.items())
+    motors = (
+        coupling(robot, joint_ratios, tendon) for tendon, joint_ratios in ratios.items()
+    )
     return tuple(motor for motor in motors if np.any(motor.model))
 
 
@@ -113,12 +120,17 @@ def couplings_of(
 
 def _is_among(motor: Coupling, others: Sequence[Coupling]) -> bool:
     """Tell whether a motor's ratios are parallel to those of another motor."""
-    directions = [item.ratios / np.linalg.norm(item.ratios) for item in (motor, *others)]
+    directions = [
+        item.ratios / np.linalg.norm(item.ratios) for item in (motor, *others)
+    ]
     return any(abs(directions[0] @ other) > _SAME_DIRECTION for other in directions[1:])
 
 
 def select_couplings(
-    fitter: Fitter, question: Question, model: FrictionModel | None, offered: tuple[Coupling, ...]
+    fitter: Fitter,
+    question: Question,
+    model: FrictionModel | None,
+    offered: tuple[Coupling, ...],
 ) -> tuple[Coupling, ...]:
     """Return the couplings that need no evidence and the offered ones that have clear evidence.
 
@@ -129,12 +141,15 @@ def select_couplings(
     couplings = fitter.columns.couplings
     joint_model = model or friction_model(DEFAULT_MEASURED)
     choice = Choice(
-        (joint_model,) * fitter.columns.robot.n_joints, couplings[: len(couplings) - len(offered)]
+        (joint_model,) * fitter.columns.robot.n_joints,
+        couplings[: len(couplings) - len(offered)],
     )
     fit = fitter.fit(question, choice, rounds=1)
     while True:
         wider = [
-            fitter.solve_around(fit.point, question, replace(fit.choice, couplings=motors))
+            fitter.solve_around(
+                fit.point, question, replace(fit.choice, couplings=motors)
+            )
             for motors in _promising_couplings(fit, question, offered)
         ]
         gains = [_evidence_gain(fit, wider_fit) for wider_fit in wider]
@@ -152,14 +167,18 @@ def _promising_couplings(
     sign: this saves fits with motors that cannot win.
     """
     present = fit.choice.couplings
-    candidates = [motor for motor in offered if all(motor is not other for other in present)]
+    candidates = [
+        motor for motor in offered if all(motor is not other for other in present)
+    ]
     if not candidates:
         return []
     choice = replace(fit.choice, couplings=(*present, *candidates))
     unknowns = build_unknowns(
         fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
     )
-    problem = WithPriors(fit.evidence.of(unknowns), np.sqrt(fit.inflation * fit.memory) * fit.noise)
+    problem = WithPriors(
+        fit.evidence.of(unknowns), np.sqrt(fit.inflation * fit.memory) * fit.noise
+    )
     priors = [_motor_prior(fit, unknowns, motor) for motor in candidates]
     absent = [replace(prior, widened=_ABSENT) for prior in priors]
     groups = [*unknowns.groups, *absent]
@@ -182,12 +201,18 @@ def _evidence_gain(fit: Fit, wider: Fit) -> float:
     prior = _motor_prior(fit, wider.unknowns, wider.choice.couplings[-1])
     priors = [*wider.unknowns.groups, prior]
     correlation = wider.inflation * wider.memory
-    problem = WithPriors(wider.evidence.of(wider.unknowns), np.sqrt(correlation) * wider.noise)
+    problem = WithPriors(
+        wider.evidence.of(wider.unknowns), np.sqrt(correlation) * wider.noise
+    )
     values, covariance, _ = problem.solve(priors)
     indices = prior.indices(wider.unknowns.kept_names)
-    if not np.any(np.abs(values[indices]) > _CLEAR * np.sqrt(np.diag(covariance)[indices])):
+    if not np.any(
+        np.abs(values[indices]) > _CLEAR * np.sqrt(np.diag(covariance)[indices])
+    ):
         return -np.inf
-    problem_without = WithPriors(fit.evidence.of(fit.unknowns), np.sqrt(correlation) * fit.noise)
+    problem_without = WithPriors(
+        fit.evidence.of(fit.unknowns), np.sqrt(correlation) * fit.noise
+    )
     counts = np.array(sample_counts(fit.evidence.whole)) / correlation
     less_noise = float(counts @ np.log(fit.noise / wider.noise))
     return (
@@ -208,14 +233,20 @@ def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup
     sizes = []
     for name in names:
         term = name.partition("[")[0]
-        terms = columns.at([f"{term}[{columns.robot.joint_names[joint]}]" for joint in turned])
+        terms = columns.at(
+            [f"{term}[{columns.robot.joint_names[joint]}]" for joint in turned]
+        )
         size = max(float(np.max(np.abs(fit.values[terms]))), _LEAST)
         for joint in turned:
             rows = fit.evidence.whole.joints[joint]
             column = rows.triangle[:, :-1][:, rows.columns == columns.place[name]]
-            column_size = float(np.linalg.norm(column)) / np.sqrt(max(rows.n_samples, 1))
+            column_size = float(np.linalg.norm(column)) / np.sqrt(
+                max(rows.n_samples, 1)
+            )
             if column_size > 0.0:
-                size = max(size, LEAST_COULOMB * fit.evidence.torque[joint] / column_size)
+                size = max(
+                    size, LEAST_COULOMB * fit.evidence.torque[joint] / column_size
+                )
         sizes.append(size)
     return independent_prior("couplings", names, names, np.array(sizes))
 
@@ -255,7 +286,9 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
                 f"arm: {', '.join(names)}"
             )
         ratios.append(np.array([float(row.get(joint, 0.0)) for joint in names]))
-    return tuple(coupling(robot, motor) for motor in ratios if np.count_nonzero(motor) > 1)
+    return tuple(
+        coupling(robot, motor) for motor in ratios if np.count_nonzero(motor) > 1
+    )
 
 
 def _is_number(value: Any) -> bool:

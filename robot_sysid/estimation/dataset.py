@@ -62,7 +62,11 @@ class DecimatedSamples:
         """Return a joint's rows (m, k) and right-hand sides (m,) of the samples in use."""
         used = np.isfinite(self.tau[joint])
         rows = self.rows
-        selected = rows.select(joint, used) if isinstance(rows, RowsBeside) else rows[joint][used]
+        selected = (
+            rows.select(joint, used)
+            if isinstance(rows, RowsBeside)
+            else rows[joint][used]
+        )
         return selected, self.tau[joint][used]
 
     def information(self) -> SquareRootInformation:
@@ -72,19 +76,28 @@ class DecimatedSamples:
     def where(self, used: Mask) -> DecimatedSamples:
         """Return the samples without those for which ``used``, (K,) or (K, joints), is false."""
         masks = np.broadcast_to(used.T, (len(self.tau), len(self)))
-        return replace(self, tau=tuple(np.where(m, t, np.nan) for m, t in zip(masks, self.tau)))
+        return replace(
+            self, tau=tuple(np.where(m, t, np.nan) for m, t in zip(masks, self.tau))
+        )
 
     def only(self, names: tuple[str, ...]) -> DecimatedSamples:
         """Return the samples with the named parameters alone, in the order of ``names``."""
         order = {name: index for index, name in enumerate(names)}
-        at = [np.array([order.get(self.names[k], -1) for k in columns]) for columns in self.columns]
+        at = [
+            np.array([order.get(self.names[k], -1) for k in columns])
+            for columns in self.columns
+        ]
         rows = tuple(row[:, columns >= 0] for row, columns in zip(self.rows, at))
-        return replace(self, names=names, columns=tuple(a[a >= 0] for a in at), rows=rows)
+        return replace(
+            self, names=names, columns=tuple(a[a >= 0] for a in at), rows=rows
+        )
 
     def squared_torque(self) -> Array:
         """Return (joints,) sum of squares of the measured torque over the rows in use [N^2 m^2]."""
         pairs = zip(self.tau, self.measured)
-        return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
+        return np.array(
+            [np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs]
+        )
 
 
 class _RowFile:
@@ -131,7 +144,9 @@ class RowsBeside(Sequence[Array]):
     """
 
     def __init__(
-        self, base: Sequence[Array], blocks: Sequence[tuple[tuple[Array | slice, Any], ...]]
+        self,
+        base: Sequence[Array],
+        blocks: Sequence[tuple[tuple[Array | slice, Any], ...]],
     ) -> None:
         self._base = base
         self._blocks = blocks
@@ -145,7 +160,10 @@ class RowsBeside(Sequence[Array]):
     def select(self, joint: int, used: Mask | slice) -> Array:
         """Return the used rows (m, k) of a joint, in less memory than all of them take."""
         base = self._base[joint]
-        pairs = [(base[:, b] if isinstance(b, slice) else b, f) for b, f in self._blocks[joint]]
+        pairs = [
+            (base[:, b] if isinstance(b, slice) else b, f)
+            for b, f in self._blocks[joint]
+        ]
         return np.hstack([block[used] * factor for block, factor in pairs])
 
 
@@ -157,7 +175,9 @@ def store_rows(
     file = None
     for log in samples:
         if sum(rows.size for rows in log.rows) > limit:
-            with contextlib.suppress(OSError):  # without a writable folder, rows stay in memory
+            with contextlib.suppress(
+                OSError
+            ):  # without a writable folder, rows stay in memory
                 file = file or _RowFile(tempfile.TemporaryFile())  # noqa: SIM115
                 log = replace(log, rows=_StoredRows(log.rows, file))
         logs.append(log)
@@ -169,14 +189,22 @@ def information_of(
 ) -> tuple[SquareRootInformation, ...]:
     """Return the square-root information of each group of recordings, from the samples in use."""
     (first, *_), *_ = groups
-    totals = [InformationAccumulator(first.names, first.joints, first.columns) for _ in groups]
+    totals = [
+        InformationAccumulator(first.names, first.joints, first.columns) for _ in groups
+    ]
     # Joint by joint: most rows are assembled on access.
-    for index, (total, group) in itertools.product(range(len(first.joints)), zip(totals, groups)):
-        total.add(index, *map(np.concatenate, zip(*[log.in_use(index) for log in group])))
+    for index, (total, group) in itertools.product(
+        range(len(first.joints)), zip(totals, groups)
+    ):
+        total.add(
+            index, *map(np.concatenate, zip(*[log.in_use(index) for log in group]))
+        )
     return tuple(total.result() for total in totals)
 
 
-def decimated_equations(equations: Equations, signals: ProcessedSignals) -> DecimatedSamples:
+def decimated_equations(
+    equations: Equations, signals: ProcessedSignals
+) -> DecimatedSamples:
     """Build the equations of the motion and pass both sides through the same low-pass.
 
     Columns of friction that depends on the load are NaN.
@@ -185,7 +213,9 @@ def decimated_equations(equations: Equations, signals: ProcessedSignals) -> Deci
         InputError: no joint ever moves fast enough for its equations to be used.
     """
     width = sum(len(columns) for columns in equations.columns)
-    bodies = signals.passed(equations.bodies, smooth=True, most=max(1, _NUMBERS // width))
+    bodies = signals.passed(
+        equations.bodies, smooth=True, most=max(1, _NUMBERS // width)
+    )
     unknown = itertools.repeat(np.array(np.nan))
     friction = signals.passed(lambda motion: equations.friction(motion, unknown))
     usable = signals.usable()[:, list(equations.rows_of)]
@@ -206,7 +236,10 @@ def equations_at(equations: Equations, measurement: Measurement) -> DecimatedSam
 
 
 def _samples_of(
-    equations: Equations, time: Array, pairs: Iterable[tuple[Array, Array]], measured: Array
+    equations: Equations,
+    time: Array,
+    pairs: Iterable[tuple[Array, Array]],
+    measured: Array,
 ) -> DecimatedSamples:
     """Return samples from (rows, right-hand sides) per joint and measured torques (joints, K)."""
     rows, tau = zip(*pairs)
@@ -264,7 +297,9 @@ class Dataset:
     @property
     def torque(self) -> Array:
         """The measured torque (N, n) [N m]."""
-        return (self.source.poses if isinstance(self.source, RestingPoses) else self.source).tau
+        return (
+            self.source.poses if isinstance(self.source, RestingPoses) else self.source
+        ).tau
 
     def remove_delay(self, delay: float) -> Dataset:
         """Return the recording with a delay of its torque [s] taken out."""
@@ -280,7 +315,9 @@ class Dataset:
         else:
             samples = decimated_equations(equations, self.source)
         # A delay shortens recordings at their ends.
-        return samples if self.used is None else samples.where(self.used[: len(samples)])
+        return (
+            samples if self.used is None else samples.where(self.used[: len(samples)])
+        )
 
 
 def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
@@ -291,8 +328,12 @@ def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
     """
     rows = np.flatnonzero(np.any([np.isfinite(tau) for tau in log.tau], axis=0))
     if len(rows) < BLOCKS:
-        raise InputError(f"{len(rows)} rows cannot be cut into {BLOCKS} blocks; record longer")
-    rounds = int(max((log.time[-1] - log.time[0]) // (BLOCKS * 0.5 * LONGEST_STRETCH), 1))
+        raise InputError(
+            f"{len(rows)} rows cannot be cut into {BLOCKS} blocks; record longer"
+        )
+    rounds = int(
+        max((log.time[-1] - log.time[0]) // (BLOCKS * 0.5 * LONGEST_STRETCH), 1)
+    )
     count = BLOCKS * min(rounds, len(rows) // BLOCKS)
     edges = [round(k * len(rows) / count) for k in range(count + 1)]
     for block in range(BLOCKS):

@@ -20,11 +20,27 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import N_INERTIAL, Equations
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.newton_euler import in_parts
-from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
-from robot_sysid.estimation.algebra.information import normal_matrix, restrict, sample_counts
-from robot_sysid.estimation.algebra.nuisances import SURE, WithPriors, largest_by_chance, misfits
+from robot_sysid.estimation.algebra.autocorrelation import (
+    JointResiduals,
+    collect_residuals,
+)
+from robot_sysid.estimation.algebra.information import (
+    normal_matrix,
+    restrict,
+    sample_counts,
+)
+from robot_sysid.estimation.algebra.nuisances import (
+    SURE,
+    WithPriors,
+    largest_by_chance,
+    misfits,
+)
 from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
-from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
+from robot_sysid.estimation.algebra.uncertainty import (
+    Uncertainty,
+    joint_space,
+    uncertainty,
+)
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, release_memory, squared_effect
@@ -80,12 +96,21 @@ class FitErrors:
         block = np.ix_(used, used)
 
         def standard_errors(products: Array) -> Array:
-            return np.where(is_hidden, np.inf, np.sqrt(np.maximum(np.sum(products, axis=1), 0.0)))
+            return np.where(
+                is_hidden, np.inf, np.sqrt(np.maximum(np.sum(products, axis=1), 0.0))
+            )
 
         covariance = change_used @ self.whole.covariance[block] @ change_used.T
         noise = change_used @ self.whole.noise[block]
-        cause_rows = ((name, rows[:, used]) for name, rows in self.causes.items() if name != COMMON)
-        budget = {name: standard_errors((change_used @ rows.T) ** 2) for name, rows in cause_rows}
+        cause_rows = (
+            (name, rows[:, used])
+            for name, rows in self.causes.items()
+            if name != COMMON
+        )
+        budget = {
+            name: standard_errors((change_used @ rows.T) ** 2)
+            for name, rows in cause_rows
+        }
         if self.common and theta is not None:
             covariance = covariance + self.common**2 * np.outer(theta, theta)
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
@@ -94,7 +119,9 @@ class FitErrors:
     def shown(self, change: Array) -> NDArray[np.bool_]:
         """Return (m,) whether combinations (m, k) consist of identifiable parameters alone."""
         hidden = np.isinf(self.whole.standard_errors)
-        return np.asarray(np.max(np.abs(change[:, hidden]), axis=1, initial=0.0) < _ROUNDING)
+        return np.asarray(
+            np.max(np.abs(change[:, hidden]), axis=1, initial=0.0) < _ROUNDING
+        )
 
     def share(self, fit: Fit) -> Array:
         """Return the share (k,) of each value that data determines, 1 for all of it."""
@@ -104,7 +131,9 @@ class FitErrors:
             indices = group.indices(names)
             prior_variance = np.diag(group.widened**2 * group.factor @ group.factor.T)
             remaining = np.diag(self.whole.inverse)[indices] / prior_variance
-            shares[indices] = np.minimum(shares[indices], np.clip(1.0 - remaining, 0.0, 1.0))
+            shares[indices] = np.minimum(
+                shares[indices], np.clip(1.0 - remaining, 0.0, 1.0)
+            )
         return shares
 
 
@@ -121,9 +150,12 @@ def fit_errors(
     if pull is None:
         point = replace(fit.point, values=fit.values)
         pairs = zip(
-            [dataset.remove_delay(point.delay) for dataset in fit.columns.datasets], fit.samples
+            [dataset.remove_delay(point.delay) for dataset in fit.columns.datasets],
+            fit.samples,
         )
-        pull = np.sum([filtering_bias(fit.columns, point, *pair) for pair in pairs], axis=0)
+        pull = np.sum(
+            [filtering_bias(fit.columns, point, *pair) for pair in pairs], axis=0
+        )
     total = _noise_errors(fit, residuals)
     causes = {
         group.cause: group.covariance_rows(fit.unknowns.kept_names, total.inverse)
@@ -138,7 +170,9 @@ def fit_errors(
     if not (fit.question.in_file or fit.question.loaded):
         parameters, usual_body = fit.unknowns.bodies[fit.columns.robot.body_name]
         indices = np.searchsorted(fit.unknowns.kept, parameters)
-        total, causes = once_possible(total, causes, indices, fit.values[parameters], usual_body)
+        total, causes = once_possible(
+            total, causes, indices, fit.values[parameters], usual_body
+        )
     move = _unlikely_move(fit)
     if len(move):
         causes[BODIES] = np.vstack((causes.get(BODIES, move[:0]), move))
@@ -160,8 +194,14 @@ def _unlikely_move(fit: Fit) -> Array:
     cost = squared_effect(fit, fit.values - fit.free)
     bodies = [fit.free[indices] for indices, _ in fit.unknowns.bodies.values()]
     impossible = sum(not spatial.is_consistent(theta) for theta in bodies)
-    cost_by_chance = largest_by_chance(float(N_INERTIAL * max(impossible, 1)), 1.0 - SURE)
-    return np.sqrt(1.0 - cost_by_chance / cost) * move if cost > cost_by_chance else move[:0]
+    cost_by_chance = largest_by_chance(
+        float(N_INERTIAL * max(impossible, 1)), 1.0 - SURE
+    )
+    return (
+        np.sqrt(1.0 - cost_by_chance / cost) * move
+        if cost > cost_by_chance
+        else move[:0]
+    )
 
 
 def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
@@ -174,8 +214,12 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
         values = fit.values[fit.unknowns.kept]
         root = space.inverse_root()
         residuals = collect_residuals(information, fit.rows, values, root, weights)
-    residuals = [replace(r, products=d * r.products) for r, d in zip(residuals, fit.inflation)]
-    if residuals:  # they take as much memory as the triangles, which are not needed beside them
+    residuals = [
+        replace(r, products=d * r.products) for r, d in zip(residuals, fit.inflation)
+    ]
+    if (
+        residuals
+    ):  # they take as much memory as the triangles, which are not needed beside them
         information = replace(information, joints=())
     release_memory()
     return uncertainty(information, weights, 1.0 / weights, residuals, space)
@@ -197,7 +241,10 @@ def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...
 
 
 def _further_causes(
-    fit: Fit, inverse: Array, causes: Mapping[str, Array], conflicts: Sequence[PriorConflict]
+    fit: Fit,
+    inverse: Array,
+    causes: Mapping[str, Array],
+    conflicts: Sequence[PriorConflict],
 ) -> Iterator[tuple[str, Array]]:
     """Yield (cause, rows A (m, k) of its covariance A^T A) of errors that the fit's priors lack.
 
@@ -219,7 +266,9 @@ def _further_causes(
         normal = normal_matrix(fit.evidence.whole, fit.weights)
         crossed = normal[np.ix_(fit.unknowns.kept, at_bound)]
         move = inverse @ crossed
-        eigenvalues, axes = np.linalg.eigh(normal[np.ix_(at_bound, at_bound)] - crossed.T @ move)
+        eigenvalues, axes = np.linalg.eigh(
+            normal[np.ix_(at_bound, at_bound)] - crossed.T @ move
+        )
         large = eigenvalues > _SEEN * eigenvalues[-1]
         yield HELD, (move @ (axes[:, large] / np.sqrt(eigenvalues[large]))).T
 
@@ -282,7 +331,9 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
     return [replace(joint, columns=indices[joint.columns]) for joint in sums]
 
 
-def residuals_within(fit: Fit, residuals: Sequence[JointResiduals]) -> list[JointResiduals]:
+def residuals_within(
+    fit: Fit, residuals: Sequence[JointResiduals]
+) -> list[JointResiduals]:
     """Return sums over lags, in the columns of all parameters, in those of a fit's unknowns."""
     indices = fit.unknowns.kept
     restricted_sums = []
@@ -290,7 +341,9 @@ def residuals_within(fit: Fit, residuals: Sequence[JointResiduals]) -> list[Join
         is_unknown = np.isin(joint.columns, indices)
         columns = np.searchsorted(indices, joint.columns[is_unknown])
         restricted_sums.append(
-            replace(joint, columns=columns, sums=joint.sums[:, is_unknown][:, :, is_unknown])
+            replace(
+                joint, columns=columns, sums=joint.sums[:, is_unknown][:, :, is_unknown]
+            )
         )
     return restricted_sums
 
@@ -319,7 +372,9 @@ def filtering_bias(
     first = Motion(motion.time[rows], motion.q[rows], motion.qd[rows], motion.qdd[rows])
     same_direction = np.sign(first.qd) == np.sign(second.qd)
     equations, values = columns.arm_torque(point, dataset.is_loaded)
-    torques = zip(_torques(equations, first, values), _torques(equations, second, values))
+    torques = zip(
+        _torques(equations, first, values), _torques(equations, second, values)
+    )
     for (index, block, tau), joint, (torque, refiltered) in zip(
         samples, equations.rows_of, torques
     ):
@@ -338,6 +393,9 @@ def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]
         measurement = Measurement(time, q, qd, np.zeros_like(q), qdd)
         pairs = zip(equations.rows(measurement), equations.columns)
         pieces.append(
-            [block @ values[columns] - right_side for (block, right_side), columns in pairs]
+            [
+                block @ values[columns] - right_side
+                for (block, right_side), columns in pairs
+            ]
         )
     return [np.concatenate(joint_pieces) for joint_pieces in zip(*pieces)]

@@ -84,14 +84,22 @@ def fit_file(
         carried: the payload (10,) of loaded recordings.
     """
     robot = fitter.columns.robot
-    keeps_motors = options.torques != "chain" or {FILE_FRICTION, FILE_ROTORS} <= {*kept_parts}
+    keeps_motors = options.torques != "chain" or {FILE_FRICTION, FILE_ROTORS} <= {
+        *kept_parts
+    }
     motors = () if keeps_motors or not CAN_HOLD_ROTORS else estimate.choice.couplings
     question = Question(
-        options, in_file=True, file_kind=robot.kind, kept_parts=kept_parts, carried=carried
+        options,
+        in_file=True,
+        file_kind=robot.kind,
+        kept_parts=kept_parts,
+        carried=carried,
     )
     if not motors or robot.kind == "mjcf":
         return _fit_kind(fitter, question, motors, estimate, pull)
-    best = _fit_kind(fitter, replace(question, file_kind="mjcf"), motors, estimate, pull)
+    best = _fit_kind(
+        fitter, replace(question, file_kind="mjcf"), motors, estimate, pull
+    )
     return replace(best, beside=_fit_kind(fitter, question, (), estimate, pull))
 
 
@@ -141,7 +149,9 @@ def _fit_kind(
 
 def _holds_rotors(question: Question) -> bool:
     """Tell whether to write rotors; torques of the last joint alone do not identify its rotor."""
-    is_kept = FILE_ROTORS in question.kept_parts or question.options.torques == "terminal"
+    is_kept = (
+        FILE_ROTORS in question.kept_parts or question.options.torques == "terminal"
+    )
     return not is_kept and question.file_kind != "urdf"
 
 
@@ -159,12 +169,18 @@ def _friction(
     with_rotor = {("armature", joint) for joint in joints}
     terms = friction_model(name).terms
     return tuple(
-        FrictionModel(tuple(t for t in terms if t not in excluded and (t, joint) not in with_rotor))
+        FrictionModel(
+            tuple(
+                t for t in terms if t not in excluded and (t, joint) not in with_rotor
+            )
+        )
         for joint in robot.joint_names
     )
 
 
-def _validate_model(fitter: Fitter, question: Question, choice: Choice, point: Point) -> Validation:
+def _validate_model(
+    fitter: Fitter, question: Question, choice: Choice, point: Point
+) -> Validation:
     """Return the held-out error of the model as it is, beside fitted sensor offsets.
 
     The point has the model's gravity; all its other values make no difference here.
@@ -173,11 +189,15 @@ def _validate_model(fitter: Fitter, question: Question, choice: Choice, point: P
     data, _ = fitter.around(point)
     unknowns = build_unknowns(columns, question, choice, data.torque, data.nonzero)
     offsets = [columns.place[f"offset[{joint}]"] for joint in columns.joints]
-    indices = np.array([index for index in offsets if data.nonzero[index]], dtype=np.int64)
+    indices = np.array(
+        [index for index in offsets if data.nonzero[index]], dtype=np.int64
+    )
     held = columns.prior.copy()
     if question.carried is not None:
         held[columns.at(PAYLOAD_NAMES)] = question.carried
-    offset_unknowns = Unknowns(columns.names, indices, held, (), unknowns.lower, unknowns.upper, {})
+    offset_unknowns = Unknowns(
+        columns.names, indices, held, (), unknowns.lower, unknowns.upper, {}
+    )
     judge = HeldOut(data, np.ones(len(columns.joints)))
     return judge.validation(judge.squared_errors(offset_unknowns))
 
@@ -186,7 +206,9 @@ def holds_polynomial(robot: RobotModel, joint: int, file_kind: str) -> bool:
     """Tell whether a file can hold nonlinear damping of a joint whose model has none."""
     damping = getattr(robot.mj_model, "dof_dampingpoly", None)
     return (
-        file_kind == "mjcf" and damping is not None and not np.any(damping[robot.dof_index[joint]])
+        file_kind == "mjcf"
+        and damping is not None
+        and not np.any(damping[robot.dof_index[joint]])
     )
 
 
@@ -196,7 +218,9 @@ def _polynomials(
     """Return friction with nonlinear damping at joints whose held-out error it clearly lowers."""
     if FILE_FRICTION in question.kept_parts:
         return choice.friction
-    with_polynomial = _friction(fit.columns.robot, question, choice.rotors, WITH_POLYNOMIAL)
+    with_polynomial = _friction(
+        fit.columns.robot, question, choice.rotors, WITH_POLYNOMIAL
+    )
     columns = fit.columns
     errors = squared_errors(judge, columns, question, choice)
     trial = replace(choice, friction=with_polynomial)

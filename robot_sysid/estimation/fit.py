@@ -15,9 +15,16 @@ from robot_sysid.dynamics.friction import BENT, speed_name
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.autocorrelation import concentration, memory
-from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
+from robot_sysid.estimation.algebra.consistent_links import (
+    ConsistentLinks,
+    LinksProblem,
+)
 from robot_sysid.estimation.algebra.information import combine, parts_of, restrict
-from robot_sysid.estimation.algebra.least_squares import estimate_noise, lower_floor, solver
+from robot_sysid.estimation.algebra.least_squares import (
+    estimate_noise,
+    lower_floor,
+    solver,
+)
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
@@ -71,7 +78,9 @@ class Evidence:
 
     def merge_blocks(self) -> Evidence:
         """Return the evidence of all blocks as one block."""
-        return Evidence((self.whole,), np.sum(self.squared_torque, axis=0)[None], self.torque)
+        return Evidence(
+            (self.whole,), np.sum(self.squared_torque, axis=0)[None], self.torque
+        )
 
     def of(self, unknowns: Unknowns) -> SquareRootInformation:
         """Return the information of all blocks about the unknowns, other parameters held."""
@@ -80,7 +89,9 @@ class Evidence:
     def squared_residuals(self, values: Array) -> Array:
         """Return squared residuals (blocks, joints, m) at values (blocks, p, m) [N^2 m^2]."""
         pairs = zip(self.blocks, values)
-        return np.array([block.squared_residuals(block_values) for block, block_values in pairs])
+        return np.array(
+            [block.squared_residuals(block_values) for block, block_values in pairs]
+        )
 
     @cached_property
     def nonzero(self) -> np.ndarray:
@@ -97,10 +108,13 @@ def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
     return evidence_of(list(blocks), torque)
 
 
-def evidence_of(blocks: Collection[Sequence[DecimatedSamples]], torque: Array) -> Evidence:
+def evidence_of(
+    blocks: Collection[Sequence[DecimatedSamples]], torque: Array
+) -> Evidence:
     """Return the evidence of blocks, each of rows from several recordings."""
     squares = [
-        np.sum([recording.squared_torque() for recording in block], axis=0) for block in blocks
+        np.sum([recording.squared_torque() for recording in block], axis=0)
+        for block in blocks
     ]
     return Evidence(information_of(blocks), np.array(squares), torque)
 
@@ -118,7 +132,10 @@ class ChosenRows:
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint, all recordings together."""
         for joint in range(len(self.samples[0].columns)):
-            yield joint, *self._joint_rows(joint)  # no variable here keeps rows in memory meanwhile
+            yield (
+                joint,
+                *self._joint_rows(joint),
+            )  # no variable here keeps rows in memory meanwhile
 
     def _joint_rows(self, joint: int) -> tuple[Array, Array]:
         columns = self.samples[0].columns[joint]
@@ -127,7 +144,9 @@ class ChosenRows:
         tau = list[Array]()
         held = self.unknowns.held[columns[~is_unknown]]
         all_rows = np.empty((ends[-1], np.count_nonzero(is_unknown)))
-        for recording, recording_rows in zip(self.samples, np.split(all_rows, ends[:-1])):
+        for recording, recording_rows in zip(
+            self.samples, np.split(all_rows, ends[:-1])
+        ):
             rows = recording.rows[joint]
             recording_rows[:] = rows[:, is_unknown]
             tau.append(recording.tau[joint] - rows[:, ~is_unknown] @ held)
@@ -217,7 +236,9 @@ class Fit:
         indices = self.columns.place
         values[indices[DELAY_NAME]] += self.point.delay
         if TILT_NAMES[0] in indices:
-            values[self.columns.at(TILT_NAMES)] = self.columns.whole_tilt(self.point, self.values)
+            values[self.columns.at(TILT_NAMES)] = self.columns.whole_tilt(
+                self.point, self.values
+            )
         for term, speeds in (self.point.speed or {}).items():
             for joint, speed in zip(self.columns.robot.joint_names, speeds.tolist()):
                 name = speed_name(term, joint)
@@ -241,14 +262,18 @@ class Fitter:
     torque: Array
     visits: Visits | None = None
     on_pass: Callable[[], None] = lambda: None
-    _last: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = field(default=None)
+    _last: tuple[Point, Evidence, tuple[DecimatedSamples, ...]] | None = field(
+        default=None
+    )
     _noise: Array | None = None
 
     def around(self, point: Point) -> tuple[Evidence, tuple[DecimatedSamples, ...]]:
         """Return the evidence of the rows around a point, and the rows of each recording."""
         if self._last is None or self._last[0] is not point:
             self.on_pass()
-            self._last = None  # rows go before others are made: they take most of the memory
+            self._last = (
+                None  # rows go before others are made: they take most of the memory
+            )
             release_memory()
             samples = self.columns.samples(point)
             self._last = point, evidence(samples, self.torque), samples
@@ -272,7 +297,14 @@ class Fitter:
         """Return the solution of the equations around a point."""
         data, samples = self.around(point)
         return solve(
-            self.columns, question, choice, point, data, samples, self.visits, noise=self._noise
+            self.columns,
+            question,
+            choice,
+            point,
+            data,
+            samples,
+            self.visits,
+            noise=self._noise,
         )
 
     def fit(
@@ -295,12 +327,16 @@ class Fitter:
         # Columns of the load and those with a speed depend on the estimate. While friction is
         # chosen, a load that only its prior allows for needs no exact columns.
         terms = {term for model in choice.friction for term in model.terms}
-        exact_load = not terms.isdisjoint(("load", *BENT)) or choice.dry_friction is not None
+        exact_load = (
+            not terms.isdisjoint(("load", *BENT)) or choice.dry_friction is not None
+        )
         point = point or self.columns.start()
         if (point.exact_load, point.in_file) != (exact_load, question.in_file):
             point = replace(point, exact_load=exact_load, in_file=question.in_file)
         options = question.options
-        auto_names = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
+        auto_names = [
+            name for name in ("delay", "tilt") if getattr(options, name) == "auto"
+        ]
         rounds = _AUTO_ROUNDS if auto_names and not question.in_file else rounds
         for rounds_left in reversed(range(rounds)):
             fit = self.solve_around(point, question, choice)
@@ -326,26 +362,38 @@ def squared_effect(fit: Fit, change: Array) -> float:
     Each is in standard deviations: torques in those of the noise, unknowns in those of the prior.
     """
     pairs = zip(fit.evidence.whole.joints, fit.weights)
-    effects = [w * (joint.triangle[:, :-1] @ change[joint.columns]) for joint, w in pairs]
+    effects = [
+        w * (joint.triangle[:, :-1] @ change[joint.columns]) for joint, w in pairs
+    ]
     indices = fit.unknowns.kept
     names = fit.unknowns.kept_names
-    effects += [group.rows(names)[:, :-1] @ change[indices] for group in fit.unknowns.groups]
+    effects += [
+        group.rows(names)[:, :-1] @ change[indices] for group in fit.unknowns.groups
+    ]
     return float(sum(map(np.vdot, effects, effects)))
 
 
 def _is_settled(fit: Fit, next_point: Point) -> bool:
     """Tell whether prediction, delay, gravity and speeds change less than the limits above."""
     point = fit.point
-    indices = [k for k in fit.unknowns.kept if fit.columns.names[k] not in fit.unknowns.settle]
+    indices = [
+        k for k in fit.unknowns.kept if fit.columns.names[k] not in fit.unknowns.settle
+    ]
     change = np.zeros(len(fit.values))
     change[indices] = (next_point.values - point.values)[indices]
     gravity_change = float(np.linalg.norm(np.cross(next_point.gravity, point.gravity)))
     gravity_change /= float(next_point.gravity @ next_point.gravity) or 1.0
     speeds = zip((next_point.speed or {}).values(), (point.speed or {}).values())
-    speed_change = max((float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0)
+    speed_change = max(
+        (float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0
+    )
     delay_change = abs(next_point.delay - point.delay)
-    is_small = squared_effect(fit, change) < _SETTLED**2 and delay_change < _SETTLED_DELAY
-    return is_small and gravity_change < _SETTLED_ANGLE and speed_change < _SETTLED_SPEED
+    is_small = (
+        squared_effect(fit, change) < _SETTLED**2 and delay_change < _SETTLED_DELAY
+    )
+    return (
+        is_small and gravity_change < _SETTLED_ANGLE and speed_change < _SETTLED_SPEED
+    )
 
 
 def solve(
@@ -389,7 +437,12 @@ def solve(
             if widens or not np.array_equal(assumed, repetition):
                 variance_factor = repetition * memory
                 unknowns, free, effective_noise = _solve_within_bounds(
-                    columns, unknowns, data, variance_factor, correlation_memory / memory, noise
+                    columns,
+                    unknowns,
+                    data,
+                    variance_factor,
+                    correlation_memory / memory,
+                    noise,
                 )
                 noise = effective_noise / np.sqrt(variance_factor)
         values = possible(unknowns, data, 1.0 / effective_noise, free)
@@ -416,14 +469,19 @@ def solve(
 
 def memory_of(choice: Choice, n_joints: int) -> Array:
     """Return how many rows (joints,) of each joint count as one independent row."""
-    return np.ones(n_joints) if choice.noise_memory is None else np.array(choice.noise_memory)
+    return (
+        np.ones(n_joints)
+        if choice.noise_memory is None
+        else np.array(choice.noise_memory)
+    )
 
 
 def _residuals(samples: Sequence[DecimatedSamples], values: Array) -> Iterator[Array]:
     """Yield residual torques (K,) of each joint at values (p,) [N m], all recordings together."""
     for joint in range(len(samples[0].joints)):
         residuals = [
-            recording.tau[joint] - recording.rows[joint] @ values[recording.columns[joint]]
+            recording.tau[joint]
+            - recording.rows[joint] @ values[recording.columns[joint]]
             for recording in samples
         ]
         yield np.concatenate(residuals)
@@ -447,7 +505,11 @@ def _solve_within_bounds(
         )
         next_unknowns = unknowns.hold_at_bounds(values)
         if next_unknowns is None:
-            return unknowns, np.clip(values, unknowns.lower, unknowns.upper), effective_noise
+            return (
+                unknowns,
+                np.clip(values, unknowns.lower, unknowns.upper),
+                effective_noise,
+            )
         unknowns = next_unknowns
 
 
@@ -468,7 +530,9 @@ def _solve_weighted(
     solve_posterior = solver(posterior, prior)
     noise = estimate_noise(posterior, solve_posterior, start=noise)
     effective_noise = noise * np.sqrt(inflation)
-    groups = widened_groups(information, effective_noise * np.sqrt(memory), unknowns.groups)
+    groups = widened_groups(
+        information, effective_noise * np.sqrt(memory), unknowns.groups
+    )
     if groups is not unknowns.groups:
         unknowns = replace(unknowns, groups=groups)
         posterior = with_prior(information, unknowns.groups)
@@ -483,7 +547,9 @@ def possible(unknowns: Unknowns, data: Evidence, weights: Array, free: Array) ->
 
     Where they are so already, that is the plain estimate ``free`` (p,).
     """
-    if all(spatial.is_consistent(free[indices]) for indices, _ in unknowns.bodies.values()):
+    if all(
+        spatial.is_consistent(free[indices]) for indices, _ in unknowns.bodies.values()
+    ):
         return free
     rows = with_prior(data.of(unknowns), unknowns.groups).stacked(weights)
     return unknowns.full(ConsistentLinks(*rows, links_problem(unknowns)).best())

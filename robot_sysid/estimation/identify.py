@@ -24,7 +24,13 @@ from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import compare_recordings, held_out_validation
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.estimation.verdict import is_informative
-from robot_sysid.records import Array, Measurement, RobotModel, SquareRootInformation, Validation
+from robot_sysid.records import (
+    Array,
+    Measurement,
+    RobotModel,
+    SquareRootInformation,
+    Validation,
+)
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.results import validation_of
 from robot_sysid.signals.process import LogPiece, process
@@ -88,15 +94,21 @@ def low_pass_recordings(
         datasets.append(without_standing(robot, dataset, options))
     notes: dict[str, tuple[str, ...]] = {}
     for piece, signals in pairs:
-        notes[piece.name] = tuple(dict.fromkeys((*notes.get(piece.name, ()), *signals.notes)))
+        notes[piece.name] = tuple(
+            dict.fromkeys((*notes.get(piece.name, ()), *signals.notes))
+        )
     return datasets, tuple(shared_notes(notes))
 
 
 def shared_notes(notes_by_name: Mapping[str, Sequence[str]]) -> Iterator[str]:
     """Yield each note once, with the names of its recordings where there are several."""
-    for note in dict.fromkeys(note for notes in notes_by_name.values() for note in notes):
+    for note in dict.fromkeys(
+        note for notes in notes_by_name.values() for note in notes
+    ):
         about = [name for name, notes in notes_by_name.items() if note in notes]
-        where = "all recordings" if len(about) == len(notes_by_name) else ", ".join(about)
+        where = (
+            "all recordings" if len(about) == len(notes_by_name) else ", ".join(about)
+        )
         yield note if len(notes_by_name) == 1 else type(note)(f"{where}: {note}")
 
 
@@ -119,7 +131,9 @@ def answer_link(
         SysidError: an estimated delay or tilt does not converge.
     """
     question = Question(options)
-    progress.stage(Detail("Choosing friction, couplings and how far links may be off..."))
+    progress.stage(
+        Detail("Choosing friction, couplings and how far links may be off...")
+    )
     fitter = _fitter(robot, datasets, question, options.friction, progress)
     choice, candidates, start = choose(fitter, question, options.friction)
     progress.stage("Solving for parameters...")
@@ -134,7 +148,9 @@ def answer_link(
         fit = replace(fit, samples=(), evidence=fit.evidence.merge_blocks())
         file = fit_file(fitter, options, kept_parts, fit)
     signals = [dataset.signals for dataset in datasets if dataset.signals is not None]
-    coarsest = max((log_signals.acceleration_error for log_signals in signals), default=0.0)
+    coarsest = max(
+        (log_signals.acceleration_error for log_signals in signals), default=0.0
+    )
     answer = Answer(fit, file, errors, validation, (), candidates, coarsest)
     notes: list[str] = []
     if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
@@ -143,10 +159,15 @@ def answer_link(
             for log_signals in signals
             for note in log_signals.one_way_joints(robot.joint_names)
         ]
-    others = tuple(validate_datasets(fit, errors, log, name) for name, log in (tests or {}).items())
+    others = tuple(
+        validate_datasets(fit, errors, log, name) for name, log in (tests or {}).items()
+    )
     notes = list(dict.fromkeys((*notes, *logs.notes)))
     return replace(
-        answer, notes=tuple(notes), tests=(*others, *logs.tests), friction_of_logs=logs.friction
+        answer,
+        notes=tuple(notes),
+        tests=(*others, *logs.tests),
+        friction_of_logs=logs.friction,
     )
 
 
@@ -173,23 +194,35 @@ def answer_payload(
     choice, candidates, start = choose(fitter, weighing, model)
     free = fitter.fit(weighing, choice, start)
     progress.stage(Detail("Finding out how far off it may be..."))
-    weighed = Answer(free, None, fit_errors(free), held_out_validation(free), (), candidates)
+    weighed = Answer(
+        free, None, fit_errors(free), held_out_validation(free), (), candidates
+    )
     if question.known_mass is None:
-        if kept_parts is not None and options.torques == "chain" and not question.resting:
+        if (
+            kept_parts is not None
+            and options.torques == "chain"
+            and not question.resting
+        ):
             progress.stage(Detail("Fitting the model file..."))
             carried, _ = written_payload(weighed)
             file = fit_file(fitter, options, kept_parts, free, carried=carried)
             weighed = replace(weighed, file=file)
         return weighed, weighed
     fit = fitter.fit(question, choice, free.point)
-    return Answer(fit, None, fit_errors(fit), held_out_validation(fit), (), candidates), weighed
+    return Answer(
+        fit, None, fit_errors(fit), held_out_validation(fit), (), candidates
+    ), weighed
 
 
 def refit(answer: Answer, used: Sequence[Mask], kept_parts: tuple[str, ...]) -> Answer:
     """Return the answer from the used rows of its recordings, with all choices made again."""
     fit = answer.fit
-    datasets = [replace(dataset, used=mask) for dataset, mask in zip(fit.columns.datasets, used)]
-    return answer_link(answer.robot, datasets, fit.question.options, Progress(), kept_parts)
+    datasets = [
+        replace(dataset, used=mask) for dataset, mask in zip(fit.columns.datasets, used)
+    ]
+    return answer_link(
+        answer.robot, datasets, fit.question.options, Progress(), kept_parts
+    )
 
 
 def _passes(progress: Progress) -> Callable[[], None]:
@@ -233,12 +266,18 @@ def validate_datasets(
     fit: Fit, errors: FitErrors, datasets: Sequence[Dataset], source: str
 ) -> Validation:
     """Return the error of a fit in other recordings; InputError as in ``validate_rows``."""
-    columns = Columns(fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings)
+    columns = Columns(
+        fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings
+    )
     samples = columns.samples(replace(fit.point, values=fit.values))
-    return validate_rows(fit, errors, evidence_of([samples], fit.evidence.torque), source)
+    return validate_rows(
+        fit, errors, evidence_of([samples], fit.evidence.torque), source
+    )
 
 
-def validate_rows(fit: Fit, errors: FitErrors, data: Evidence, source: str) -> Validation:
+def validate_rows(
+    fit: Fit, errors: FitErrors, data: Evidence, source: str
+) -> Validation:
     """Return the error with which a fit predicts the torques of rows that were not fitted.
 
     Raises:
@@ -253,12 +292,16 @@ def validate_rows(fit: Fit, errors: FitErrors, data: Evidence, source: str) -> V
     validation = validation_of(joints, residual, squares, counts, source)
     noise = counts[None] * fit.noise**2
     told_enough = is_informative(
-        residual[None], noise, lambda: noise + _prediction_variance(fit, errors, data.whole)
+        residual[None],
+        noise,
+        lambda: noise + _prediction_variance(fit, errors, data.whole),
     )
     return replace(validation, told_enough=told_enough)
 
 
-def _prediction_variance(fit: Fit, errors: FitErrors, data: SquareRootInformation) -> Array:
+def _prediction_variance(
+    fit: Fit, errors: FitErrors, data: SquareRootInformation
+) -> Array:
     """Return the variance (joints,) of the torques that a fit predicts, summed over the rows of
     other data [N^2 m^2]; infinite where the fit does not identify a parameter of a joint's torque.
     """

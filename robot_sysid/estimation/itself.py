@@ -47,7 +47,9 @@ def identify_itself(
     """
     progress.stage("Running MuJoCo simulation...")
     model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
-    equations = Equations(robot, options.torques, friction_per_joint(robot, "terminal", model))
+    equations = Equations(
+        robot, options.torques, friction_per_joint(robot, "terminal", model)
+    )
     simulated = simulate_inverse(robot, motion_chunks(plan, rate))
     count = math.ceil(sample_count(plan.duration, rate) / CHUNK)
     tracked = progress.track(simulated, "Collecting regressor data", count)
@@ -67,11 +69,17 @@ def identify_itself(
         notes=robot.notes,
     )
 
-    return result, partial(_traces_of_itself, robot, plan, options.torques, model, estimate)
+    return result, partial(
+        _traces_of_itself, robot, plan, options.torques, model, estimate
+    )
 
 
 def _traces_of_itself(
-    robot: RobotModel, plan: MotionPlan, torques: str, model: FrictionModel, estimate: Estimate
+    robot: RobotModel,
+    plan: MotionPlan,
+    torques: str,
+    model: FrictionModel,
+    estimate: Estimate,
 ) -> Traces:
     """Return the traces for a report, from records alone: MuJoCo's data is not safely pickled."""
     from robot_sysid.estimation.answer import make_traces
@@ -81,7 +89,9 @@ def _traces_of_itself(
     motion = spread_motion(plan, _DRAWN)
     (measurement,) = simulate_inverse(robot, [motion])
     samples = equations_at(equations, measurement)
-    values, prior = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
+    values, prior = (
+        dict(zip(equations.names, v)) for v in (estimate.values, equations.prior)
+    )
     return make_traces(robot, [samples], [motion], values, prior)
 
 

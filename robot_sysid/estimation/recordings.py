@@ -29,7 +29,12 @@ from robot_sysid.estimation.choices import HeldOut, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
-from robot_sysid.estimation.unknowns import FRICTION, WEIGHT, Unknowns, independent_prior
+from robot_sysid.estimation.unknowns import (
+    FRICTION,
+    WEIGHT,
+    Unknowns,
+    independent_prior,
+)
 from robot_sysid.estimation.verdict import is_informative
 from robot_sysid.records import Array, Flange, SquareRootInformation, Validation
 from robot_sysid.records.figures import percent
@@ -63,7 +68,8 @@ def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> Decimated
     """Return a recording's rows in the estimated parameters, with all held ones subtracted."""
     rows_by_joint = list(ChosenRows((samples,), unknowns))
     columns = [
-        np.searchsorted(unknowns.kept, at[np.isin(at, unknowns.kept)]) for at in samples.columns
+        np.searchsorted(unknowns.kept, at[np.isin(at, unknowns.kept)])
+        for at in samples.columns
     ]
     return replace(
         samples,
@@ -142,7 +148,11 @@ class FrictionOfLogs:
     def terms_of(self, owner: str) -> dict[str, int]:
         """Return the friction terms of a joint or a motor, each with its index in ``names``."""
         split = [name.partition("[") for name in self.names]
-        return {term: k for k, (term, _, suffix) in enumerate(split) if suffix == f"{owner}]"}
+        return {
+            term: k
+            for k, (term, _, suffix) in enumerate(split)
+            if suffix == f"{owner}]"
+        }
 
     @property
     def note(self) -> tuple[str, ...]:
@@ -150,7 +160,9 @@ class FrictionOfLogs:
         if not self.differences:
             return ()
         worst = list(self.differences.items())
-        listed = ", ".join(f"{joint} by {percent(share)}" for joint, share in worst[:MOST_NAMED])
+        listed = ", ".join(
+            f"{joint} by {percent(share)}" for joint, share in worst[:MOST_NAMED]
+        )
         more = f" and {len(worst) - MOST_NAMED} more" if len(worst) > MOST_NAMED else ""
         return (
             f"friction differs between the logs by more than its errors: {listed}{more}; "
@@ -177,7 +189,9 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
     Args:
         names: the log of each dataset.
     """
-    logs = {name: [s for s, n in zip(fit.samples, names) if n == name] for name in names}
+    logs = {
+        name: [s for s, n in zip(fit.samples, names) if n == name] for name in names
+    }
     if len(logs) < 2:
         return LogComparison()
     data = evidence_of(logs.values(), fit.evidence.torque)
@@ -192,7 +206,11 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
     joints = [joint.joint for joint in fit.evidence.whole.joints]
     tests = tuple(
         validation_of(
-            joints, error, square, sample_counts(block), f"{name}, predicted from the other logs"
+            joints,
+            error,
+            square,
+            sample_counts(block),
+            f"{name}, predicted from the other logs",
         )
         for k, (name, block, error, square) in enumerate(
             zip(logs, data.blocks, errors, data.squared_torque)
@@ -201,7 +219,8 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
     )
     unknowns = fit.unknowns
     own_rows = {
-        name: [restrict_samples(block, unknowns) for block in log] for name, log in logs.items()
+        name: [restrict_samples(block, unknowns) for block in log]
+        for name, log in logs.items()
     }
     friction = friction_of_logs(fit, own_rows, data.blocks)
     masses = {}
@@ -252,12 +271,16 @@ def friction_of_logs(
     between = compare_logs(normals, prior, indices, values, sizes, kinds)
 
     joints = dict.fromkeys(owners.tolist())
-    rubbing = {joint: np.flatnonzero((owners == joint) & (terms != "offset")) for joint in joints}
+    rubbing = {
+        joint: np.flatnonzero((owners == joint) & (terms != "offset"))
+        for joint in joints
+    }
     differences = {}
     for joint, terms_of_joint in rubbing.items():
         if len(terms_of_joint) and between.differ(terms_of_joint, len(joints)):
             share = _largest_difference(
-                between.values[:, terms_of_joint], squares[terms_of_joint][:, terms_of_joint]
+                between.values[:, terms_of_joint],
+                squares[terms_of_joint][:, terms_of_joint],
             )
             if share > LEAST_DIFFERENCE:
                 differences[joint] = share
@@ -270,10 +293,17 @@ def _friction_names(unknowns: Unknowns) -> list[str]:
     logs, and without the terms that are nuisances.
     """
     nuisances = {
-        name for group in unknowns.groups if group.cause == FRICTION for name in group.names
+        name
+        for group in unknowns.groups
+        if group.cause == FRICTION
+        for name in group.names
     }
     terms = TERMS.keys() - {"armature"}
-    return [n for n in unknowns.kept_names if n not in nuisances and n.partition("[")[0] in terms]
+    return [
+        n
+        for n in unknowns.kept_names
+        if n not in nuisances and n.partition("[")[0] in terms
+    ]
 
 
 def _weights_beside_friction(
@@ -285,7 +315,9 @@ def _weights_beside_friction(
     values = fit.values[fit.unknowns.kept]
     weights = np.zeros(len(log[0].columns))
     for joint, columns in enumerate(log[0].columns):
-        rows, tau = (np.concatenate(pieces) for pieces in zip(*[p.in_use(joint) for p in log]))
+        rows, tau = (
+            np.concatenate(pieces) for pieces in zip(*[p.in_use(joint) for p in log])
+        )
         if not len(tau):
             continue
         residual = tau - rows @ values[columns]
@@ -312,7 +344,9 @@ def _largest_difference(values: Array, squares: Array) -> float:
     return math.sqrt(squared / torque) if torque > 0.0 else math.inf
 
 
-def _agreement(masses: Mapping[str, tuple[float, float]], has_same_friction: bool) -> Iterator[str]:
+def _agreement(
+    masses: Mapping[str, tuple[float, float]], has_same_friction: bool
+) -> Iterator[str]:
     """Yield sentences on how far the masses of the logs agree, (mass, standard error) each [kg]."""
     identified = {name: pair for name, pair in masses.items() if 0.0 < pair[1] < np.inf}
     phrases = [
@@ -350,16 +384,22 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
     indices = np.searchsorted(unknowns.kept, fit.columns.at(PAYLOAD_NAMES))
     for is_loaded in (False, True):
         same = [k for k, log in enumerate(recordings) if log.is_loaded is is_loaded]
-        others = [k for k, log in enumerate(recordings) if log.is_loaded is not is_loaded]
+        others = [
+            k for k, log in enumerate(recordings) if log.is_loaded is not is_loaded
+        ]
         for k in same if len(same) > 1 else ():
             values, *spread = estimate_alone(
                 [logs[i] for i in (k, *others)], unknowns.groups, prior, fit.noise
             )
             theta = flange.to_flange(values[indices])
-            noise, error = (float(np.sqrt(matrix[indices[0], indices[0]])) for matrix in spread)
+            noise, error = (
+                float(np.sqrt(matrix[indices[0], indices[0]])) for matrix in spread
+            )
             mass = float(theta[0])
             com = theta[1:4] / mass if mass else np.full(3, np.nan)
-            payloads.append(OneRecording(recordings[k].name, is_loaded, mass, com, noise, error))
+            payloads.append(
+                OneRecording(recordings[k].name, is_loaded, mass, com, noise, error)
+            )
     return tuple(payloads)
 
 
@@ -376,7 +416,10 @@ def contradiction(fit: Fit, flange: Flange) -> str:
     differences: list[tuple[float, int, str]] = []
     if len(kinds) < 3:
         return ""
-    for samples in (lambda: fit.samples, lambda: fit.columns.samples(fit.columns.start())):
+    for samples in (
+        lambda: fit.samples,
+        lambda: fit.columns.samples(fit.columns.start()),
+    ):
         bodies, covariance = bodies_apart(fit, samples())
         differences = sorted(_differences(kinds, bodies, covariance))
         if not differences:
@@ -430,11 +473,17 @@ def _differences(
         sizes = {
             "mass": (abs(change[0]), LEAST_MASS * mass, slice(0, 4)),
             "centre of mass": (np.linalg.norm(moved), LEAST_PLACE * mass, slice(0, 4)),
-            "inertia": (np.max(np.abs(change[4:])), LEAST_GYRATION**2 * mass, slice(4, 10)),
+            "inertia": (
+                np.max(np.abs(change[4:])),
+                LEAST_GYRATION**2 * mass,
+                slice(4, 10),
+            ),
         }
         for quantity, (size, least, block) in sizes.items():
             off = change[block]
-            ratio = float(np.sqrt(off @ np.linalg.solve(spread[block, block], off) / len(off)))
+            ratio = float(
+                np.sqrt(off @ np.linalg.solve(spread[block, block], off) / len(off))
+            )
             if size > least and ratio > SURE_MISFIT:
                 yield ratio, number, quantity
 

@@ -88,7 +88,9 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
     status, reasons = first(findings, verdict)
     if share > UNEXPLAINED:
         better = status is Verdict.BETTER
-        status = Verdict.TORQUES_ONLY if better else first(findings, Verdict.UNEXPLAINED)[0]
+        status = (
+            Verdict.TORQUES_ONLY if better else first(findings, Verdict.UNEXPLAINED)[0]
+        )
         reasons = (*reasons, sentence)
     contradicted = tuple(wrong_links(links[:-1]))
     notes += tuple(map(_wrong_link_line, contradicted))
@@ -100,8 +102,12 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
         wrong_links=contradicted,
         file=file,
         validation=tests,
-        notes=tuple(dict.fromkeys((*robot.notes, *notes, *_result_notes(answer, file)))),
-        base=None if fit.columns.torques == "terminal" else base_parameters(fit, answer.errors),
+        notes=tuple(
+            dict.fromkeys((*robot.notes, *notes, *_result_notes(answer, file)))
+        ),
+        base=None
+        if fit.columns.torques == "terminal"
+        else base_parameters(fit, answer.errors),
     )
 
 
@@ -136,14 +142,22 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
         torques=fit.columns.torques,
         data=data,
         joints={name: joints[name] for name in robot.joint_names},
-        couplings={name: joint for name, joint in joints.items() if name not in robot.joint_names},
+        couplings={
+            name: joint
+            for name, joint in joints.items()
+            if name not in robot.joint_names
+        },
         sensors=answer.sensors(),
         friction_model=models.pop() if len(models) == 1 else "per joint",
         cutoff=signals[0].cutoff if signals else None,
-        link_scales={name: getattr(fit.choice.link_scales, name) for name in LINK_KINDS},
+        link_scales={
+            name: getattr(fit.choice.link_scales, name) for name in LINK_KINDS
+        },
         conflicts=answer.errors.conflicts,
         delay=fit.value(DELAY_NAME) if options.delay == "auto" else None,
-        tilt=math.hypot(*map(fit.value, TILT_NAMES)) if options.tilt == "auto" else None,
+        tilt=math.hypot(*map(fit.value, TILT_NAMES))
+        if options.tilt == "auto"
+        else None,
     )
 
 
@@ -178,14 +192,18 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
                 "positions"
             )
     if file is not None and file.gravity is not None:
-        angle = math.degrees(math.hypot(*tilt_angles(gravity(answer.robot), file.gravity)))
+        angle = math.degrees(
+            math.hypot(*tilt_angles(gravity(answer.robot), file.gravity))
+        )
         yield (
             f"the written model's gravity is turned by {angle:.2f} degrees: the base is tilted by "
             "that, or encoder zeros look like it (--keep gravity leaves it alone)"
         )
 
 
-def payload_of(answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin) -> Result:
+def payload_of(
+    answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin
+) -> Result:
     """Return the result for a payload.
 
     Args:
@@ -232,7 +250,11 @@ def _payload_estimate(
     """Return the payload at values (p,), and the terminal link without and with it."""
     columns = answer.fit.columns
     known_mass = answer.fit.question.known_mass
-    scales = {joint: answer.figure(f"scale[{joint}]") for joint in columns.joints if known_mass}
+    scales = {
+        joint: answer.figure(f"scale[{joint}]")
+        for joint in columns.joints
+        if known_mass
+    }
     return Payload(
         flange,
         _payload(answer, flange, values),
@@ -243,7 +265,10 @@ def _payload_estimate(
             for side, loaded in (("empty", False), ("loaded", True))
         },
         scatter,
-        {joint: Figure(1.0 + scale.value, scale.error) for joint, scale in scales.items()},
+        {
+            joint: Figure(1.0 + scale.value, scale.error)
+            for joint, scale in scales.items()
+        },
         known_mass,
     )
 
@@ -253,8 +278,12 @@ def _without_inertia(payload: Payload) -> Payload:
     is_first = np.arange(10) < 4  # mass and first moments
     body = payload.body
     total = payload.total
-    body = replace(body, shown=body.shown & is_first, data_share=body.data_share * is_first)
-    return replace(payload, body=body, total=replace(total, shown=total.shown & is_first))
+    body = replace(
+        body, shown=body.shown & is_first, data_share=body.data_share * is_first
+    )
+    return replace(
+        payload, body=body, total=replace(total, shown=total.shown & is_first)
+    )
 
 
 def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
@@ -262,7 +291,9 @@ def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
     judged = _file_verdict(answer)
     if judged is None or judged[0].is_trustworthy:
         return (None, ()) if judged is None else model_file(answer)
-    return None, (f"the written model is the arm's own with the payload on it: {judged[1]}",)
+    return None, (
+        f"the written model is the arm's own with the payload on it: {judged[1]}",
+    )
 
 
 def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
@@ -280,4 +311,6 @@ def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
         change = change + answer.pick(PAYLOAD_NAMES)
         theta = theta + values[answer.fit.columns.at(PAYLOAD_NAMES)]
     name = answer.robot.body_name
-    return answer.body(name, change, theta, None if loaded else answer.robot.prior.theta)
+    return answer.body(
+        name, change, theta, None if loaded else answer.robot.prior.theta
+    )

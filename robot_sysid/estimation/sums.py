@@ -70,7 +70,11 @@ class Settled:
 
     def differences(self, other: Settled) -> list[str]:
         """Return the settings that differ, in words."""
-        labels = {"model": "the model", "joint": "the terminal joint", "around": "the first round"}
+        labels = {
+            "model": "the model",
+            "joint": "the terminal joint",
+            "around": "the first round",
+        }
         ours, theirs = (
             dict(vars(settled.estimation), **vars(settled)) for settled in (self, other)
         )
@@ -132,7 +136,9 @@ class LogInformation:
         blocks = tuple(combine(pair) for pair in pairs)
         return LogInformation(
             settled=self.settled,
-            evidence=Evidence(blocks, squares, np.sqrt(sums["torque"] / sums["samples"])),
+            evidence=Evidence(
+                blocks, squares, np.sqrt(sums["torque"] / sums["samples"])
+            ),
             residuals=tuple(a + b for a, b in zip(self.residuals, other.residuals)),
             acceleration_error=max(self.acceleration_error, other.acceleration_error),
             notes=tuple(dict.fromkeys((*self.notes, *other.notes)))[:MOST_NOTES],
@@ -147,7 +153,9 @@ class LogInformation:
     def origin(self) -> DataOrigin:
         """Where the data comes from."""
         detail = f"{self.logs} log{'s' if self.logs > 1 else ''}, added"
-        return DataOrigin(Source.LOG, detail, self.duration, self.samples / self.duration)
+        return DataOrigin(
+            Source.LOG, detail, self.duration, self.samples / self.duration
+        )
 
     @property
     def checkpoints(self) -> Motion:
@@ -172,7 +180,11 @@ def settled_options(options: EstimationOptions) -> EstimationOptions:
             "cutoff=HZ, such as identify(...).result.cutoff of one of them"
         )
     for name, value, remedy in (
-        ("friction_model", CHOSEN, "name one, such as the default coulomb-viscous-offset-armature"),
+        (
+            "friction_model",
+            CHOSEN,
+            "name one, such as the default coulomb-viscous-offset-armature",
+        ),
         ("delay", "auto", "put a delay right in the logs' time stamps"),
         ("tilt", "auto", "turn the gravity of the model"),
     ):
@@ -226,7 +238,11 @@ class _Fixed(Fitter):
         return np.array([memory_of(joint.products, joint.count) for joint in residuals])
 
     def fit(
-        self, question: Question, choice: Choice, point: Point | None = None, rounds: int = 1
+        self,
+        question: Question,
+        choice: Choice,
+        point: Point | None = None,
+        rounds: int = 1,
     ) -> Fit:
         """Return the fit around the fitter's own point."""
         return self.solve_around(self._point, question, choice)
@@ -254,12 +270,20 @@ def log_information(
     if around is not None:
         differences = settled.differences(replace(around.settled, around=""))
         if differences:
-            raise InputError(f"the first round was settled differently: {', '.join(differences)}")
+            raise InputError(
+                f"the first round was settled differently: {', '.join(differences)}"
+            )
         settled = replace(settled, around=around.digest())
-    datasets, messages = low_pass_recordings(robot, [Piece("", log) for log in logs], options)
+    datasets, messages = low_pass_recordings(
+        robot, [Piece("", log) for log in logs], options
+    )
     columns = Columns(robot, datasets, options.torques, couplings_of(robot, options)[0])
     first = None if around is None else _fit_sum(robot, around)
-    point = columns.start() if first is None else replace(columns.start(), values=first.values)
+    point = (
+        columns.start()
+        if first is None
+        else replace(columns.start(), values=first.values)
+    )
     samples = columns.samples(point)
     torque = np.sum([np.sum(dataset.torque**2, axis=0) for dataset in datasets], axis=0)
     count = sum(len(dataset.torque) for dataset in datasets)
@@ -279,7 +303,9 @@ def log_information(
         duration=sum(float(log.time[-1] - log.time[0]) for log in logs),
         logs=1,
         acceleration_error=max(
-            dataset.signals.acceleration_error for dataset in datasets if dataset.signals
+            dataset.signals.acceleration_error
+            for dataset in datasets
+            if dataset.signals
         ),
         notes=tuple(dict.fromkeys((*notes, *messages)))[:MOST_NOTES],
     )
@@ -297,7 +323,9 @@ def _fit_sum(robot: RobotModel, information: LogInformation) -> Fit:
     return fitter.fit(question, choice)
 
 
-def _sample_rows(dataset: Dataset, samples: DecimatedSamples, values: Array) -> RowSample:
+def _sample_rows(
+    dataset: Dataset, samples: DecimatedSamples, values: Array
+) -> RowSample:
     pairs = zip(samples, samples.columns)
     residuals = [tau - rows @ values[columns] for (_, rows, tau), columns in pairs]
     assert dataset.signals is not None
@@ -307,7 +335,9 @@ def _sample_rows(dataset: Dataset, samples: DecimatedSamples, values: Array) -> 
 
 
 def answer_from(
-    robot: RobotModel, information: LogInformation, validation: LogInformation | None = None
+    robot: RobotModel,
+    information: LogInformation,
+    validation: LogInformation | None = None,
 ) -> Answer:
     """Return the estimate of an arm from the sum of a second round.
 
@@ -317,7 +347,9 @@ def answer_from(
     Raises:
         InputError: this is a first round, or the settings of model or options differ.
     """
-    settled = replace(information.settled, model=robot.sha256, joint=robot.terminal_joint)
+    settled = replace(
+        information.settled, model=robot.sha256, joint=robot.terminal_joint
+    )
     differences = settled.differences(
         information.settled if validation is None else validation.settled
     )
@@ -333,7 +365,9 @@ def answer_from(
         )
     fit = _fit_sum(robot, information)
     options = information.settled.estimation
-    residuals = [joint.shorten() for joint in residuals_within(fit, information.residuals)]
+    residuals = [
+        joint.shorten() for joint in residuals_within(fit, information.residuals)
+    ]
     errors = fit_errors(fit, residuals, information.pull)
     fixed = _Fixed(robot, information, fit.point)
     file = fit_file(fixed, options, (FILE_GRAVITY,), fit, information.pull)
@@ -341,10 +375,20 @@ def answer_from(
     if validation is not None:
         tests = (
             validate_rows(
-                fit, errors, validation.evidence, f"{validation.origin.detail}, not fitted"
+                fit,
+                errors,
+                validation.evidence,
+                f"{validation.origin.detail}, not fitted",
             ),
         )
     single_logs = held_out_validation(fit)
     return Answer(
-        fit, file, errors, single_logs, tests, {}, information.acceleration_error, information.notes
+        fit,
+        file,
+        errors,
+        single_logs,
+        tests,
+        {},
+        information.acceleration_error,
+        information.notes,
     )

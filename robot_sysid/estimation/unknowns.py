@@ -14,7 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling, FrictionModel, speed_name
+from robot_sysid.dynamics.friction import (
+    FADING_SPEEDS,
+    Coupling,
+    FrictionModel,
+    speed_name,
+)
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.nuisances import (
@@ -199,12 +204,16 @@ class Unknowns:
             self,
             kept=np.setdiff1d(self.kept, crossing),
             held=held,
-            groups=tuple(_restrict_groups(self.groups, {*self.kept_names}.difference(names))),
+            groups=tuple(
+                _restrict_groups(self.groups, {*self.kept_names}.difference(names))
+            ),
             at_bound=(*self.at_bound, *names),
         )
 
 
-def _restrict_groups(groups: Iterable[NuisanceGroup], names: set[str]) -> Iterator[NuisanceGroup]:
+def _restrict_groups(
+    groups: Iterable[NuisanceGroup], names: set[str]
+) -> Iterator[NuisanceGroup]:
     """Yield the prior of the named parameters, which are independent of all others of a group."""
     for group in groups:
         indices = [k for k, name in enumerate(group.names) if name in names]
@@ -222,7 +231,11 @@ def _restrict_groups(groups: Iterable[NuisanceGroup], names: set[str]) -> Iterat
 
 
 def build_unknowns(
-    columns: Columns, question: Question, choice: Choice, torque: Array, nonzero: NDArray[np.bool_]
+    columns: Columns,
+    question: Question,
+    choice: Choice,
+    torque: Array,
+    nonzero: NDArray[np.bool_],
 ) -> Unknowns:
     """Return the unknowns of a question.
 
@@ -242,7 +255,9 @@ def build_unknowns(
     lower = np.full(len(columns.names), -np.inf)
     upper = -lower
     # Friction terms that only a prior allows for may have either sign.
-    in_prior = {name for group in groups if group.cause == FRICTION for name in group.names}
+    in_prior = {
+        name for group in groups if group.cause == FRICTION for name in group.names
+    }
     for name in friction_names - in_prior:
         term, _, owner = name.partition("[")
         curved = term == "viscous" and "sqrt" in terms[owner[:-1]]
@@ -257,7 +272,9 @@ def build_unknowns(
         groups.append(replace(payload, mean=np.array([question.known_mass])))
     elif question.loaded:
         groups += [_no_common_scale(group) for group in groups if group.cause == SCALES]
-    return Unknowns(columns.names, kept, held, tuple(groups), lower, upper, bodies, settling)
+    return Unknowns(
+        columns.names, kept, held, tuple(groups), lower, upper, bodies, settling
+    )
 
 
 def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
@@ -268,10 +285,15 @@ def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
     for motor in choice.couplings:
         turned = [choice.friction[k] for k in np.flatnonzero(motor.ratios)]
         terms = {term for model in turned for term in model.terms} & {*motor.terms}
-        yield motor.name, terms - ({"armature"} if motor.name in choice.rotors else set())
+        yield (
+            motor.name,
+            terms - ({"armature"} if motor.name in choice.rotors else set()),
+        )
 
 
-def _settling_names(columns: Columns, question: Question, choice: Choice) -> Iterator[str]:
+def _settling_names(
+    columns: Columns, question: Question, choice: Choice
+) -> Iterator[str]:
     """Yield the names of parameters that are increments of the linearisation point."""
     tilts = [name for name in TILT_NAMES if name in columns.place]
     if question.in_file:
@@ -314,7 +336,10 @@ def _bodies(
 ) -> Iterator[tuple[str, tuple[NDArray[np.int64], Array]]]:
     """Yield each unknown body's name, indices of its parameters (10,) and a usual body (10,)."""
     last = columns.robot.body_name
-    others = question.options.link_uncertainty > 0.0 and FILE_LINKS not in question.kept_parts
+    others = (
+        question.options.link_uncertainty > 0.0
+        and FILE_LINKS not in question.kept_parts
+    )
     for name, indices in columns.bodies().items():
         is_unknown = question.loaded if name == "payload" else name == last or others
         if is_unknown:
@@ -376,7 +401,9 @@ def _prior_groups(
             yield with_common(prior, choice.common_scale) if cause == SCALES else prior
     delay_error = 0.0 if question.resting else MILLI * options.delay_uncertainty
     if options.delay == "off" and delay_error > 0.0:
-        yield independent_prior(DELAY, (DELAY_NAME,), ("the torque",), delay_error, may_widen)
+        yield independent_prior(
+            DELAY, (DELAY_NAME,), ("the torque",), delay_error, may_widen
+        )
     if tilts and options.tilt == "off" and options.gravity_uncertainty > 0.0:
         deviation = float(np.radians(options.gravity_uncertainty))
         yield independent_prior(TILT, tilts, ("the base",) * 2, deviation, may_widen)
@@ -417,7 +444,9 @@ def _friction_group(
                 members.append(joint)
                 deviations.append(max(float(joint_deviations[k]), _EXACT))
     if names:
-        yield independent_prior(FRICTION, names, members, np.array(deviations), question.loaded)
+        yield independent_prior(
+            FRICTION, names, members, np.array(deviations), question.loaded
+        )
 
 
 def expected_dry_friction(columns: Columns, torque: Array) -> tuple[float, ...]:
@@ -429,7 +458,9 @@ def expected_dry_friction(columns: Columns, torque: Array) -> tuple[float, ...]:
     return tuple(dry.tolist())
 
 
-def _link_group(columns: Columns, question: Question, choice: Choice) -> NuisanceGroup | None:
+def _link_group(
+    columns: Columns, question: Question, choice: Choice
+) -> NuisanceGroup | None:
     """Return the model's prior of all links but the terminal one; None where none is unknown.
 
     A placeholder is not believed: it may be anything between nothing and two usual bodies.
@@ -444,15 +475,22 @@ def _link_group(columns: Columns, question: Question, choice: Choice) -> Nuisanc
     usual_bodies = [bodies[name][1] for name in names]
     lengths = link_lengths(robot, links)
     factor = np.zeros((10 * len(links), 10 * len(links)))
-    is_believed = [usual_bodies[k] is robot.links[link].theta for k, link in enumerate(links)]
+    is_believed = [
+        usual_bodies[k] is robot.links[link].theta for k, link in enumerate(links)
+    ]
     blocks = [(np.flatnonzero(is_believed), share, choice.link_scales)]
-    blocks += [(np.array([k]), 1.0, AS_STATED) for k in np.flatnonzero(np.logical_not(is_believed))]
+    blocks += [
+        (np.array([k]), 1.0, AS_STATED)
+        for k in np.flatnonzero(np.logical_not(is_believed))
+    ]
     for block_links, deviation, scales in blocks:
         if len(block_links):
             indices = np.add.outer(10 * block_links, np.arange(10)).ravel()
             thetas = [usual_bodies[k] for k in block_links]
             block_lengths = [lengths[k] for k in block_links]
-            factor[np.ix_(indices, indices)] = link_factor(thetas, deviation, block_lengths, scales)
+            factor[np.ix_(indices, indices)] = link_factor(
+                thetas, deviation, block_lengths, scales
+            )
     indices = np.concatenate([bodies[name][0] for name in names])
     members = tuple(name for name in names for _ in PARAMETER_NAMES)
     parameter_names = tuple(columns.names[k] for k in indices)

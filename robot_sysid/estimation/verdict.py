@@ -16,7 +16,13 @@ from robot_sysid.estimation.columns import PLACEHOLDER, usual_bodies
 from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.model.inertia import link_reach
-from robot_sysid.records import Array, InertialParameters, RobotModel, Validation, WrongLink
+from robot_sysid.records import (
+    Array,
+    InertialParameters,
+    RobotModel,
+    Validation,
+    WrongLink,
+)
 from robot_sysid.records.figures import percent, with_error
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 
@@ -75,16 +81,22 @@ Judged = tuple[Verdict, str]
 """A verdict and its reason in words."""
 
 
-def first(findings: Iterable[Judged], otherwise: Verdict) -> tuple[Verdict, tuple[str, ...]]:
+def first(
+    findings: Iterable[Judged], otherwise: Verdict
+) -> tuple[Verdict, tuple[str, ...]]:
     """Return (verdict of the first finding, else the given one; reasons of all findings)."""
     judged = list(findings)
-    return (judged[0][0] if judged else otherwise), tuple(reason for _, reason in judged)
+    return (judged[0][0] if judged else otherwise), tuple(
+        reason for _, reason in judged
+    )
 
 
 def _error_ratio(squared: Array, expected: Array) -> float:
     """Return root mean square errors over expected ones, of squares (blocks, joints) of both."""
     used = np.any(expected > 0.0, axis=0)
-    return float(np.sqrt(np.mean(squared.sum(axis=0)[used] / expected.sum(axis=0)[used])))
+    return float(
+        np.sqrt(np.mean(squared.sum(axis=0)[used] / expected.sum(axis=0)[used]))
+    )
 
 
 def is_informative(squared: Array, noise: Array, variance: Callable[[], Array]) -> bool:
@@ -103,7 +115,10 @@ def is_informative(squared: Array, noise: Array, variance: Callable[[], Array]) 
     expected = variance()
     is_known = np.all(np.isfinite(expected), axis=0)
     expected = expected[:, is_known]
-    return bool(np.any(expected)) and _error_ratio(squared[:, is_known], expected) > NOISE_EXPLAINS
+    return (
+        bool(np.any(expected))
+        and _error_ratio(squared[:, is_known], expected) > NOISE_EXPLAINS
+    )
 
 
 def find_misfits(
@@ -127,7 +142,9 @@ def find_misfits(
         )
     for test in (test for test in tests if test.told_enough):
         errors = test.rmse_per_joint
-        squares = [(errors[joint] / noise[joint]) ** 2 for joint in noise if joint in errors]
+        squares = [
+            (errors[joint] / noise[joint]) ** 2 for joint in noise if joint in errors
+        ]
         ratio = float(np.sqrt(np.mean(squares or [0.0])))
         if ratio > NOISE_EXPLAINS and (test.relative_error or 0.0) > HARMLESS:
             yield (
@@ -136,7 +153,9 @@ def find_misfits(
                 "of the fit allows",
             )
     torque = dict(zip(fit.columns.robot.joint_names, fit.evidence.torque.tolist()))
-    shares = {joint: noise[joint] / torque[joint] for joint in noise if torque.get(joint)}
+    shares = {
+        joint: noise[joint] / torque[joint] for joint in noise if torque.get(joint)
+    }
     for joint, share in shares.items():
         others = [shares[other] for other in shares if other != joint]
         if (
@@ -151,7 +170,9 @@ def find_misfits(
             )
 
 
-def unexplained_share(fit: Fit, independent_share: Mapping[str, float]) -> tuple[float, str]:
+def unexplained_share(
+    fit: Fit, independent_share: Mapping[str, float]
+) -> tuple[float, str]:
     """Return the share of all torque that neither model nor noise explains, and a sentence on it.
 
     Args:
@@ -167,7 +188,9 @@ def unexplained_share(fit: Fit, independent_share: Mapping[str, float]) -> tuple
     total = np.linalg.norm([torque[joint] for joint in slow])
     share = float(np.linalg.norm([*slow.values()]) / total) if slow else 0.0
     largest = sorted(slow, key=lambda joint: -slow[joint])[:3]
-    by_joint = ", ".join(f"{percent(slow[joint] / torque[joint])} of {joint}" for joint in largest)
+    by_joint = ", ".join(
+        f"{percent(slow[joint] / torque[joint])} of {joint}" for joint in largest
+    )
     return share, (
         f"{percent(share)} of the torque is explained by neither the model nor noise ({by_joint})"
     )
@@ -180,12 +203,17 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judged]:
     if not body.mass > 0.0:
         return
     reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
-    arm = reach + sum(float(np.linalg.norm(other.translation)) for other in robot.links[1:])
+    arm = reach + sum(
+        float(np.linalg.norm(other.translation)) for other in robot.links[1:]
+    )
     off = _SURE * float(np.linalg.norm(errors[1:4])) / body.mass
     distance = float(np.linalg.norm(body.com))
     where = f"on a link that reaches {reach:.2g} m"
     if distance - off > reach + COM_BEYOND * arm:
-        yield Verdict.IMPLAUSIBLE, f"the centre of mass is {distance:.2g} m away {where}"
+        yield (
+            Verdict.IMPLAUSIBLE,
+            f"the centre of mass is {distance:.2g} m away {where}",
+        )
     moment = float(body.principal_moments[-1])
     slack = _SURE * float(np.max(errors[4:10]))
     if moment - slack > body.mass * (reach + GYRATION_BEYOND * arm) ** 2:
@@ -207,7 +235,8 @@ def implausible_joints(
     inertia = robot.mass * robot.length**2
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
         terms = {
-            term: figure.value - _SURE * figure.error for term, figure in joints[name].terms.items()
+            term: figure.value - _SURE * figure.error
+            for term, figure in joints[name].terms.items()
         }
         dry = terms.get("coulomb", terms.get("sigmoid", 0.0))
         rotor = terms.get("armature", 0.0)
@@ -215,9 +244,15 @@ def implausible_joints(
         strongest = DRY_FRICTION * float(np.max(others, initial=0.0)) or np.inf
         # A limit of zero means that the model states none.
         if dry > min(robot.limits.torque[index] or np.inf, strongest):
-            yield Verdict.IMPLAUSIBLE, f"{name} would have {dry:.3g} N m of dry friction or more"
+            yield (
+                Verdict.IMPLAUSIBLE,
+                f"{name} would have {dry:.3g} N m of dry friction or more",
+            )
         if not slide and rotor > inertia > 0.0:
-            yield Verdict.IMPLAUSIBLE, f"{name} would have a rotor of {rotor:.3g} kg m^2 or more"
+            yield (
+                Verdict.IMPLAUSIBLE,
+                f"{name} would have a rotor of {rotor:.3g} kg m^2 or more",
+            )
 
 
 def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
@@ -286,7 +321,9 @@ def of_file(model: Validation, written: Validation, noise: float = 0.0) -> Judge
     new = written.relative_error
     if old is None or new is None:
         return Verdict.NO_BETTER, "the measured torque is zero"
-    sentence = f"torque error of the model on held-out data: {percent(old)} -> {percent(new)}"
+    sentence = (
+        f"torque error of the model on held-out data: {percent(old)} -> {percent(new)}"
+    )
     was_right = old <= WORSE * max(noise, NEGLIGIBLE)
     if new > WORST or (new > WORSE * old + 1e-9 and not was_right):
         return Verdict.NO_BETTER, sentence
@@ -316,7 +353,10 @@ def of_payload(
         yield Verdict.NOT_SEEN, sentence
     elif (validation.relative_error or 0.0) > WORST:
         share = percent(validation.relative_error or 0.0)
-        yield Verdict.UNEXPLAINED, f"held-out torques are predicted with an error of {share}"
+        yield (
+            Verdict.UNEXPLAINED,
+            f"held-out torques are predicted with an error of {share}",
+        )
     else:
         yield from _far_payload(robot, payload.inertial)
 
@@ -325,8 +365,13 @@ def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Jud
     lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
     farthest = FARTHEST_PAYLOAD * max(sum(lengths), LEAST_REACH)
     distance = float(np.linalg.norm(payload.com))
-    gyration = float(np.sqrt(max(np.trace(payload.inertia_com), 0.0) / (2.0 * payload.mass)))
-    for quantity, size in (("centre of mass is", distance), ("radius of gyration is", gyration)):
+    gyration = float(
+        np.sqrt(max(np.trace(payload.inertia_com), 0.0) / (2.0 * payload.mass))
+    )
+    for quantity, size in (
+        ("centre of mass is", distance),
+        ("radius of gyration is", gyration),
+    ):
         if size > farthest:
             yield (
                 Verdict.IMPLAUSIBLE,
@@ -335,7 +380,9 @@ def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Jud
             )
 
 
-def of_known_mass(findings: Sequence[Judged], weighed: float, mass: float) -> Iterator[Judged]:
+def of_known_mass(
+    findings: Sequence[Judged], weighed: float, mass: float
+) -> Iterator[Judged]:
     """Yield reasons why torque scales may not be taken from a known mass [kg].
 
     Args:
@@ -343,7 +390,9 @@ def of_known_mass(findings: Sequence[Judged], weighed: float, mass: float) -> It
         weighed: its mass in that estimate [kg].
     """
     # An implausible size may come from the torque scales, which a known mass corrects.
-    yield from (finding for finding in findings if finding[0] is not Verdict.IMPLAUSIBLE)
+    yield from (
+        finding for finding in findings if finding[0] is not Verdict.IMPLAUSIBLE
+    )
     if not mass / MOST_FACTOR < weighed < mass * MOST_FACTOR:
         reason = f"weighed with torques as they are, {mass:g} kg come out as {weighed:.4g} kg"
         yield Verdict.WRONG_WEIGHT, reason

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.columns import collected
-from robot_sysid.logs.rows import BACKWARDS, MISSING, REPEATED, UNREADABLE, WRAPPED, LogRows
+from robot_sysid.logs.rows import (
+    BACKWARDS,
+    MISSING,
+    REPEATED,
+    UNREADABLE,
+    WRAPPED,
+    LogRows,
+)
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import position
 from robot_sysid.records.progress import Detail
@@ -43,7 +50,11 @@ _LEFT_OUT = {
         "repeat the time stamp before them",
         "write the time with more digits, or 'rate = HZ' in --columns FILE for evenly spaced rows",
     ),
-    BACKWARDS: (0.0, "are of an earlier time", "cut the log where a second recording begins"),
+    BACKWARDS: (
+        0.0,
+        "are of an earlier time",
+        "cut the log where a second recording begins",
+    ),
 }
 # A row or two more than the share may go: the last one of a recording is often cut off.
 _ALWAYS = 1
@@ -78,7 +89,9 @@ _SHORT_PART = 0.02
 _LIMIT_MARGIN = 1e-3
 
 
-def check_log(name: str, rows: LogRows, robot: RobotModel, in_radians: bool) -> tuple[str, ...]:
+def check_log(
+    name: str, rows: LogRows, robot: RobotModel, in_radians: bool
+) -> tuple[str, ...]:
     """Run every check over a log's rows; return one sentence for what is worth knowing, or raise
     InputError with all that is wrong but not what only follows from another fault.
     """
@@ -170,7 +183,9 @@ def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     if period > _LONGEST_STEP:
         unit = "ms" if period <= 50 else "us" if period <= 5e4 else "ns"
         remedy = f"if time is in {unit}, pass --units {unit}"
-        raise InputError(f"time steps of {period:.6g} s are too long for a motion; {remedy}")
+        raise InputError(
+            f"time steps of {period:.6g} s are too long for a motion; {remedy}"
+        )
     if period < _SHORTEST_STEP:
         units = "declare the unit of time with --units (s, ms, us or ns)"
         fault = f"time steps of {period:.3g} s are too short for a recording; {units}"
@@ -192,19 +207,27 @@ def require_one_clock(rows: LogRows, robot: RobotModel) -> None:
     if stamps is None:
         return
     remedy = "keep them out with 'joint_time = none' in the file of --columns"
-    backwards = rows.lines[1:][np.any([np.diff(each) < 0.0 for each in stamps.T], axis=0)]
+    backwards = rows.lines[1:][
+        np.any([np.diff(each) < 0.0 for each in stamps.T], axis=0)
+    ]
     if len(backwards):
         where = rows.listed(backwards)
-        raise InputError(f"a joint's own time stamp runs backwards at {where}; {remedy}")
+        raise InputError(
+            f"a joint's own time stamp runs backwards at {where}; {remedy}"
+        )
     apart = max(np.max(np.abs(each - rows.samples.time)) for each in stamps.T)
     if apart > _OTHER_CLOCK:
-        raise InputError(f"joints' own time stamps are up to {apart:.3g} s off the row's; {remedy}")
+        raise InputError(
+            f"joints' own time stamps are up to {apart:.3g} s off the row's; {remedy}"
+        )
 
 
 def _seconds(period: float) -> str:
     """Return the remedy for time stamps that are so close [s], being of a longer unit."""
     units = {"minutes": 60, "hours": 3600, "days": 86400}
-    fit = [(unit, k) for unit, k in units.items() if 1e-3 <= k * period <= _LONGEST_STEP]
+    fit = [
+        (unit, k) for unit, k in units.items() if 1e-3 <= k * period <= _LONGEST_STEP
+    ]
     scaled = "; if time is in {}, write 'time = {} * TITLE' in --columns FILE"
     return scaled.format(*fit[0]) if fit else ""
 
@@ -215,13 +238,17 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     q = rows.samples.q
     largest = np.maximum(np.max(q, axis=0), -np.min(q, axis=0))
     limit = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
-    reach = np.where(np.isfinite(limit), np.maximum(2.0 * limit, 2.0 * np.pi), 4.0 * np.pi)
+    reach = np.where(
+        np.isfinite(limit), np.maximum(2.0 * limit, 2.0 * np.pi), 4.0 * np.pi
+    )
     hinge = ~robot.is_slide
     far = hinge & (largest > reach)
     fast = hinge & _often_fast(q, np.diff(time))
     if np.any(far):
         turns = np.round(np.median(q, axis=0) / _TURN)
-        near = np.max(np.abs(q - _TURN * turns), axis=0) <= np.where(limit < np.inf, limit, np.pi)
+        near = np.max(np.abs(q - _TURN * turns), axis=0) <= np.where(
+            limit < np.inf, limit, np.pi
+        )
         joint = int(np.argmax(far))
         what = f"joint {robot.joint_names[joint]} reaches {largest[joint]:.4g}"
         count = abs(turns[joint])
@@ -230,17 +257,25 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
                 f"{what} rad, {count:g} full turn{'s' if count > 1 else ''} from the model's zero; "
                 "pass --units rad if it counts turns, which change nothing, or --units deg if not"
             )
-        turned = f", or like {largest[joint] / _TURN:.3g} turns" * bool(limit[joint] == np.inf)
+        turned = f", or like {largest[joint] / _TURN:.3g} turns" * bool(
+            limit[joint] == np.inf
+        )
         fault = f"positions look like degrees{turned} ({what})"
-        raise InputError(f"{fault}; pass --units deg, or --units rad if they are radians")
+        raise InputError(
+            f"{fault}; pass --units deg, or --units rad if they are radians"
+        )
     if np.any(fast):
-        raise InputError(_why_fast(time, q, robot.joint_names[int(np.argmax(fast))], fast))
+        raise InputError(
+            _why_fast(time, q, robot.joint_names[int(np.argmax(fast))], fast)
+        )
 
 
 def _often_fast(q: Array, step: Array) -> Mask:
     """Return (n,) whether joints at (N, n) are often fast in steps of time (R,) of N - R rows."""
     few = len(q) - len(step)
-    return np.array([np.mean(np.abs(x[few:] - x[:-few]) > _FAST * step) > _OFTEN for x in q.T])
+    return np.array(
+        [np.mean(np.abs(x[few:] - x[:-few]) > _FAST * step) > _OFTEN for x in q.T]
+    )
 
 
 def _why_fast(time: Array, q: Array, name: str, fast: Mask) -> str:
@@ -249,7 +284,9 @@ def _why_fast(time: Array, q: Array, name: str, fast: Mask) -> str:
     period = usual_period(time)
     what = f"joint {name} would often exceed {_FAST:g} rad/s"
     if period < _DENSE:
-        return f"time steps of {period:.3g} s are so short that {what}{_seconds(period)}"
+        return (
+            f"time steps of {period:.3g} s are so short that {what}{_seconds(period)}"
+        )
     if not np.any(fast & _often_fast(q, np.maximum(step, np.median(step)))):
         mean = float(np.mean(step))
         return (
@@ -278,7 +315,9 @@ def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
     for name, q in zip(robot.joint_names, rows.samples.q.T):
         jumps = np.abs(np.diff(q)) > least
         if np.any(jumps):
-            each.append(f"of joint {name} jumps at {rows.listed(rows.lines[1:][jumps])}")
+            each.append(
+                f"of joint {name} jumps at {rows.listed(rows.lines[1:][jumps])}"
+            )
     if each:
         raise InputError(f"the position {', '.join(each)}; delete the bad rows")
 
@@ -290,7 +329,9 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     span = np.ptp(q, axis=0)
     if np.all(span < _AT_REST):
         rest = f"the arm is at rest, no joint moves by more than {span.max():.2g} rad"
-        raise InputError(f"{rest}; record a motion (if these are other units, see --units)")
+        raise InputError(
+            f"{rest}; record a motion (if these are other units, see --units)"
+        )
     still = [n for n, s in zip(robot.joint_names, span) if s < _AT_REST]
     if still:
         yield f"joints that do not move in this log: {', '.join(still)}"
@@ -336,7 +377,10 @@ def require_torque(rows: LogRows, robot: RobotModel) -> None:
         said.setdefault(what, []).append(robot.joint_names[joint])
     if said:
         each = (
-            f"of joint {' and '.join(names)} is {what} in every row" for what, names in said.items()
+            f"of joint {' and '.join(names)} is {what} in every row"
+            for what, names in said.items()
         )
         fault = f"the torque {', that '.join(each)}"
-        raise InputError(f"{fault}; record it, or name the right column with --columns FILE")
+        raise InputError(
+            f"{fault}; record it, or name the right column with --columns FILE"
+        )

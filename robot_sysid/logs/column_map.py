@@ -37,7 +37,9 @@ from robot_sysid.logs import columns as naming
 from robot_sysid.records import Array
 
 _KEYS = ("time", *naming.QUANTITIES, "acceleration", "units", "rate")
-_SCALED = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII)
+_SCALED = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII
+)
 _ANGLES = ("rad", "deg")
 _LONGEST = 1_000_000
 """Characters of a columns file that are read: 10 000 long lines."""
@@ -76,8 +78,12 @@ def parse_units(text: str) -> ColumnChoices:
     angles, times = ([w for w in words if w in known] for known in (_ANGLES, _TIMES))
     if not words or len(words) > len(angles[:1] + times[:1]):
         known = f"one of {', '.join(_ANGLES)} and one of {', '.join(_TIMES)}"
-        raise InputError(f"units {text!r} are not understood; give at most {known}, as in 'deg,ms'")
-    return ColumnChoices(angle_unit=next(iter(angles), None), time_unit=next(iter(times), None))
+        raise InputError(
+            f"units {text!r} are not understood; give at most {known}, as in 'deg,ms'"
+        )
+    return ColumnChoices(
+        angle_unit=next(iter(angles), None), time_unit=next(iter(times), None)
+    )
 
 
 def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
@@ -89,19 +95,27 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
     entries: dict[str, str] = {}
     columns: dict[str, dict[str, str]] = {}
-    for number, line in enumerate(text.split("\n"), start=1):  # titles may hold other line ends
+    for number, line in enumerate(
+        text.split("\n"), start=1
+    ):  # titles may hold other line ends
         # A blank before the mark makes a remark of the rest; without one it is column "#3".
         content = re.sub(r"(^|\s)#(?!\d).*", "", line).strip()
         if not content:
             continue
         key, equals, value = (part.strip() for part in content.partition("="))
         if not equals or not value or key in entries:
-            raise InputError(f"{path} line {number}: expected one 'key = value' per key: {line!r}")
+            raise InputError(
+                f"{path} line {number}: expected one 'key = value' per key: {line!r}"
+            )
         if _OPEN in re.split(r"[,\s]+", value):
-            raise InputError(f"{path} line {number}: put the log's columns in the place of ?")
+            raise InputError(
+                f"{path} line {number}: put the log's columns in the place of ?"
+            )
         quantity, _, joint = key.partition(".")
         if quantity not in _KEYS:
-            raise InputError(f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}")
+            raise InputError(
+                f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}"
+            )
         entries[key] = value
         if quantity in naming.QUANTITIES:
             chosen = _per_joint(path, quantity, joint, value, joint_names)
@@ -117,7 +131,9 @@ def _per_joint(
     """Return joint to title, of a line about one joint or with a list for all."""
     if joint and joint not in joint_names:
         known = f"the chain's joints are {', '.join(joint_names)}"
-        raise InputError(f"{path}: {quantity}.{joint} names the unknown joint {joint!r}; {known}")
+        raise InputError(
+            f"{path}: {quantity}.{joint} names the unknown joint {joint!r}; {known}"
+        )
     if joint or value == "none":
         return dict.fromkeys([joint] if joint else joint_names, value)
     titles = [each for title in value.split(",") for each in _counted(title.strip())]
@@ -142,7 +158,9 @@ def _rate(path: Path, value: str) -> float:
     with contextlib.suppress(ValueError):
         if 0.0 < float(value) < math.inf:
             return float(value)
-    raise InputError(f"{path}: rate must be a positive number of samples per second: {value!r}")
+    raise InputError(
+        f"{path}: rate must be a positive number of samples per second: {value!r}"
+    )
 
 
 @dataclass(frozen=True)
@@ -180,24 +198,39 @@ class ColumnMap:
 
     def sources(self) -> list[Source]:
         """Return all columns: time, where there is one, and the groups."""
-        return [*([self.time] if self.time else ()), *chain.from_iterable(self.groups())]
+        return [
+            *([self.time] if self.time else ()),
+            *chain.from_iterable(self.groups()),
+        ]
 
     def with_torque_factor(self, factor: Array) -> ColumnMap:
         """Return the map with each joint's torque multiplied by a factor (n,)."""
         scaled = zip(self.torque, factor.tolist())
-        return replace(self, torque=tuple(replace(s, factor=k * s.factor) for s, k in scaled))
+        return replace(
+            self, torque=tuple(replace(s, factor=k * s.factor) for s, k in scaled)
+        )
 
     def describe(self) -> tuple[str, ...]:
         """Return one sentence each about what was taken for what."""
         time = _quoted([self.time]) if self.time else f"row number at {self.rate:g} Hz"
-        velocity = _quoted(self.velocity) if self.velocity else "differentiated from position"
+        velocity = (
+            _quoted(self.velocity) if self.velocity else "differentiated from position"
+        )
         taken = f"log columns: time from {time}; position from {_quoted(self.position)}; velocity "
         taken += f"{'from ' if self.velocity else ''}{velocity}; "
-        taken += f"{'command' if self.commanded else 'torque'} from {_quoted(self.torque)}"
-        taken += f"; own time from {_quoted(self.joint_time)}" if self.joint_time else ""
+        taken += (
+            f"{'command' if self.commanded else 'torque'} from {_quoted(self.torque)}"
+        )
+        taken += (
+            f"; own time from {_quoted(self.joint_time)}" if self.joint_time else ""
+        )
         return (
             taken,
-            *([f"log columns not used: {', '.join(self.unused)}"] if self.unused else ()),
+            *(
+                [f"log columns not used: {', '.join(self.unused)}"]
+                if self.unused
+                else ()
+            ),
         )
 
 
@@ -210,7 +243,9 @@ def draft(
     """Return a columns file to complete: what is known, quantity to its columns, and ? for what was
     not recognised of positions and of what is asked for beside, "torque" or "command".
     """
-    listed = ", ".join(f"#{k} {' '.join(title.split())}" for k, title in enumerate(titles, 1))
+    listed = ", ".join(
+        f"#{k} {' '.join(title.split())}" for k, title in enumerate(titles, 1)
+    )
     lines = [
         "# Which column is what. Complete the lines with ?, then give this file with --columns.",
         f"# The log's columns: {listed}",
@@ -223,8 +258,12 @@ def draft(
         columns = [f"#{each.index + 1}" for each in found or ()]
         if found or kind != "velocity":
             lines.append(f"{kind} = {', '.join(columns or [_OPEN] * joints)}")
-    hints = ["# rate = 200: samples per second, in place of time, of evenly spaced rows"]
-    return "\n".join([*lines, *hints, "# units = deg, ms: where they are not rad and s", ""])
+    hints = [
+        "# rate = 200: samples per second, in place of time, of evenly spaced rows"
+    ]
+    return "\n".join(
+        [*lines, *hints, "# units = deg, ms: where they are not rad and s", ""]
+    )
 
 
 def recognise_columns(
@@ -286,7 +325,9 @@ class _Columns:
         settled = {kind for kind, columns in declared.items() if len(columns) == count}
         nothing = naming.read_title("")
         kinds = [naming.joint_kind(t) for t in self._titles]
-        readable = [nothing if kind in settled else t for t, kind in zip(self._titles, kinds)]
+        readable = [
+            nothing if kind in settled else t for t, kind in zip(self._titles, kinds)
+        ]
         found = naming.match_joints(readable, self._joints, first_row)
         faults = list[str]()
         time = None
@@ -300,13 +341,21 @@ class _Columns:
         known.update(sources, time=[time] if time else None)
         if faults:
             raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(self._texts)}")
-        used = {s.index for group in (*sources.values(), [time]) for s in group or () if s}
-        unused = tuple(text for index, text in enumerate(self._texts) if index not in used)
+        used = {
+            s.index for group in (*sources.values(), [time]) for s in group or () if s
+        }
+        unused = tuple(
+            text for index, text in enumerate(self._texts) if index not in used
+        )
         position = sources["position"]
         torque = sources[self.asked]
         if position is None or torque is None:
-            raise InputError(f"position and {self.asked} cannot be left out; {naming.REMEDY}")
-        has_unit = self._chosen.angle_unit or all(self._titles[s.index].unit for s in position)
+            raise InputError(
+                f"position and {self.asked} cannot be left out; {naming.REMEDY}"
+            )
+        has_unit = self._chosen.angle_unit or all(
+            self._titles[s.index].unit for s in position
+        )
         return ColumnMap(
             time, self._chosen.rate, position, torque, sources["velocity"], sources["joint_time"],
             unused, bool(has_unit), self._commanded,
@@ -322,7 +371,9 @@ class _Columns:
             places = [(index, 1.0) for index in found.get((kind, joint), ())]
             places = [self._lookup(explicit[name])] if name in explicit else places
             if len(places) > 1:
-                raise naming.two_candidates(kind, name, [self._texts[i] for i, _ in places])
+                raise naming.two_candidates(
+                    kind, name, [self._texts[i] for i, _ in places]
+                )
             sources += [self._source(kind, joint, *place) for place in places]
         if len(sources) == len(self._joints):
             return tuple(sources)
@@ -336,8 +387,15 @@ class _Columns:
             return self._source("time", 0, *self._lookup(self._chosen.time))
         if self._chosen.rate is not None:
             return None
-        own = {i for key, found in of_joints.items() if key[0] == "joint_time" for i in found}
-        times = [i for i, t in enumerate(self._titles) if t.kind == "time" and not t.numbers]
+        own = {
+            i
+            for key, found in of_joints.items()
+            if key[0] == "joint_time"
+            for i in found
+        }
+        times = [
+            i for i, t in enumerate(self._titles) if t.kind == "time" and not t.numbers
+        ]
         found = [i for i in times if i not in own]
         # ROS: the stamp in the message header is when it was sampled, the other one when received.
         stamped = [i for i in found if "header" in self._titles[i].words]
@@ -352,11 +410,21 @@ class _Columns:
         return self._source("time", 0, found[0], 1.0)
 
     def _incomplete(self, kind: str) -> InputError:
-        candidates = [title.text for title in self._titles if naming.joint_kind(title) == kind]
+        candidates = [
+            title.text for title in self._titles if naming.joint_kind(title) == kind
+        ]
         found = f"{len(candidates)} ({', '.join(candidates)})" if candidates else "none"
-        commanded = [t.text for t in self._titles if t.commanded and t.stands_for != "command"]
-        hint = f"; commanded columns are not measurements: {commanded[0]}, ..." if commanded else ""
-        currents = [t.text for t in self._titles if t.is_current and t.stands_for is None]
+        commanded = [
+            t.text for t in self._titles if t.commanded and t.stands_for != "command"
+        ]
+        hint = (
+            f"; commanded columns are not measurements: {commanded[0]}, ..."
+            if commanded
+            else ""
+        )
+        currents = [
+            t.text for t in self._titles if t.is_current and t.stands_for is None
+        ]
         if kind == "command":
             hint = " (titles such as action, command, q_des or goal_position)"
         elif kind == "torque" and currents:
@@ -384,7 +452,9 @@ class _Columns:
             texts = [f"#{k + 1}" for k in range(len(texts))]
         if texts.count(title) == 1:
             return texts.index(title), factor
-        raise InputError(f"the log has no single column {title!r}; name one that there is once")
+        raise InputError(
+            f"the log has no single column {title!r}; name one that there is once"
+        )
 
     def _source(self, kind: str, joint: int, index: int, factor: float) -> Source:
         """Return a column with its factor to SI, by its title or else the declared units."""
@@ -394,19 +464,31 @@ class _Columns:
         known = naming.UNITS["time" if is_time else kind]
         is_angle = kind != "torque" and not self._is_slide[joint]
         unit = chosen.time_unit if is_time else chosen.angle_unit if is_angle else None
-        declared = None if unit is None else naming.UNITS["time" if is_time else "position"][unit]
+        declared = (
+            None
+            if unit is None
+            else naming.UNITS["time" if is_time else "position"][unit]
+        )
         written = known.get(title.unit) if title.unit else declared
         if written is None and title.unit:
-            fault = f"unit {title.unit!r} of column {title.text!r} is unknown for a {kind}"
-            raise InputError(f"{fault}; rename the column, or scale it with --columns FILE")
+            fault = (
+                f"unit {title.unit!r} of column {title.text!r} is unknown for a {kind}"
+            )
+            raise InputError(
+                f"{fault}; rename the column, or scale it with --columns FILE"
+            )
         if declared is not None and written != declared:
             fault = f"column {title.text!r} names a unit that contradicts the declared units"
             raise InputError(f"{fault}; declare what the column holds, or rename it")
-        return Source(index, self._texts[index], factor * (1.0 if written is None else written))
+        return Source(
+            index, self._texts[index], factor * (1.0 if written is None else written)
+        )
 
 
 def _quoted(sources: Sequence[Source]) -> str:
     scaled = ["" if s.factor == 1.0 else f" x {s.factor:.6g}" for s in sources]
     if len({s.factor for s in sources}) > 1 or len(sources) == 1:
         return ", ".join(f"'{s.title}'{by}" for s, by in zip(sources, scaled))
-    return ", ".join(f"'{s.title}'" for s in sources) + (scaled[0] and f" (each{scaled[0]})")
+    return ", ".join(f"'{s.title}'" for s in sources) + (
+        scaled[0] and f" (each{scaled[0]})"
+    )

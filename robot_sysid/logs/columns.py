@@ -49,14 +49,27 @@ _NEUTRAL = _words(
 )
 _CURRENT = frozenset({"current", "currents"})
 _AMPERES = _words("a amp amps ampere amperes")
-_JOINED = {" q dot ": " qd ", " q ddot ": " qdd ", " dot q ": " qd ", " ddot q ": " qdd "}
+_JOINED = {
+    " q dot ": " qd ",
+    " q ddot ": " qdd ",
+    " dot q ": " qd ",
+    " ddot q ": " qdd ",
+}
 
 _DEGREE = math.pi / 180
 _RPM = math.pi / 30
 _IN_SI = {
-    "time": {1.0: "s sec secs second seconds", 1e-3: "ms msec millis", 1e-6: "us usec µs micros"}
+    "time": {
+        1.0: "s sec secs second seconds",
+        1e-3: "ms msec millis",
+        1e-6: "us usec µs micros",
+    }
     | {1e-9: "ns nsec nanos"},
-    "position": {1.0: "rad rads radians m", _DEGREE: "deg degree degrees °", 1e-3: "mm"},
+    "position": {
+        1.0: "rad rads radians m",
+        _DEGREE: "deg degree degrees °",
+        1e-3: "mm",
+    },
     "velocity": {1.0: "rads radsec rad rads1 ms", _DEGREE: "degs deg dps degsec °s"}
     | {_RPM: "rpm", 1e-3: "mms"},
     "torque": {1.0: "nm n", 1e-3: "mnm", 1e-2: "ncm", 1e3: "knm"},
@@ -132,7 +145,9 @@ def with_meaning(
             are fewer currents than joints: then the torque columns hold them.
         commanded: whether commanded positions are looked for, such as ``q_des[0]``, ``action 1``.
     """
-    currents = currents and sum(title.is_current for title in titles) >= len(joint_names)
+    currents = currents and sum(title.is_current for title in titles) >= len(
+        joint_names
+    )
     found = []
     for title in titles:
         rests = (rest for _, rest in _rests(title, joint_names))
@@ -211,10 +226,17 @@ def match_joints(
         if all(key in named for key in keys):
             if keys[0] in unnamed:
                 pair = (named[keys[0]][0], unnamed[keys[0]][0])
-                raise two_candidates(kind, joint_names[0], [titles[i].text for i in pair])
+                raise two_candidates(
+                    kind, joint_names[0], [titles[i].text for i in pair]
+                )
             found.update({key: named[key] for key in keys})
         elif all(key in counted for key in keys):
-            off = [(i, key[1]) for key in keys for i in named.get(key, ()) if i not in counted[key]]
+            off = [
+                (i, key[1])
+                for key in keys
+                for i in named.get(key, ())
+                if i not in counted[key]
+            ]
             for index, joint in off:
                 raise InputError(
                     f"column {titles[index].text!r} carries the name of joint "
@@ -238,7 +260,9 @@ def two_candidates(kind: str, joint: str, titles: Sequence[str]) -> InputError:
     """Return the error for a quantity that several columns could be."""
     listed = " and ".join(repr(title) for title in titles)
     of_joint = f" of joint {joint}" if joint else ""
-    return InputError(f"{listed} could both be the {kind}{of_joint}; {REMEDY} to choose one")
+    return InputError(
+        f"{listed} could both be the {kind}{of_joint}; {REMEDY} to choose one"
+    )
 
 
 def _by_name(titles: Sequence[Title], joint_names: Sequence[str]) -> Found:
@@ -286,13 +310,18 @@ def _aliases(joint_names: tuple[str, ...]) -> list[tuple[int, str]]:
     shared_end = len(os.path.commonprefix([p[::-1] for p in pieces]))
     short = [" ".join(p[shared_start : len(p) - shared_end]) for p in pieces]
     # A bare number is left to counting, where the base (0 or 1) is checked.
-    if len(set(short)) == len(short) > 1 and not any(s.isdigit() or not s for s in short):
+    if len(set(short)) == len(short) > 1 and not any(
+        s.isdigit() or not s for s in short
+    ):
         full += list(enumerate(short))
     return sorted(full, key=lambda pair: -len(_pieces(pair[1])))
 
 
 def _by_number(
-    titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str], skip: set[int]
+    titles: Sequence[Title],
+    joint_names: Sequence[str],
+    first_row: Sequence[str],
+    skip: set[int],
 ) -> Found:
     numbered: dict[str, dict[int, list[int]]] = {}
     for index, title in enumerate(titles):
@@ -305,11 +334,19 @@ def _by_number(
     found: Found = {}
     for kind, columns in numbered.items():
         # Without a list of names the numbers have to be exactly 0..n-1 or 1..n.
-        fits = sorted(columns) == list(range(min(columns), min(columns) + len(joint_names)))
-        counted = {number: k for k, number in enumerate(sorted(columns)) if min(columns) < 2}
+        fits = sorted(columns) == list(
+            range(min(columns), min(columns) + len(joint_names))
+        )
+        counted = {
+            number: k for k, number in enumerate(sorted(columns)) if min(columns) < 2
+        }
         places = order or (counted if fits else {})
         found.update(
-            {(kind, j): columns[number] for number, j in places.items() if number in columns}
+            {
+                (kind, j): columns[number]
+                for number, j in places.items()
+                if number in columns
+            }
         )
     return found
 
@@ -324,4 +361,6 @@ def _order_from_names(
             cells = re.findall(r"[^\s,'\"\[\]()]+", cell)
             start = title.numbers[0] if title.numbers else 0
             listed.update({start + k: name for k, name in enumerate(cells)})
-    return {number: joint_names.index(n) for number, n in listed.items() if n in joint_names}
+    return {
+        number: joint_names.index(n) for number, n in listed.items() if n in joint_names
+    }

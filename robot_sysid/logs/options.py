@@ -41,12 +41,17 @@ class LogOptions(OptionRecord):
     """Which logs of the real arm, and what their columns are."""
 
     measurements: tuple[Path, ...] = option(
-        (), "identify from this log of the real arm; may be repeated", "LOG.csv", repeats=True
+        (),
+        "identify from this log of the real arm; may be repeated",
+        "LOG.csv",
+        repeats=True,
     )
     columns: Path | None = option(
         None, "file that says which column is what", "FILE", usual="recognised"
     )
-    units: str | None = option(None, "units of the log, such as deg or deg,ms", "UNITS", usual="SI")
+    units: str | None = option(
+        None, "units of the log, such as deg or deg,ms", "UNITS", usual="SI"
+    )
     torque_scale: Factors | None = option(
         None,
         "divide torques by this: a number, one per joint, or a file",
@@ -66,7 +71,11 @@ class LogOptions(OptionRecord):
         None, "topic of a ROS bag, where several fit", "TOPIC", usual="found"
     )
     episode: tuple[int, ...] = option(
-        (), "episode of a LeRobot data set; may be repeated", "N", repeats=True, usual="all"
+        (),
+        "episode of a LeRobot data set; may be repeated",
+        "N",
+        repeats=True,
+        usual="all",
     )
     accept: tuple[str, ...] = option(
         (),

@@ -110,25 +110,40 @@ def _columns(
     """Return what each column of a log is, declared or recognised."""
     names = robot.joint_names
     slides = robot.is_slide.tolist()
-    choices = column_map.parse_units(options.units) if options.units else column_map.ColumnChoices()
+    choices = (
+        column_map.parse_units(options.units)
+        if options.units
+        else column_map.ColumnChoices()
+    )
     if options.columns:
-        choices = choices.over(column_map.read_columns_file(Path(options.columns), names))
+        choices = choices.over(
+            column_map.read_columns_file(Path(options.columns), names)
+        )
     elif table.titles[:1] == ("#1",):
         raise ColumnsError(
             f"{table.path} has no column titles; say which of its {len(table.titles)} columns is "
             "what with --columns FILE, for instance 'time = #1' and 'position = #2-8'",
-            column_map.draft(table.titles, names, "command" if options.commanded else "torque"),
+            column_map.draft(
+                table.titles, names, "command" if options.commanded else "torque"
+            ),
             f"{path.stem}_columns.txt",
         )
     wanted = options.torque_constants is not None, options.commanded
     try:
         return column_map.recognise_columns(
-            table.titles, names, choices.over(table.choices), table.first_row, slides, *wanted
+            table.titles,
+            names,
+            choices.over(table.choices),
+            table.first_row,
+            slides,
+            *wanted,
         )
     except ColumnsError as error:
         if table.elsewhere:
             raise InputError(f"{path}: {error}; {table.elsewhere}") from None
-        raise ColumnsError(f"{path}: {error}", error.draft, f"{path.stem}_columns.txt") from None
+        raise ColumnsError(
+            f"{path}: {error}", error.draft, f"{path.stem}_columns.txt"
+        ) from None
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
@@ -137,7 +152,9 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     rate = sum(len(log.samples) - 1 for log in logs) / duration
     words = ", ".join(str(log.path) for log in logs)
     paths = (log.path for log in logs)
-    files = tuple(str(path if path == STANDARD_INPUT else path.absolute()) for path in paths)
+    files = tuple(
+        str(path if path == STANDARD_INPUT else path.absolute()) for path in paths
+    )
     return DataOrigin(Source.LOG, words, duration, rate, files=files)
 
 
@@ -158,11 +175,17 @@ def write_measurement_csv(
         there: dict[str, str] = {}
         for chunk in chunks:
             if not there:
-                there = {n: a for n, a in _WRITTEN.items() if getattr(chunk, a) is not None}
+                there = {
+                    n: a for n, a in _WRITTEN.items() if getattr(chunk, a) is not None
+                }
                 titles = [f"{joint}_{name}" for name in there for joint in joint_names]
-                writer.writerow(["time", *(re.sub(r"[\r\n]", " ", title) for title in titles)])
+                writer.writerow(
+                    ["time", *(re.sub(r"[\r\n]", " ", title) for title in titles)]
+                )
             values = [getattr(chunk, attribute) for attribute in there.values()]
-            writer.writerows(map(repr, r) for r in np.column_stack((chunk.time, *values)).tolist())
+            writer.writerows(
+                map(repr, r) for r in np.column_stack((chunk.time, *values)).tolist()
+            )
         if not there:
             raise InputError("there are no samples to write")
 
@@ -179,7 +202,10 @@ _FORMS: Mapping[bytes, Callable[[Asked], LogTable]] = {
 """How files of a form begin, to what reads it; what begins otherwise is a text table."""
 _FOLDERS = {"metadata.yaml": bag_table, "meta/info.json": arrays.lerobot_table}
 """The file by which a folder is known, to what reads it."""
-_ONLY = {"topic": ("a ROS bag", bag_table), "episode": ("a LeRobot data set", arrays.lerobot_table)}
+_ONLY = {
+    "topic": ("a ROS bag", bag_table),
+    "episode": ("a LeRobot data set", arrays.lerobot_table),
+}
 """Options that only one form knows."""
 
 
@@ -216,13 +242,21 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
             with path.open("rb") as stream:
                 start = stream.read(4096)
     except OSError as error:
-        raise InputError(f"cannot read the log {path}: {error.strerror or error}") from error
-    known = (read for name, read in _FOLDERS.items() if is_folder and (path / name).is_file())
-    read = next((_FORMS[first] for first in _FORMS if start.startswith(first)), text_table)
+        raise InputError(
+            f"cannot read the log {path}: {error.strerror or error}"
+        ) from error
+    known = (
+        read for name, read in _FOLDERS.items() if is_folder and (path / name).is_file()
+    )
+    read = next(
+        (_FORMS[first] for first in _FORMS if start.startswith(first)), text_table
+    )
     read = next(known, read)
     for option, (what, only) in _ONLY.items():
         if getattr(options, option) and read is not only:
-            raise InputError(f"--{option} is about {what}, and {path} is none; leave it off")
+            raise InputError(
+                f"--{option} is about {what}, and {path} is none; leave it off"
+            )
     if read is text_table and is_folder:
         raise InputError(
             f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
@@ -251,6 +285,11 @@ def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[s
         kind = "time" if title.kind == "time" else joint_kind(title)
         numbers = f"{low:12.6g} to {high:12.6g}" if low <= high else "no numbers"
         empty = f", {missing:.0f} empty" if missing else ""
-        lines.append(f"  {title.text:{width}}  {numbers}{empty}" + (f"  ({kind})" if kind else ""))
-    lines.append("give the model too, to see which column is taken for what and what is wrong")
+        lines.append(
+            f"  {title.text:{width}}  {numbers}{empty}"
+            + (f"  ({kind})" if kind else "")
+        )
+    lines.append(
+        "give the model too, to see which column is taken for what and what is wrong"
+    )
     return lines

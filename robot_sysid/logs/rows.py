@@ -76,7 +76,10 @@ class LogRows:
 
 
 def read_rows(
-    table: LogTable, columns: ColumnMap, is_slide: Sequence[bool], progress: Progress | None = None
+    table: LogTable,
+    columns: ColumnMap,
+    is_slide: Sequence[bool],
+    progress: Progress | None = None,
 ) -> LogRows:
     """Read all rows of a log; a joint that is a slide (n,) has no full turn."""
     cleaner = _Cleaner(table, columns, is_slide)
@@ -106,7 +109,9 @@ def read_rows(
     command, tau = (tau, tau - q) if columns.commanded else (None, tau)
     samples = Measurement(time[:, 0], q, qd, tau, None, stamps, command)
     numbers = np.round(lines[:, 0]).astype(np.int64)
-    return LogRows(numbers, samples, *told, thinning.every if thinning else 1, table.word)
+    return LogRows(
+        numbers, samples, *told, thinning.every if thinning else 1, table.word
+    )
 
 
 class _Kept:
@@ -136,7 +141,9 @@ class _Kept:
         return [part[: self._count] for part in self._parts]
 
 
-def followed(table: LogTable, columns: Sequence[int], progress: Progress) -> Iterator[Block]:
+def followed(
+    table: LogTable, columns: Sequence[int], progress: Progress
+) -> Iterator[Block]:
     """Yield the blocks of a log, and tell how far it is read."""
     label = f"Reading {table.path.name}"
     rows = 0
@@ -150,7 +157,9 @@ def followed(table: LogTable, columns: Sequence[int], progress: Progress) -> Ite
 class _Cleaner:
     """Leaves out and mends rows, block by block; a joint may be a slide (n,)."""
 
-    def __init__(self, table: LogTable, columns: ColumnMap, is_slide: Sequence[bool]) -> None:
+    def __init__(
+        self, table: LogTable, columns: ColumnMap, is_slide: Sequence[bool]
+    ) -> None:
         self._word = table.word
         self._columns = columns
         self._turning = ~np.array(is_slide)
@@ -202,7 +211,9 @@ class _Cleaner:
     def _usable(self, block: Block, cells: Array) -> NDArray[np.bool_]:
         """Return (R,) which rows hold numbers that can be true; count the others."""
         needed = cells[:, 1 : 1 + 2 * self._n]
-        noise = np.any(np.abs(needed) > _ABSURD, axis=1) | (np.abs(cells[:, 0]) > _NO_TIME)
+        noise = np.any(np.abs(needed) > _ABSURD, axis=1) | (
+            np.abs(cells[:, 0]) > _NO_TIME
+        )
         foreign = np.isnan(needed).all(axis=1) & ~noise
         self.foreign += int(np.count_nonzero(foreign))
         self.n_read += int(np.count_nonzero(~foreign))
@@ -221,13 +232,19 @@ class _Cleaner:
         back = step < 0.0
         if np.any(back):
             at = int(np.argmax(back))
-            self._count(BACKWARDS, lines[back], f"{self._word} {lines[at]}, by {-step[at]:.6g} s")
+            self._count(
+                BACKWARDS,
+                lines[back],
+                f"{self._word} {lines[at]}, by {-step[at]:.6g} s",
+            )
         self._count(REPEATED, lines[step == 0.0])
         return np.asarray(time > latest)
 
     def _unwrap(self, lines: Lines, cells: Array) -> None:
         q = cells[:, 1 : 1 + self._n]
-        step = np.diff(q, axis=0, prepend=q[:1] if self._last is None else self._last[None, 1:])
+        step = np.diff(
+            q, axis=0, prepend=q[:1] if self._last is None else self._last[None, 1:]
+        )
         turns = np.round(step / _TURN) * self._turning
         turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
         self._count(WRAPPED, lines[np.any(turns != 0.0, axis=1)])

@@ -53,7 +53,9 @@ class Asset:
     looked_in: tuple[Path, ...]
 
 
-def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> AssetFolders:
+def asset_folders(
+    document: ModelDocument, mesh_dir: Path | None = None
+) -> AssetFolders:
     """Return where the assets of an MJCF document are; ``mesh_dir`` replaces its meshdir."""
     mesh = "."
     texture = "."
@@ -71,7 +73,9 @@ def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> Asse
     return AssetFolders(meshes, textures, strip.lower() == "true", given is not None)
 
 
-def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> tuple[Asset, ...]:
+def find_assets(
+    document: ModelDocument, mesh_dir: Path | None = None
+) -> tuple[Asset, ...]:
     """Return every file reference of a document, resolved.
 
     In a URDF, ``package://``, ``model://`` and plain names are looked up in ``mesh_dir``, then in
@@ -80,11 +84,17 @@ def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> tuple[
     candidates: Callable[[Node, str], Iterator[Path]]
     if document.kind == "urdf":
         shapes = (node for link in document.tagged("link") for node in link.children())
-        inner = (node for shape in shapes if shape.tag in SHAPES for node in shape.walk())
+        inner = (
+            node for shape in shapes if shape.tag in SHAPES for node in shape.walk()
+        )
         uses = [(node, "filename") for node in inner if node.tag == "mesh"]
         candidates = partial(_in_packages, document, mesh_dir)
     else:
-        every = ((node, name) for node in document.walk() for name in _ATTRIBUTES.get(node.tag, ()))
+        every = (
+            (node, name)
+            for node in document.walk()
+            for name in _ATTRIBUTES.get(node.tag, ())
+        )
         uses = [(node, name) for node, name in every if node.get(name)]
         candidates = partial(_in_folders, document, asset_folders(document, mesh_dir))
     found = []
@@ -102,7 +112,11 @@ def check_assets(document: ModelDocument, mesh_dir: Path | None = None) -> None:
     for asset in find_assets(document, mesh_dir):
         if asset.path is None:
             looked = ", ".join(str(folder) for folder in asset.looked_in)
-            remedy = "check the path" if asset.node.tag == "model" else "pass --mesh-dir FOLDER"
+            remedy = (
+                "check the path"
+                if asset.node.tag == "model"
+                else "pass --mesh-dir FOLDER"
+            )
             raise ModelError(
                 f"{document.path}: {asset.node.tag} file {asset.name} not found "
                 f"(looked in {looked}); {remedy}"
@@ -154,7 +168,9 @@ def _in_packages(
     yield own / rest.name
 
 
-def relocated_text(edits: Edits, folder: Path | None, mesh_dir: Path | None = None) -> bytes:
+def relocated_text(
+    edits: Edits, folder: Path | None, mesh_dir: Path | None = None
+) -> bytes:
     """Return the UTF-8 text of an edited document as it must read in another folder; None makes
     every path absolute and inlines all includes. References that cannot be found stay as they are.
     """
@@ -162,12 +178,22 @@ def relocated_text(edits: Edits, folder: Path | None, mesh_dir: Path | None = No
     edits.folder = folder
     assets = find_assets(document, mesh_dir)
     if document.kind == "urdf":
-        return _renamed(edits, [(a, reference(a.path, folder) if a.path else None) for a in assets])
+        return _renamed(
+            edits, [(a, reference(a.path, folder) if a.path else None) for a in assets]
+        )
     needing = {asset.node.file for asset in assets}
     for file in document.files:
         compilers = (node for node in file.elements if node.tag == "compiler")
-        sets_folder = any(each.get(a) for each in compilers for a in (*_FOLDERS, "strippath"))
-        if folder is None or not file.is_utf8 or file.includes or sets_folder or file in needing:
+        sets_folder = any(
+            each.get(a) for each in compilers for a in (*_FOLDERS, "strippath")
+        )
+        if (
+            folder is None
+            or not file.is_utf8
+            or file.includes
+            or sets_folder
+            or file in needing
+        ):
             edits.inlined.add(file)
     folders = asset_folders(document, mesh_dir)
     _move_folders(edits, folders, {asset.node.tag for asset in assets})
@@ -183,7 +209,9 @@ def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
     for node in document.settings("compiler") if document.kind == "mjcf" else ():
         for name in (*_FOLDERS, "strippath"):
             edits.set(node, name, None)
-    return _renamed(edits, [(a, names[a.path] if a.path else None) for a in find_assets(document)])
+    return _renamed(
+        edits, [(a, names[a.path] if a.path else None) for a in find_assets(document)]
+    )
 
 
 def _renamed(edits: Edits, assets: Collection[tuple[Asset, str | None]]) -> bytes:
@@ -191,7 +219,9 @@ def _renamed(edits: Edits, assets: Collection[tuple[Asset, str | None]]) -> byte
     for asset, name in assets:
         if name is not None:
             edits.set_path(asset.node, asset.attribute, name)
-    if edits.document.kind == "urdf" and any("/" in (name or a.name) for a, name in assets):
+    if edits.document.kind == "urdf" and any(
+        "/" in (name or a.name) for a, name in assets
+    ):
         # MuJoCo before 3.7 drops the folders of a URDF's mesh names unless told otherwise.
         edits.set_compiler({"strippath": "false"})
     return edits.text()
@@ -211,10 +241,17 @@ def _new_name(asset: Asset, folders: AssetFolders, folder: Path | None) -> str |
 
 def _move_folders(edits: Edits, folders: AssetFolders, tags: set[str]) -> None:
     """Make one compiler element name the asset folders as seen from the new place."""
-    used = {"meshdir": bool(tags - {"texture", "model"}), "texturedir": "texture" in tags}
+    used = {
+        "meshdir": bool(tags - {"texture", "model"}),
+        "texturedir": "texture" in tags,
+    }
     compilers = edits.document.settings("compiler")
-    named = {n for node in compilers for n in used if node.get(n) or node.get("assetdir")}
-    places = dict(zip(used, (reference(f, edits.folder) for f in (folders.mesh, folders.texture))))
+    named = {
+        n for node in compilers for n in used if node.get(n) or node.get("assetdir")
+    }
+    places = dict(
+        zip(used, (reference(f, edits.folder) for f in (folders.mesh, folders.texture)))
+    )
     places = {n: p for n, p in places.items() if n in named or (used[n] and p != ".")}
     for number, node in enumerate(compilers):
         for name in _FOLDERS:

@@ -176,7 +176,9 @@ def read_document(path: Path) -> ModelDocument:
             advice = "run xacro on it first"
     else:
         return document
-    raise ModelError(f"{document.path} is a fragment, not a whole model: {fault}; {advice}")
+    raise ModelError(
+        f"{document.path} is a fragment, not a whole model: {fault}; {advice}"
+    )
 
 
 def _read(path: Path, known: dict[Path, SourceFile], depth: int = 0) -> SourceFile:
@@ -202,9 +204,13 @@ def _read_include(node: Node, known: dict[Path, SourceFile], depth: int) -> Sour
     candidates = (folder / name.replace("\\", "/") for folder in folders)
     path = next((path for path in candidates if os.path.isfile(path)), None)
     if path is None:
-        raise ModelError(f"{where}: included file {name} not found (looked in {above.parent})")
+        raise ModelError(
+            f"{where}: included file {name} not found (looked in {above.parent})"
+        )
     if path.resolve() in known:
-        raise ModelError(f"{where}: {name} is included twice or includes itself; include it once")
+        raise ModelError(
+            f"{where}: {name} is included twice or includes itself; include it once"
+        )
     if depth > _DEEPEST:
         raise ModelError(f"{where}: includes are nested more than {_DEEPEST} deep")
     included = _read(path, known, depth)
@@ -219,10 +225,14 @@ def _read_bytes(path: Path) -> bytes:
     try:
         if path.stat().st_size > LARGEST_FILE:
             most = f"more than the {LARGEST_FILE / 1e6:g} MB of a model file"
-            raise ModelError(f"{path} has {most}; pass one, and keep meshes in files of their own")
+            raise ModelError(
+                f"{path} has {most}; pass one, and keep meshes in files of their own"
+            )
         return path.read_bytes()
     except IsADirectoryError:
-        raise InputError(f"{path} is a folder; pass a model file (MJCF .xml or .urdf)") from None
+        raise InputError(
+            f"{path} is a folder; pass a model file (MJCF .xml or .urdf)"
+        ) from None
     except FileNotFoundError:
         known = path.suffix.lower() in SUFFIXES
         hint = "" if known else " (Expected an XML model file: .xml, .mjcf or .urdf)"
@@ -248,7 +258,10 @@ def _parse(file: SourceFile, most: int) -> None:
     """Find the elements of a file, which may have so many."""
     text = file.text
     path = file.path
-    if text.find(b"<!ENTITY", max(0, text.find(b"<!DOCTYPE"))) >= 0 and b"<!DOCTYPE" in text:
+    if (
+        text.find(b"<!ENTITY", max(0, text.find(b"<!DOCTYPE"))) >= 0
+        and b"<!DOCTYPE" in text
+    ):
         remedy = "which can hide an attack; remove its <!DOCTYPE ...>"
         raise ModelError(f"{path} declares XML entities, {remedy}")
     parser = expat.ParserCreate("utf-8")
@@ -258,10 +271,14 @@ def _parse(file: SourceFile, most: int) -> None:
         start = parser.CurrentByteIndex
         tag = _START_TAG.match(text, start)
         if tag is None or len(above) == _DEEPEST_ELEMENT:
-            raise expat.ExpatError(f"elements are nested more than {_DEEPEST_ELEMENT} deep")
+            raise expat.ExpatError(
+                f"elements are nested more than {_DEEPEST_ELEMENT} deep"
+            )
         if len(file.elements) >= most:
             fault = f"more than the {MOST_ELEMENTS} elements that are read"
-            raise ModelError(f"{path}: {fault}, includes counted; take out what is no arm")
+            raise ModelError(
+                f"{path}: {fault}, includes counted; take out what is no arm"
+            )
         name = name.rpartition(":")[2]
         line = parser.CurrentLineNumber
         end = tag.end()
@@ -283,7 +300,9 @@ def _parse(file: SourceFile, most: int) -> None:
     try:
         parser.Parse(masked_comments(text), True)
     except expat.ExpatError as error:
-        raise ModelError(f"Expected an XML model file, but {path} is not XML: {error}") from None
+        raise ModelError(
+            f"Expected an XML model file, but {path} is not XML: {error}"
+        ) from None
 
 
 def masked_comments(text: bytes) -> bytes:
@@ -295,8 +314,13 @@ def masked_comments(text: bytes) -> bytes:
     position = 0
     while (start := text.find(b"<!--", position)) >= 0:
         end = text.find(b"-->", start + 4)
-        if end < 0:  # a search for each further comment would take the square of the length
+        if (
+            end < 0
+        ):  # a search for each further comment would take the square of the length
             break
-        pieces += [text[position : start + 4], text[start + 4 : end].replace(b"-", b"~")]
+        pieces += [
+            text[position : start + 4],
+            text[start + 4 : end].replace(b"-", b"~"),
+        ]
         position = end
     return b"".join([*pieces, text[position:]])

@@ -20,7 +20,9 @@ _DECLARED_ENCODING = re.compile(rb"""\A(<\?xml[^>]*encoding\s*=\s*["'])[^"']*(["
 _ATTRIBUTE = re.compile(rb"""([^\s=/<>"']+)(\s*=\s*)("[^"]*"|'[^']*')""")
 _TAG_NAME = re.compile(rb"<[^\s/>]+")
 _ESCAPES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
-_ESCAPED = str.maketrans({**_ESCAPES, **{c: f"&#{ord(c)};" for c in "\t\n\r\x85\u2028\u2029"}})
+_ESCAPED = str.maketrans(
+    {**_ESCAPES, **{c: f"&#{ord(c)};" for c in "\t\n\r\x85\u2028\u2029"}}
+)
 
 
 class Edit(NamedTuple):
@@ -59,7 +61,11 @@ class Edits:
     def set_path(self, node: Node, name: str, value: str | None) -> None:
         """Do the same with an attribute that is a path, where it is not the same one already."""
         old = node.get(name)
-        if value is None or old is None or os.path.normpath(old) != os.path.normpath(value):
+        if (
+            value is None
+            or old is None
+            or os.path.normpath(old) != os.path.normpath(value)
+        ):
             self.set(node, name, value)
 
     def set_compiler(self, values: Mapping[str, str]) -> None:
@@ -80,7 +86,9 @@ class Edits:
         if old is not None:
             self.replace(old, inertial)
         else:
-            lead = _own_line(body) + b"  " if own_line and not body.is_empty_tag else b""
+            lead = (
+                _own_line(body) + b"  " if own_line and not body.is_empty_tag else b""
+            )
             self._edits[body.file].append(_first_in(body, lead + inertial.encode()))
 
     def append(self, node: Node, *lines: str) -> None:
@@ -97,14 +105,18 @@ class Edits:
     def replace(self, node: Node, new: str, keep_lines: bool = False) -> None:
         """Put text in the place of an element, with as many line breaks where that is wanted."""
         lines = node.file.text.count(b"\n", node.start, node.end) if keep_lines else 0
-        self._edits[node.file].append(Edit(node.start, node.end, new.encode() + b"\n" * lines))
+        self._edits[node.file].append(
+            Edit(node.start, node.end, new.encode() + b"\n" * lines)
+        )
 
     def comment(self, node: Node, comment: str) -> None:
         """Put a comment before an element, in place of an older one of this program."""
         old = _OLD_COMMENT.search(node.file.text[: node.start])
         # What follows the comment repeats the element's own indentation.
         new = comment.encode() + _own_line(node)
-        self._edits[node.file].append(Edit(old.start() if old else node.start, node.start, new))
+        self._edits[node.file].append(
+            Edit(old.start() if old else node.start, node.start, new)
+        )
 
     def text(self) -> bytes:
         """Return the text, whose XML declaration, if it has one, says that it is UTF-8."""
@@ -123,7 +135,9 @@ class Edits:
         elif (part := root.child("mujoco")) is not None:
             yield _first_in(part, b"".join(new))
         else:
-            yield _first_in(root, self.lead + b"<mujoco>" + b"".join(new) + b"</mujoco>")
+            yield _first_in(
+                root, self.lead + b"<mujoco>" + b"".join(new) + b"</mujoco>"
+            )
 
     def _all_edits(self, file: SourceFile) -> list[Edit]:
         """Return the edits of a file, those of its includes among them."""
@@ -136,7 +150,9 @@ class Edits:
                 inner = _edited(included.text, self._all_edits(included), root)
                 edits.append(Edit(node.start, node.end, inner.strip()))
             else:
-                edits += _attribute_edit(node, "file", reference(included.path, self.folder))
+                edits += _attribute_edit(
+                    node, "file", reference(included.path, self.folder)
+                )
         return edits
 
     def _must_inline(self, file: SourceFile) -> bool:
@@ -163,7 +179,9 @@ def reference(target: Path, folder: Path | None) -> str:
 
 def attributes(values: Mapping[str, str]) -> str:
     """Return attributes as an element has them; the standard library's way loads HTTP and SSL."""
-    return "".join(f' {name}="{value.translate(_ESCAPED)}"' for name, value in values.items())
+    return "".join(
+        f' {name}="{value.translate(_ESCAPED)}"' for name, value in values.items()
+    )
 
 
 def _attribute_edit(node: Node, name: str, value: str | None) -> Iterator[Edit]:

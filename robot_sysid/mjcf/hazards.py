@@ -61,7 +61,9 @@ def refuse_hazards(
     needed: list[tuple[float, str]] = []
     for node, times in _repeated(document, document.root, 1.0):
         needed.append((_stated(node), f"<{node.tag}> in line {node.line}"))
-        attached[node.get("model") or ""] += math.ceil(times) if node.tag == "attach" else 0
+        attached[node.get("model") or ""] += (
+            math.ceil(times) if node.tag == "attach" else 0
+        )
     for asset in find_assets(document, mesh_dir):
         _refuse_pipes(document, asset)
         if asset.path is None:
@@ -75,11 +77,15 @@ def refuse_hazards(
                 fault = f"attaches itself by way of {asset.name}; take it out"
                 raise ModelError(f"{document.path} {fault}")
             if path not in known:
-                known[path] = refuse_hazards(read_document(path), None, (*above, own), known)
+                known[path] = refuse_hazards(
+                    read_document(path), None, (*above, own), known
+                )
             memory = known[path] * (1 + attached[asset.node.get("name") or ""])
         needed.append((memory, asset.name))
     # Each use of a file is read anew; a URDF's uses of a mesh are one.
-    total = math.fsum(size for size, _ in (needed if document.kind == "mjcf" else {*needed}))
+    total = math.fsum(
+        size for size, _ in (needed if document.kind == "mjcf" else {*needed})
+    )
     if total > MOST_MEMORY:
         raise ModelError(
             f"{document.path}: its textures, height fields, meshes and numbers take "
@@ -89,7 +95,9 @@ def refuse_hazards(
     return total
 
 
-def _repeated(document: ModelDocument, node: Node, times: float) -> Iterator[tuple[Node, float]]:
+def _repeated(
+    document: ModelDocument, node: Node, times: float
+) -> Iterator[tuple[Node, float]]:
     """Yield an element and all below it with how often each is repeated, or raise ModelError."""
     # MuJoCo takes the name of a class that it does not know for a format of printf.
     if "%" in (node.get("class") or ""):
@@ -109,13 +117,17 @@ def _stated(node: Node) -> float:
     """Return the memory that an element asks for by its numbers [bytes]."""
     if node.tag == "size":
         # What a process reserves for motion is not taken before it is used.
-        counts = (_product(v) for name, v in node.attributes.items() if name != "memory")
+        counts = (
+            _product(v) for name, v in node.attributes.items() if name != "memory"
+        )
         return max([0.1 * _bytes(node), *(_NUMBER * count for count in counts)])
     if node.tag == "texture":
         width = _product(node.get("width"))
         flat = node.get("type") == "2d"
         return _TEXEL * width * (_product(node.get("height")) if flat else 6.0 * width)
-    return _NUMBER * math.prod(_product(node.get(name)) for name in _CELLS.get(node.tag, ("",)))
+    return _NUMBER * math.prod(
+        _product(node.get(name)) for name in _CELLS.get(node.tag, ("",))
+    )
 
 
 def _bytes(node: Node) -> float:
@@ -138,7 +150,9 @@ def _refuse_pipes(document: ModelDocument, asset: Asset) -> None:
     name = Path(asset.name.replace("\\", "/")).name
     for path in (folder / name for folder in asset.looked_in if asset.path is None):
         if os.path.exists(path) and not os.path.isdir(path):
-            raise ModelError(f"{document.path}: {path} is not a file but a pipe or a device")
+            raise ModelError(
+                f"{document.path}: {path} is not a file but a pipe or a device"
+            )
 
 
 def _of_file(path: Path, tag: str, form: str) -> float:
@@ -151,12 +165,16 @@ def _of_file(path: Path, tag: str, form: str) -> float:
         return max(_FILE * size, _TRIANGLE * _triangles(path, form))
     with path.open("rb") as stream:
         head = stream.read(26)
-        is_image = head.startswith(_PNG) and len(head) == 26 and tag in ("texture", "hfield")
+        is_image = (
+            head.startswith(_PNG) and len(head) == 26 and tag in ("texture", "hfield")
+        )
         if not is_image or size > MOST_MEMORY:
             return size * (_HEIGHT / 4.0 if tag == "hfield" else _FILE)
         width, height, depth, kind = struct.unpack(">IIBB", head[16:])
         raw = height * (1.0 + width * _CHANNELS.get(kind, 4) * depth / 8.0)
-        memory = max(2.0 * raw, width * height * (_TEXEL if tag == "texture" else _HEIGHT))
+        memory = max(
+            2.0 * raw, width * height * (_TEXEL if tag == "texture" else _HEIGHT)
+        )
         # MuJoCo unpacks all that is there, and only then looks how much it should have been.
         may_be_more = _DEFLATE * size > MOST_MEMORY > memory
         is_bomb = may_be_more and _unpacks_beyond(stream, 2.0 * raw + 1e6)
@@ -169,7 +187,11 @@ def _triangles(path: Path, form: str) -> float:
         return path.stat().st_size / _STL
     content = path.read_bytes()
     if form.endswith("msh"):
-        return float(struct.unpack_from("<i", content, 12)[0]) if len(content) >= 16 else 0.0
+        return (
+            float(struct.unpack_from("<i", content, 12)[0])
+            if len(content) >= 16
+            else 0.0
+        )
     # Where faces begin; a face of k corners, each after a blank, is k - 2 triangles.
     marks = [place for mark in (b"\nf", b"\rf") if (place := content.find(mark)) >= 0]
     first = min(marks, default=0)

@@ -57,7 +57,9 @@ def number(value: float) -> str:
 
 def rmse_words(rmse: float) -> str:
     """Return how a comment states the residual [N m] of the identification that it is of."""
-    return f"RMSE {rmse:.6f} Nm" if rmse == 0.0 or rmse >= 1e-6 else f"RMSE {rmse:.3g} Nm"
+    return (
+        f"RMSE {rmse:.6f} Nm" if rmse == 0.0 or rmse >= 1e-6 else f"RMSE {rmse:.3g} Nm"
+    )
 
 
 _ROUNDING = 1e-9
@@ -66,7 +68,9 @@ _ROUNDING = 1e-9
 
 def setting(document: ModelDocument, name: str) -> str | None:
     """Return a compiler attribute; the last one in the file counts."""
-    values = [node.get(name) for node in document.settings("compiler") if node.get(name)]
+    values = [
+        node.get(name) for node in document.settings("compiler") if node.get(name)
+    ]
     return values[-1] if values else None
 
 
@@ -91,7 +95,11 @@ def check_settings(
     below = (node for node in body.walk() if node.tag == "body" and node is not body)
     welded = (not (node.child("joint") or node.child("freejoint")) for node in below)
     if is_fused and (gets_child or any(welded)):
-        _refuse(document, "fusestatic", "merges bodies with the identified one; set it to false")
+        _refuse(
+            document,
+            "fusestatic",
+            "merges bodies with the identified one; set it to false",
+        )
     mass, _, inertia = spatial.com_from_theta(theta)
     smallest = float(np.linalg.eigvalsh(inertia)[0])
     for name, value in (("boundmass", mass), ("boundinertia", smallest)):
@@ -116,13 +124,21 @@ def let_inertials_count(edits: Edits, written: Collection[Node]) -> None:
             edits.set(node, "inertiafromgeom", "auto")
     for body in document.walk("body"):
         old = body.child("inertial")
-        if old is not None and body not in written and any(map(_is_geom, body.children())):
+        if (
+            old is not None
+            and body not in written
+            and any(map(_is_geom, body.children()))
+        ):
             edits.replace(old, "")
 
 
 def _is_geom(node: Node) -> bool:
-    return node.tag == "geom" or (node.tag == "frame" and any(map(_is_geom, node.children())))
+    return node.tag == "geom" or (
+        node.tag == "frame" and any(map(_is_geom, node.children()))
+    )
 
 
 def _refuse(document: ModelDocument, name: str, reason: str) -> NoReturn:
-    raise ExportError(f"{document.path}: the compiler setting {name} {reason} to write the model")
+    raise ExportError(
+        f"{document.path}: the compiler setting {name} {reason} to write the model"
+    )

@@ -19,7 +19,12 @@ from robot_sysid.mjcf import inertial
 from robot_sysid.mjcf.assets import relocated_text
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
 from robot_sysid.mjcf.edits import Edits, attributes
-from robot_sysid.mjcf.inertial import mjcf_inertial, number, numbers, urdf_inertial_about_com
+from robot_sysid.mjcf.inertial import (
+    mjcf_inertial,
+    number,
+    numbers,
+    urdf_inertial_about_com,
+)
 from robot_sysid.mjcf.urdf import give_minimum
 from robot_sysid.mjcf.write_back import (
     ActuatorChange,
@@ -70,9 +75,13 @@ def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
         addition = "; ".join(filter(None, (body.addition, body.plan.note)))
         edits.comment(found, _comment(f"body '{body.label}'", change.rmse, addition))
         edits.put_inertial(found, _inertial(document, theta, change.principal))
-        lumped = [find_element(document, "body", other.name) for other in body.plan.lumped]
+        lumped = [
+            find_element(document, "body", other.name) for other in body.plan.lumped
+        ]
         for other in lumped:
-            edits.put_inertial(other, _inertial(document, np.zeros(10), change.principal))
+            edits.put_inertial(
+                other, _inertial(document, np.zeros(10), change.principal)
+            )
         written += [found, *lumped]
     return written
 
@@ -98,7 +107,10 @@ def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
     carrier = find_element(document, "body", body.carrier)
     inertial.check_settings(document, carrier, body.theta, gets_child=True)
     is_urdf = document.kind == "urdf"
-    taken = {"world", *(node.get("name") or "" for node in document.walk("body", "link"))}
+    taken = {
+        "world",
+        *(node.get("name") or "" for node in document.walk("body", "link")),
+    }
     joints = {node.get("name") for node in document.walk("joint")}
     if not body.name.strip() or body.name in taken or (is_urdf and joint in joints):
         listed = ", ".join(sorted(filter(None, taken)))
@@ -128,10 +140,14 @@ def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
 _MUJOCOS_OWN = "0 0 -9.81"
 
 
-def _write_gravity(edits: Edits, gravity: tuple[float, float, float], rmse: float) -> None:
+def _write_gravity(
+    edits: Edits, gravity: tuple[float, float, float], rmse: float
+) -> None:
     """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>`` part."""
     options = edits.document.settings("option")
-    flags = (node for option in options for node in option.children() if node.tag == "flag")
+    flags = (
+        node for option in options for node in option.children() if node.tag == "flag"
+    )
     if any(flag.get("gravity") == "disable" for flag in flags):
         fault = '<flag gravity="disable"/> switches gravity off; remove it'
         raise ExportError(f"{edits.document.path}: {fault}")
@@ -155,7 +171,9 @@ def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
     """Raise ExportError unless friction and rotor inertia are finite and not negative."""
     for name, value in numbers.items():
         if not 0.0 <= value < math.inf:
-            fault = f"cannot get {name} {value:.4g}: it would drive itself, or is no number"
+            fault = (
+                f"cannot get {name} {value:.4g}: it would drive itself, or is no number"
+            )
             raise ExportError(f"{owner} {fault}")
 
 
@@ -179,7 +197,11 @@ def write_joint(edits: Edits, change: JointChange) -> None:
     elif "damping" in written:
         # Nonlinear damping stands behind the linear one; where none was found the model's stays.
         beyond = (node.get("damping") or "").split()[1:]
-        beyond = beyond if change.polynomial is None else [number(n) for n in change.polynomial]
+        beyond = (
+            beyond
+            if change.polynomial is None
+            else [number(n) for n in change.polynomial]
+        )
         written["damping"] = " ".join([written["damping"], *beyond])
     for name, text in written.items():
         edits.set(node, name, text)
@@ -210,18 +232,24 @@ def _write_tendon(edits: Edits, change: TendonChange, rmse: float) -> None:
         raise ExportError(f"{document.path}: {fault}")
     lines = [comment, f"<fixed{attributes(written)}>"]
     for joint, coefficient in change.coefficients.items():
-        lines.append(f"  <joint{attributes({'joint': joint, 'coef': number(coefficient)})}/>")
+        lines.append(
+            f"  <joint{attributes({'joint': joint, 'coef': number(coefficient)})}/>"
+        )
     lines.append("</fixed>")
     if sections:
         edits.append(sections[-1], *lines)
     else:
-        edits.append(document.root, "<tendon>", *(f"  {line}" for line in lines), "</tendon>")
+        edits.append(
+            document.root, "<tendon>", *(f"  {line}" for line in lines), "</tendon>"
+        )
 
 
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:
     """Give a position actuator its new gains; ExportError where the file does not write it out."""
     document = edits.document
-    written = (node for section in document.tagged("actuator") for node in section.children())
+    written = (
+        node for section in document.tagged("actuator") for node in section.children()
+    )
     node = next(islice(written, change.actuator, None), None)
     kp = number(change.stiffness)
     kv = number(change.damping)
@@ -231,7 +259,9 @@ def write_actuator(edits: Edits, change: ActuatorChange) -> None:
     }.get("" if node is None else node.tag)
     if node is None or gains is None:
         fault = f"actuator number {change.actuator} is not written out in the file"
-        raise ExportError(f"{document.path}: {fault} as a <position> or <general>; write it out")
+        raise ExportError(
+            f"{document.path}: {fault} as a <position> or <general>; write it out"
+        )
     for name, value in gains.items():
         edits.set(node, name, value)
 
@@ -269,11 +299,15 @@ def _in_order(document: ModelDocument, kind: str) -> Iterator[Node]:
     # Depth first, the joints of a body before those of the bodies in it; <frame> adds none.
     if document.kind == "urdf":
         yield from document.tagged("link" if kind == "body" else "joint")
-    for node in (each for world in document.tagged("worldbody") for each in world.walk()):
+    for node in (
+        each for world in document.tagged("worldbody") for each in world.walk()
+    ):
         if node.tag in _MULTIPLIERS or node.tag == kind == "body":
             yield node
         if kind == "joint" and node.tag in ("worldbody", "body", *_MULTIPLIERS):
-            yield from (n for n in _without_frames(node) if n.tag in ("joint", "freejoint"))
+            yield from (
+                n for n in _without_frames(node) if n.tag in ("joint", "freejoint")
+            )
 
 
 def _without_frames(body: Node) -> Iterator[Node]:

@@ -62,13 +62,23 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     """Name all meshes by their place; leave out shapes whose mesh is not usable. Yields notes."""
     document = edits.document
     collisions = set()
-    from_geometry = any(c.get("inertiafromgeom") == "true" for c in document.settings("compiler"))
+    from_geometry = any(
+        c.get("inertiafromgeom") == "true" for c in document.settings("compiler")
+    )
     uses = {use.node: use for use in find_assets(document, mesh_dir)}
-    shapes = [(link, node) for link in document.tagged("link") for node in link.children()]
+    shapes = [
+        (link, node) for link in document.tagged("link") for node in link.children()
+    ]
     for link, shape in shapes:
-        meshes = [uses[node] for node in shape.walk() if shape.tag in SHAPES and node in uses]
+        meshes = [
+            uses[node] for node in shape.walk() if shape.tag in SHAPES and node in uses
+        ]
         # No suffix where there is no file.
-        unusable = [u for u in meshes if (u.path or Path()).suffix.lower() not in _READABLE_MESHES]
+        unusable = [
+            u
+            for u in meshes
+            if (u.path or Path()).suffix.lower() not in _READABLE_MESHES
+        ]
         for use in meshes if not unusable else ():
             edits.set(use.node, "filename", str(use.path))
         if not unusable:
@@ -78,7 +88,11 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
             name = unusable[0].name
             path = unusable[0].path
             if link.child("inertial") is None or from_geometry:
-                why = f"in a format MuJoCo cannot read ({path.suffix})" if path else "not found"
+                why = (
+                    f"in a format MuJoCo cannot read ({path.suffix})"
+                    if path
+                    else "not found"
+                )
                 raise ModelError(
                     f"{document.path}: collision mesh {name} of link '{link.get('name')}' is "
                     f"{why}, and the link has no <inertial> of its own; pass --mesh-dir FOLDER or "
@@ -113,13 +127,20 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
         inertia = link.child("inertial", "inertia")
         if inertia is None:
             continue
-        com, turn = (_floats(link.inner("inertial", "origin", name)) for name in ("xyz", "rpy"))
+        com, turn = (
+            _floats(link.inner("inertial", "origin", name)) for name in ("xyz", "rpy")
+        )
         # Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first.
         rotation = Rotation.from_euler("xyz", turn).as_matrix()
-        six = [float(inertia.get(n) or 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
+        six = [
+            float(inertia.get(n) or 0.0)
+            for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        ]
         matrix = rotation @ spatial.symmetric_from_six(np.array(six)) @ rotation.T
         if not np.all(np.abs([*matrix.ravel(), *com]) <= LARGEST):
-            raise ValueError(f"the inertial of link {link.get('name')} is none that an arm has")
+            raise ValueError(
+                f"the inertial of link {link.get('name')} is none that an arm has"
+            )
         found[str(link.get("name"))] = (_mass(link), com, matrix)
     return found
 
@@ -149,7 +170,8 @@ def _massless_moving_links(document: ModelDocument) -> Iterator[Node]:
         welded = (
             links.get(other.inner("child", "link"))
             for other in joints
-            if other.get("type") == "fixed" and other.inner("parent", "link") == link.get("name")
+            if other.get("type") == "fixed"
+            and other.inner("parent", "link") == link.get("name")
         )
         if not any(child is not None and _mass(child) > 0.0 for child in welded):
             yield link
@@ -158,7 +180,9 @@ def _massless_moving_links(document: ModelDocument) -> Iterator[Node]:
 def _lacks_inertia(link: Node) -> bool:
     if link.child("inertial") is None:
         return link.child("collision") is None
-    moments = (link.inner("inertial", "inertia", name) for name in ("ixx", "iyy", "izz"))
+    moments = (
+        link.inner("inertial", "inertia", name) for name in ("ixx", "iyy", "izz")
+    )
     return _mass(link) <= 0.0 or max(float(moment or 0.0) for moment in moments) <= 0.0
 
 

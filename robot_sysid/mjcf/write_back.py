@@ -99,7 +99,9 @@ def _largest_scale(composite: Array, hanging: Array) -> float:
     high = 1.0
     for _ in range(60):  # down to the last digit
         middle = (low + high) / 2.0
-        leaves_a_body = possible_body(composite - middle * hanging, float(composite[0])) is not None
+        leaves_a_body = (
+            possible_body(composite - middle * hanging, float(composite[0])) is not None
+        )
         low, high = (middle, high) if leaves_a_body else (low, middle)
     return low
 
@@ -181,8 +183,13 @@ class JointChange:
     @property
     def numbers(self) -> dict[str, float]:
         """What is to be written, by its name in MJCF."""
-        values = {name: getattr(self, name) for name in ("armature", "damping", "frictionloss")}
-        return {name: float(value) for name, value in values.items() if value is not None}
+        values = {
+            name: getattr(self, name)
+            for name in ("armature", "damping", "frictionloss")
+        }
+        return {
+            name: float(value) for name, value in values.items() if value is not None
+        }
 
 
 @dataclass(frozen=True)

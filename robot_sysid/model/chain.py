@@ -35,12 +35,17 @@ of two or three joints beside a seven-joint arm is none, an arm of five is."""
 
 def joint_label(mj_model: Any, joint: int) -> str:
     """Return the joint's name, or "#id" where it has none."""
-    return mujoco.mj_id2name(mj_model, int(mujoco.mjtObj.mjOBJ_JOINT), joint) or f"#{joint}"
+    return (
+        mujoco.mj_id2name(mj_model, int(mujoco.mjtObj.mjOBJ_JOINT), joint)
+        or f"#{joint}"
+    )
 
 
 def body_label(mj_model: Any, body: int) -> str:
     """Return the body's name, or "#id" where it has none."""
-    return mujoco.mj_id2name(mj_model, int(mujoco.mjtObj.mjOBJ_BODY), body) or f"#{body}"
+    return (
+        mujoco.mj_id2name(mj_model, int(mujoco.mjtObj.mjOBJ_BODY), body) or f"#{body}"
+    )
 
 
 def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
@@ -55,7 +60,11 @@ def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
     chain = tuple(_towards_world(mj_model, joint))[::-1]
     for member in chain:
         if not is_hinge_or_slide(mj_model, member):
-            kind = mujoco.mjtJoint(int(mj_model.jnt_type[member])).name[len("mjJNT_") :].lower()
+            kind = (
+                mujoco.mjtJoint(int(mj_model.jnt_type[member]))
+                .name[len("mjJNT_") :]
+                .lower()
+            )
             raise ModelError(
                 f"{kind} joint {joint_label(mj_model, member)} is part of the chain to joint "
                 f"{joint_label(mj_model, joint)}; {_ONLY_THESE}, so weld it or replace it"
@@ -97,18 +106,30 @@ def find_terminal_joint(mj_model: Any) -> int:
     """Return the id of the arm's last joint; AmbiguousJointError where several could be meant."""
     runs = serial_runs(mj_model)
     if not runs:
-        raise ModelError("the model has no hinge or slide joints, so there is no arm to identify")
+        raise ModelError(
+            "the model has no hinge or slide joints, so there is no arm to identify"
+        )
     carriers = {run: set(_towards_world(mj_model, run[0])) - {run[0]} for run in runs}
     longest = max(map(len, runs))
     tops = [run for run in runs if len(run) == longest]
-    arm = next(run for run in tops if not any(other[-1] in carriers[run] for other in tops))
-    beside = [r for r in runs if r != arm and not {arm[-1], r[-1]} & (carriers[arm] | carriers[r])]
+    arm = next(
+        run for run in tops if not any(other[-1] in carriers[run] for other in tops)
+    )
+    beside = [
+        r
+        for r in runs
+        if r != arm and not {arm[-1], r[-1]} & (carriers[arm] | carriers[r])
+    ]
     rivals = [arm, *(run for run in beside if len(run) >= RIVAL_SHARE * longest)]
     if len(rivals) > 1:
         # Their ends, and what all of them hang on.
-        trunks = [run for run in runs if all(run[-1] in carriers[rival] for rival in rivals)]
+        trunks = [
+            run for run in runs if all(run[-1] in carriers[rival] for rival in rivals)
+        ]
         ends = [run[-1] for run in [*trunks, *rivals]]
-        raise _doubt(mj_model, f"{len(rivals)} serial chains of joints could be the arm", ends)
+        raise _doubt(
+            mj_model, f"{len(rivals)} serial chains of joints could be the arm", ends
+        )
     _require_end(mj_model, arm)
     return arm[-1]
 
@@ -125,7 +146,11 @@ def _require_end(mj_model: Any, arm: Run) -> None:
         )
     body = body_label(mj_model, int(mj_model.jnt_bodyid[last]))
     if len(arm) > 1 and (_JAW_JOINT.search(joint) or _JAW_BODY.search(body)):
-        raise _doubt(mj_model, f"the last joint {joint} looks like the jaw of a gripper", arm[-2:])
+        raise _doubt(
+            mj_model,
+            f"the last joint {joint} looks like the jaw of a gripper",
+            arm[-2:],
+        )
     driven = driven_joints(mj_model)
     with_motor = [each for each in arm if each in driven]
     if with_motor and last not in driven:
@@ -142,7 +167,9 @@ def _doubt(mj_model: Any, reason: str, joints: Sequence[int]) -> AmbiguousJointE
 def driven_joints(mj_model: Any) -> set[int]:
     """Return the ids of joints that an actuator moves, directly, by a tendon or by a coupling."""
     joints: set[int] = set()
-    for transmission, target in zip(mj_model.actuator_trntype, mj_model.actuator_trnid[:, 0]):
+    for transmission, target in zip(
+        mj_model.actuator_trntype, mj_model.actuator_trnid[:, 0]
+    ):
         if int(transmission) in _AT_JOINT:
             joints.add(int(target))
         elif int(transmission) == int(mujoco.mjtTrn.mjTRN_TENDON):
@@ -191,7 +218,11 @@ def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
     """
     first = list(chain[:_BASE])
     is_planar = sorted(mj_model.jnt_type[first]) == sorted((_SLIDE, _SLIDE, _HINGE))
-    if len(chain) < _BASE + _LEAST_ARM or not is_planar or np.any(mj_model.jnt_limited[first]):
+    if (
+        len(chain) < _BASE + _LEAST_ARM
+        or not is_planar
+        or np.any(mj_model.jnt_limited[first])
+    ):
         return chain
     axes = posed(mj_model, mj_model.qpos0).xaxis[first]
     square = np.max(np.abs(axes @ axes.T - np.eye(_BASE))) <= _PERPENDICULAR
@@ -203,7 +234,10 @@ DEFAULT_SLIDE_VELOCITY = 0.25
 
 
 def joint_limits(
-    mj_model: Any, joints: tuple[int, ...], max_velocity: PerJoint, stated: Sequence[float | None]
+    mj_model: Any,
+    joints: tuple[int, ...],
+    max_velocity: PerJoint,
+    stated: Sequence[float | None],
 ) -> JointLimits:
     """Return the limits of some joints: ``max_velocity`` [rad/s] is for hinges, one number or one
     per joint; ``stated`` what the model file says of each joint's speed, or None.
@@ -237,14 +271,19 @@ def _torque_limit(mj_model: Any, joint: int) -> float:
 def actuators_on(mj_model: Any, joint: int) -> list[int]:
     """Return the ids of the actuators that pull at a joint directly."""
     direct = np.isin(mj_model.actuator_trntype, _AT_JOINT)
-    return [int(a) for a in np.flatnonzero(direct & (mj_model.actuator_trnid[:, 0] == joint))]
+    return [
+        int(a)
+        for a in np.flatnonzero(direct & (mj_model.actuator_trnid[:, 0] == joint))
+    ]
 
 
 def _force_limit(mj_model: Any, actuator: int) -> float:
     """Return the largest force of one actuator: its forcerange, or a motor's gain x ctrlrange."""
     if mj_model.actuator_forcelimited[actuator]:
         return _symmetric(mj_model.actuator_forcerange[actuator])
-    fixed = int(mj_model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+    fixed = int(mj_model.actuator_gaintype[actuator]) == int(
+        mujoco.mjtGain.mjGAIN_FIXED
+    )
     pure = int(mj_model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_NONE)
     if mj_model.actuator_ctrllimited[actuator] and fixed and pure:
         gain = abs(float(mj_model.actuator_gainprm[actuator, 0]))

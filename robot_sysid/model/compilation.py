@@ -24,7 +24,12 @@ from robot_sysid.mjcf.assets import check_assets, relocated_text
 from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.hazards import refuse_hazards
-from robot_sysid.mjcf.urdf import LARGEST, compilable_urdf, link_inertias, velocity_limits
+from robot_sysid.mjcf.urdf import (
+    LARGEST,
+    compilable_urdf,
+    link_inertias,
+    velocity_limits,
+)
 from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array
 from robot_sysid.records.progress import Progress
@@ -67,7 +72,9 @@ def captured_warnings() -> Iterator[list[str]]:
     """Collect MuJoCo's warnings in the list yielded, instead of on stderr and in a log file."""
     messages: list[str] = []
     previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: messages.append(" ".join(str(message).split())))
+    mujoco.set_mju_user_warning(
+        lambda message: messages.append(" ".join(str(message).split()))
+    )
     try:
         yield messages
     finally:
@@ -145,12 +152,16 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
         raise ModelError(_one_line(document, error)) from None
 
 
-def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> tuple[Any, tuple[str, ...]]:
+def _compile_urdf(
+    document: ModelDocument, mesh_dir: Path | None
+) -> tuple[Any, tuple[str, ...]]:
     for with_minimum in (False, True):
         try:
             text, notes = compilable_urdf(document, mesh_dir, with_minimum)
         except (ValueError, TypeError) as error:
-            raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
+            raise ModelError(
+                f"{document.path}: a number cannot be read: {error}"
+            ) from None
         try:
             mj_model = mujoco.MjModel.from_xml_string(text.decode())
             break
@@ -169,7 +180,9 @@ _BALANCE = (
 
 def _one_line(document: ModelDocument, error: BaseException) -> str:
     text = str(error).strip()
-    first = re.sub(r"^(XML )?Error: ", "", text.splitlines()[0] if text else "unknown error")
+    first = re.sub(
+        r"^(XML )?Error: ", "", text.splitlines()[0] if text else "unknown error"
+    )
     name = _NAME.search(text)
     line = _LINE.search(text)
     where = [f"'{name.group(1).strip()}'"] if name and name.group(1).strip() else []
@@ -184,9 +197,13 @@ def _check_values(mj_model: Any, document: ModelDocument) -> None:
     for name, values in {**held, "gravity": mj_model.opt.gravity}.items():
         largest = float(np.max(np.abs(values), initial=0.0))
         if not np.isfinite(largest):
-            raise ModelError(f"{document.path} contains a value that is not a number ({name})")
+            raise ModelError(
+                f"{document.path} contains a value that is not a number ({name})"
+            )
         if largest > LARGEST:
-            raise ModelError(f"{document.path} contains a value no arm has ({name} {largest:g})")
+            raise ModelError(
+                f"{document.path} contains a value no arm has ({name} {largest:g})"
+            )
 
 
 _SAME_TRACE = 1e-9

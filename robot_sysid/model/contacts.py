@@ -49,7 +49,9 @@ def parts_of(robot: RobotModel) -> NDArray[np.int64]:
     for number, joint in enumerate(model.dof_jntid[robot.dof_index]):
         moved = subtree(model, int(model.jnt_bodyid[joint]))
         if np.any(part[moved] != number):
-            raise InputError(f"{', '.join(robot.joint_names)} are no serial chain: take one arm")
+            raise InputError(
+                f"{', '.join(robot.joint_names)} are no serial chain: take one arm"
+            )
         part[moved] += 1
     return part
 
@@ -67,7 +69,9 @@ def neighbours(mj_model: Any) -> NDArray[np.bool_]:
     carries = (weld[:, None] == weld[parent]) & (weld[:, None] != weld)
     below = np.array([np.isin(bodies, subtree(mj_model, int(body))) for body in bodies])
     still = (weld == 0)[:, None]
-    carries &= ~still | ((below | below[parent].T & (parent != 0)) & (bodies != 0)[:, None])
+    carries &= ~still | (
+        (below | below[parent].T & (parent != 0)) & (bodies != 0)[:, None]
+    )
     return np.asarray(carries | carries.T)
 
 
@@ -124,7 +128,9 @@ class ContactFinder:
         if not self._data.ncon:
             return set()
         geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
-        bodies = np.sort(self._model.geom_bodyid[geoms[np.all(geoms >= 0, axis=1)]], axis=1)
+        bodies = np.sort(
+            self._model.geom_bodyid[geoms[np.all(geoms >= 0, axis=1)]], axis=1
+        )
         pairs = {(int(a), int(b)) for a, b in bodies}
         return {(a, b) for a, b in pairs if self._part[a] != self._part[b]}
 

@@ -57,7 +57,9 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
 
 def place_in_carrier(robot: RobotModel, flange: Flange) -> tuple[Array, Array]:
     """Return (rotation (3, 3), translation (3,)) of a flange in the frame of its carrier [m]."""
-    carrier = next(f for f in _fixed_frames(robot)[1].values() if f.carrier == flange.carrier)
+    carrier = next(
+        f for f in _fixed_frames(robot)[1].values() if f.carrier == flange.carrier
+    )
     turned = carrier.rotation.T @ flange.rotation
     moved = carrier.rotation.T @ (flange.translation - carrier.translation)
     # What is left of a distance after adding and subtracting it is no distance.
@@ -87,9 +89,12 @@ def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
     for i, carrier in enumerate(mj_model.site_bodyid.tolist()):
         name = mj_model.site(i).name
         if name and carrier in fixed:
-            sites[name] = frame(f"site '{name}'", carrier, data.site_xmat[i], data.site_xpos[i])
+            sites[name] = frame(
+                f"site '{name}'", carrier, data.site_xmat[i], data.site_xpos[i]
+            )
     return sites, {
-        name: frame(f"body '{name}'", i, data.xmat[i], data.xpos[i]) for i, name in fixed.items()
+        name: frame(f"body '{name}'", i, data.xmat[i], data.xpos[i])
+        for i, name in fixed.items()
     }
 
 
@@ -100,17 +105,27 @@ def _likely(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
     del beside[robot.body_name]
     for pattern in _LIKELY:
         # A site counts more than a body.
-        called = ([frames[n] for n in frames if pattern.fullmatch(n)] for frames in (sites, beside))
+        called = (
+            [frames[n] for n in frames if pattern.fullmatch(n)]
+            for frames in (sites, beside)
+        )
         found = next(filter(None, called), [])
         if not found:
             continue
-        poses = [np.column_stack((flange.rotation, flange.translation)) for flange in found]
+        poses = [
+            np.column_stack((flange.rotation, flange.translation)) for flange in found
+        ]
         if not np.allclose(poses, poses[0], rtol=0.0, atol=1e-9):
             listed = ", ".join(flange.name for flange in found)
-            raise ModelError(f"{listed} could each be the flange; choose one by its name")
+            raise ModelError(
+                f"{listed} could each be the flange; choose one by its name"
+            )
         words = f"{found[0].name} was taken for the flange, because of its name"
         return replace(found[0], note=words + _DOUBT * (pattern is _LIKELY[-1]))
-    listed = ", ".join(flange.name for flange in (*sites.values(), *beside.values())) or "none"
+    listed = (
+        ", ".join(flange.name for flange in (*sites.values(), *beside.values()))
+        or "none"
+    )
     note = (
         f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
         f"the frame of that body is taken; others that can be named: {listed}"
@@ -131,7 +146,13 @@ def _from_numbers(robot: RobotModel, text: str) -> Flange:
     translation = np.array(numbers[:3])
     if np.max(np.abs(translation)) > REACH:
         fault = f"more than {REACH:g} m away from body '{robot.body_name}'"
-        raise ModelError(f"flange {text}: {fault}; the numbers are metres, not millimetres")
+        raise ModelError(
+            f"flange {text}: {fault}; the numbers are metres, not millimetres"
+        )
     # Rz(yaw) Ry(pitch) Rx(roll), as in a URDF.
-    turn = Rotation.from_euler("xyz", numbers[3:] or [0.0] * 3, degrees=True).as_matrix()
-    return Flange(text.replace(" ", ""), turn, translation, robot.body_name, robot.body_id)
+    turn = Rotation.from_euler(
+        "xyz", numbers[3:] or [0.0] * 3, degrees=True
+    ).as_matrix()
+    return Flange(
+        text.replace(" ", ""), turn, translation, robot.body_name, robot.body_id
+    )

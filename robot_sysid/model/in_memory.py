@@ -72,7 +72,9 @@ def file_of(model: Any) -> Path:
         bodies = {model.body(k).name for k in range(1, model.nbody)}
         names = bodies | {model.joint(k).name for k in range(model.njnt)}
         there = re.findall('\\bname="([^"]*)"', path.read_text(encoding="utf-8"))
-        if (again is None or _alike(model, again)) and names - {""} <= {*map(unescape, there)}:
+        if (again is None or _alike(model, again)) and names - {""} <= {
+            *map(unescape, there)
+        }:
             _WRITTEN[model] = path, again
             return path
     path, again = _WRITTEN.get(model, (folder, None))
@@ -92,7 +94,11 @@ def _file_of_spec(spec: Any, folder: Path) -> Path:
         place.write_bytes(content if isinstance(content, bytes) else content.encode())
     own = {name: getattr(spec, name) for name in ("meshdir", "texturedir")}
     for name, value in own.items():
-        setattr(spec, name, str(folder if assets else Path(spec.modelfiledir, value).absolute()))
+        setattr(
+            spec,
+            name,
+            str(folder if assets else Path(spec.modelfiledir, value).absolute()),
+        )
     try:
         text = spec.to_xml()
     finally:
@@ -109,7 +115,9 @@ def _compiled(spec: Any) -> Any:
         try:
             return spec.compile()
         except FAILURES as error:
-            raise ModelError(f"MuJoCo cannot compile the MjSpec: {words_of(error)}") from None
+            raise ModelError(
+                f"MuJoCo cannot compile the MjSpec: {words_of(error)}"
+            ) from None
 
 
 def _alike(model: Any, other: Any) -> bool:

@@ -42,7 +42,9 @@ def subtree_bodies(
         rotation = top_rotation.T @ data.xmat[i].reshape(3, 3)
         translation = top_rotation.T @ (data.xpos[i] - data.xpos[body_id])
         own = body_theta(mj_model, i)
-        theta = own if i == body_id else spatial.transform_theta(own, rotation, translation)
+        theta = (
+            own if i == body_id else spatial.transform_theta(own, rotation, translation)
+        )
         parent = bodies.get(int(mj_model.body_parentid[i]))
         welded = parent is None or (parent.welded and mj_model.body_jntnum[i] == 0)
         bodies[i] = SubtreeBody(i, body_label(mj_model, i), theta, bool(welded))
@@ -51,7 +53,9 @@ def subtree_bodies(
 
 def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
     """Return theta (10,), in its own frame, of a body with everything below it, at ``qpos``."""
-    return np.sum([body.theta for body in subtree_bodies(mj_model, qpos, body_id)], axis=0)
+    return np.sum(
+        [body.theta for body in subtree_bodies(mj_model, qpos, body_id)], axis=0
+    )
 
 
 def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
@@ -64,7 +68,9 @@ def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
     geoms = np.isin(mj_model.geom_bodyid, subtree(mj_model, body_id))
     away = np.linalg.norm(data.geom_xpos[geoms] - data.xpos[body_id], axis=1)
     spheres = away + mj_model.geom_rbound[geoms]
-    rod = np.sqrt(3.0) * spatial.characteristic_length(composite_theta(mj_model, qpos, body_id))
+    rod = np.sqrt(3.0) * spatial.characteristic_length(
+        composite_theta(mj_model, qpos, body_id)
+    )
     return float(max(rod, np.max(spheres, initial=0.0)))
 
 
@@ -112,4 +118,6 @@ def link_bodies(
     """
     if body in later:
         return ()
-    return subtree_bodies(mj_model, qpos, body, set(subtree(mj_model, later[0]) if later else ()))
+    return subtree_bodies(
+        mj_model, qpos, body, set(subtree(mj_model, later[0]) if later else ())
+    )

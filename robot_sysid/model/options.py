@@ -13,8 +13,12 @@ class ModelOptions(OptionRecord):
     """Which arm, of an MJCF or URDF file, and which of its joints is the terminal one."""
 
     path: Path = Path()
-    mesh_dir: Path | None = option(None, "folder of the mesh files", usual="what the model says")
-    joint: str | None = option(None, "terminal joint", "NAME", usual="found automatically")
+    mesh_dir: Path | None = option(
+        None, "folder of the mesh files", usual="what the model says"
+    )
+    joint: str | None = option(
+        None, "terminal joint", "NAME", usual="found automatically"
+    )
     keyframe: str | None = option(
         None,
         "keyframe in which the arm is at rest, where motions start",

@@ -29,7 +29,9 @@ def shared_motors(mj_model: Any, dofs: NDArray[np.int64]) -> dict[int, Array]:
         coefficients = np.zeros(mj_model.nv)
         if np.all(mj_model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)):
             joints = mj_model.wrap_objid[wraps]
-            np.add.at(coefficients, mj_model.jnt_dofadr[joints], mj_model.wrap_prm[wraps])
+            np.add.at(
+                coefficients, mj_model.jnt_dofadr[joints], mj_model.wrap_prm[wraps]
+            )
         of_chain = coefficients[dofs]
         if np.count_nonzero(of_chain) == np.count_nonzero(coefficients) > 1:
             ratios[tendon] = of_chain
@@ -39,9 +41,13 @@ def shared_motors(mj_model: Any, dofs: NDArray[np.int64]) -> dict[int, Array]:
 def joint_friction(mj_model: Any, dofs: NDArray[np.int64]) -> JointFriction:
     """Return the friction of a chain whose joints have these addresses (n,) in qvel."""
     motors = shared_motors(mj_model, dofs)
-    shared = [float(mj_model.tendon_frictionloss[k]) * ratios for k, ratios in motors.items()]
+    shared = [
+        float(mj_model.tendon_frictionloss[k]) * ratios for k, ratios in motors.items()
+    ]
     return JointFriction(
         mj_model.dof_frictionloss[dofs],
         mj_model.dof_damping[dofs],
-        np.array([torque for torque in shared if np.any(torque)]).reshape(-1, len(dofs)),
+        np.array([torque for torque in shared if np.any(torque)]).reshape(
+            -1, len(dofs)
+        ),
     )

@@ -105,7 +105,11 @@ class Clearance:
     """
 
     def __init__(
-        self, robot: RobotModel, rest: Array, clearance: float, half_spaces: Sequence[HalfSpace]
+        self,
+        robot: RobotModel,
+        rest: Array,
+        clearance: float,
+        half_spaces: Sequence[HalfSpace],
     ) -> None:
         self._arguments = (robot, rest, clearance, tuple(half_spaces))
         self._robot = robot
@@ -116,9 +120,13 @@ class Clearance:
         self._required = np.full((model.nbody, model.nbody), clearance)
         self._place(rest)
         self._part = part = parts_of(robot)
-        self.is_solid = bool(np.any(model.geom_contype | model.geom_conaffinity) or model.npair)
+        self.is_solid = bool(
+            np.any(model.geom_contype | model.geom_conaffinity) or model.npair
+        )
         # Where nothing is in the way, no motion uses up any of its room.
-        self.rates = approach_rates(robot, self._data, part) * (self.is_solid or bool(half_spaces))
+        self.rates = approach_rates(robot, self._data, part) * (
+            self.is_solid or bool(half_spaces)
+        )
         self._rows = part[:, None] * (robot.n_joints + 1) + part
         self._free = np.append(np.full(len(self.rates) - 1, np.inf), HORIZON)
         self.at_rest = self._learn_pairs(clearance)
@@ -126,7 +134,9 @@ class Clearance:
         drop_pairs(model, part, np.isneginf(self._required))
         self._place(rest)
         self._spaces = HalfSpaces(model, half_spaces) if half_spaces else None
-        self.left_at_rest = [] if self._spaces is None else self._settle_spaces(self._spaces)
+        self.left_at_rest = (
+            [] if self._spaces is None else self._settle_spaces(self._spaces)
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as what it was made from: MuJoCo data is made anew there."""
@@ -205,25 +215,35 @@ class Clearance:
                 pair = (min(int(a), int(b)), max(int(a), int(b)))
                 distances[pair] = min(distances.get(pair, np.inf), float(distance))
         touching = [pair for pair, distance in distances.items() if distance <= 0.0]
-        by_design = ContactFinder(self._robot).by_design(touching) if touching else set()
+        by_design = (
+            ContactFinder(self._robot).by_design(touching) if touching else set()
+        )
         self._required[part[:, None] == part] = -np.inf
-        found: dict[str, list[str]] = {kind: [] for kind in ("ignored", "deep", "touching", "near")}
+        found: dict[str, list[str]] = {
+            kind: [] for kind in ("ignored", "deep", "touching", "near")
+        }
         for (a, b), distance in distances.items():
             kind, required = _settled(distance, clearance, (a, b) in by_design)
             self._required[a, b] = self._required[b, a] = required
             if kind:
                 apart = "apart" if distance > 0.0 else "deep"
-                found[kind].append(f"{self._label(a, b)} ({1e3 * abs(distance):.2g} mm {apart})")
+                found[kind].append(
+                    f"{self._label(a, b)} ({1e3 * abs(distance):.2g} mm {apart})"
+                )
         return found
 
     def _settle_spaces(self, spaces: HalfSpaces) -> list[tuple[HalfSpace, str, float]]:
         """Let what is near a boundary at rest keep half that distance; return what is beyond."""
         left = []
-        for each, _, (height,), _ in spaces.heights(self._data.xpos[None], self._data.xmat[None]):
+        for each, _, (height,), _ in spaces.heights(
+            self._data.xpos[None], self._data.xmat[None]
+        ):
             required = spaces.required[each]
             body = spaces.solids[each].body
             for k in np.flatnonzero((height <= 0.0) & np.isfinite(required)).tolist():
-                left.append((spaces.spaces[k], body_label(self._model, body), -float(height[k])))
+                left.append(
+                    (spaces.spaces[k], body_label(self._model, body), -float(height[k]))
+                )
             required[:] = np.minimum(required, np.maximum(0.0, KEPT_SHARE * height))
         return left
 
@@ -232,10 +252,14 @@ class Clearance:
         # Links next to each other are always near; to know that this is harmless saves most tests.
         least = np.full_like(self._required, np.inf)
         for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
-            nearest = self._sweep(rest, joint, np.linspace(low, high, _NEIGHBOUR_POSTURES), least)
+            nearest = self._sweep(
+                rest, joint, np.linspace(low, high, _NEIGHBOUR_POSTURES), least
+            )
             about = (high - low) / _NEIGHBOUR_POSTURES * np.linspace(-1.0, 1.0, _FINER)
             self._sweep(rest, joint, np.clip(nearest + about, low, high), least)
-        harmless = np.isfinite(least) & (least >= self._required) & np.isfinite(self._required)
+        harmless = (
+            np.isfinite(least) & (least >= self._required) & np.isfinite(self._required)
+        )
         pair = divmod(int(np.argmin(np.where(harmless, least, np.inf))), len(least))
         apart = float(np.min(least[harmless], initial=np.inf))
         self._required[harmless | harmless.T] = -np.inf
@@ -271,7 +295,9 @@ class Clearance:
         near = _Nearest(len(q))
         spaces = self._spaces
         data = self._data
-        places, turns = (np.empty((len(q), self._model.nbody, width)) for width in (3, 9))
+        places, turns = (
+            np.empty((len(q), self._model.nbody, width)) for width in (3, 9)
+        )
         for k, position in enumerate(q):
             self._place(position)
             if data.ncon:
@@ -303,7 +329,12 @@ class Clearance:
             near.point[at] = contact.pos
 
     def _note_spaces(
-        self, spaces: HalfSpaces, places: Array, turns: Array, near: _Nearest, budget: Array | None
+        self,
+        spaces: HalfSpaces,
+        places: Array,
+        turns: Array,
+        near: _Nearest,
+        budget: Array | None,
     ) -> None:
         """Note the half-spaces that are nearest, where one is; frames of all bodies as MuJoCo's."""
         for each, at, height, lowest in spaces.heights(places, turns, HORIZON):
@@ -312,7 +343,9 @@ class Clearance:
             which = np.argmin(slack, axis=1)
             least = slack[np.arange(len(at)), which]
             if budget is not None:
-                budget[self._rows[0, body]] = min(budget[self._rows[0, body]], np.min(least))
+                budget[self._rows[0, body]] = min(
+                    budget[self._rows[0, body]], np.min(least)
+                )
             own = np.flatnonzero(least < near.slack[at])
             to = at[own]
             by = which[own]
@@ -360,7 +393,9 @@ def drop_pairs(mj_model: Any, part: Any, ignored: Any) -> None:
     do not move against each other; distances of ``ignored`` pairs (nbody, nbody) do not matter.
     """
     body = mj_model.geom_bodyid
-    keys = np.stack((part[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1)
+    keys = np.stack(
+        (part[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1
+    )
     groups, member = np.unique(keys, axis=0, return_inverse=True)
     if len(groups) > MOST_GROUPS:
         return

@@ -23,7 +23,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion, bracket_transposed
+from robot_sysid.dynamics.newton_euler import (
+    LinkDynamics,
+    LinksMotion,
+    bracket_transposed,
+)
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.regressor import wrench_regressor
@@ -104,16 +108,23 @@ class PredictedInformation:
         move = self.dynamics.motion(q, qd, qdd)
         used = list(self.joints)
         links = list(self.links)
-        twists = [np.stack(each, axis=1)[:, links] for each in (move.velocity, move.acceleration)]
+        twists = [
+            np.stack(each, axis=1)[:, links]
+            for each in (move.velocity, move.acceleration)
+        ]
         # Of each sample, all links' wrenches in the base's frame side by side, (N, 6, 10 L).
         own_frame = body_wrench(*twists).transpose(2, 3, 0, 1)
-        wrench = (move.to_links[links].swapaxes(-1, -2) @ own_frame).transpose(1, 2, 0, 3)
+        wrench = (move.to_links[links].swapaxes(-1, -2) @ own_frame).transpose(
+            1, 2, 0, 3
+        )
         wrench = wrench.reshape(len(q), 6, -1)
         joint_twists = move.joint_twists[:, used]
         rows = np.empty((len(used), len(q), self.theta.size))
         np.matmul(joint_twists.transpose(2, 1, 0), wrench, out=rows.swapaxes(0, 1))
         self._keep_carried(rows)
-        own, slopes = self._own(qd[:, used].T, qdd[:, used].T, rows @ self.theta.ravel())
+        own, slopes = self._own(
+            qd[:, used].T, qdd[:, used].T, rows @ self.theta.ravel()
+        )
         weight = 1.0 / self.sigma[:, None, None]
         rows *= weight
         own *= weight
@@ -123,13 +134,17 @@ class PredictedInformation:
         ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None]
         # What is known of what only one joint has is one more row, in units of it.
         ridge = ridge + np.isfinite(self.own).T
-        gain = np.linalg.solve(normal + ridge[:, None] * np.eye(len(OWN)), transposed @ rows)
+        gain = np.linalg.solve(
+            normal + ridge[:, None] * np.eye(len(OWN)), transposed @ rows
+        )
         residual = rows - own @ gain
         information = np.zeros((self.theta.size, self.theta.size))
         for ours, left, count in zip(rows, residual, self._carried):
             information[:count, :count] += ours[:, :count].T @ left[:, :count]
         residual *= weight
-        vjp = partial(self._vjp, move, (qd, qdd), twists[0], wrench, slopes, gain, residual)
+        vjp = partial(
+            self._vjp, move, (qd, qdd), twists[0], wrench, slopes, gain, residual
+        )
         return Information(0.5 * (information + information.T), vjp)
 
     @cached_property
@@ -178,7 +193,9 @@ class PredictedInformation:
         """Reverse mode. C needs no derivative: it minimises what is left."""
         rows_adjoint = (-2.0 * residual @ factor) @ factor.T
         adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
-        by_speed, by_acceleration, by_torque = (np.sum(adjoint * slope, axis=2) for slope in slopes)
+        by_speed, by_acceleration, by_torque = (
+            np.sum(adjoint * slope, axis=2) for slope in slopes
+        )
         rows_adjoint += by_torque[:, :, None] * self.theta.ravel()
         self._keep_carried(rows_adjoint)
         used = list(self.joints)
@@ -188,9 +205,13 @@ class PredictedInformation:
         screws[:, used] = (by_sample @ wrench.swapaxes(1, 2)).transpose(2, 1, 0)
         felt = move.joint_twists[:, used].transpose(2, 0, 1) @ by_sample
         split = (len(wrench), 6, len(links), 10)
-        felt, wrench = (each.reshape(split).transpose(1, 2, 3, 0) for each in (felt, wrench))
+        felt, wrench = (
+            each.reshape(split).transpose(1, 2, 3, 0) for each in (felt, wrench)
+        )
         turns[:, links] = np.sum(bracket_transposed(felt, wrench), axis=2)
-        own_frame = (move.to_links[links] @ felt.transpose(1, 3, 0, 2)).transpose(2, 3, 0, 1)
+        own_frame = (move.to_links[links] @ felt.transpose(1, 3, 0, 2)).transpose(
+            2, 3, 0, 1
+        )
         for by_twist, part in zip(by_twists, _wrench_vjp(velocity, own_frame)):
             by_twist[:, links] = part
         total = move.gradient(rates, screws, by_twists, turns)
@@ -224,7 +245,9 @@ def _wrench_vjp(velocity: Array, wrench_adjoint: Array) -> tuple[Array, Array]:
     """Return the gradient (6, ...) with respect to the twist and the acceleration."""
     linear, quadratic = _coefficients()
     adjoint = wrench_adjoint.reshape(60, -1)
-    products_adjoint = (quadratic.reshape(60, 36).T @ adjoint).reshape(6, 6, *velocity.shape[1:])
+    products_adjoint = (quadratic.reshape(60, 36).T @ adjoint).reshape(
+        6, 6, *velocity.shape[1:]
+    )
     turned = 2.0 * np.sum(products_adjoint * velocity, axis=1)
     return turned, (linear.T @ adjoint).reshape(velocity.shape)
 
@@ -281,7 +304,9 @@ class Criterion:
         if values[0] <= _SINGULAR:
             return nothing
         told = 0.5 if self.asked == "payload" else 1.0
-        factor = np.sqrt(0.5 * told / count) * (change / root) @ (vectors / np.sqrt(values))
+        factor = (
+            np.sqrt(0.5 * told / count) * (change / root) @ (vectors / np.sqrt(values))
+        )
         return -0.5 * float(np.sum(np.log(values * root**2))) / count, factor
 
     def covariance(self, information: Array) -> Array:
@@ -297,7 +322,9 @@ def spread_of(theta: Array, covariance: Array) -> tuple[float, float]:
     slope = np.hstack((-theta[1:4, None] / theta[0], np.eye(3))) / theta[0]
     centre = slope @ covariance[:4, :4] @ slope.T
     # What is known exactly may be less than nothing by rounding.
-    mass, spread = np.sqrt(np.maximum((covariance[0, 0], np.trace(centre)), 0.0)).tolist()
+    mass, spread = np.sqrt(
+        np.maximum((covariance[0, 0], np.trace(centre)), 0.0)
+    ).tolist()
     return mass, spread
 
 
@@ -329,7 +356,9 @@ def criterion(problem: ExcitationProblem, known: Known) -> Criterion:
     return Criterion(seen, known.factor, known.asked)
 
 
-def random_information(problem: ExcitationProblem, known: Known, noise: float = 1.0) -> Array:
+def random_information(
+    problem: ExcitationProblem, known: Known, noise: float = 1.0
+) -> Array:
     """Return the information of unrelated random motion with some torque noise [N m]."""
     rng = np.random.default_rng(0)
     count = min(400, _MOST_ROWS // problem.n_joints**2)

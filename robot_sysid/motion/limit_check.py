@@ -126,7 +126,9 @@ class LimitCheck(Peaks):
             return None
         count = len(self.excesses)
         limits = "" if count == 1 else f"{count} limits, first "
-        return f"this trajectory must not be run: it breaks {limits}the {self.excesses[0]}"
+        return (
+            f"this trajectory must not be run: it breaks {limits}the {self.excesses[0]}"
+        )
 
 
 def check_limits(
@@ -145,7 +147,11 @@ def check_limits(
         excesses.append(Excess(f"clearance of {closest.label}", share, closest.time))
     worst = tuple(sorted(excesses, key=lambda excess: -excess.share))
     return LimitCheck(
-        **vars(peaks), closest=closest, nearest=nearest, resolution=resolution, excesses=worst
+        **vars(peaks),
+        closest=closest,
+        nearest=nearest,
+        resolution=resolution,
+        excesses=worst,
     )
 
 
@@ -159,13 +165,17 @@ def scaled_to_limits(
     the smallest motion breaks a limit, that one is returned.
     """
     rate = max(LEAST_RATE_HZ, sample_rate)
-    share = np.max((_peaks(problem, plan, rate).joints / problem.limits.largest)[1:3], axis=0)
+    share = np.max(
+        (_peaks(problem, plan, rate).joints / problem.limits.largest)[1:3], axis=0
+    )
     factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(share, RESERVE))
     if keeps_limits(problem, plan.scaled(factors), rate):
         return plan.scaled(factors), factors
     high = 1.0
     low = 0.5
-    while low > SMALLEST and not keeps_limits(problem, plan.scaled(low * factors), rate):
+    while low > SMALLEST and not keeps_limits(
+        problem, plan.scaled(low * factors), rate
+    ):
         high = low
         low = 0.5 * low
     for _ in range(BISECTIONS):
@@ -213,7 +223,9 @@ def _motions(
     return map(plan.evaluate, chain.from_iterable(times))
 
 
-def _peaks(problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False) -> Peaks:
+def _peaks(
+    problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False
+) -> Peaks:
     """Return the peaks at a rate [Hz]; the tool's speed where it has a limit, or on demand."""
     each = np.arange(4 * problem.n_joints + 1)
     largest, time = np.zeros((2, len(each)))
@@ -236,7 +248,10 @@ def _excesses(problem: ExcitationProblem, peaks: Peaks) -> Iterator[Excess]:
 
 
 def _tightest(
-    obstacles: Clearance, plan: MotionPlan, resolution: float, stop_below: float = -np.inf
+    obstacles: Clearance,
+    plan: MotionPlan,
+    resolution: float,
+    stop_below: float = -np.inf,
 ) -> Closest:
     """Return the tightest configuration and its time.
 
@@ -248,7 +263,9 @@ def _tightest(
     when = 0.0
     at_q = plan.evaluate(np.zeros(1)).q[0]
     # What is known to be tight lets the search pass quickly by all that is not.
-    for motion in _motions(plan, FEW_RATE_HZ, _spans(plan)) if resolution < np.inf else ():
+    for motion in (
+        _motions(plan, FEW_RATE_HZ, _spans(plan)) if resolution < np.inf else ()
+    ):
         slacks = obstacles.slack(motion.q).value
         at = int(np.argmin(slacks))
         if slacks[at] < best:
@@ -274,14 +291,20 @@ def _tightest(
                 when = float(motion.time[least])
                 at_q = motion.q[least]
             # What can neither be missed nor lower than the lowest need not be looked at.
-            floor = best - resolution if best < -TOUCH else max(-TOUCH, best - resolution)
+            floor = (
+                best - resolution if best < -TOUCH else max(-TOUCH, best - resolution)
+            )
             near = np.flatnonzero(np.isfinite(room))
             left = zip(near.tolist(), np.maximum(0.0, room[near] - floor).tolist())
             budget = {row: float(approach.path(row)[at]) + more for row, more in left}
             before = at
             at = max(before + 1, approach.used_up(budget))
-            ahead = min(2 * ahead, MOST_TOGETHER) if at - before <= WORTH_SKIPPING else 1
-        budget = {row: left - float(approach.path(row)[-1]) for row, left in budget.items()}
+            ahead = (
+                min(2 * ahead, MOST_TOGETHER) if at - before <= WORTH_SKIPPING else 1
+            )
+        budget = {
+            row: left - float(approach.path(row)[-1]) for row, left in budget.items()
+        }
         known_until = motion.time[-1]
     return replace(obstacles.closest(at_q), time=when)
 
@@ -304,7 +327,9 @@ class _Approach:
 
     def used_up(self, budget: Mapping[int, float]) -> int:
         """Return the first sample at which a row may have used up its slack [m]; N if none."""
-        found = (int(np.searchsorted(self.path(row), left)) for row, left in budget.items())
+        found = (
+            int(np.searchsorted(self.path(row), left)) for row, left in budget.items()
+        )
         return min(found, default=len(self._speed))
 
 
@@ -374,7 +399,9 @@ class BetweenArms:
         Arms that touch at rest are not told apart.
         """
         room = 0.0
-        for time in sample_times(motion.duration, LEAST_RATE_HZ) if self._least > 0.0 else ():
+        for time in (
+            sample_times(motion.duration, LEAST_RATE_HZ) if self._least > 0.0 else ()
+        ):
             chunk = motion.evaluate(time)
             for k, way in enumerate(np.abs(chunk.qd) @ self._rates / LEAST_RATE_HZ):
                 room -= way

@@ -119,12 +119,16 @@ class LimitOptions(OptionRecord):
         self, moving: Sequence[int] = (), link: Sequence[int] = ()
     ) -> tuple[HalfSpace, ...]:
         """Return what moving bodies (planes) and those of the terminal link (box) stay in."""
-        planes = [_plane(plane, self.clearance, tuple(moving)) for plane in self.keep_out]
+        planes = [
+            _plane(plane, self.clearance, tuple(moving)) for plane in self.keep_out
+        ]
         box = () if self.workspace is None else _box(self.workspace, tuple(link))
         return (*planes, *box)
 
 
-def _plane(values: Sequence[float], clearance: float, bodies: tuple[int, ...]) -> HalfSpace:
+def _plane(
+    values: Sequence[float], clearance: float, bodies: tuple[int, ...]
+) -> HalfSpace:
     """Return the allowed side of a keep-out plane; OFFSET is in multiples of its normal."""
     import numpy as np
 
@@ -155,7 +159,9 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ..
         for sign, bound, side in ((1.0, low, "min"), (-1.0, high, "max")):
             if np.isfinite(bound):
                 label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
-                found.append(HalfSpace(sign * np.eye(3)[axis], sign * bound, 0.0, bodies, label))
+                found.append(
+                    HalfSpace(sign * np.eye(3)[axis], sign * bound, 0.0, bodies, label)
+                )
     return tuple(found)
 
 
@@ -197,7 +203,9 @@ class ExcitationOptions(OptionRecord):
 
         base = max(1, math.ceil(duration / LONGEST_PERIOD)) / duration
         harmonics = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
-        return FourierBasis(duration, base, harmonics, min(LONGEST_FADE, 0.25 * duration))
+        return FourierBasis(
+            duration, base, harmonics, min(LONGEST_FADE, 0.25 * duration)
+        )
 
     def for_joints(self, count: int) -> ExcitationOptions:
         """Return the search that takes about as long as that of a usual arm, whatever the number of

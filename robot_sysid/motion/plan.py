@@ -20,7 +20,9 @@ from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.sampling import TrajectoryOptions, require_countable
 from robot_sysid.simulator import ArmTorque
 
-if TYPE_CHECKING:  # A random motion that nothing plays takes none of what checks and designs.
+if (
+    TYPE_CHECKING
+):  # A random motion that nothing plays takes none of what checks and designs.
     from robot_sysid.motion.information import Known
     from robot_sysid.motion.limit_check import LimitCheck
     from robot_sysid.motion.problem import ExcitationProblem
@@ -149,13 +151,22 @@ def _new_plan(
 
         problem = _problem(request, robot)
         static = request.poses.static
-        plan = design_poses(problem, request.poses, rng) if static else design_sweeps(problem)
+        plan = (
+            design_poses(problem, request.poses, rng)
+            if static
+            else design_sweeps(problem)
+        )
         return CheckedPlan(plan, problem)
-    return (_designed if request.is_designed else _random)(request, robot, rng, progress)
+    return (_designed if request.is_designed else _random)(
+        request, robot, rng, progress
+    )
 
 
 def _random(
-    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+    request: MotionRequest,
+    robot: RobotModel,
+    rng: np.random.Generator,
+    progress: Progress,
 ) -> CheckedPlan:
     rate = request.trajectory.sample_rate
     # Ends on a sample, so that the last one is at rest.
@@ -166,8 +177,12 @@ def _random(
         torque = problem.limits.torque / trajectory.TORQUE_MARGIN
         qpos = robot.reference_qpos.copy()
         qpos[robot.qpos_index] = problem.rest
-        arm = replace(robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos)
-    plan, notes = trajectory.generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
+        arm = replace(
+            robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos
+        )
+    plan, notes = trajectory.generate_excitation_trajectory(
+        arm, rng, duration, ArmTorque(robot)
+    )
     progress.note(*notes)
     if problem is None:
         return CheckedPlan(plan)
@@ -184,7 +199,10 @@ def _random(
 
 
 def _designed(
-    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+    request: MotionRequest,
+    robot: RobotModel,
+    rng: np.random.Generator,
+    progress: Progress,
 ) -> CheckedPlan:
     from robot_sysid.motion.design.optimise import Design
     from robot_sysid.motion.design.search import design_excitation
@@ -214,9 +232,13 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     is_new = request.trajectory.file is None
     basis = request.excitation.basis
     band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
-    noise = request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
+    noise = (
+        request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
+    )
     uncertainty = request.link_uncertainty
-    problem = build_problem(robot, request.limits, request.torques, noise, band, uncertainty)
+    problem = build_problem(
+        robot, request.limits, request.torques, noise, band, uncertainty
+    )
     if request.poses.purpose == WEIGHT:
         problem = gentle_problem(problem)
     return startable(problem) if is_new else problem
@@ -224,7 +246,11 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
 
 def _counted(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:
     """Yield the motion that is checked for contacts, and tell how far it is."""
-    total = math.ceil(trajectory.sample_count(plan.duration, CHECK_RATE_HZ) / trajectory.CHUNK)
-    for done, motion in enumerate(trajectory.motion_chunks(plan, CHECK_RATE_HZ), start=1):
+    total = math.ceil(
+        trajectory.sample_count(plan.duration, CHECK_RATE_HZ) / trajectory.CHUNK
+    )
+    for done, motion in enumerate(
+        trajectory.motion_chunks(plan, CHECK_RATE_HZ), start=1
+    ):
         yield motion
         progress.advance("Looking for contacts", done, total, "")

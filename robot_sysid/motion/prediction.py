@@ -127,7 +127,10 @@ def sizes(problem: ExcitationProblem) -> Array:
 
 
 def plan_lines(
-    problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck, prediction: Prediction
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    check: LimitCheck,
+    prediction: Prediction,
 ) -> Iterator[str]:
     """Yield the lines ``robot-sysid plan`` prints; those that are a ``Detail`` on demand."""
     yield from kept_lines(problem, plan, check)
@@ -136,7 +139,9 @@ def plan_lines(
     yield from motion_lines(problem, plan, check)
 
 
-def kept_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
+def kept_lines(
+    problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
+) -> Iterator[str]:
     """Say whether the motion may be played, and how near it comes to the arm and what is around."""
     if check.holds:
         nearest = check.nearest
@@ -156,7 +161,9 @@ def _promise_lines(prediction: Prediction) -> Iterator[str]:
     if prediction.missing:
         yield f"  {prediction.missing}"
     mass, centre = prediction.spread(prediction.covariance)
-    parts = [p for p in prediction.budget() if max(p[1] / mass, p[2] / centre) > _TOLD_PART]
+    parts = [
+        p for p in prediction.budget() if max(p[1] / mass, p[2] / centre) > _TOLD_PART
+    ]
     if np.isfinite(mass):
         of_mass = ", ".join(f"{cause} {part:.2g}" for cause, part, _ in parts)
         part = percent(mass / prediction.size[0])
@@ -169,16 +176,22 @@ def _promise_lines(prediction: Prediction) -> Iterator[str]:
     if prediction.doubt:
         yield f"  {prediction.doubt.words}: {remedy_figures(prediction.doubt)}"
     pairs = list(zip(spatial.PARAMETER_NAMES, prediction.share))
-    shown = ", ".join(f"{name} {percent(share)}" for name, share in pairs if np.isfinite(share))
+    shown = ", ".join(
+        f"{name} {percent(share)}" for name, share in pairs if np.isfinite(share)
+    )
     if shown:
         yield f"  {shown}"
     hidden = [name for name, share in pairs if not np.isfinite(share)]
     if hidden:
         yield f"  not identified: {', '.join(hidden)}"
     if prediction.others:
-        listed = ", ".join(f"{name} {percent(s)}" for name, s in prediction.others.items())
+        listed = ", ".join(
+            f"{name} {percent(s)}" for name, s in prediction.others.items()
+        )
         yield f"  mass of the other links: {listed}"
-    for name, deviation, unit in zip(spatial.PARAMETER_NAMES, prediction.deviation, THETA):
+    for name, deviation, unit in zip(
+        spatial.PARAMETER_NAMES, prediction.deviation, THETA
+    ):
         if np.isfinite(deviation):
             yield Detail(f"  {name:3s} ± {deviation:9.2e} {unit}")
 
@@ -199,16 +212,22 @@ def _advice_lines(prediction: Prediction) -> Iterator[str]:
         yield f"Stays loose: {', '.join(loose)}"
     for number, remedy in enumerate(prediction.remedies):
         line = f"{remedy.words}: {remedy_figures(remedy)}"
-        yield f"What would help first: {line}" if number == 0 else Detail(f"  or {line}")
+        yield (
+            f"What would help first: {line}" if number == 0 else Detail(f"  or {line}")
+        )
 
 
 def remedy_figures(remedy: Remedy) -> str:
     """Return the errors that something leads to, in words."""
-    mass = f"mass ± {remedy.mass:.2g} kg, " if remedy.mass else ""  # none where it is known
+    mass = (
+        f"mass ± {remedy.mass:.2g} kg, " if remedy.mass else ""
+    )  # none where it is known
     return f"{mass}centre of mass ± {1e3 * remedy.centre:.2g} mm"
 
 
-def motion_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
+def motion_lines(
+    problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
+) -> Iterator[str]:
     """Yield what a motion does beside its limits."""
     lines = (
         ["Peaks (share of limit):"],
@@ -262,21 +281,34 @@ def _of_joints(problem: ExcitationProblem, family: str, origin: str) -> str:
     if not chosen:
         return ""
     everywhere = len(chosen) == problem.n_joints
-    names = "all joints" if everywhere else ", ".join(problem.joint_names[j] for j in chosen)
+    names = (
+        "all joints"
+        if everywhere
+        else ", ".join(problem.joint_names[j] for j in chosen)
+    )
     if family == "position":
         return f"position of {names}"
     limit = problem.limits.largest[LIMIT_NAMES.index(family), chosen]
     limit = limit / TORQUE_MARGIN if family == "torque" else limit
-    return f"{family} {', '.join(f'{value:.4g}' for value in np.unique(limit))} of {names}"
+    return (
+        f"{family} {', '.join(f'{value:.4g}' for value in np.unique(limit))} of {names}"
+    )
 
 
-def _space_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
+def _space_lines(
+    problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
+) -> Iterator[str]:
     """Say where the moving parts get to, and what comes near what."""
-    lower, upper, lowest = swept_space(problem.robot, spread_motion(plan, _MOST_POSTURES).q)
+    lower, upper, lowest = swept_space(
+        problem.robot, spread_motion(plan, _MOST_POSTURES).q
+    )
     # Rounded outwards, to a centimetre.
     lower = np.floor(100.0 * lower) / 100.0
     upper = np.ceil(100.0 * upper) / 100.0
-    sides = [f"{axis} {low:+.2f} to {high:+.2f}" for axis, low, high in zip("xyz", lower, upper)]
+    sides = [
+        f"{axis} {low:+.2f} to {high:+.2f}"
+        for axis, low, high in zip("xyz", lower, upper)
+    ]
     yield f"Swept box: {', '.join(sides)} m; the lowest point is one of {lowest}"
     if not problem.has_floor:
         below = max(0.0, -float(lower[2]))
@@ -312,7 +344,9 @@ def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
     if problem.has_torque_reserve:
         reserves = np.max(problem.torque_reserve(motion), axis=0)
         pairs = zip(problem.joint_names, reserves)
-        listed = ", ".join(f"{name} {reserve:.2g}" for name, reserve in pairs if reserve > 0.0)
+        listed = ", ".join(
+            f"{name} {reserve:.2g}" for name, reserve in pairs if reserve > 0.0
+        )
         yield f"Torque reserve for errors of the links (--link-uncertainty), up to: {listed}"
     left, joint = problem.load_left(motion)
     name = problem.joint_names[joint]

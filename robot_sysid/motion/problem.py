@@ -22,7 +22,12 @@ from robot_sysid.records import Array, JointLimits, Motion, RobotModel
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint, per_joint
 from robot_sysid.records.progress import Detail
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE, TorqueFunction
+from robot_sysid.trajectory import (
+    POSITION_MARGIN,
+    TORQUE_MARGIN,
+    UNLIMITED_RANGE,
+    TorqueFunction,
+)
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
 """The families of joint limits, in the order of their columns."""
@@ -58,7 +63,9 @@ class MotionLimits(JointLimits):
 
     def __post_init__(self) -> None:
         if not np.all((self.lower < self.upper) & np.isfinite(self.upper - self.lower)):
-            raise InputError("position limits must be finite, with lower < upper for every joint")
+            raise InputError(
+                "position limits must be finite, with lower < upper for every joint"
+            )
         for name in ("velocity", "acceleration", "torque"):
             if not np.all(getattr(self, name) > 0.0):
                 raise InputError(f"{name} limits must be positive")
@@ -192,7 +199,9 @@ class ExcitationProblem:
     @property
     def has_torque_reserve(self) -> bool:
         """Whether torque is left for the links' errors: something limits it, and they have some."""
-        return bool(np.any(self.link_errors)) and bool(np.any(np.isfinite(self.limits.torque)))
+        return bool(np.any(self.link_errors)) and bool(
+            np.any(np.isfinite(self.limits.torque))
+        )
 
     def torque_reserve(self, motion: Motion) -> Array:
         """Return the torques (N, n) that are left for what the links may be off [N m]: two standard
@@ -225,12 +234,16 @@ class ExcitationProblem:
         limit = self.limits.torque - self.torque_reserve(motion)
         room = np.where(more >= 0.0, limit - torque, limit + torque)
         room = np.where(np.abs(torque) > limit, limit - np.abs(torque), room)
-        share = np.abs(more) > 1e-12  # More than rounding leaves of a load that a joint carries.
+        share = (
+            np.abs(more) > 1e-12
+        )  # More than rounding leaves of a load that a joint carries.
         left = np.where(share, room / np.where(share, np.abs(more), 1.0), np.inf)
         least = np.min(left, axis=0)
         return float(np.min(least)), int(np.argmin(least))
 
-    def torque_at(self, q: Array, qd: Array | float = 0.0, qdd: Array | float = 0.0) -> Array:
+    def torque_at(
+        self, q: Array, qd: Array | float = 0.0, qdd: Array | float = 0.0
+    ) -> Array:
         """Return the torques (N, n) at positions (N, n), at rest if nothing else is said [N m]."""
         still = np.zeros_like(q)
         return self.torque(Motion(np.arange(float(len(q))), q, still + qd, still + qdd))
@@ -238,13 +251,19 @@ class ExcitationProblem:
     @property
     def signal_names(self) -> tuple[str, ...]:
         """What the columns of ``signals`` are limited by, in words."""
-        names = [f"{kind} limit of joint {j}" for kind in LIMIT_NAMES for j in self.joint_names]
+        names = [
+            f"{kind} limit of joint {j}"
+            for kind in LIMIT_NAMES
+            for j in self.joint_names
+        ]
         if self.has_torque_reserve:
             torques = [f"{name}{RESERVE_WORDS}" for name in names[-self.n_joints :]]
             names = [*names[: -self.n_joints], *torques]
         return (*names, "speed limit of the tool")
 
-    def signals(self, motion: Motion, torque: bool = False, tool: bool = False) -> Array:
+    def signals(
+        self, motion: Motion, torque: bool = False, tool: bool = False
+    ) -> Array:
         """Return what has limits (N, 4 n + 1): for each joint, and for the tool.
 
         Distance from the middle of the range, speed, acceleration and torque of all joints, and the
@@ -265,7 +284,9 @@ class ExcitationProblem:
     def scale(self) -> Array:
         """Typical magnitudes (10,) of the inertial parameters: m, m L, m L^2."""
         theta = self.robot.prior.theta
-        return spatial.parameter_scale(float(theta[0]), spatial.characteristic_length(theta))
+        return spatial.parameter_scale(
+            float(theta[0]), spatial.characteristic_length(theta)
+        )
 
 
 def build_problem(
@@ -293,7 +314,9 @@ def build_problem(
     motion_limits, origins = _limits(robot, limits, top_frequency_hz)
     rest = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
     names = zip(robot.joint_names, rest, robot.reference)
-    moved = [f"{name} at {q:.3f} instead of {own:.3f}" for name, q, own in names if q != own]
+    moved = [
+        f"{name} at {q:.3f} instead of {own:.3f}" for name, q, own in names if q != own
+    ]
     words = "the reference configuration is at or beyond a position limit; the motion starts and"
     notes = (f"{words} ends with {', '.join(moved)}",) if moved else ()
     base = _above_base(robot, limits, rest)
@@ -323,9 +346,15 @@ def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
     """Return position limits with the margin taken off; an assumed range where there are none."""
     lower = robot.limits.lower
     upper = robot.limits.upper
-    assumed = 0.5 * np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
-    lower = np.where(np.isfinite(lower), lower, np.minimum(robot.reference, upper) - assumed)
-    upper = np.where(np.isfinite(upper), upper, np.maximum(robot.reference, lower) + assumed)
+    assumed = 0.5 * np.where(
+        robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False]
+    )
+    lower = np.where(
+        np.isfinite(lower), lower, np.minimum(robot.reference, upper) - assumed
+    )
+    upper = np.where(
+        np.isfinite(upper), upper, np.maximum(robot.reference, lower) + assumed
+    )
     margin = POSITION_MARGIN * (upper - lower)
     return lower + margin, upper - margin
 
@@ -337,7 +366,9 @@ def _limits(
     own = robot.limits
     slide = robot.is_slide
     asked = options.max_acceleration
-    top = np.inf if top_frequency_hz is None else min(top_frequency_hz, TOP_FREQUENCY_HZ)
+    top = (
+        np.inf if top_frequency_hz is None else min(top_frequency_hz, TOP_FREQUENCY_HZ)
+    )
     natural = 2.0 * np.pi * top * own.velocity
     lower, upper = _position_limits(robot)
     strongest = np.inf if options.max_torque is None else options.max_torque
@@ -358,15 +389,21 @@ def _limits(
     as_strong = limits.torque >= TORQUE_MARGIN * own.torque
     origins = {
         "position": np.where(ranged, MODEL, ASSUMED),
-        "velocity": np.where(own.velocity < usual, MODEL, np.where(by_default, ASSUMED, ASKED)),
-        "acceleration": np.where(shaken, np.where(slide | (asked is None), ASSUMED, ASKED), NONE),
+        "velocity": np.where(
+            own.velocity < usual, MODEL, np.where(by_default, ASSUMED, ASKED)
+        ),
+        "acceleration": np.where(
+            shaken, np.where(slide | (asked is None), ASSUMED, ASKED), NONE
+        ),
         "torque": np.where(as_strong, MODEL, ASKED),
     }
     origins["torque"][~np.isfinite(limits.torque)] = NONE
     return limits, origins
 
 
-def _above_base(robot: RobotModel, options: LimitOptions, rest: Array) -> tuple[HalfSpace, ...]:
+def _above_base(
+    robot: RobotModel, options: LimitOptions, rest: Array
+) -> tuple[HalfSpace, ...]:
     """Return the space above what carries the arm, where nothing else says how low it may get."""
     found = mounting_height(robot, rest)
     if options.below_base or has_floor(robot) or found is None:
@@ -387,7 +424,9 @@ def _obstacles(
     clearance = Clearance(robot, rest, options.clearance, spaces)
     none: tuple[str, ...] = ()
     if not clearance.is_solid:
-        none = ("the model has no collision geometry; nothing keeps the arm from touching itself",)
+        none = (
+            "the model has no collision geometry; nothing keeps the arm from touching itself",
+        )
     if clearance.left_at_rest:
         space, body, depth = max(clearance.left_at_rest, key=lambda entry: entry[2])
         raise InputError(

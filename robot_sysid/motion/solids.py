@@ -22,7 +22,9 @@ from robot_sysid.motion.options import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom
-_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_CORNERS = np.array(
+    [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+)
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 _AXES = np.vstack((np.eye(3), -np.eye(3)))
 _MANY = 60
@@ -65,7 +67,11 @@ class Solid:
         self._round = np.flatnonzero(self.radius)
         self._spreads = self.spread[self._round].transpose(1, 0, 2).reshape(3, -1)
         empty = len(self.points) == 0
-        ends = (np.zeros(3),) if empty else (np.min(self.points, 0), np.max(self.points, 0))
+        ends = (
+            (np.zeros(3),)
+            if empty
+            else (np.min(self.points, 0), np.max(self.points, 0))
+        )
         self.center = np.mean(ends, axis=0)
         reach = np.linalg.norm(self.points - self.center, axis=1) + self.radius
         self.bound = float(np.max(reach, initial=0.0))
@@ -131,7 +137,9 @@ class HalfSpaces:
 
     def __init__(self, mj_model: Any, spaces: Sequence[HalfSpace]) -> None:
         self.spaces = tuple(spaces)
-        self.solids = solids_of(mj_model, sorted({body for s in spaces for body in s.bodies}))
+        self.solids = solids_of(
+            mj_model, sorted({body for s in spaces for body in s.bodies})
+        )
         self.normals = np.array([space.normal for space in spaces]).reshape(-1, 3)
         self._bodies = np.array([solid.body for solid in self.solids], dtype=int)
         self._centers = np.array([solid.center for solid in self.solids]).reshape(-1, 3)
@@ -187,15 +195,21 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
             frame[:, 1:] = data.xmat[bodies].reshape(-1, 3, 3)
         for k, solid in enumerate(solids):
             directions = (_AXES @ frames[:, k, 1:]).reshape(-1, 3)
-            height = np.sum(solid.farthest(directions) * directions, axis=1).reshape(-1, 6)
-            highest = np.max(height + frames[:, k, 0] @ _AXES.T, axis=0, initial=-np.inf)
+            height = np.sum(solid.farthest(directions) * directions, axis=1).reshape(
+                -1, 6
+            )
+            highest = np.max(
+                height + frames[:, k, 0] @ _AXES.T, axis=0, initial=-np.inf
+            )
             reach[k] = np.maximum(reach[k], highest)
     lowest = int(np.argmax(reach[:, 5]))
     (*upper, x, y, z) = np.max(reach, axis=0)
     return -np.array([x, y, z]), np.array(upper), body_label(model, bodies[lowest])
 
 
-def mounting_height(robot: RobotModel, rest: Array) -> tuple[Array, float, list[int]] | None:
+def mounting_height(
+    robot: RobotModel, rest: Array
+) -> tuple[Array, float, list[int]] | None:
     """Return (up (3,), height of what carries the arm along it [m], the bodies that are above).
 
     It is as low as the origin of the body that carries the arm, and as what is fixed to that one
@@ -220,17 +234,22 @@ def mounting_height(robot: RobotModel, rest: Array) -> tuple[Array, float, list[
 
     def lowest(solid: Solid) -> float:
         turn = data.xmat[solid.body].reshape(3, 3)
-        return float(up @ (data.xpos[solid.body] + turn @ solid.farthest(-up[None] @ turn)[0]))
+        return float(
+            up @ (data.xpos[solid.body] + turn @ solid.farthest(-up[None] @ turn)[0])
+        )
 
     feet = [lowest(solid) for solid in solids_of(model, fixed.tolist())]
     if len(shown):
         places = [
-            data.geom_xpos[geom] + _shape(model, geom)[0] @ data.geom_xmat[geom].reshape(3, 3).T
+            data.geom_xpos[geom]
+            + _shape(model, geom)[0] @ data.geom_xmat[geom].reshape(3, 3).T
             for geom in shown.tolist()
         ]
         feet = [float(np.min(np.concatenate(places) @ up))]
     height = min(float(up @ data.xpos[carrier]), *feet, np.inf)
-    heights = {s.body: lowest(s) for s in solids_of(model, np.flatnonzero(parts).tolist())}
+    heights = {
+        s.body: lowest(s) for s in solids_of(model, np.flatnonzero(parts).tolist())
+    }
     low = [body for body, own in heights.items() if own <= height]
     if any(parts[body] > 1 for body in low):
         return None
@@ -242,7 +261,9 @@ def has_floor(robot: RobotModel) -> bool:
     model = robot.mj_model
     fixed = model.body_weldid[model.geom_bodyid] == 0
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    ground = np.isin(model.geom_type, (int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_HFIELD)))
+    ground = np.isin(
+        model.geom_type, (int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_HFIELD))
+    )
     return bool(np.any(fixed & solid & ground))
 
 
@@ -258,7 +279,9 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
     points = [np.zeros((0, 3))]
     radius = [np.zeros(0)]
     for solid in solids:
-        place = data.xpos[solid.body] + solid.points @ data.xmat[solid.body].reshape(3, 3).T
+        place = (
+            data.xpos[solid.body] + solid.points @ data.xmat[solid.body].reshape(3, 3).T
+        )
         points.append((place - data.xpos[body]) @ axes)
         radius.append(solid.radius)
     all_points = np.vstack(points)

@@ -88,7 +88,9 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     that names bodies or joint where no pose is free of collisions and held.
     """
     collisions = problem.obstacles.at_rest["deep"]
-    still, share = (_needed(problem, problem.rest[None], speed)[0] for speed in (0.0, CREEP))
+    still, share = (
+        _needed(problem, problem.rest[None], speed)[0] for speed in (0.0, CREEP)
+    )
     worst = int(np.argmax(share))
     if share[worst] < 1.0 and not collisions:
         return problem
@@ -102,19 +104,29 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
         )
     else:
         is_held = still[worst] < 1.0
-        what = "moving off against gravity and dry friction" if is_held else "holding still"
+        what = (
+            "moving off against gravity and dry friction"
+            if is_held
+            else "holding still"
+        )
         unit = "N" if problem.robot.is_slide[worst] else "N·m"
         reserved = ""
         if problem.has_torque_reserve:
-            pose = Motion(np.zeros(1), problem.rest[None], *np.zeros((2, 1, problem.n_joints)))
+            pose = Motion(
+                np.zeros(1), problem.rest[None], *np.zeros((2, 1, problem.n_joints))
+            )
             reserve = problem.torque_reserve(pose)[0, worst]
-            reserved = f" ({reserve:.2g} of it for errors of the links, --link-uncertainty)"
+            reserved = (
+                f" ({reserve:.2g} of it for errors of the links, --link-uncertainty)"
+            )
         reason = (
             f"{what} takes {(share if is_held else still)[worst] * allowed:.3g} {unit}{reserved} "
             f"at joint {joint}, more than {100.0 * TORQUE_MARGIN:.0f} % of its "
             f"torque limit of {allowed / TORQUE_MARGIN:g}"
         )
-        remedy = f"raise the torque limit of {joint} in the model if the joint can carry it"
+        remedy = (
+            f"raise the torque limit of {joint} in the model if the joint can carry it"
+        )
     # One that is held and touches nothing, if possible with a free way there.
     found = list(islice(_held(problem), MOST_WAYS))
     free = (pose for pose in found if contact_on_the_way(problem, pose) is None)
@@ -212,14 +224,20 @@ def design_poses(
 def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
     """Return (K, n, 4) torques per [m, hx, hy, hz] of a payload at rest, scaled by noise."""
     still = np.zeros_like(poses)
-    every = LinkDynamics(problem.robot).motion(poses, still, still).columns((problem.n_joints - 1,))
+    every = (
+        LinkDynamics(problem.robot)
+        .motion(poses, still, still)
+        .columns((problem.n_joints - 1,))
+    )
     length = problem.scale[1] / problem.scale[0]
     sigma = np.full(problem.n_joints, np.inf)
     sigma[list(problem.rows)] = problem.sigma
     return every[:, :, :4] / sigma[:, None] * np.array([1.0, length, length, length])
 
 
-def _chosen(problem: ExcitationProblem, poses: Array, rows: Array, count: int) -> list[Array]:
+def _chosen(
+    problem: ExcitationProblem, poses: Array, rows: Array, count: int
+) -> list[Array]:
     """Return poses in the order of visiting, each next to the one before by a free way."""
     information = _TINY * np.eye(4)
     left = np.ones(len(poses), dtype=bool)
@@ -262,8 +280,12 @@ def _through(
     steps = np.abs(np.diff(points, axis=0))
     limits = problem.limits
     by_speed = trajectories.PEAK_SPEED * steps / np.minimum(limits.velocity, GENTLE)
-    by_acceleration = np.sqrt(trajectories.PEAK_ACCELERATION * steps / limits.acceleration)
-    times = np.maximum(np.max(np.maximum(by_speed, by_acceleration), axis=1), SHORTEST_MOVE)
+    by_acceleration = np.sqrt(
+        trajectories.PEAK_ACCELERATION * steps / limits.acceleration
+    )
+    times = np.maximum(
+        np.max(np.maximum(by_speed, by_acceleration), axis=1), SHORTEST_MOVE
+    )
     return LineTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
 
 
@@ -299,14 +321,18 @@ def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     assert isinstance(plan, LineTrajectory)
     fastest = np.max(np.abs(plan.speeds), axis=0)
     names = problem.joint_names
-    swept = [f"{name} {speed:.2g}" for name, speed in zip(names, fastest) if speed > 0.0]
+    swept = [
+        f"{name} {speed:.2g}" for name, speed in zip(names, fastest) if speed > 0.0
+    ]
     still = [name for name, speed in zip(names, fastest) if speed == 0.0]
     lines = [
         f"{len(swept)} joints swept at constant speeds, in {plan.duration:.0f} s; fastest in "
         f"rad/s: {', '.join(swept)}."
     ]
     if still:
-        lines.append(f"No room to sweep {', '.join(still)}: nothing is learnt of their friction.")
+        lines.append(
+            f"No room to sweep {', '.join(still)}: nothing is learnt of their friction."
+        )
     return lines
 
 

@@ -26,7 +26,14 @@ from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
 from robot_sysid.records import Array, Motion, MotionPlan, check_arrays
 from robot_sysid.records.atomic_files import whole_file
-from robot_sysid.trajectory import Series, SineTrajectory, faded, motion_chunks, smooth_step, window
+from robot_sysid.trajectory import (
+    Series,
+    SineTrajectory,
+    faded,
+    motion_chunks,
+    smooth_step,
+    window,
+)
 
 PEAK_SPEED = 2.1875
 PEAK_ACCELERATION = 7.5132
@@ -58,9 +65,13 @@ class FourierBasis:
 
     def __post_init__(self) -> None:
         if not (0.0 < self.duration < np.inf and 0.0 < self.base_frequency_hz < np.inf):
-            raise InputError("a Fourier series needs a finite positive duration and base frequency")
+            raise InputError(
+                "a Fourier series needs a finite positive duration and base frequency"
+            )
         if not 0.0 <= 2.0 * self.fade <= self.duration:
-            raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
+            raise InputError(
+                f"fade {self.fade} s does not fit twice into {self.duration} s"
+            )
 
     @property
     def size(self) -> int:
@@ -78,8 +89,12 @@ class FourierBasis:
         base = 2j * np.pi * self.base_frequency_hz
         # exp(i k W t) by products, which are far cheaper than sines.
         waves = np.vander(np.exp(base * time), self.harmonics + 1, increasing=True)
-        turned = (waves * (base * np.arange(self.harmonics + 1.0)) ** k for k in range(3))
-        s, ds, dds = (np.hstack((w.real[:, :1], w.imag[:, 1:], w.real[:, 1:])) for w in turned)
+        turned = (
+            waves * (base * np.arange(self.harmonics + 1.0)) ** k for k in range(3)
+        )
+        s, ds, dds = (
+            np.hstack((w.real[:, :1], w.imag[:, 1:], w.real[:, 1:])) for w in turned
+        )
         if self.fade == 0.0:
             return s, ds, dds
         return faded(window(time, self.duration, self.fade), (s, ds, dds))
@@ -135,7 +150,9 @@ class LineTrajectory:
         count = len(self.points)
         check_arrays(self, points=(None, None), moves=(count - 1,), dwells=(count,))
         if count < 2 or np.any(self.moves <= 0.0) or np.any(self.dwells < 0.0):
-            raise InputError("moves between poses take time, and rests are not negative")
+            raise InputError(
+                "moves between poses take time, and rests are not negative"
+            )
         if self.ramps is not None:
             check_arrays(self, ramps=(count - 1,))
             if np.any(self.ramps <= 0.0) or np.any(2.0 * self.ramps > self.moves):
@@ -155,12 +172,18 @@ class LineTrajectory:
     def speeds(self) -> Array:
         """Constant part of each line's velocity (P - 1, n), where there are ramps [rad/s]."""
         assert self.ramps is not None
-        return np.asarray(np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None])
+        return np.asarray(
+            np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None]
+        )
 
     def evaluate(self, time: Array) -> Motion:
         """Return the motion at times (N,) [s]; exact derivatives."""
         time = np.asarray(time, dtype=float)
-        at = np.clip(np.searchsorted(self.arrivals, time, side="right") - 1, 0, len(self.moves) - 1)
+        at = np.clip(
+            np.searchsorted(self.arrivals, time, side="right") - 1,
+            0,
+            len(self.moves) - 1,
+        )
         length = self.moves[at]
         gone = np.clip(time - self.arrivals[at] - self.dwells[at], 0.0, length)
         if self.ramps is None:
@@ -195,11 +218,18 @@ def _cruise(gone: Array, length: Array, ramp: Array) -> Series:
     way = ramp * x**4 * (2.5 + x * (x - 3.0)) + np.maximum(near - ramp, 0.0)
     speed = x**3 * (10.0 + x * (6.0 * x - 15.0))
     bend = 30.0 * (x * (1.0 - x)) ** 2
-    return np.where(falls, length - ramp - way, way), speed, np.where(falls, -bend, bend) / ramp
+    return (
+        np.where(falls, length - ramp - way, way),
+        speed,
+        np.where(falls, -bend, bend) / ramp,
+    )
 
 
 _KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
-    "sines": (SineTrajectory, ("duration", "fade", "center", "amplitude", "frequency_hz", "phase")),
+    "sines": (
+        SineTrajectory,
+        ("duration", "fade", "center", "amplitude", "frequency_hz", "phase"),
+    ),
     "fourier": (FourierTrajectory, ("rest", "coefficients")),
     "poses": (LineTrajectory, ("points", "moves", "dwells")),
     "sweeps": (LineTrajectory, ("points", "moves", "ramps")),
@@ -276,7 +306,9 @@ class SavedTrajectory:
                 f"{', '.join(self.joint_names)}"
             )
         if not max(np.max(np.abs(ends.qd)), np.max(np.abs(ends.qdd))) <= REST_TOLERANCE:
-            raise InputError("the trajectory does not start and end at rest; design it again")
+            raise InputError(
+                "the trajectory does not start and end at rest; design it again"
+            )
 
     def require_fits(self, joint_names: Sequence[str]) -> None:
         """Raise InputError unless it was made for joints of these names, in this order."""
@@ -296,7 +328,11 @@ def save_trajectory(
     A sum of sinusoids, a Fourier series, poses, or sweeps, else InputError; ``sha256`` is that of
     the model file it was made for.
     """
-    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "joints": list(joint_names)}
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "joints": list(joint_names),
+    }
     if sha256:
         content["model_sha256"] = sha256
     kind, parts = _parts(plan)
@@ -315,7 +351,9 @@ def load_trajectory(path: Path) -> SavedTrajectory:
         Path(path), "--trajectory takes the .json file that robot-sysid plan writes"
     )
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{path} is not a trajectory of this program; robot-sysid plan writes one")
+        raise InputError(
+            f"{path} is not a trajectory of this program; robot-sysid plan writes one"
+        )
     if content.get("version") != VERSION:
         raise InputError(
             f"{path} has version {content.get('version')!r} of the format, this program reads "
@@ -337,13 +375,18 @@ def load_trajectory(path: Path) -> SavedTrajectory:
 
 
 def save_samples(
-    path: Path | TextIO, plan: MotionPlan, joint_names: Sequence[str], sample_rate: float
+    path: Path | TextIO,
+    plan: MotionPlan,
+    joint_names: Sequence[str],
+    sample_rate: float,
 ) -> None:
     """Write a trajectory's samples as CSV: time, then q, qd and qdd of each joint, SI units.
 
     The file appears whole or not at all; it has ``sample_rate`` rows per second.
     """
-    titles = [f"{quantity}_{name}" for quantity in ("q", "qd", "qdd") for name in joint_names]
+    titles = [
+        f"{quantity}_{name}" for quantity in ("q", "qd", "qdd") for name in joint_names
+    ]
     with whole_file(path) as file:
         file.write(",".join(["time", *titles]) + "\n")
         for motion in motion_chunks(plan, sample_rate):

@@ -55,7 +55,9 @@ def shown_plan(problem: ExcitationProblem, plan: MotionPlan) -> Shown:
     torque = problem.torque(motion)
     clearances = problem.obstacles.distances
     near = np.array([min(clearances.slack_at(q)[0], _FARTHEST) for q in motion.q])
-    known = near if np.isfinite(clearances.closest(motion.q[0]).distance) else near * np.nan
+    known = (
+        near if np.isfinite(clearances.closest(motion.q[0]).distance) else near * np.nan
+    )
     shares = _shares((motion.q - limits.center, motion.qd, torque), largest[[0, 1, 3]])
     strips = (*shares, Strip("clearance [mm]", 1000.0 * known, 0.0))
     return Shown(motion.time, motion.q, strips)
@@ -66,10 +68,14 @@ def shown_log(robot: RobotModel, log: Measurement) -> Shown:
     time = log.time - log.time[0]
     at = np.linspace(0.0, float(time[-1]), _count(float(time[-1])))
     q, tau = (interpolated(at, time, values) for values in (log.q, log.tau))
-    qd = np.gradient(q, at, axis=0) if log.qd is None else interpolated(at, time, log.qd)
+    qd = (
+        np.gradient(q, at, axis=0) if log.qd is None else interpolated(at, time, log.qd)
+    )
     limits = robot.limits
     span = 0.5 * (limits.upper - limits.lower)
-    center = np.where(np.isfinite(span), limits.upper, 0.0) - np.where(np.isfinite(span), span, 0.0)
+    center = np.where(np.isfinite(span), limits.upper, 0.0) - np.where(
+        np.isfinite(span), span, 0.0
+    )
     largest = (span, limits.velocity, limits.torque)
     return Shown(at, q, tuple(_shares((q - center, qd, tau), largest)))
 
@@ -83,7 +89,9 @@ def _shares(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Strip
     titles = ("position [% of range]", "speed [% of limit]", "torque [% of limit]")
     for title, values, limit in zip(titles, signals, limits):
         shares = 100.0 * np.max(np.abs(values) / limit, axis=1)
-        yield Strip(title, shares if np.any(np.isfinite(limit)) else shares * np.nan, 100.0)
+        yield Strip(
+            title, shares if np.any(np.isfinite(limit)) else shares * np.nan, 100.0
+        )
 
 
 # Multiples of sixteen, which every player can show.
@@ -142,7 +150,9 @@ def _strips(shown: Shown) -> tuple[Picture, NDArray[np.int64]]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_PANEL / 100, _SIZE[1] / 100), dpi=100, layout="constrained")
+    figure = Figure(
+        figsize=(_PANEL / 100, _SIZE[1] / 100), dpi=100, layout="constrained"
+    )
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(len(shown.strips), 1, sharex=True)
     for ax, strip in zip(axes, shown.strips):
@@ -158,7 +168,9 @@ def _strips(shown: Shown) -> tuple[Picture, NDArray[np.int64]]:
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
     axes[-1].set_xlabel("time [s]", fontsize=8, color=_INK)
     canvas.draw()
-    places = axes[-1].transData.transform(np.column_stack((shown.time, 0.0 * shown.time)))[:, 0]
+    places = axes[-1].transData.transform(
+        np.column_stack((shown.time, 0.0 * shown.time))
+    )[:, 0]
     columns = np.clip(np.round(places).astype(np.int64), 0, _PANEL - 1)
     return np.array(canvas.buffer_rgba())[..., :3], columns
 

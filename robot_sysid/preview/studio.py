@@ -99,7 +99,9 @@ class Studio:
         # A white wall closes the view; MuJoCo's own background is black.
         ahead = self.scene.camera[0].forward
         far = 4.0 * float(self.camera.distance)
-        near, behind = (self.camera.lookat + (far + side) * ahead for side in (-0.01, 0.01))
+        near, behind = (
+            self.camera.lookat + (far + side) * ahead for side in (-0.01, 0.01)
+        )
         self._connect(mujoco.mjtGeom.mjGEOM_CYLINDER, 4.0 * far, _WHITE, near, behind)
         self.scene.geoms[self.scene.ngeom - 1].emission = 1.0
         ids = [link.body_id for link in self.robot.links]
@@ -152,24 +154,40 @@ class Studio:
         place = self.data.xpos[body] + turn @ com
         possible = mass > 0.0 and bool(np.all(squares > 0.0))
         dot = (*colour[:3], 1.0)
-        self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.008), place, np.eye(3), dot)
+        self._add(
+            mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.008), place, np.eye(3), dot
+        )
         if possible:
-            self._add(mujoco.mjtGeom.mjGEOM_ELLIPSOID, np.sqrt(squares), place, turn @ axes, colour)
+            self._add(
+                mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+                np.sqrt(squares),
+                place,
+                turn @ axes,
+                colour,
+            )
         return possible
 
-    def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Colour) -> None:
+    def _add(
+        self, kind: Any, size: Array, place: Array, turn: Array, colour: Colour
+    ) -> None:
         if self.scene.ngeom >= self.scene.maxgeom:
             return
         geom = self.scene.geoms[self.scene.ngeom]
         rgba = np.array(colour, dtype=np.float32)
-        mujoco.mjv_initGeom(geom, kind, size, place, np.ascontiguousarray(turn).ravel(), rgba)
+        mujoco.mjv_initGeom(
+            geom, kind, size, place, np.ascontiguousarray(turn).ravel(), rgba
+        )
         self.scene.ngeom += 1
 
-    def _connect(self, kind: Any, width: float, colour: Colour, start: Array, end: Array) -> None:
+    def _connect(
+        self, kind: Any, width: float, colour: Colour, start: Array, end: Array
+    ) -> None:
         """Add a shape that reaches from one place (3,) to another one, if they differ."""
         if np.any(start != end) and self.scene.ngeom < self.scene.maxgeom:
             self._add(kind, np.ones(3), start, np.eye(3), colour)
-            mujoco.mjv_connector(self.scene.geoms[self.scene.ngeom - 1], kind, width, start, end)
+            mujoco.mjv_connector(
+                self.scene.geoms[self.scene.ngeom - 1], kind, width, start, end
+            )
 
     def picture(self) -> Picture:
         """Return the picture (height, width, 3)."""

@@ -25,7 +25,9 @@ def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array
         want is None or want == got for want, got in zip(shape, array.shape)
     )
     if not fits:
-        raise InputError(f"{name} has shape {array.shape}, expected {shape} (None = any length)")
+        raise InputError(
+            f"{name} has shape {array.shape}, expected {shape} (None = any length)"
+        )
     if not np.all(np.isfinite(array)):
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise InputError(f"{name} is not finite at index {where}")
@@ -36,7 +38,9 @@ def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array
 def check_arrays(record: Any, **shapes: tuple[int | None, ...]) -> None:
     """Replace fields of a frozen record by ``checked_array`` of a shape each."""
     for name, shape in shapes.items():
-        object.__setattr__(record, name, checked_array(getattr(record, name), shape, name))
+        object.__setattr__(
+            record, name, checked_array(getattr(record, name), shape, name)
+        )
 
 
 @dataclass(frozen=True)
@@ -153,7 +157,9 @@ class Flange:
         check_arrays(self, rotation=(3, 3), translation=(3,))
         square = self.rotation @ self.rotation.T
         if not np.allclose(square, np.eye(3)) or np.linalg.det(self.rotation) < 0.0:
-            raise InputError(f"the axes of flange {self.name} are not a right-handed frame")
+            raise InputError(
+                f"the axes of flange {self.name} are not a right-handed frame"
+            )
 
     def to_flange(self, theta: Array) -> Array:
         """Return theta (10,) in this frame from theta in the terminal body's frame."""
@@ -177,11 +183,21 @@ class JointLimits:
     torque: Array
 
     def __post_init__(self) -> None:
-        sizes = {np.shape(v) for v in (self.lower, self.upper, self.velocity, self.torque)}
-        if len(sizes) != 1 or np.any(np.isnan(self.lower)) or np.any(np.isnan(self.upper)):
-            raise InputError(f"joint limits must be numbers of one length, got shapes {sizes}")
+        sizes = {
+            np.shape(v) for v in (self.lower, self.upper, self.velocity, self.torque)
+        }
+        if (
+            len(sizes) != 1
+            or np.any(np.isnan(self.lower))
+            or np.any(np.isnan(self.upper))
+        ):
+            raise InputError(
+                f"joint limits must be numbers of one length, got shapes {sizes}"
+            )
         if np.any(self.lower >= self.upper) or np.any(self.velocity <= 0.0):
-            raise InputError("joint limits are empty: need lower < upper and velocity > 0")
+            raise InputError(
+                "joint limits are empty: need lower < upper and velocity > 0"
+            )
 
 
 @dataclass(frozen=True)
@@ -214,7 +230,9 @@ class JointFriction:
         direction of a velocity is its sign, or what turns round smoothly in place of that.
         """
         assert self.shared is not None
-        speed = qd @ (self.shared / np.max(np.abs(self.shared), axis=1, keepdims=True)).T
+        speed = (
+            qd @ (self.shared / np.max(np.abs(self.shared), axis=1, keepdims=True)).T
+        )
         return np.asarray(self.coulomb * direction(qd) + direction(speed) @ self.shared)
 
     @property
@@ -299,7 +317,9 @@ class RobotModel:
     @property
     def slides(self) -> tuple[str, ...]:
         """Names of the chain joints that are slides."""
-        return tuple(name for name, slide in zip(self.joint_names, self.is_slide) if slide)
+        return tuple(
+            name for name, slide in zip(self.joint_names, self.is_slide) if slide
+        )
 
     @property
     def reference(self) -> Array:

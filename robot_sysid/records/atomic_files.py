@@ -45,7 +45,9 @@ class WholeFiles:
         The draft keeps the suffix, so that it can be loaded and checked before it counts.
         """
         if os.path.isdir(path):
-            raise InputError(f"cannot write {path}: it is a folder; choose another name")
+            raise InputError(
+                f"cannot write {path}: it is a folder; choose another name"
+            )
         refuse_special_file(path, "choose another name to write to")
         self.withdraw(path)
         with _refusals(path):
@@ -66,7 +68,9 @@ class WholeFiles:
         """Write the draft of ``path`` and return where it is."""
         draft = self.draft(path)
         with _refusals(path):
-            draft.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+            draft.write_bytes(
+                content.encode("utf-8") if isinstance(content, str) else content
+            )
         return draft
 
     def withdraw(self, path: Path) -> None:
@@ -102,7 +106,9 @@ class WholeFiles:
     def discard(self) -> None:
         """Remove the drafts that are left, and the folders made for them that are empty."""
         for draft in self._drafts.values():
-            with contextlib.suppress(OSError):  # it has its final name, or was never made
+            with contextlib.suppress(
+                OSError
+            ):  # it has its final name, or was never made
                 draft.unlink()
         for folder in reversed(self._created_folders):
             with contextlib.suppress(OSError):  # there is a file in it
@@ -246,14 +252,22 @@ def require_writable(folder: Path) -> None:
         raise InputError(f"cannot write to {folder}: {fault}; choose another folder")
 
 
-def refuse_overwriting(read: Iterable[Path | None], written: Iterable[tuple[str, Path]]) -> None:
+def refuse_overwriting(
+    read: Iterable[Path | None], written: Iterable[tuple[str, Path]]
+) -> None:
     """Raise InputError where a file would be written over one that is read, or two to one place."""
     with _gone():
-        taken = {os.path.realpath(path): "a file that is read" for path in read if path is not None}
+        taken = {
+            os.path.realpath(path): "a file that is read"
+            for path in read
+            if path is not None
+        }
         for what, path in written:
             place = os.path.realpath(path)
             if place in taken:
-                raise InputError(f"{what} would overwrite {taken[place]}: {path}; choose another")
+                raise InputError(
+                    f"{what} would overwrite {taken[place]}: {path}; choose another"
+                )
             taken[place] = f"what {what} writes"
 
 
@@ -272,7 +286,9 @@ def _gone() -> Iterator[None]:
     try:
         yield
     except FileNotFoundError:
-        raise InputError("the current folder no longer exists; change to another one") from None
+        raise InputError(
+            "the current folder no longer exists; change to another one"
+        ) from None
 
 
 @contextlib.contextmanager
@@ -281,4 +297,6 @@ def _refusals(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"cannot write {path}: {words_of(error)}; choose another folder") from None
+        raise InputError(
+            f"cannot write {path}: {words_of(error)}; choose another folder"
+        ) from None

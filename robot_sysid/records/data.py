@@ -29,7 +29,10 @@ class Motion:
 def _check_samples(record: Motion | Measurement, *names: str) -> None:
     """Check the time (N,) of a record and, where they are there, arrays (N, n)."""
     check_arrays(record, time=(None,))
-    shape = (len(record.time), np.shape(record.q)[1] if np.ndim(record.q) == 2 else None)
+    shape = (
+        len(record.time),
+        np.shape(record.q)[1] if np.ndim(record.q) == 2 else None,
+    )
     there = (name for name in names if getattr(record, name) is not None)
     check_arrays(record, **dict.fromkeys(there, shape))
 
@@ -134,7 +137,9 @@ class SquareRootInformation:
     def squared_residuals(self, values: Array) -> Array:
         """Return sums of squared residuals (joints, ...) [N^2 m^2] at values (p, ...)."""
         pairs = ((j.triangle, values[j.columns]) for j in self.joints)
-        return np.array([np.sum((((t[:, :-1] @ x).T - t[:, -1]) ** 2).T, axis=0) for t, x in pairs])
+        return np.array(
+            [np.sum((((t[:, :-1] @ x).T - t[:, -1]) ** 2).T, axis=0) for t, x in pairs]
+        )
 
 
 SampleSource = Iterable[tuple[int, Array, Array]]
@@ -172,7 +177,9 @@ class Signals:
         shape = (len(self.time), len(self.joints))
         for name in SIGNALS:
             if np.shape(getattr(self, name)) != shape:
-                raise InputError(f"{name} has shape {np.shape(getattr(self, name))}, not {shape}")
+                raise InputError(
+                    f"{name} has shape {np.shape(getattr(self, name))}, not {shape}"
+                )
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,9 @@ class OptionRecord:
                     raise InputError(f"{each.flag} {complaint}")
 
 
-def option(default: Any, help: str, value: str = "", flag: str = "", **rest: Any) -> Any:
+def option(
+    default: Any, help: str, value: str = "", flag: str = "", **rest: Any
+) -> Any:
     """Return a dataclass field that is an option of the command line.
 
     Args:
@@ -95,7 +97,9 @@ def option(default: Any, help: str, value: str = "", flag: str = "", **rest: Any
     assert parts, value
     said = {"metavar": parts[1], "unit": parts[2], "check": _LEAST.get(parts[3])}
     given = {name: each for name, each in said.items() if each}
-    return field(default=default, metadata={"option": Option(flag, help, **{**given, **rest})})
+    return field(
+        default=default, metadata={"option": Option(flag, help, **{**given, **rest})}
+    )
 
 
 def options_of(record: Any) -> Mapping[str, Option]:
@@ -111,7 +115,11 @@ def _options_of(record: Any) -> Mapping[str, Option]:
             stated: Option = each.metadata["option"]
             flag = stated.flag or "--" + each.name.replace("_", "-")
             # float for "tuple[float, ...] | None".
-            types = (_TYPES[word] for word in re.findall(r"\w+", str(each.type)) if word in _TYPES)
+            types = (
+                _TYPES[word]
+                for word in re.findall(r"\w+", str(each.type))
+                if word in _TYPES
+            )
             parse = stated.parse or next(types, None)
             found[each.name] = replace(stated, flag=flag, parse=parse)
     return found
@@ -133,7 +141,9 @@ def given_options(record: Any) -> Iterator[Option]:
 def command_words(values: Mapping[str, Any], *records: Any) -> list[str]:
     """Return the words of a command line that give records' options the values of their keys."""
     words = []
-    for each in (stated for record in records for stated in options_of(record).values()):
+    for each in (
+        stated for record in records for stated in options_of(record).values()
+    ):
         given = values.get(each.key)
         if given is None or given is False:
             continue
@@ -154,7 +164,9 @@ def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:
     A text counts as what it is on the command line, a list or array as a tuple. Raises InputError
     where a value is of another kind than its option's.
     """
-    stated = {name: each for name, each in options_of(record).items() if each.key in values}
+    stated = {
+        name: each for name, each in options_of(record).items() if each.key in values
+    }
     made = {}
     for name, each in stated.items():
         given = values[each.key]
@@ -172,14 +184,19 @@ def _value(stated: Option, given: Any) -> Any:
     except InputError as error:
         raise InputError(f"{stated.flag}: {error}") from None
     rows = isinstance(stated.metavar, tuple)
-    alone = not isinstance(value, tuple) or (rows and not any(isinstance(e, tuple) for e in value))
+    alone = not isinstance(value, tuple) or (
+        rows and not any(isinstance(e, tuple) for e in value)
+    )
     if (stated.repeats or stated.several) and alone:
         value = (value,)
     name = getattr(stated.parse, "__name__", "bool")
     kinds, said = _KINDS.get(name, ((object,), ""))
     many = stated.repeats or stated.several or rows or said.endswith(_PER_JOINT)
     # A bool is a number to Python, and none here.
-    fits = (isinstance(e, kinds) and isinstance(e, bool) <= (bool in kinds) for e in _leaves(value))
+    fits = (
+        isinstance(e, kinds) and isinstance(e, bool) <= (bool in kinds)
+        for e in _leaves(value)
+    )
     if not (many or alone) or not all(fits):
         raise InputError(f"{stated.flag} must be {said} (got {given!r:.60})")
     return value
@@ -212,13 +229,21 @@ def refuse_unknown(values: Collection[str], known: Collection[str]) -> None:
         from difflib import get_close_matches
 
         near = get_close_matches(key, known, 1, 0.7)
-        said = f"did you mean {near[0]!r}?" if near else f"valid: {', '.join(sorted(known))}"
+        said = (
+            f"did you mean {near[0]!r}?"
+            if near
+            else f"valid: {', '.join(sorted(known))}"
+        )
         raise InputError(f"unknown option {key!r}; {said}")
 
 
 def positive(value: float) -> str | None:
     """Complain unless a number is positive and finite."""
-    return None if value > 0.0 and math.isfinite(value) else f"must be positive (got {value:g})"
+    return (
+        None
+        if value > 0.0 and math.isfinite(value)
+        else f"must be positive (got {value:g})"
+    )
 
 
 def not_negative(value: float) -> str | None:
@@ -232,7 +257,9 @@ _LEAST = {">": positive, ">=": not_negative}
 
 def speed_factor(value: float) -> str | None:
     """Complain unless a number is above 0 and at most 1."""
-    return None if 0.0 < value <= 1.0 else f"must be above 0 and at most 1 (got {value:g})"
+    return (
+        None if 0.0 < value <= 1.0 else f"must be above 0 and at most 1 (got {value:g})"
+    )
 
 
 def per_joint(values: PerJoint, joints: int, option: str) -> Array:
@@ -252,7 +279,9 @@ def levels(text: str) -> PerJoint:
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError as error:
-        raise InputError(f"{text!r} is neither a number nor a list like 0.1,0.1,0.05") from error
+        raise InputError(
+            f"{text!r} is neither a number nor a list like 0.1,0.1,0.05"
+        ) from error
     return numbers[0] if len(numbers) == 1 else numbers
 
 

@@ -62,5 +62,12 @@ def command_after_weighing(folder: Path, model: Path, written: Path) -> str:
     path, content = settings
     if content.get("for_") != WEIGHT or content.get("path") != str(model):
         return ""
-    options = ("--config", str(path), "--for", "link", "--output-dir", str(folder / "planned"))
+    options = (
+        "--config",
+        str(path),
+        "--for",
+        "link",
+        "--output-dir",
+        str(folder / "planned"),
+    )
     return shlex.join(("robot-sysid", "plan", str(written), *options))

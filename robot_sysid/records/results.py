@@ -82,7 +82,9 @@ class Estimate:
 
     def value(self, name: str) -> float | None:
         """Return one parameter by name, or None where it was not estimated."""
-        return float(self.values[self.names.index(name)]) if name in self.names else None
+        return (
+            float(self.values[self.names.index(name)]) if name in self.names else None
+        )
 
     def error(self, name: str) -> float | None:
         """Return the standard error of one parameter by name, or None where there is none."""
@@ -122,8 +124,12 @@ def validation_of(
         n_samples=int(np.max(counts, initial=0)),
         rmse=float(np.sqrt(np.sum(wrong) / max(np.sum(counts), 1.0))),
         relative_error=ratio(float(np.sum(wrong)), float(np.sum(squares))),
-        rmse_per_joint=dict(zip(joints, np.sqrt(wrong / np.maximum(counts, 1.0)).tolist())),
-        relative_error_per_joint={j: ratio(*pair) for j, *pair in zip(joints, wrong, squares)},
+        rmse_per_joint=dict(
+            zip(joints, np.sqrt(wrong / np.maximum(counts, 1.0)).tolist())
+        ),
+        relative_error_per_joint={
+            j: ratio(*pair) for j, *pair in zip(joints, wrong, squares)
+        },
     )
 
 
@@ -217,7 +223,9 @@ class RolloutError:
     @property
     def overall(self) -> tuple[float, float]:
         """The error of all joints together (before, after)."""
-        before, after = (float(np.sqrt(np.mean(e**2))) for e in (self.before, self.after))
+        before, after = (
+            float(np.sqrt(np.mean(e**2))) for e in (self.before, self.after)
+        )
         return before, after
 
     @property

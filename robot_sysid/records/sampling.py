@@ -16,7 +16,9 @@ MOST_SAMPLES = 1e9
 class TrajectoryOptions(OptionRecord):
     """Which trajectory the arm moves along, and how finely it is sampled."""
 
-    duration: float = option(15.0, "length; longer gives better conditioning", "[s] > 0")
+    duration: float = option(
+        15.0, "length; longer gives better conditioning", "[s] > 0"
+    )
     sample_rate: float = option(
         1000.0, "samples per second; higher gives more equations", "RATE [Hz] > 0"
     )
@@ -30,7 +32,9 @@ class TrajectoryOptions(OptionRecord):
     speed: float = option(
         1.0, "slow the whole motion down, for a first run", "FACTOR", check=speed_factor
     )
-    file: Path | None = option(None, "use a trajectory that was saved", "FILE", flag="--trajectory")
+    file: Path | None = option(
+        None, "use a trajectory that was saved", "FILE", flag="--trajectory"
+    )
     save: Path | None = option(
         None,
         "write the trajectory as JSON (coefficients), and as CSV (samples) beside it",

@@ -98,7 +98,10 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, fl
 def write_torque_scale(path: Path, scale: Mapping[str, tuple[float, float]]) -> None:
     """Write what ``--torque-scale`` reads: joint to its scale and the standard error of that."""
     checked = {
-        joint: {"value": _factor(path, joint, value), "standard_error": _factor(path, joint, error)}
+        joint: {
+            "value": _factor(path, joint, value),
+            "standard_error": _factor(path, joint, error),
+        }
         for joint, (value, error) in scale.items()
     }
     write_whole(path, json.dumps({"version": VERSION, SCALE: checked}, indent=2) + "\n")

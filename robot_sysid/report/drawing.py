@@ -98,7 +98,9 @@ def cells(value: float, error: float) -> tuple[str, str]:
     return text(value, error), plus_minus(error)
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[Any]], note: str = "") -> Table:
+def table(
+    header: Sequence[str], rows: Iterable[Sequence[Any]], note: str = ""
+) -> Table:
     """Return a table of texts and numbers; with more than ``MOST_ROWS`` rows, some of them."""
     texts = [tuple(c if isinstance(c, str) else text(c) for c in row) for row in rows]
     step = -(-len(texts) // MOST_ROWS)
@@ -135,13 +137,17 @@ _STYLE: dict[str, Any] = {
     **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color"), INK),
     **dict.fromkeys(("xtick.color", "ytick.color"), INK),
     **dict.fromkeys(("axes.grid", "axes.axisbelow"), True),
-    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "axes.formatter.useoffset"), False),
+    **dict.fromkeys(
+        ("axes.spines.top", "axes.spines.right", "axes.formatter.useoffset"), False
+    ),
     "grid.color": GRID,
     "grid.linewidth": 0.6,
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "lines.linewidth": 1.1,
-    **dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), "none"),
+    **dict.fromkeys(
+        ("figure.facecolor", "axes.facecolor", "savefig.facecolor"), "none"
+    ),
     "svg.fonttype": "none",
     # Names of joints and files are text, never formulas.
     "text.parse_math": False,
@@ -150,7 +156,9 @@ _STYLE: dict[str, Any] = {
 
 def require_libraries() -> None:
     """Raise InputError where figures cannot be drawn; asked before a long run."""
-    missing = [n for n in ("matplotlib", "jinja2") if importlib.util.find_spec(n) is None]
+    missing = [
+        n for n in ("matplotlib", "jinja2") if importlib.util.find_spec(n) is None
+    ]
     if missing:
         raise InputError(
             f"a report needs {' and '.join(missing)}; install with: "
@@ -217,14 +225,22 @@ class Panel:
 
 
 def curves(
-    name: str, caption: str, across: tuple[str, Array], panels: Sequence[Panel], height: float
+    name: str,
+    caption: str,
+    across: tuple[str, Array],
+    panels: Sequence[Panel],
+    height: float,
 ) -> Figure:
     """Return curves in panels over one axis, ``across``, broken where that is NaN; with a table."""
-    every = {label: each for panel in panels for label, (each, _) in panel.curves.items()}
+    every = {
+        label: each for panel in panels for label, (each, _) in panel.curves.items()
+    }
 
     def draw(canvas: Any) -> None:
         ratios = [panel.height for panel in panels]
-        axes = canvas.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=ratios)
+        axes = canvas.subplots(
+            len(panels), 1, sharex=True, squeeze=False, height_ratios=ratios
+        )
         for (ax,), panel in zip(axes, panels):
             if panel.cloud is not None:
                 dots(ax, *panel.cloud)
@@ -246,7 +262,9 @@ def svg(figure: Figure) -> str:
     """Return a drawing as an SVG file; the same text for the same drawing."""
     buffer = io.StringIO()
     with _styled(figure.name):
-        figure.drawing.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        figure.drawing.savefig(
+            buffer, format="svg", metadata={"Date": None, "Creator": None}
+        )
     return buffer.getvalue()
 
 
@@ -257,12 +275,15 @@ def png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     with _styled(figure.name):
         facts = {"Software": None}
-        figure.drawing.savefig(buffer, format="png", dpi=_DPI, facecolor="w", metadata=facts)
+        figure.drawing.savefig(
+            buffer, format="png", dpi=_DPI, facecolor="w", metadata=facts
+        )
     return buffer.getvalue()
 
 
 _DROPPED = re.compile(
-    r' id="[A-Za-z][A-Za-z0-9]*_\d+"|<style.*?</style>|<metadata>.*?</metadata>', re.DOTALL
+    r' id="[A-Za-z][A-Za-z0-9]*_\d+"|<style.*?</style>|<metadata>.*?</metadata>',
+    re.DOTALL,
 )
 """What a drawing inside a page has no use for: ids that nothing refers to, styles, facts."""
 _SIZE = re.compile(r'(<svg[^>]*?) (?:width|height)="[^"]*"')
@@ -277,7 +298,9 @@ def inline(figure: Figure) -> str:
         text = text.replace(colour, f"var(--{variable})")
     width = 72.0 * float(figure.drawing.get_figwidth())
     # For readers who do not see it the caption says what it is.
-    return text.replace("<svg", f'<svg aria-hidden="true" style="max-width:{1.5 * width:.0f}px"', 1)
+    return text.replace(
+        "<svg", f'<svg aria-hidden="true" style="max-width:{1.5 * width:.0f}px"', 1
+    )
 
 
 def legend(canvas: Any, axes: Any, columns: int = 3) -> None:
@@ -295,7 +318,10 @@ def dots(axes: Any, places: Array, values: Array) -> None:
 
 
 def bars(
-    canvas: Any, groups: Sequence[str], series: Sequence[tuple[str, Any, str]], label: str
+    canvas: Any,
+    groups: Sequence[str],
+    series: Sequence[tuple[str, Any, str]],
+    label: str,
 ) -> None:
     """Draw bars below each other; (name, lengths (n,), colour) of the first, ... of each group.
 
@@ -305,7 +331,12 @@ def bars(
     height = 0.8 / len(series)
     places = -np.arange(len(groups), dtype=float)
     for k, (name, lengths, colour) in enumerate(series):
-        style = {"facecolor": colour, "edgecolor": INK, "alpha": 0.8, "hatch": HATCHES[k]}
+        style = {
+            "facecolor": colour,
+            "edgecolor": INK,
+            "alpha": 0.8,
+            "hatch": HATCHES[k],
+        }
         drawable = np.where(np.isfinite(lengths), lengths, 0.0)
         at = places - height * (k - 0.5 * (len(series) - 1))
         axes.barh(at, drawable, 0.92 * height, label=shortened(name, 40), **style)

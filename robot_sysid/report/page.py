@@ -20,7 +20,13 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.report.drawing import Section, inline, png, svg
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
 from robot_sysid.report.sections import signals, verdict
-from robot_sysid.report.sections.parameters import COMPARISON, card, parameters, scatter, visibility
+from robot_sysid.report.sections.parameters import (
+    COMPARISON,
+    card,
+    parameters,
+    scatter,
+    visibility,
+)
 from robot_sysid.report.sections.picture import picture
 
 _TEMPLATE = Path(__file__).with_name("template.html")
@@ -56,19 +62,25 @@ def sections_of(
         if len(runs) > 1:
             return [maker(runs) for maker in COMPARISON]
         for maker in alone:
-            (progress or Progress()).advance("Drawing the report", len(found), len(alone), "")
+            (progress or Progress()).advance(
+                "Drawing the report", len(found), len(alone), ""
+            )
             found.append(maker(runs[0]))
         return [section for section in found if section is not None]
     except _ODD as error:
         cause = f"{type(error).__name__}: {error}"
-        raise InputError(f"{runs[0].folder}: a result cannot be shown ({cause})") from None
+        raise InputError(
+            f"{runs[0].folder}: a result cannot be shown ({cause})"
+        ) from None
 
 
 def html(title: str, sections: Sequence[Section]) -> str:
     """Return a page that opens without anything else."""
     from jinja2 import Environment, StrictUndefined
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
     environment.filters.update(prose=_prose, base64=base64.b64encode, inline=inline)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     return template.render(title=title, sections=sections, version=__version__) + "\n"
@@ -120,7 +132,9 @@ def write_report(
         if page:
             files.write(destination / name, html(f"robot-sysid: {about}", sections))
             written.append(destination / name)
-        for figure in (each for section in sections for each in section.figures if plots):
+        for figure in (
+            each for section in sections for each in section.figures if plots
+        ):
             kinds = {".png": png(figure)}
             if figure.drawing is not None:
                 kinds[".svg"] = svg(figure).encode()

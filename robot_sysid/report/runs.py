@@ -41,7 +41,13 @@ _LEAST_IN_BIN = 4
 """Samples of which a mean and a spread say anything."""
 _VERSION = 1
 _REMEDY = "identify again"
-BY_SPEED = ("speed", "residual_mean", "residual_spread", "friction_measured", "friction_predicted")
+BY_SPEED = (
+    "speed",
+    "residual_mean",
+    "residual_spread",
+    "friction_measured",
+    "friction_predicted",
+)
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,9 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
     # The logs one after the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))
-    drawn: dict[str, Any] = {n: np.asarray(getattr(traces, n)[kept], np.float32) for n in SIGNALS}
+    drawn: dict[str, Any] = {
+        n: np.asarray(getattr(traces, n)[kept], np.float32) for n in SIGNALS
+    }
     return ReportData(
         joints=traces.joints,
         is_slide=traces.is_slide,
@@ -121,7 +129,10 @@ def data_bytes(data: ReportData) -> bytes:
 def load_data(path: Path) -> ReportData:
     """Return what was saved; InputError where there is nothing, or nothing of this program."""
     kinds: dict[str, Callable[[Array], Any]] = {
-        **{each.name: lambda a: np.asarray(a, dtype=float) for each in fields(ReportData)},
+        **{
+            each.name: lambda a: np.asarray(a, dtype=float)
+            for each in fields(ReportData)
+        },
         "n_samples": int,
         "result": str,
         "joints": lambda a: tuple(map(str, a)),
@@ -165,11 +176,17 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
     """
     step = (float(np.median(np.diff(time))) if len(time) > 1 else 0.0) or 1.0
     last = int(min(LONGEST_LAG / step, len(time) // 4))
-    shifts = np.unique(np.linspace(0, last, min(last, _MOST_LAGS) + 1).round().astype(int))
+    shifts = np.unique(
+        np.linspace(0, last, min(last, _MOST_LAGS) + 1).round().astype(int)
+    )
     found = [autocovariance(column, last)[0] for column in residual.T]
     correlation = np.array([(each / (each[0] or 1.0))[shifts] for each in found])
     independent = 1.96 / np.sqrt(np.maximum(np.sum(np.isfinite(residual), axis=0), 1))
-    return {"lags": shifts * step, "correlation": correlation, "independent": independent}
+    return {
+        "lags": shifts * step,
+        "correlation": correlation,
+        "independent": independent,
+    }
 
 
 def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
@@ -181,13 +198,19 @@ def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
     found = np.full((len(BY_SPEED), qd.shape[1], SPEED_BINS), np.nan)
     for joint in range(qd.shape[1]):
         used = np.isfinite(residual[:, joint])
-        speed, left, predicted = (each[used, joint] for each in (qd, residual, friction))
+        speed, left, predicted = (
+            each[used, joint] for each in (qd, residual, friction)
+        )
         fastest = float(np.max(np.abs(speed), initial=0.0)) or 1.0
         edges = np.linspace(-fastest, fastest, SPEED_BINS + 1)
         place = np.clip(np.digitize(speed, edges) - 1, 0, SPEED_BINS - 1)
-        for k in np.flatnonzero(np.bincount(place, minlength=SPEED_BINS) >= _LEAST_IN_BIN):
+        for k in np.flatnonzero(
+            np.bincount(place, minlength=SPEED_BINS) >= _LEAST_IN_BIN
+        ):
             here = place == k
-            middle, mean, own = (np.mean(each[here]) for each in (speed, left, predicted))
+            middle, mean, own = (
+                np.mean(each[here]) for each in (speed, left, predicted)
+            )
             found[:, joint, k] = middle, mean, np.std(left[here]), mean + own, own
     return dict(zip(BY_SPEED, found))
 
@@ -262,7 +285,11 @@ class Run:
         """
         owners = {**self.content["joints"], **self.content["couplings"]}
         terms = [(owner, entry.get(kind, {})) for owner, entry in owners.items()]
-        return {(owner, name): each for owner, found in terms for name, each in found.items()}
+        return {
+            (owner, name): each
+            for owner, found in terms
+            for name, each in found.items()
+        }
 
     def friction_of_logs(self) -> dict[str, dict[tuple[str, str], Figure]]:
         """Return "joint in LOG" to (joint, term) to its figure, where there are several logs."""
@@ -301,7 +328,9 @@ def load_run(folder: Path) -> Run:
     version = content.get("schema_version")
     if version != SCHEMA_VERSION:
         wanted = f"and this program reads {SCHEMA_VERSION}"
-        raise InputError(f"{path} has schema_version {version!r:.20}, {wanted}; {_REMEDY}")
+        raise InputError(
+            f"{path} has schema_version {version!r:.20}, {wanted}; {_REMEDY}"
+        )
     missing: tuple[str, ...] = ()
     try:
         data: ReportData | None = load_data(folder / DATA_NAME)
@@ -312,7 +341,9 @@ def load_run(folder: Path) -> Run:
         missing = (f"measured and predicted torques cannot be drawn: {error}",)
     try:
         content = {key: _restored(value) for key, value in content.items()}
-        bodies = _bodies(content, None if data is None or not len(data.truth) else data.truth)
+        bodies = _bodies(
+            content, None if data is None or not len(data.truth) else data.truth
+        )
         if not all(np.all(np.isfinite(body.after)) for body in bodies):
             raise ValueError("a parameter is not a number")
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
@@ -339,10 +370,23 @@ def _restored(value: Any) -> Any:
 
 def _bodies(content: Mapping[str, Any], truth: Array | None) -> list[Body]:
     if content["question"] == PAYLOAD:
-        titles = {"body": "payload", "link": "link without payload", "total": "link with payload"}
-        return [replace(content["payload"][key], title=words) for key, words in titles.items()]
-    alone = {**content, "name": content["body_name"], "source": content["parameter_source"]}
-    links = list(content["links"]) or [_body({**alone, "error_budget": {}, "model": None})]
+        titles = {
+            "body": "payload",
+            "link": "link without payload",
+            "total": "link with payload",
+        }
+        return [
+            replace(content["payload"][key], title=words)
+            for key, words in titles.items()
+        ]
+    alone = {
+        **content,
+        "name": content["body_name"],
+        "source": content["parameter_source"],
+    }
+    links = list(content["links"]) or [
+        _body({**alone, "error_budget": {}, "model": None})
+    ]
     if truth is not None:
         links[-1] = replace(links[-1], thetas={**links[-1].thetas, "truth": truth})
     return [links[-1], *links[:-1]]
@@ -351,7 +395,9 @@ def _bodies(content: Mapping[str, Any], truth: Array | None) -> list[Body]:
 def _theta(entries: Mapping[str, Any]) -> Array:
     inertia = entries["inertia_tensor"]
     values = [entries["mass"], *entries["center_of_mass_moment"]]
-    theta = np.array([*values, *(inertia[name] for name in PARAMETER_NAMES[4:])], dtype=float)
+    theta = np.array(
+        [*values, *(inertia[name] for name in PARAMETER_NAMES[4:])], dtype=float
+    )
     if theta.shape != (10,):
         raise ValueError("the centre of mass has not three components")
     return theta
@@ -375,6 +421,8 @@ def _body(entries: Mapping[str, Any]) -> Body:
     )
 
 
-def _ten(named: Mapping[str, Any] | None, names: Sequence[str] = PARAMETER_NAMES) -> Array:
+def _ten(
+    named: Mapping[str, Any] | None, names: Sequence[str] = PARAMETER_NAMES
+) -> Array:
     """Return the values of the ten parameters (10,), or of other names; NaN for null."""
     return np.array([(named or {}).get(name) for name in names], dtype=float)

@@ -33,7 +33,13 @@ _EDGE = 1e-6
 digits that a controller keeps."""
 _WIDTH = 98
 INERTIA = PARAMETER_NAMES[4:]
-ERROR_NAMES = ("mass", "com_x", "com_y", "com_z", *(f"{name}_about_com" for name in INERTIA))
+ERROR_NAMES = (
+    "mass",
+    "com_x",
+    "com_y",
+    "com_z",
+    *(f"{name}_about_com" for name in INERTIA),
+)
 """Keys of standard errors: of the mass [kg], of the centre of mass [m] and of the inertia about it
 [kg m^2], in the axes of the body's frame."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
@@ -91,7 +97,12 @@ FORMS = (
     Form(
         "franka_end_effector",
         "Franka end effector: the mechanical data of endeffector-config.json, set in Desk",
-        {"mass": "kg", "centerOfMass": "com_m", "inertia": "nine", "transformation": "no_turn"},
+        {
+            "mass": "kg",
+            "centerOfMass": "com_m",
+            "inertia": "nine",
+            "transformation": "no_turn",
+        },
         '{"mass": %s, "centerOfMass": [%s], "inertia": [%s], "transformation": [%s]}',
         "mass kg; centerOfMass from the flange, m; inertia 3x3 about the centre of mass, axes of "
         "the flange, column by column, kg m^2; transformation 4x4 flange to tool tip, column by "
@@ -111,7 +122,11 @@ FORMS = (
     Form(
         "ur_msgs_set_payload",
         "Universal Robots under ROS 2: request of ur_msgs/srv/SetPayload",
-        {"mass": "kg", "center_of_gravity": {"x y z": "com_m"}, "ixx iyy izz ixy ixz iyz": "six"},
+        {
+            "mass": "kg",
+            "center_of_gravity": {"x y z": "com_m"},
+            "ixx iyy izz ixy ixz iyz": "six",
+        },
         "{mass: %s, center_of_gravity: {x: %s, y: %s, z: %s}, ixx: %s, iyy: %s, izz: %s, ixy: %s, "
         "ixz: %s, iyz: %s}",
         "mass kg; center_of_gravity from the tool flange, m; ixx iyy izz ixy ixz iyz about the "
@@ -216,11 +231,19 @@ def payload_cards(body: BodyEstimate, flange: Flange) -> tuple[Card, ...]:
         values = _filled(form.values, groups)
         notes = [*_error_notes(said, form.values)]
         if max(map(abs, groups["six"])) > form.most:
-            refused = "The controller refuses this: no element of the inertia may exceed"
+            refused = (
+                "The controller refuses this: no element of the inertia may exceed"
+            )
             notes.append(f"{refused} {form.most:g}.")
         make = form.text
-        text = make % tuple(_texts(values)) if isinstance(make, str) else make(payload, inertia)
-        cards.append(Card(form.name, form.title, form.explanation, values, text, tuple(notes)))
+        text = (
+            make % tuple(_texts(values))
+            if isinstance(make, str)
+            else make(payload, inertia)
+        )
+        cards.append(
+            Card(form.name, form.title, form.explanation, values, text, tuple(notes))
+        )
     return tuple(cards)
 
 
@@ -244,10 +267,18 @@ def load_covariance(body: BodyEstimate) -> Array:
         for axis in identity
     ]
     change = np.eye(10)
-    change[1:4, :4] = np.column_stack((-com, identity)) / max(mass - mass_error, 0.5 * mass)
-    change[4:, :4] = np.column_stack([spatial.six_from_symmetric(slope) for slope in slopes])
+    change[1:4, :4] = np.column_stack((-com, identity)) / max(
+        mass - mass_error, 0.5 * mass
+    )
+    change[4:, :4] = np.column_stack(
+        [spatial.six_from_symmetric(slope) for slope in slopes]
+    )
     covariance = change @ body.covariance @ change.T
-    is_known = [bool(body.shown[0]), is_place_known, is_place_known and bool(np.all(body.shown))]
+    is_known = [
+        bool(body.shown[0]),
+        is_place_known,
+        is_place_known and bool(np.all(body.shown)),
+    ]
     hidden = ~np.repeat(is_known, [1, 3, 6])
     covariance[hidden] = covariance[:, hidden] = 0.0
     covariance[hidden, hidden] = np.inf
@@ -269,8 +300,12 @@ def principal_moments(body: BodyEstimate) -> tuple[Array, Array, Array]:
     if not np.all(np.isfinite(covariance)):
         return moments, np.full(3, np.inf), np.full(3, np.inf)
     pairs = [np.outer(axes[:, i], axes[:, j]) for i, j in zip(*np.triu_indices(3))]
-    rows = np.array([_TWICE * spatial.six_from_symmetric(0.5 * (p + p.T)) for p in pairs])
-    xx, xy, xz, yy, yz, zz = np.sqrt(np.maximum(np.diag(rows @ covariance @ rows.T), 0.0))
+    rows = np.array(
+        [_TWICE * spatial.six_from_symmetric(0.5 * (p + p.T)) for p in pairs]
+    )
+    xx, xy, xz, yy, yz, zz = np.sqrt(
+        np.maximum(np.diag(rows @ covariance @ rows.T), 0.0)
+    )
     apart = np.abs(moments[[1, 0, 0]] - moments[[2, 2, 1]])
     turns = np.degrees(np.array([yz, xz, xy]) / np.maximum(apart, 1e-300))
     return moments, np.array([xx, yy, zz]), np.where(turns <= _MOST_TURN, turns, np.inf)
@@ -310,7 +345,9 @@ def _groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
         moments = np.diag(inertia)
         axes = np.eye(3)
     slack = _EDGE * float(np.sum(np.abs(moments))) + rounding
-    beyond = max(-float(np.min(moments)), float(2.0 * np.max(moments) - np.sum(moments)))
+    beyond = max(
+        -float(np.min(moments)), float(2.0 * np.max(moments) - np.sum(moments))
+    )
     if mass <= 0.0 or beyond > slack:
         raise ExportError(
             f"a payload of {mass:.4g} kg with principal moments of inertia "
@@ -404,8 +441,14 @@ def _plain_card(
         "minus the integral of x y). A controller takes them for numbers in the frame of ITS "
         "flange: where that is another one, make the cards again for it."
     )
-    point = () if any(groups["six"]) else ("The inertia is zero: every card states a point mass.",)
-    own = _error_notes(said, {"mass": "kg", "center_of_mass": "com_m", "inertia": "six"})
+    point = (
+        ()
+        if any(groups["six"])
+        else ("The inertia is zero: every card states a point mass.",)
+    )
+    own = _error_notes(
+        said, {"mass": "kg", "center_of_mass": "com_m", "inertia": "six"}
+    )
     notes = (*([flange.note] if flange.note else []), *own, *point)
     return Card("payload", "Payload", explanation, values, "\n".join(text), notes)
 
@@ -422,7 +465,9 @@ def _error_texts(body: BodyEstimate) -> dict[str, str]:
     principal = NOT_KNOWN
     axes = NOT_KNOWN
     if np.all(np.isfinite(inertia)):
-        named = ", ".join(f"{name[1:]} {each:.2g}" for name, each in zip(INERTIA, inertia))
+        named = ", ".join(
+            f"{name[1:]} {each:.2g}" for name, each in zip(INERTIA, inertia)
+        )
         elements = f"inertia {named} kg m^2"
         principal = f"moments {_listed(moments, 'kg m^2')}"
         axes = f"turn about the axes X, Y, Z {_listed(turns, 'degrees')}"
@@ -446,8 +491,12 @@ def _listed(errors: Sequence[float] | Array, unit: str) -> str:
 
 def _error_notes(said: Mapping[str, str], values: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is said of the errors of a form's numbers."""
-    parts = (each.values() if isinstance(each, dict) else (each,) for each in values.values())
-    told = dict.fromkeys(said[group] for part in parts for group in part if group in said)
+    parts = (
+        each.values() if isinstance(each, dict) else (each,) for each in values.values()
+    )
+    told = dict.fromkeys(
+        said[group] for part in parts for group in part if group in said
+    )
     yield f"Standard errors: {'; '.join(each for each in told if each != NOT_KNOWN)}."
     if NOT_KNOWN in told:
         yield NOT_KNOWN

@@ -20,7 +20,13 @@ from robot_sysid.records import DELAY_NAME, Array, RolloutTest, Validation
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.records.progress import Detail
 from robot_sysid.results.cards import INERTIA, NOT_KNOWN, load_errors
-from robot_sysid.results.record import BaseParameters, BodyEstimate, Figure, Payload, Result
+from robot_sysid.results.record import (
+    BaseParameters,
+    BodyEstimate,
+    Figure,
+    Payload,
+    Result,
+)
 from robot_sysid.results.verdict import limitations, verdict_lines
 
 if TYPE_CHECKING:
@@ -59,7 +65,9 @@ def block_lines(result: Result) -> list[str]:
     slides = joint in result.robot.slides
     theta = without_rounding(found.theta, found.scale)
     moment, inertia = (_listed(values) for values in (theta[1:4], theta[4:]))
-    friction = [(term, estimate.value(f"{term}[{joint}]")) for term in ("coulomb", "viscous")]
+    friction = [
+        (term, estimate.value(f"{term}[{joint}]")) for term in ("coulomb", "viscous")
+    ]
     return [
         "Identified parameters:",
         f"  Mass: {_listed(theta[:1])} kg",
@@ -86,7 +94,9 @@ def more_lines(result: Result, links: bool = False) -> list[str]:
         *_error_lines(result),
         *([] if result.rollout is None else rollout_lines(result.rollout)),
         *(type(sentence)(f"  Limit: {sentence}") for sentence in limitations(result)),
-        *map(Detail, [f"Left in the file as it was: {', '.join(held)}"] if held else []),
+        *map(
+            Detail, [f"Left in the file as it was: {', '.join(held)}"] if held else []
+        ),
         *map(Detail, _details(result)),
     ]
 
@@ -103,7 +113,11 @@ def _two_decimals(value: float) -> str:
     """Return a number with two decimals; one that would look like zero with its first digit."""
     # Adding zero turns the -0.00 that rounding leaves into 0.00.
     rounded = round(value, 2) + 0.0
-    return f"{value:.1g}" if rounded == 0.0 and abs(value) > _ROUNDING else f"{rounded:.2f}"
+    return (
+        f"{value:.1g}"
+        if rounded == 0.0 and abs(value) > _ROUNDING
+        else f"{rounded:.2f}"
+    )
 
 
 def _tables(result: Result, links: bool) -> Iterator[str]:
@@ -112,7 +126,9 @@ def _tables(result: Result, links: bool) -> Iterator[str]:
     yield from _mass_line(result)
     rows = asked_rows(result)
     if links and result.links:
-        named = ((body.name, row) for body in result.links for row in theta_rows(body)[:4])
+        named = (
+            (body.name, row) for body in result.links for row in theta_rows(body)[:4]
+        )
         rows = [replace(row, name=f"{name} {row.name}") for name, row in named]
     heading, *lines = table_lines(rows, "Before -> after")
     yield heading
@@ -127,7 +143,11 @@ def _mass_line(result: Result) -> Iterator[str]:
         return
     rest = len(names) - _NAMED
     told = names if rest < 2 else [*names[:_NAMED], f"{rest} more"]
-    theta = result.estimate.inertial.theta if result.file is None else result.file.thetas[-1]
+    theta = (
+        result.estimate.inertial.theta
+        if result.file is None
+        else result.file.thetas[-1]
+    )
     line = f"The mass is that of {' + '.join(told)}"
     try:
         plan = plan_write_back(theta, bodies)
@@ -149,7 +169,9 @@ def _payload_lines(payload: Payload) -> Iterator[str]:
         yield Detail("Mass according to each recording alone (± noise):")
     for one in payload.scatter:
         kind = "loaded" if one.is_loaded else "empty"
-        yield Detail(f"  {one.name} ({kind}): {with_error(one.mass, one.noise_error, 'kg')}")
+        yield Detail(
+            f"  {one.name} ({kind}): {with_error(one.mass, one.noise_error, 'kg')}"
+        )
     if payload.torque_scale and payload.known_mass is not None:
         yield (
             f"Torque scales by the known mass of {payload.known_mass:g} kg (what the log reads "
@@ -160,14 +182,18 @@ def _payload_lines(payload: Payload) -> Iterator[str]:
 
 
 def _joint_lines(result: Result) -> Iterator[str]:
-    motors = {f"motor that turns with {name}": each for name, each in result.couplings.items()}
+    motors = {
+        f"motor that turns with {name}": each for name, each in result.couplings.items()
+    }
     owners = {**result.joints, **motors}
     if any(joint.terms for joint in owners.values()):
         yield f"Friction of the joints ({result.friction_model}), model -> identified ± error:"
         for name, joint in owners.items():
             slides = name in result.robot.slides
             terms = ", ".join(
-                friction_text(term, joint.before.get(term), *found, term_unit(term, slides))
+                friction_text(
+                    term, joint.before.get(term), *found, term_unit(term, slides)
+                )
                 + _another_day(joint.another_day.get(term))
                 for term, found in joint.terms.items()
             )
@@ -209,7 +235,11 @@ def _error_lines(result: Result) -> Iterator[str]:
         told = {before.source for before, _ in file.others}
     for test in fits if file is None else fits[1:]:
         if test.source not in told:
-            share = "" if test.relative_error is None else f" ({percent(test.relative_error)})"
+            share = (
+                ""
+                if test.relative_error is None
+                else f" ({percent(test.relative_error)})"
+            )
             yield f"Validation on {test.source}: {test.rmse:.4f} N·m{share}"
 
 
@@ -224,9 +254,13 @@ def _beside(on: str, file: Validation, fit: Validation) -> Iterator[str]:
 def _details(result: Result) -> Iterator[str]:
     parts = result.body.mass_causes.items()
     least = _SMALL * float(result.body.errors[0])
-    causes = sorted((item for item in parts if item[1] > least), key=lambda item: -item[1])
+    causes = sorted(
+        (item for item in parts if item[1] > least), key=lambda item: -item[1]
+    )
     if np.isfinite(least) and causes:
-        yield "Error of the mass by cause, kg: " + ", ".join(f"{k} {v:.2g}" for k, v in causes)
+        yield "Error of the mass by cause, kg: " + ", ".join(
+            f"{k} {v:.2g}" for k, v in causes
+        )
     yield from _joint_lines(result) if result.is_measured else ()
     estimate = result.estimate
     scaled = estimate.identifiability.scaled_condition_number
@@ -234,7 +268,9 @@ def _details(result: Result) -> Iterator[str]:
     yield "  RMSE per joint:"
     for joint, value in estimate.rmse_per_joint.items():
         noise = estimate.noise_per_joint.get(joint)
-        yield f"    {joint}: {value:.2e} N·m" + ("" if noise is None else f", noise {noise:.2g}")
+        yield f"    {joint}: {value:.2e} N·m" + (
+            "" if noise is None else f", noise {noise:.2g}"
+        )
     if result.is_measured:
         named = zip(estimate.names, result.body.noise_errors, THETA)
         known = (each for each in named if np.isfinite(each[1]))
@@ -263,14 +299,19 @@ def _base_lines(base: BaseParameters) -> Iterator[str]:
         yield f"    {with_error(value, error)} = {words}{'' if kept else ' (not essential)'}"
 
 
-def clamping_lines(report: DamiaoExportReport | None, joints: Sequence[str]) -> list[str]:
+def clamping_lines(
+    report: DamiaoExportReport | None, joints: Sequence[str]
+) -> list[str]:
     """Return what the Damiao export did, or nothing where there was none."""
     if report is None:
         return []
     shares = zip(joints, report.joints, report.clamped_percent)
     return [
         "Damiao export, clamped to motor limits:",
-        *(f"  {joint} ({motor.motor_type}): {share:.1f} %" for joint, motor, share in shares),
+        *(
+            f"  {joint} ({motor.motor_type}): {share:.1f} %"
+            for joint, motor, share in shares
+        ),
         *(f"  {warning}" for warning in report.warnings),
     ]
 
@@ -301,7 +342,11 @@ def rollout_lines(test: RolloutTest) -> Iterator[str]:
     worse = []
     for last in test.errors[-1:]:
         pairs = zip(test.joint_names, last.before, last.after)
-        worse = [f"{n} ({last.loop}, {new / old:.2g} times)" for n, old, new in pairs if new > old]
+        worse = [
+            f"{n} ({last.loop}, {new / old:.2g} times)"
+            for n, old, new in pairs
+            if new > old
+        ]
     if worse:
         yield f"  worse than before over the longest horizon: {', '.join(worse)}"
 
@@ -387,7 +432,10 @@ def table_lines(rows: Sequence[BeforeAfter], title: str = "") -> list[str]:
     columns = [c for c in zip(headings, *(row.cells for row in rows)) if any(c[1:])]
     widths = [max(map(len, column)) for column in columns]
     aligned = [
-        [f"{cell:>{width}}" if column[0] in _NUMBERS else f"{cell:<{width}}" for cell in column]
+        [
+            f"{cell:>{width}}" if column[0] in _NUMBERS else f"{cell:<{width}}"
+            for cell in column
+        ]
         for column, width in zip(columns, widths)
     ]
     return ["  " + "  ".join(row).rstrip() for row in zip(*aligned)]
@@ -400,14 +448,21 @@ def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     pairs = _from_to(before, found.theta, found.scale)
     shares = body.data_share.tolist()
     rows = zip(spatial.PARAMETER_NAMES, pairs, body.errors.tolist(), THETA, shares)
-    return [BeforeAfter(LABELS[n], *pair, error or None, *rest) for n, pair, error, *rest in rows]
+    return [
+        BeforeAfter(LABELS[n], *pair, error or None, *rest)
+        for n, pair, error, *rest in rows
+    ]
 
 
 def _from_to(
     before: Array | None, after: Array, size: Array | float
 ) -> list[tuple[float | None, float]]:
     """Return pairs of numbers (before, after), zero where they are nothing but rounding."""
-    old = [None] * len(after) if before is None else without_rounding(before, size).tolist()
+    old = (
+        [None] * len(after)
+        if before is None
+        else without_rounding(before, size).tolist()
+    )
     return list(zip(old, without_rounding(after, size).tolist()))
 
 
@@ -432,7 +487,9 @@ def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
     if not np.all(np.isfinite(errors)):
         return
     length = max(spatial.characteristic_length(body.inertial.theta), _LEAST)
-    pairs = _from_to(None if body.before is None else body.before.com, body.inertial.com, length)
+    pairs = _from_to(
+        None if body.before is None else body.before.com, body.inertial.com, length
+    )
     for axis, pair, error in zip("xyz", pairs, errors.tolist()):
         yield BeforeAfter(f"centre of mass {axis}", *pair, error or None, "m")
 
@@ -443,14 +500,19 @@ def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
     about = spatial.six_from_symmetric(body.inertial.inertia_com)
     for name, error, value in zip(INERTIA, errors.tolist(), about.tolist()):
         if np.isfinite(error):
-            yield BeforeAfter(f"inertia {name[1:]} about it", None, value, error, "kg·m²")
+            yield BeforeAfter(
+                f"inertia {name[1:]} about it", None, value, error, "kg·m²"
+            )
 
 
 def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
     joint = result.robot.terminal_joint
     estimate = result.estimate
     model = result.joints[joint].before if joint in result.joints else {}
-    for term, words in (("coulomb", "Coulomb friction"), ("viscous", "viscous friction")):
+    for term, words in (
+        ("coulomb", "Coulomb friction"),
+        ("viscous", "viscous friction"),
+    ):
         value = estimate.value(f"{term}[{joint}]")
         if value is not None:
             error = estimate.error(f"{term}[{joint}]") if result.is_measured else None

@@ -31,7 +31,13 @@ from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.results import record
 from robot_sysid.results.cards import ERROR_NAMES, INERTIA, Card, load_errors
 from robot_sysid.results.model import versions
-from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Payload, Result
+from robot_sysid.results.record import (
+    BodyEstimate,
+    Figure,
+    JointEstimate,
+    Payload,
+    Result,
+)
 from robot_sysid.results.verdict import PRIOR_SHARE, limitations, verdict_lines
 
 SCHEMA_VERSION = 4
@@ -85,7 +91,9 @@ def params_json_text(
         "file": _file(found.file),
         "payload": _payload(found.payload, cards),
         "links": [_link(found, body) for body in found.links],
-        "joints": {name: _joint(found, name, each) for name, each in found.joints.items()},
+        "joints": {
+            name: _joint(found, name, each) for name, each in found.joints.items()
+        },
         "couplings": {
             name: {"terms": each.terms, "in_the_file": _written_terms(found, name)}
             for name, each in found.couplings.items()
@@ -110,7 +118,9 @@ def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
         "center_of_mass_moment": inertial.first_moment,
         "inertia_tensor": dict(zip(INERTIA, inertial.theta[4:])),
         "center_of_mass": inertial.com,
-        "inertia_about_com": dict(zip(INERTIA, spatial.six_from_symmetric(inertial.inertia_com))),
+        "inertia_about_com": dict(
+            zip(INERTIA, spatial.six_from_symmetric(inertial.inertia_com))
+        ),
         "principal_moments": inertial.principal_moments,
     }
 
@@ -119,7 +129,9 @@ def _asked(result: Result) -> dict[str, Any]:
     estimate = result.estimate
     joint = result.robot.terminal_joint
     payload = result.payload
-    entries = inertial_entries((estimate if payload is None else payload.total).inertial)
+    entries = inertial_entries(
+        (estimate if payload is None else payload.total).inertial
+    )
     seen = not estimate.identifiability.unidentifiable
     return {
         "joint_name": joint,
@@ -138,7 +150,9 @@ def _asked(result: Result) -> dict[str, Any]:
         "known_to": result.known_to,
         "valid": {
             "physically_consistent": result.body.inertial.is_consistent,
-            "all_identified": seen if payload is None else bool(np.all(payload.body.shown)),
+            "all_identified": seen
+            if payload is None
+            else bool(np.all(payload.body.shown)),
             "trustworthy": result.verdict.is_trustworthy,
         },
     }
@@ -147,9 +161,13 @@ def _asked(result: Result) -> dict[str, Any]:
 def _file(file: record.ModelFile | None) -> dict[str, Any] | None:
     if file is None:
         return None
-    pairs = [dict(zip(_WHEN, tests)) for tests in ((file.before, file.after), *file.others)]
+    pairs = [
+        dict(zip(_WHEN, tests)) for tests in ((file.before, file.after), *file.others)
+    ]
     return {
-        "torque_error": {when: test and test.relative_error for when, test in pairs[0].items()},
+        "torque_error": {
+            when: test and test.relative_error for when, test in pairs[0].items()
+        },
         **pairs[0],
         "others": pairs[1:],
         "gravity": file.gravity,
@@ -171,7 +189,8 @@ def _payload(found: Payload | None, cards: Sequence[Card]) -> dict[str, Any] | N
         **{name: _body(getattr(found, name)) for name in ("body", "link", "total")},
         **{name: getattr(found, name) for name in _OF_PAYLOAD},
         "cards": {
-            card.name: {k: v for k, v in vars(card).items() if k != "name"} for card in cards
+            card.name: {k: v for k, v in vars(card).items() if k != "name"}
+            for card in cards
         },
     }
 
@@ -185,7 +204,10 @@ def _body(body: BodyEstimate) -> dict[str, Any]:
         "name": body.name,
         **inertial_entries(body.inertial),
         "model": None if body.before is None else inertial_entries(body.before),
-        "standard_errors": {**named(body.errors), **dict(zip(ERROR_NAMES, load_errors(body)))},
+        "standard_errors": {
+            **named(body.errors),
+            **dict(zip(ERROR_NAMES, load_errors(body))),
+        },
         "standard_errors_noise": named(body.noise_errors),
         "error_budget": {
             "noise": named(body.noise_errors),
@@ -201,7 +223,12 @@ def _link(result: Result, body: BodyEstimate) -> dict[str, Any]:
     if result.file is not None and body.joint is not None:
         theta = result.file.thetas[result.robot.joint_names.index(body.joint)]
         written = inertial_entries(InertialParameters(theta)) if np.any(theta) else None
-    return {"name": body.name, "joint": body.joint, **_body(body), "in_the_file": written}
+    return {
+        "name": body.name,
+        "joint": body.joint,
+        **_body(body),
+        "in_the_file": written,
+    }
 
 
 def _joint(result: Result, name: str, joint: JointEstimate) -> dict[str, Any]:
@@ -237,7 +264,9 @@ def _bam(joint: JointEstimate, written: Mapping[str, Figure]) -> dict[str, Any] 
     if "coulomb" not in figures:
         return None
     number = 1 + ("stribeck" in terms) + 2 * ("load" in terms)
-    known = {n: share * figures[t].value for t, (n, share) in _IN_BAM.items() if t in figures}
+    known = {
+        n: share * figures[t].value for t, (n, share) in _IN_BAM.items() if t in figures
+    }
     return {
         "model": f"m{number}",
         "friction_base": figures["coulomb"].value,
@@ -256,12 +285,16 @@ def _fit(result: Result) -> dict[str, Any]:
     return {
         "method": estimate.method,
         "torques": result.torques,
-        "parameter_source": {n: words[bool(k)] for n, k in zip(estimate.names, seen.identified)},
+        "parameter_source": {
+            n: words[bool(k)] for n, k in zip(estimate.names, seen.identified)
+        },
         "unidentifiable_combinations": seen.unidentifiable,
         "rmse_per_joint": estimate.rmse_per_joint,
         "condition_number_scaled": seen.scaled_condition_number,
         "constrained": estimate.constrained,
-        "standard_errors": None if errors is None else dict(zip(estimate.names, errors)),
+        "standard_errors": None
+        if errors is None
+        else dict(zip(estimate.names, errors)),
         "prior_conflicts": result.conflicts,
         "link_scales": result.link_scales,
         "wrong_links": result.wrong_links,
@@ -303,7 +336,9 @@ def _strict(value: Any) -> Any:
         found = value.value
         reach = _SURE * value.error
         interval = [found - reach, found + reach]
-        return _strict({"value": found, "standard_error": value.error, "interval": interval})
+        return _strict(
+            {"value": found, "standard_error": value.error, "interval": interval}
+        )
     if is_dataclass(value) and not isinstance(value, type):
         return _strict(asdict(value))
     if isinstance(value, Mapping):
@@ -330,10 +365,15 @@ def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
         **{name: getattr(test, name) for name in ("is_better", "score")},
         "errors": [
             {
-                **{name: getattr(error, name) for name in ("loop", "horizon", "windows")},
+                **{
+                    name: getattr(error, name)
+                    for name in ("loop", "horizon", "windows")
+                },
                 "diverged": dict(zip(("before", "after"), error.diverged)),
                 "overall": figures(*error.overall),
-                "joints": dict(zip(test.joint_names, map(figures, error.before, error.after))),
+                "joints": dict(
+                    zip(test.joint_names, map(figures, error.before, error.after))
+                ),
             }
             for error in test.errors
         ],

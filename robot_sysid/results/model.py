@@ -70,7 +70,9 @@ class ModelTarget:
     mesh_dir: Path | None = None
 
 
-def write_model(result: Result, target: ModelTarget, as_body: str | None = None) -> tuple[str, ...]:
+def write_model(
+    result: Result, target: ModelTarget, as_body: str | None = None
+) -> tuple[str, ...]:
     """Write a model with what was identified: what ``result.file`` holds, and the payload on top.
 
     Links that are the model's own to the last digit are left alone. Where there is no
@@ -91,9 +93,8 @@ def write_model(result: Result, target: ModelTarget, as_body: str | None = None)
     beside = np.zeros(10)
     if payload is not None:
         carried = payload.flange.from_flange(payload.body.inertial.theta)
-        words = (
-            f"a payload of {with_error(payload.body.inertial.mass, payload.body.errors[0], 'kg')}"
-        )
+        mass = payload.body.inertial.mass
+        words = f"a payload of {with_error(mass, payload.body.errors[0], 'kg')}"
         words += "" if np.all(payload.body.shown) else ", inertia not known,"
         if as_body is not None:
             welded = _welded(robot, payload, as_body, words)
@@ -125,7 +126,9 @@ def _arm_as_mjcf(robot: RobotModel, mesh_dir: Path | None) -> RobotModel:
         path = file_of(compile_model(robot.path, mesh_dir).mj_model)
         return load_robot_model(path, joint=robot.terminal_joint)
     except InputError as error:
-        raise ExportError(f"{robot.path} cannot be written as an MJCF: {error}") from None
+        raise ExportError(
+            f"{robot.path} cannot be written as an MJCF: {error}"
+        ) from None
 
 
 def write_joints(
@@ -142,7 +145,9 @@ def write_joints(
 
 def most_inflated(errors: Array) -> float:
     """Return how far moments of inertia may be inflated: within their standard errors (10,)."""
-    return min((float(e) for e in np.asarray(errors)[_MOMENTS] if np.isfinite(e)), default=0.0)
+    return min(
+        (float(e) for e in np.asarray(errors)[_MOMENTS] if np.isfinite(e)), default=0.0
+    )
 
 
 def _links(result: Result) -> tuple[Array, Array]:
@@ -174,7 +179,9 @@ def _joint_changes(
             values.setdefault("viscous", own[joint])
         numbers = {name: values.get(term) for term, name in _IN_MJCF.items()}
         words = _words_of(terms)
-        changes.append(JointChange(joint, **numbers, polynomial=polynomial, words=words))
+        changes.append(
+            JointChange(joint, **numbers, polynomial=polynomial, words=words)
+        )
     return tuple(changes)
 
 
@@ -219,30 +226,44 @@ def _that_fit(
 
 
 def _body_changes(
-    robot: RobotModel, thetas: Array, errors: Array, joints: Sequence[JointChange], addition: str
+    robot: RobotModel,
+    thetas: Array,
+    errors: Array,
+    joints: Sequence[JointChange],
+    addition: str,
 ) -> tuple[tuple[BodyChange, ...], Array]:
     """Return (what the bodies get, the links (n, 10) as they are then)."""
     bodies = [link.body_id for link in robot.links]
     changes: list[BodyChange] = []
     bound = setting_number(read_document(robot.path), "boundinertia")
     held = np.array(thetas, dtype=float)
-    written = [k for k, link in enumerate(robot.links) if np.any(thetas[k] != link.theta)]
+    written = [
+        k for k, link in enumerate(robot.links) if np.any(thetas[k] != link.theta)
+    ]
     words = _joint_words(robot, written, joints)
     words[len(bodies) - 1][:0] = [addition] if addition else []
     for k in written:
         link = robot.links[k]
-        parts = link_bodies(robot.mj_model, robot.reference_qpos, link.body_id, bodies[k + 1 :])
+        parts = link_bodies(
+            robot.mj_model, robot.reference_qpos, link.body_id, bodies[k + 1 :]
+        )
         if not parts:
             raise ExportError(
                 f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
                 f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
             )
-        plan = write_back.plan_write_back(thetas[k], parts, bound, most_inflated(errors[k]))
+        plan = write_back.plan_write_back(
+            thetas[k], parts, bound, most_inflated(errors[k])
+        )
         held[k] = plan.written(thetas[k])
-        changes.append(BodyChange(link.body_name, link.body_id, plan, "; ".join(words[k]) or None))
+        changes.append(
+            BodyChange(link.body_name, link.body_id, plan, "; ".join(words[k]) or None)
+        )
         scaled = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
         for part in plan.scaled:
-            rest = write_back.WriteBack(plan.scale * body_theta(robot.mj_model, part.body_id))
+            rest = write_back.WriteBack(
+                plan.scale * body_theta(robot.mj_model, part.body_id)
+            )
             changes.append(BodyChange(part.name, part.body_id, rest, scaled))
     return tuple(changes), held
 
@@ -257,7 +278,9 @@ def _joint_words(
     for change in joints:
         what = change.words or ", ".join(change.numbers)
         if what and change.label in body:
-            words[place.get(body[change.label], -1)].append(f"{what} of joint '{change.label}'")
+            words[place.get(body[change.label], -1)].append(
+                f"{what} of joint '{change.label}'"
+            )
     return words
 
 
@@ -267,7 +290,9 @@ def _welded(robot: RobotModel, payload: Payload, name: str, words: str) -> Welde
     carrier = body_label(robot.mj_model, flange.carrier)
     nothing = SubtreeBody(0, name, np.zeros(10), True)
     theta = write_back.plan_write_back(payload.body.inertial.theta, [nothing]).theta
-    return WeldedBody(name, carrier, rotation, translation, theta, f"{words} at {flange.name}")
+    return WeldedBody(
+        name, carrier, rotation, translation, theta, f"{words} at {flange.name}"
+    )
 
 
 def _write(
@@ -279,10 +304,14 @@ def _write(
     written += [] if welded is None else [welded.theta]
     exact = all(map(verification.reads_fullinertia_exactly, written))
     change = replace(change, principal=not exact)
-    text = changed_model_text(robot.path, change, target.path.absolute().parent, target.mesh_dir)
+    text = changed_model_text(
+        robot.path, change, target.path.absolute().parent, target.mesh_dir
+    )
     try:
         draft = target.files.write(target.path, text)
-        compiled = verification.verify_written_model(robot.mj_model, draft, change).mj_model
+        compiled = verification.verify_written_model(
+            robot.mj_model, draft, change
+        ).mj_model
         motion = target.checkpoints
         path = target.path
         verification.require_reproduction(robot, thetas, change, compiled, motion, path)
@@ -290,7 +319,9 @@ def _write(
         target.files.withdraw(target.path)
         raise
     plans = [body.plan for body in change.bodies]
-    return tuple(p.note if p.lumped or p.scaled else Detail(p.note) for p in plans if p.note)
+    return tuple(
+        p.note if p.lumped or p.scaled else Detail(p.note) for p in plans if p.note
+    )
 
 
 CHECKPOINTS = 400
@@ -322,7 +353,11 @@ def write_bundle(model: Path, folder: Path) -> Path:
     """
     place = folder / BUNDLE_NAME
     try:
-        with only_run_in(folder), draft_folder(place) as draft, draft_folder(place) as earlier:
+        with (
+            only_run_in(folder),
+            draft_folder(place) as draft,
+            draft_folder(place) as earlier,
+        ):
             text, names = _bundled(model, f"{ASSETS}/")
             (draft / ASSETS).mkdir()
             for source, name in names.items():
@@ -332,7 +367,9 @@ def write_bundle(model: Path, folder: Path) -> Path:
             verification.require_same_model(compile_model(model).mj_model, again, {})
             _put_in_place(draft, place, earlier / BUNDLE_NAME)
     except OSError as error:
-        raise InputError(f"--bundle: cannot write {place}: {error.strerror or error}") from None
+        raise InputError(
+            f"--bundle: cannot write {place}: {error.strerror or error}"
+        ) from None
     return place / model.name
 
 
@@ -349,7 +386,9 @@ def model_in_memory(model: Path) -> Any:
     raise ExportError where it refers to another model, or this MuJoCo is older than 3.2.
     """
     if not hasattr(mujoco, "MjSpec"):
-        raise ExportError(f"a spec needs MuJoCo 3.2 or later, not {mujoco.__version__}; use save()")
+        raise ExportError(
+            f"a spec needs MuJoCo 3.2 or later, not {mujoco.__version__}; use save()"
+        )
     text, names = _bundled(model, "")
     assets = {name: path.read_bytes() for path, name in names.items()}
     return mujoco.MjSpec.from_string(text.decode("utf-8"), assets=assets)

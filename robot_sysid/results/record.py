@@ -124,7 +124,9 @@ class BodyEstimate:
     @property
     def errors(self) -> Array:
         """Standard errors (10,), all causes together; infinite where nothing shows a parameter."""
-        return np.where(self.shown, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf)
+        return np.where(
+            self.shown, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf
+        )
 
     @property
     def mass_causes(self) -> dict[str, float]:
@@ -322,7 +324,11 @@ class Result:
         """Whole standard error of the asked body's mass, as a part of it; None where not known."""
         error = float(self.body.errors[0])
         mass = self.body.inertial.mass
-        return error / mass if self.is_measured and np.isfinite(error) and mass > 0.0 else None
+        return (
+            error / mass
+            if self.is_measured and np.isfinite(error) and mass > 0.0
+            else None
+        )
 
     @property
     def failure(self) -> str | None:

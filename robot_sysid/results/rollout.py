@@ -20,7 +20,13 @@ from robot_sysid.model.tendons import joint_friction
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, Motion, RobotModel, Validation
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
-from robot_sysid.records.results import CLOSED, OPEN, RolloutError, RolloutTest, validation_of
+from robot_sysid.records.results import (
+    CLOSED,
+    OPEN,
+    RolloutError,
+    RolloutTest,
+    validation_of,
+)
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget
 from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.simulation import playback
@@ -51,7 +57,9 @@ def play(
     ``held_out`` so is told in words.
     """
     try:
-        pieces = [p for log in signals for p in playback.pieces_of_signals(log, since(log))]
+        pieces = [
+            p for log in signals for p in playback.pieces_of_signals(log, since(log))
+        ]
         checkpoints = signals[0].motion(signals[0].spread(CHECKPOINTS))
         with temporary_folder() as folder:
             path = folder / MODEL_NAMES["mjcf"]  # what is in it tells its kind
@@ -87,16 +95,23 @@ def compare(
             notes.append(f"no held-out piece is as long as {horizon:g} s")
             continue
         for loop, own in ((OPEN, None), (CLOSED, servo)):
-            old, new = (playback.played(robot, windows, horizon, own) for robot in (before, after))
+            old, new = (
+                playback.played(robot, windows, horizon, own)
+                for robot in (before, after)
+            )
             away = (old[1], new[1])
-            errors.append(RolloutError(loop, horizon, len(windows), old[0], new[0], away))
+            errors.append(
+                RolloutError(loop, horizon, len(windows), old[0], new[0], away)
+            )
     notes += [
         f"{e.loop}, {e.horizon:g} s: {e.diverged[0]} of {e.windows} windows run away with the "
         f"model before, {e.diverged[1]} with the new one"
         for e in errors
         if any(e.diverged)
     ]
-    return RolloutTest(before.joint_names, held_out, SERVO_WORDS, tuple(errors), tuple(notes))
+    return RolloutTest(
+        before.joint_names, held_out, SERVO_WORDS, tuple(errors), tuple(notes)
+    )
 
 
 def split_time(signals: ProcessedSignals | Measurement) -> float:
@@ -127,7 +142,10 @@ def torque_error(
     friction = joint_friction(compiled, robot.dof_index)
 
     def smooth(motion: Motion) -> tuple[Array]:
-        return (dynamics.torque(motion.q, motion.qd, motion.qdd) + friction.viscous * motion.qd,)
+        return (
+            dynamics.torque(motion.q, motion.qd, motion.qdd)
+            + friction.viscous * motion.qd,
+        )
 
     (predicted,) = signals.passed(smooth, smooth=True)
     predicted += signals.low_pass.decimated(friction.dry(signals.qd))
@@ -135,6 +153,10 @@ def torque_error(
     usable = signals.usable()
     residual = np.where(usable, tau - predicted, 0.0)
     counts = np.count_nonzero(usable, axis=0)
-    residual = np.where(usable, residual - np.sum(residual, axis=0) / np.maximum(counts, 1), 0.0)
+    residual = np.where(
+        usable, residual - np.sum(residual, axis=0) / np.maximum(counts, 1), 0.0
+    )
     sizes = np.sum(np.where(usable, tau, 0.0) ** 2, axis=0)
-    return validation_of(robot.joint_names, np.sum(residual**2, axis=0), sizes, counts, source)
+    return validation_of(
+        robot.joint_names, np.sum(residual**2, axis=0), sizes, counts, source
+    )

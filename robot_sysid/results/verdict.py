@@ -83,7 +83,9 @@ def two_lines(use: str, then: str) -> tuple[str, ...]:
     return use, f"Next: {then}"
 
 
-def verdict_lines(result: Result, failure: str | None = None, then: str = "") -> tuple[str, ...]:
+def verdict_lines(
+    result: Result, failure: str | None = None, then: str = ""
+) -> tuple[str, ...]:
     """Return one or two lines: whether to use a result, or why not (a failure, of a result that may
     be used for itself), and what to do next, unless ``then`` says it.
     """
@@ -97,7 +99,8 @@ def verdict_lines(result: Result, failure: str | None = None, then: str = "") ->
         passed = f"Self-test passed: {came}, which says nothing of the real arm"
         passed += f" (not seen: {unseen})" if unseen else ""
         return two_lines(
-            passed, f"{_command(result, 'robot-sysid plan {model}')} (a motion to record)"
+            passed,
+            f"{_command(result, 'robot-sysid plan {model}')} (a motion to record)",
         )
     return two_lines(f"{use}: {'; '.join(_gains(result))}", then or _next(result))
 
@@ -133,7 +136,9 @@ def plan_verdict(
     return two_lines("Usable: play it on the arm, slowly at first, and record it", then)
 
 
-def shortfalls_of_plan(body_name: str, mass_share: float | None, contact: str | None) -> list[str]:
+def shortfalls_of_plan(
+    body_name: str, mass_share: float | None, contact: str | None
+) -> list[str]:
     """Return what keeps a motion from its purpose: a mass that stays unknown, a blocked way.
 
     Args:
@@ -230,10 +235,16 @@ def _sentences(result: Result) -> Iterator[str]:
     names = [name for name, share, seen in rows if seen and share < PRIOR_SHARE]
     if names:
         listed = ", ".join(names)
-        yield Detail(f"more model than data in {listed}: the prior outweighs the torques there")
+        yield Detail(
+            f"more model than data in {listed}: the prior outweighs the torques there"
+        )
     yield from _conflicts(result)
     sought = result.sensors.get(DELAY_NAME)
-    if result.delay is not None and sought is not None and result.delay < -_EARLY * sought.error:
+    if (
+        result.delay is not None
+        and sought is not None
+        and result.delay < -_EARLY * sought.error
+    ):
         # No sensor reads a torque before the motion it belongs to.
         yield (
             f"the torque seems to come {-1e3 * result.delay:.2g} ms before the motion: the "
@@ -250,9 +261,15 @@ def _sentences(result: Result) -> Iterator[str]:
 
 def _weak(body: BodyEstimate) -> Iterator[str]:
     relative = body.errors / body.inertial.scale
-    weak = [k for k in np.argsort(-relative) if np.isfinite(relative[k]) and relative[k] > WEAK]
+    weak = [
+        k
+        for k in np.argsort(-relative)
+        if np.isfinite(relative[k]) and relative[k] > WEAK
+    ]
     if weak:
-        listed = ", ".join(f"{PARAMETER_NAMES[k]} (± {percent(relative[k])})" for k in weak)
+        listed = ", ".join(
+            f"{PARAMETER_NAMES[k]} (± {percent(relative[k])})" for k in weak
+        )
         yield (
             f"weakly seen, in percent of what a body of this mass and size has: {listed}; move "
             "faster, wider or longer (robot-sysid plan designs such a motion)"
@@ -275,7 +292,9 @@ def _negative_friction(result: Result) -> Iterator[str]:
     given = False
     for name, joint in result.joints.items():
         model = friction_model(joint.friction_model)
-        bounded = {term for term, bound in zip(model.terms, model.non_negative) if bound}
+        bounded = {
+            term for term, bound in zip(model.terms, model.non_negative) if bound
+        }
         for term, (value, error) in joint.terms.items():
             if term in bounded and value < -SURE * error:
                 clear.append(f"{term} {value:.2g} of {name}")
@@ -291,14 +310,18 @@ def _negative_friction(result: Result) -> Iterator[str]:
 def _beyond_noise(result: Result) -> Iterator[str]:
     """Tell where residuals are more than noise: correlated in time, or larger on other data."""
     estimate = result.estimate
-    slow = [name for name, share in estimate.independent_share.items() if share < COLOURED]
+    slow = [
+        name for name, share in estimate.independent_share.items() if share < COLOURED
+    ]
     if slow:
         yield Detail(
             f"residuals of {', '.join(slow)} are correlated in time: slow noise, or something that "
             "the model lacks; the errors allow for it"
         )
     # Of exact data a fit may leave far less than what counts as its noise.
-    noise = np.sqrt(np.mean(np.square(list(estimate.noise_per_joint.values()) or [0.0])))
+    noise = np.sqrt(
+        np.mean(np.square(list(estimate.noise_per_joint.values()) or [0.0]))
+    )
     for test in result.validation:
         if test.rmse > max(WORSE * estimate.rmse, noise):
             why = "the model misses something that motion shows"

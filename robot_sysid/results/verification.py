@@ -24,7 +24,11 @@ from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.mjcf.write_back import ModelChange, WeldedBody
 from robot_sysid.model.chain import body_label, joint_label
-from robot_sysid.model.compilation import CompiledModel, captured_warnings, compile_model
+from robot_sysid.model.compilation import (
+    CompiledModel,
+    captured_warnings,
+    compile_model,
+)
 from robot_sysid.model.inertia import body_theta
 from robot_sysid.records import Array, Motion, RobotModel
 
@@ -122,7 +126,9 @@ def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
     labels = [joint_label(original, joint) for joint in range(original.njnt)]
     for joint in change.joints:
         at = (int(original.jnt_dofadr[labels.index(joint.label)]),)
-        numbers: dict[str, Any] = {f"dof_{name}": value for name, value in joint.numbers.items()}
+        numbers: dict[str, Any] = {
+            f"dof_{name}": value for name, value in joint.numbers.items()
+        }
         if joint.polynomial is not None and hasattr(original, "dof_dampingpoly"):
             numbers["dof_dampingpoly"] = joint.polynomial
         for field, value in numbers.items():
@@ -142,7 +148,9 @@ def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
         yield _Asked("the world", "opt.gravity", ([0, 1, 2],), change.gravity)
 
 
-def verify_written_model(original: Any, written: Path, change: ModelChange) -> CompiledModel:
+def verify_written_model(
+    original: Any, written: Path, change: ModelChange
+) -> CompiledModel:
     """Compile a written model, compare it with the original, and return it; ExportError names the
     field if something else changed, or is not what was asked for, or says that it does not load.
     """
@@ -158,11 +166,16 @@ def require_change(original: Any, found: Any, change: ModelChange) -> None:
     if welded is not None:
         new = mujoco.mj_name2id(found, int(mujoco.mjtObj.mjOBJ_BODY), welded.name)
         if new < 0 or found.nbody != original.nbody + 1:
-            raise ExportError(f"the written model has no body '{welded.name}' of its own")
+            raise ExportError(
+                f"the written model has no body '{welded.name}' of its own"
+            )
     thetas = {
         body: (theta, plan.theta)
         for own, plan in ((change.body_id, change.plan) for change in change.bodies)
-        for body, theta in ((own, plan.theta), *((b.body_id, np.zeros(10)) for b in plan.lumped))
+        for body, theta in (
+            (own, plan.theta),
+            *((b.body_id, np.zeros(10)) for b in plan.lumped),
+        )
     }
     asked = list(_asked(original, change))
     rows: dict[str, set[int]] = {name: set(thetas) for name in BODY_FIELDS}
@@ -170,7 +183,9 @@ def require_change(original: Any, found: Any, change: ModelChange) -> None:
         rows.setdefault(each.field, set()).update(np.ravel(each.at[0]).tolist())
     added = sum(tendon.is_new for tendon in change.tendons)
     if found.ntendon != original.ntendon + added:
-        raise ExportError(f"the written model has {found.ntendon} tendons; no model was written")
+        raise ExportError(
+            f"the written model has {found.ntendon} tendons; no model was written"
+        )
     require_same_model(original, found, rows, new)
     for body, (theta, size) in thetas.items():
         require_theta(found, body + (new is not None and body >= new), theta, size)
@@ -190,7 +205,10 @@ def compiled_again(written: Path) -> CompiledModel:
 
 
 def require_same_model(
-    original: Any, other: Any, changed: Mapping[str, Collection[int]], new: int | None = None
+    original: Any,
+    other: Any,
+    changed: Mapping[str, Collection[int]],
+    new: int | None = None,
 ) -> None:
     """Raise ExportError naming the first compiled field that differs and may not, but for rows of
     ``changed`` fields, and for the one body, if any, that the other model has more, by its id, and
@@ -199,12 +217,20 @@ def require_same_model(
     theirs = dict(compiled_fields(other))
     skipped = DERIVED | PATHS
     if other.ntendon > original.ntendon:
-        skipped |= {"ntendon", "nwrap", "nJten", *_NAMES, *(n for n in theirs if n[:5] == "name_")}
+        skipped |= {
+            "ntendon",
+            "nwrap",
+            "nJten",
+            *_NAMES,
+            *(n for n in theirs if n[:5] == "name_"),
+        }
         for name, value in compiled_fields(original):
             if name.startswith(("tendon_", "ten_", "wrap_")):
                 theirs[name] = theirs[name][: len(value)]
     if new is not None:
-        skipped |= _BOOKKEEPING | {name for name in theirs if name.startswith(_OF_NAMES)}
+        skipped |= _BOOKKEEPING | {
+            name for name in theirs if name.startswith(_OF_NAMES)
+        }
     for name, value in compiled_fields(original):
         if name in skipped:
             continue
@@ -241,7 +267,9 @@ def reads_fullinertia_exactly(theta: Array) -> bool:
 
     Versions before 3.14 stop at six digits; then principal moments have to be written instead.
     """
-    text = f"<mujoco><worldbody><body>{mjcf_inertial(theta)}</body></worldbody></mujoco>"
+    text = (
+        f"<mujoco><worldbody><body>{mjcf_inertial(theta)}</body></worldbody></mujoco>"
+    )
     try:
         with captured_warnings():
             probe = mujoco.MjModel.from_xml_string(text)
@@ -261,7 +289,9 @@ def compiled_fields(mj_model: Any, prefix: str = "") -> Iterator[tuple[str, Any]
             yield from compiled_fields(value, f"{prefix}{name}.")
 
 
-def _same(name: str, ours: Any, theirs: Any, changed: Collection[int], new: int | None) -> bool:
+def _same(
+    name: str, ours: Any, theirs: Any, changed: Collection[int], new: int | None
+) -> bool:
     if not isinstance(ours, np.ndarray) or not isinstance(theirs, np.ndarray):
         return bool(ours == theirs)
     if new is not None and name.startswith("body_"):
@@ -290,7 +320,12 @@ _LEAST_SHARE = 1e-3
 
 
 def require_reproduction(
-    robot: RobotModel, thetas: Array, change: ModelChange, written: Any, motion: Motion, path: Path
+    robot: RobotModel,
+    thetas: Array,
+    change: ModelChange,
+    written: Any,
+    motion: Motion,
+    path: Path,
 ) -> None:
     """Raise ExportError where a written model takes other torques than those of the links (n, 10)
     that were identified, in their bodies' frames.
@@ -305,7 +340,9 @@ def require_reproduction(
     predicted += BeyondRigidBodies(asked).torque(*samples)
     for tendon in change.tendons:
         if tendon.is_new:
-            ratios = np.array([tendon.coefficients.get(name, 0.0) for name in robot.joint_names])
+            ratios = np.array(
+                [tendon.coefficients.get(name, 0.0) for name in robot.joint_names]
+            )
             pull = tendon.numbers.get("armature", 0.0) * (motion.qdd @ ratios)
             pull += tendon.numbers.get("damping", 0.0) * (motion.qd @ ratios)
             predicted += np.outer(pull, ratios)
@@ -313,7 +350,9 @@ def require_reproduction(
     actual = ArmDynamics(robot, written).torque(*samples)
     peak = np.max(np.abs(predicted), axis=0)
     scale = np.maximum(peak, _LEAST_SHARE * np.max(peak, initial=0.0))
-    relative = np.max(np.abs(actual - predicted), axis=0) / np.where(scale > 0.0, scale, 1.0)
+    relative = np.max(np.abs(actual - predicted), axis=0) / np.where(
+        scale > 0.0, scale, 1.0
+    )
     worst = int(np.argmax(relative))
     if not relative[worst] <= TORQUE_TOLERANCE:
         raise ExportError(
@@ -327,7 +366,14 @@ PLACE = 1e-12
 """Largest deviation of the new body's place [m] and axes: some roundings of a quaternion."""
 _NAMES = ("nnames", "nnames_map", "names", "names_map")
 # Names and their places, and tables that list each body or number the pairs of them.
-_BOOKKEEPING = {"nbody", "nB", *_NAMES, "tree_bodynum", "exclude_signature", "pair_signature"}
+_BOOKKEEPING = {
+    "nbody",
+    "nB",
+    *_NAMES,
+    "tree_bodynum",
+    "exclude_signature",
+    "pair_signature",
+}
 _OF_NAMES = ("name_", "B_")
 
 

@@ -17,7 +17,14 @@ from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 from robot_sysid.outcome import Outcome
-from robot_sysid.records import Array, DataOrigin, Measurement, Motion, RobotModel, atomic_files
+from robot_sysid.records import (
+    Array,
+    DataOrigin,
+    Measurement,
+    Motion,
+    RobotModel,
+    atomic_files,
+)
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import RolloutTest
 from robot_sysid.results.console import folder_text, rollout_lines
@@ -35,7 +42,12 @@ WITHOUT_TORQUE = (
     "No torque was measured: all of this follows from commanded and measured positions, and from "
     "the masses of the model, which fix its scale"
 )
-UNITS = {"gain": "N·m/rad", "damping": "N·m·s/rad", "frictionloss": "N·m", "armature": "kg·m²"}
+UNITS = {
+    "gain": "N·m/rad",
+    "damping": "N·m·s/rad",
+    "frictionloss": "N·m",
+    "armature": "kg·m²",
+}
 """What is found of a joint, in the order of ``Servos``, and its unit."""
 _KEYS = ("before", "value", "standard_error", "source")
 OFTEN = 0.2
@@ -54,7 +66,9 @@ _FOLLOWS = 0.5
 _OFFSET = 0.3
 
 
-def commanded_pieces(logs: Sequence[MeasurementLog], joints: Sequence[str]) -> list[Measurement]:
+def commanded_pieces(
+    logs: Sequence[MeasurementLog], joints: Sequence[str]
+) -> list[Measurement]:
     """Return the pieces between the gaps of some logs that were read for their commands.
 
     InputError where these cannot be what they seem; says which joint's and why.
@@ -64,19 +78,26 @@ def commanded_pieces(logs: Sequence[MeasurementLog], joints: Sequence[str]) -> l
             asked = [(p.q, p.command) for p in log.pieces if p.command is not None]
             pairs = [(q[:, joint], command[:, joint]) for q, command in asked]
             for fault in _faults(pairs):
-                raise InputError(f"{log.path}: the commands of joint {joints[joint]} {fault}")
+                raise InputError(
+                    f"{log.path}: the commands of joint {joints[joint]} {fault}"
+                )
     return [part for log in logs for part in log.pieces]
 
 
 def moving(parts: Sequence[Measurement]) -> NDArray[np.bool_]:
     """Return (n,) which joints move."""
-    return np.asarray(np.ptp(np.concatenate([part.q for part in parts]), axis=0) >= MOVES)
+    return np.asarray(
+        np.ptp(np.concatenate([part.q for part in parts]), axis=0) >= MOVES
+    )
 
 
 def _faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
     """Yield what is wrong with a joint's commands, as the end of a sentence."""
     best, at, slope = _best_lag(pairs)
-    same = [[np.abs(c[: len(c) - lag] - q[lag:]) < 1e-9 for q, c in pairs] for lag in range(4)]
+    same = [
+        [np.abs(c[: len(c) - lag] - q[lag:]) < 1e-9 for q, c in pairs]
+        for lag in range(4)
+    ]
     unit = next((u for u, k in _SLOPES.items() if 0.7 < abs(slope) / k < 1.4), None)
     offset = float(np.median(np.concatenate([c - q for q, c in pairs])))
     if max(float(np.mean(np.concatenate(each))) for each in same) > _ALIKE:
@@ -122,7 +143,9 @@ def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
         first = max(0, lag)
         last = min(0, lag)
         same = [(q[first : len(q) + last], c[-last : len(c) - first]) for q, c in pairs]
-        position, asked = (np.concatenate([v - np.mean(v) for v in side]) for side in zip(*same))
+        position, asked = (
+            np.concatenate([v - np.mean(v) for v in side]) for side in zip(*same)
+        )
         own = float(position @ position)
         both = float(position @ asked)
         norm = np.sqrt(own) * float(np.linalg.norm(asked))
@@ -165,7 +188,10 @@ class ServoIdentification:
         source = np.where(self.fit.seen | (value != before), "identified", "from_model")
         columns = (column.tolist() for column in (before, value, error, source))
         rows = [dict(zip(_KEYS, row)) for row in zip(*columns)]
-        return {joint: dict(zip(UNITS, rows[k : -1 : len(names)])) for k, joint in enumerate(names)}
+        return {
+            joint: dict(zip(UNITS, rows[k : -1 : len(names)]))
+            for k, joint in enumerate(names)
+        }
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
         """Return what the joints and the position actuators of the model get."""
@@ -173,13 +199,17 @@ class ServoIdentification:
         joints = []
         servos = []
         for k in np.flatnonzero(self.moves).tolist():
-            gain, damping, friction, armature = self.fit.servos.vector()[:-1].reshape(4, -1)[:, k]
+            gain, damping, friction, armature = self.fit.servos.vector()[:-1].reshape(
+                4, -1
+            )[:, k]
             kv = float(own.share[k] * damping)
             gear = float(own.gear[k]) ** 2
             rest = float(armature), float(damping) - kv, float(friction)
             joints.append(JointChange(self.robot.joint_names[k], *rest))
             if self.has_servo[k]:
-                servos.append(ActuatorChange(int(own.index[k]), float(gain) / gear, kv / gear))
+                servos.append(
+                    ActuatorChange(int(own.index[k]), float(gain) / gear, kv / gear)
+                )
         return joints, servos
 
     def entries(self) -> dict[str, Any]:
@@ -187,7 +217,10 @@ class ServoIdentification:
         joints = {
             joint: {
                 **{name: {**n, "unit": UNITS[name]} for name, n in numbers.items()},
-                **{name: getattr(self, name)[k] for name in ("moves", "has_servo", "at_limit")},
+                **{
+                    name: getattr(self, name)[k]
+                    for name in ("moves", "has_servo", "at_limit")
+                },
             }
             for k, (joint, numbers) in enumerate(self.numbers.items())
         }
@@ -195,7 +228,10 @@ class ServoIdentification:
             "schema": SERVO_SCHEMA,
             "torque": "none measured; from position error",
             "meaning": WITHOUT_TORQUE,
-            "delay": {"value": self.fit.servos.delay, "standard_error": self.fit.errors.delay},
+            "delay": {
+                "value": self.fit.servos.delay,
+                "standard_error": self.fit.errors.delay,
+            },
             "joints": joints,
             "rollout": rollout_entry(self.rollout),
             "position_errors": dict(zip(self.robot.joint_names, self.fit.sigma)),
@@ -215,7 +251,10 @@ def servo_lines(found: ServoIdentification) -> list[str]:
         "Servos, friction and rotor inertia, before -> after, ± one standard error:",
         f"  {WITHOUT_TORQUE}.",
         f"  delay of the commands: {1e3 * delay:.1f} ± {1e3 * error:.1g} ms",
-        *(f"  {joint}: {'; '.join(_figures(found, joint))}" for joint in found.robot.joint_names),
+        *(
+            f"  {joint}: {'; '.join(_figures(found, joint))}"
+            for joint in found.robot.joint_names
+        ),
         *rollout_lines(found.rollout),
     ]
 
@@ -271,7 +310,10 @@ def _joint_notes(
             f"{actuators_of(found.robot).limit[k]:.3g} N·m (the model's) in "
             f"{100.0 * found.at_limit[k]:.0f} % of the time: what is found rests on that limit"
         )
-    if gain["source"] == "identified" and gain["standard_error"] > UNSURE * gain["value"]:
+    if (
+        gain["source"] == "identified"
+        and gain["standard_error"] > UNSURE * gain["value"]
+    ):
         yield (
             "these logs hardly show the absolute size of gain, friction and rotor inertia of "
             f"{joint}, only their ratios (gravity and the links' inertia would); the size "
@@ -304,7 +346,9 @@ def run_servo(
             target = ModelTarget(files, path, rest, 0.0, mesh_dir)
             outcome = _write(robot, found, target, refusal(found.rollout, logs.accept))
             model = (file.path for file in read_document(robot.path).files)
-            removed = remove_earlier(files, folder, outcome.files, [*filter(None, read), *model])
+            removed = remove_earlier(
+                files, folder, outcome.files, [*filter(None, read), *model]
+            )
     progress.note(*outcome.result.notes[len(found.notes) :], *removed)
     return outcome
 
@@ -335,7 +379,9 @@ def identify_servos(
     progress.stage("Searching for servos, friction and rotor inertia...")
     rollouts = ServoRollouts(robot)
     slopes = search.Slopes(search.problem_of(rollouts, fitted))
-    servos = search.searched(slopes, search.better_start(slopes.problem, whole), progress)
+    servos = search.searched(
+        slopes, search.better_start(slopes.problem, whole), progress
+    )
     seen = search.judged(slopes, whole, servos).seen
     sought = replace(whole, free=whole.free & seen)
     if not np.array_equal(sought.free, whole.free):
@@ -358,7 +404,10 @@ def identify_servos(
 
 
 def _write(
-    robot: RobotModel, found: ServoIdentification, target: ModelTarget, refused: str | None
+    robot: RobotModel,
+    found: ServoIdentification,
+    target: ModelTarget,
+    refused: str | None,
 ) -> Outcome:
     """Write servo.json and, where the new model moves more like the arm, that."""
     path = target.path.parent / atomic_files.SERVO_NAME
@@ -370,7 +419,9 @@ def _write(
             notes = (*notes, *write_joints(robot, *found.changes(), target))
             written = [target.path, path]
         except ExportError as error:
-            failure = f"{error} (the identified numbers are in {atomic_files.SERVO_NAME})"
+            failure = (
+                f"{error} (the identified numbers are in {atomic_files.SERVO_NAME})"
+            )
     found = replace(found, notes=notes)
     target.files.write(path, json_text(found.entries()))
     lines = (*servo_lines(found), f"Results saved to {folder_text(path.parent)}")
@@ -378,5 +429,9 @@ def _write(
     model = f"{target.path.name} in place of {robot.path}"
     times = "not known" if score is None else f"{score:.2g} times those before"
     use = f"Usable: position errors of the model, played on what was not fitted, are {times}"
-    verdict = two_lines(use, f"load {model}") if failure is None else (f"Not usable: {failure}",)
+    verdict = (
+        two_lines(use, f"load {model}")
+        if failure is None
+        else (f"Not usable: {failure}",)
+    )
     return Outcome(lines, verdict, failure, tuple(written), found)

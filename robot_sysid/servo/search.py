@@ -18,12 +18,25 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.autocorrelation import autocovariance, memory_of
-from robot_sysid.records import CLOSED, Array, Measurement, RobotModel, RolloutError, RolloutTest
+from robot_sysid.records import (
+    CLOSED,
+    Array,
+    Measurement,
+    RobotModel,
+    RolloutError,
+    RolloutTest,
+)
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.rollout import HORIZONS, split_time
 from robot_sysid.signals.resampling import part_of, usual_period
 from robot_sysid.simulation.playback import MOST_WINDOWS
-from robot_sysid.simulation.servos import ServoRollouts, Servos, Window, actuators_of, model_servos
+from robot_sysid.simulation.servos import (
+    ServoRollouts,
+    Servos,
+    Window,
+    actuators_of,
+    model_servos,
+)
 
 SERVO_WORDS = "the log's commands through the model's servos, both late by the delay that was found"
 # Windows: time step of rollouts, at most, length, what does not count at the beginning, where the
@@ -77,16 +90,22 @@ class Problem:
     def some(self, most: int) -> Problem:
         """Return the problem with at most so many of its windows, spread evenly."""
         keep = np.linspace(0, len(self.windows) - 1, min(len(self.windows), most))
-        return replace(self, windows=tuple(self.windows[k] for k in keep.round().astype(int)))
+        return replace(
+            self, windows=tuple(self.windows[k] for k in keep.round().astype(int))
+        )
 
     def moves(self) -> NDArray[np.bool_]:
         """Return (M, n) when each joint is not at rest: a tenth of its usual speed or faster."""
-        speed = np.concatenate([np.gradient(q, time, axis=0) for _, time, q in self.windows])
+        speed = np.concatenate(
+            [np.gradient(q, time, axis=0) for _, time, q in self.windows]
+        )
         return np.asarray(np.abs(speed) > 0.1 * np.sqrt(np.mean(speed**2, axis=0)))
 
     def played(self, choices: Sequence[Servos]) -> Iterator[Array]:
         """Yield positions (W, S + 1, n) of each choice in every window."""
-        return self.rollouts.played(choices, [own[0] for own in self.windows], self.edges)
+        return self.rollouts.played(
+            choices, [own[0] for own in self.windows], self.edges
+        )
 
     def errors(self, choices: Sequence[Servos]) -> Array:
         """Return position errors (C, M, n) of all windows [rad]; pi where a rollout diverges."""
@@ -127,7 +146,9 @@ def problem_of(
             window = Window(start, q[k], qd[k], piece.time, piece.command)
             windows.append((window, piece.time[inside] - start, piece.q[inside]))
     if not windows:
-        raise InputError(f"no piece of the log is as long as {length:g} s; record longer")
+        raise InputError(
+            f"no piece of the log is as long as {length:g} s; record longer"
+        )
     edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
     return Problem(rollouts, tuple(windows), edges).some(most)
 
@@ -142,7 +163,9 @@ def smoothed(piece: Measurement) -> tuple[Array, Array]:
     return savgol_filter(piece.q, length, 2, axis=0), qd
 
 
-def parted(pieces: Sequence[Measurement]) -> tuple[list[Measurement], list[Measurement]]:
+def parted(
+    pieces: Sequence[Measurement],
+) -> tuple[list[Measurement], list[Measurement]]:
     """Return (what is fitted, what is held out): the last fifth of every piece."""
     at = [int(np.searchsorted(p.time, split_time(p), "right")) for p in pieces]
     held = [part_of(piece, k, len(piece)) for piece, k in zip(pieces, at)]
@@ -150,7 +173,10 @@ def parted(pieces: Sequence[Measurement]) -> tuple[list[Measurement], list[Measu
 
 
 def play_servos(
-    rollouts: ServoRollouts, pieces: Sequence[Measurement], pair: Sequence[Servos], held_out: str
+    rollouts: ServoRollouts,
+    pieces: Sequence[Measurement],
+    pair: Sequence[Servos],
+    held_out: str,
 ) -> RolloutTest:
     """Play two models (before, after) on held-out pieces, over every horizon that is there."""
     errors = []
@@ -191,7 +217,9 @@ class Scale:
         whole = np.zeros(len(self.free))
         whole[self.free] = unknowns
         whole[:-1] = np.maximum(np.exp(whole[:-1]) - SOFT, 0.0)
-        return Servos.of(np.where(self.free, whole * self.size.vector(), self.start.vector()))
+        return Servos.of(
+            np.where(self.free, whole * self.size.vector(), self.start.vector())
+        )
 
     def derivative(self, servos: Servos) -> Array:
         """Return (4 n + 1,) how much each number changes where its unknown changes by one."""
@@ -206,7 +234,9 @@ class Scale:
         return self.unknowns(Servos.of(0.0 * size)), self.unknowns(widest)
 
 
-def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.bool_]) -> Scale:
+def first_servos(
+    robot: RobotModel, q: Array, period: float, moves: NDArray[np.bool_]
+) -> Scale:
     """Return where a search starts: the model's numbers, or usual ones where it has none.
 
     Positions (m, n) stand for all, the period is that of samples [s]; numbers of joints that do not
@@ -232,7 +262,9 @@ def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.b
     )
     free = np.append(np.tile(moves, 4), True)
     # From zero the search would hardly get away.
-    return Scale(Servos.of(np.maximum(start.vector(), 0.1 * size.vector() * free)), size, free)
+    return Scale(
+        Servos.of(np.maximum(start.vector(), 0.1 * size.vector() * free)), size, free
+    )
 
 
 def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
@@ -255,15 +287,21 @@ def better_start(problem: Problem, scale: Scale) -> Scale:
     start = scale.start
     delays = scale.size.delay * np.arange(0.0, MOST_PERIODS + 1.0)
     grid = [(gain, delay) for gain in GAINS for delay in delays]
-    choices = [replace(start, stiffness=g * start.stiffness, delay=float(d)) for g, d in grid]
+    choices = [
+        replace(start, stiffness=g * start.stiffness, delay=float(d)) for g, d in grid
+    ]
     # Absolute: where a stiff servo comes off its limit, single windows run off and rule squares.
     error = np.mean(np.abs(problem.some(_FEW).errors(choices)), axis=1)
     if not np.all(np.isfinite(error)):
-        raise InputError("the model cannot be played with these commands; check their units")
+        raise InputError(
+            "the model cannot be played with these commands; check their units"
+        )
     by_gain = error.reshape(len(GAINS), len(delays), -1)
     best = int(np.argmin(np.sum(np.min(by_gain, axis=0), axis=1)))
     gains = np.array(GAINS)[np.argmin(by_gain[:, best], axis=0)]
-    better = replace(start, stiffness=gains * start.stiffness, delay=float(delays[best]))
+    better = replace(
+        start, stiffness=gains * start.stiffness, delay=float(delays[best])
+    )
     return replace(scale, start=better)
 
 
@@ -313,7 +351,9 @@ def searched(slopes_of: Slopes, scale: Scale, progress: Progress) -> Servos:
         done = 0.0
         before = x
         sigma = _sigma(problem.errors([scale.servos(x)])[0])
-        x = least_squares(residuals, x, jacobian, bounds, args=(sigma, stage), **settled).x
+        x = least_squares(
+            residuals, x, jacobian, bounds, args=(sigma, stage), **settled
+        ).x
         progress.advance(stage, 1.0, 1.0, "")
         if np.array_equal(x, before):  # as the same search would end again
             break
@@ -326,7 +366,9 @@ def as_in_model(robot: RobotModel, found: Servos, which: Any = True) -> Servos:
     The delay stays as found, and so do gain and damping of a joint without servo in the model.
     """
     own = model_servos(robot)
-    known = replace(own, damping=own.damping + 0.0 * own.stiffness, delay=np.nan).vector()
+    known = replace(
+        own, damping=own.damping + 0.0 * own.stiffness, delay=np.nan
+    ).vector()
     takes = np.isfinite(known) & which
     return Servos.of(np.where(takes, known, found.vector()))
 
@@ -356,7 +398,9 @@ class Slopes:
         if self._at != x.tobytes():
             self._at = x.tobytes()
             self._known = {}
-        step = np.where(np.arange(len(x)) // len(servos.stiffness) == _FRICTION, 1.0, _STEP)
+        step = np.where(
+            np.arange(len(x)) // len(servos.stiffness) == _FRICTION, 1.0, _STEP
+        )
         step *= _unit(scale, servos)
         new = [k for k in free.tolist() if k not in self._known]
         for k, one in zip(new, np.eye(len(x))[new]):
@@ -398,7 +442,9 @@ def judged(slopes_of: Slopes, scale: Scale, servos: Servos) -> ServoFit:
         weight = usual_share(rows[:, own], moves[:, joint])
         rows *= weight[:, None]
         normal += rows.T @ rows
-        alike, _ = autocovariance(weight * residuals[:, joint], max(len(rows) // 4, 1) - 1)
+        alike, _ = autocovariance(
+            weight * residuals[:, joint], max(len(rows) // 4, 1) - 1
+        )
         score += memory_of(alike, np.inf) * rows.T @ rows
         bias += rows.T @ (weight * drift[:, joint]) / sigma[joint]
     inverse = np.linalg.inv(normal)
@@ -424,16 +470,24 @@ def usual_share(rows: Array, moves: NDArray[np.bool_]) -> Array:
     return np.asarray(1.0 / np.max(np.abs(rows) / usual, axis=1, initial=1.0))
 
 
-def links_share(robot: RobotModel, pieces: Sequence[Measurement], servos: Servos) -> Array:
+def links_share(
+    robot: RobotModel, pieces: Sequence[Measurement], servos: Servos
+) -> Array:
     """Return (n,) the links' torque, gravity and inertia, over that of all, root mean squares."""
     thetas = robot.thetas
     parts = []
     for piece in pieces:
         q, qd = smoothed(piece)
         qdd = np.gradient(qd, piece.time, axis=0)
-        rest = servos.armature * qdd + servos.damping * qd + servos.frictionloss * np.sign(qd)
+        rest = (
+            servos.armature * qdd
+            + servos.damping * qd
+            + servos.frictionloss * np.sign(qd)
+        )
         parts.append((LinkDynamics(robot).motion(q, qd, qdd).torque(thetas), rest))
-    links, others = (np.sqrt(np.mean(np.concatenate(side) ** 2, axis=0)) for side in zip(*parts))
+    links, others = (
+        np.sqrt(np.mean(np.concatenate(side) ** 2, axis=0)) for side in zip(*parts)
+    )
     return np.asarray(links / np.maximum(links + others, 1e-12))
 
 
@@ -452,7 +506,9 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
     own = fit.errors.vector()
     added = np.append(np.tile(size, 4) * fit.servos.vector()[:-1], 0.5 * STEP)
     added[3 * len(share) : -1] += STEP * fit.servos.damping
-    return replace(fit, errors=Servos.of(np.where(own > 0.0, np.hypot(own, added), 0.0)))
+    return replace(
+        fit, errors=Servos.of(np.where(own > 0.0, np.hypot(own, added), 0.0))
+    )
 
 
 def at_limit(problem: Problem, servos: Servos) -> Array:

@@ -96,7 +96,9 @@ def choose_cutoff(spectra: Spectra) -> tuple[float, float, str]:
     sigma = spectra.position_noise
     expected = float(np.sqrt(errors[fit[-1]]))
     reason = f"cut-off {best:.3g} Hz chosen from the data: position noise {sigma.min():.2g} to "
-    reason += f"{sigma.max():.2g} rad, expected error of the acceleration {percent(expected)}"
+    reason += (
+        f"{sigma.max():.2g} rad, expected error of the acceleration {percent(expected)}"
+    )
     return float(best), expected, reason
 
 
@@ -148,7 +150,9 @@ def _without_repeats(q: Array, steps: Array, rate: float) -> tuple[Array, Array,
     if share > _HELD or len(kept) < _SHORTEST:
         return q, steps, rate
     waits = np.diff(kept)
-    if np.std(waits) > _REGULAR * np.mean(waits):  # an encoder that creeps from step to step
+    if np.std(waits) > _REGULAR * np.mean(
+        waits
+    ):  # an encoder that creeps from step to step
         return q, steps, rate
     even = np.linspace(0.0, len(q) - 1.0, len(kept))
     slower = np.column_stack([np.interp(even, row[kept], joint[kept]) for joint in q.T])
@@ -173,7 +177,9 @@ def encoder_steps(q: Array) -> Array:
     return steps
 
 
-def _acceleration_spectrum(q: Array, rate: float, length: int) -> tuple[Array, Array, Array]:
+def _acceleration_spectrum(
+    q: Array, rate: float, length: int
+) -> tuple[Array, Array, Array]:
     """Return frequency (F,), spectrum of the second difference (F, n) and noise shape (F,).
 
     The mean over segments of the squared Fourier transform under a Blackman-Harris window, the
@@ -189,7 +195,9 @@ def _acceleration_spectrum(q: Array, rate: float, length: int) -> tuple[Array, A
         seen = np.fft.rfft((part - np.mean(part, axis=0)) * window[:, None], axis=0)
         power += seen.real**2 + seen.imag**2
     power *= 2.0 / (rate * np.sum(window**2) * len(starts))
-    power[length // 2 :] *= 0.5 if length % 2 == 0 else 1.0  # the one bin without a mirror image
+    power[length // 2 :] *= (
+        0.5 if length % 2 == 0 else 1.0
+    )  # the one bin without a mirror image
     shape = ((2.0 - 2.0 * np.cos(2.0 * np.pi * frequency / rate)) * rate**2) ** 2
     return frequency[1:], power[1:], shape[1:]
 
@@ -206,7 +214,9 @@ def _motion(frequency: Array, power: Array, noise: Array) -> Array:
         return motion
     moved = np.sum(motion, axis=1)
     slow = _speed_index(frequency, moved)
-    rising = slow + int(np.argmin(_smooth(pooled)[slow : max(slow + 1, int(0.9 * len(pooled)))]))
+    rising = slow + int(
+        np.argmin(_smooth(pooled)[slow : max(slow + 1, int(0.9 * len(pooled)))])
+    )
     gap = frequency[_first_gap(frequency, moved)]
     last = min(rising, int(np.searchsorted(frequency, _WELL_BEYOND * gap)))
     return np.where(np.arange(len(frequency))[:, None] <= last, motion, 0.0)

@@ -84,7 +84,9 @@ class LowPass:
         counts = np.where(frequency <= 3.0 * self.cutoff, 1.0, _BEYOND)[:, None]
 
         def responses(half: int, rate: float) -> Array:
-            found = counts * np.cos(2.0 * np.pi * np.outer(frequency, np.arange(half + 1) / rate))
+            found = counts * np.cos(
+                2.0 * np.pi * np.outer(frequency, np.arange(half + 1) / rate)
+            )
             found[:, 1:] *= 2.0  # both sides of the centre
             return found
 
@@ -108,7 +110,9 @@ class LowPass:
         for start in range(0, count, size - width + 1):
             seen = np.fft.rfft(values[start : start + size], size, axis=0)
             block = out[start : start + size - width + 1]
-            block[:] = np.fft.irfft(gain * seen, size, axis=0)[width - 1 : width - 1 + len(block)]
+            block[:] = np.fft.irfft(gain * seen, size, axis=0)[
+                width - 1 : width - 1 + len(block)
+            ]
         return out
 
     def decimated(self, values: Array) -> Array:
@@ -120,7 +124,9 @@ class LowPass:
         return np.arange(self.half_width, n_samples - self.half_width, self.step)
 
 
-def design_low_pass(cutoff: float, rate: float, attenuation: float = ATTENUATION) -> LowPass:
+def design_low_pass(
+    cutoff: float, rate: float, attenuation: float = ATTENUATION
+) -> LowPass:
     """Return the low-pass with a cut-off [Hz] at a sample rate [Hz], or raise InputError.
 
     Decimated samples come at about twice the cut-off, so that white noise stays nearly white and
@@ -129,7 +135,9 @@ def design_low_pass(cutoff: float, rate: float, attenuation: float = ATTENUATION
     """
     if not 0.0 < cutoff <= HIGHEST_CUTOFF * rate:
         remedy = f"choose --cutoff between 0 and {HIGHEST_CUTOFF * rate:g} Hz"
-        raise InputError(f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; {remedy}")
+        raise InputError(
+            f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; {remedy}"
+        )
     width = 2.0 * math.pi * _TRANSITION * cutoff / rate
     half = (attenuation - 8.0) / (2.285 * width) / 2.0
     if half > _LONGEST:
@@ -171,7 +179,9 @@ class Decimator:
         span = count * self._step
         out = np.empty((0, *waiting.shape[:-1]))
         if count:
-            seen = sliding_window_view(waiting, len(self._kernel), axis=-1)[..., :: self._step, :]
+            seen = sliding_window_view(waiting, len(self._kernel), axis=-1)[
+                ..., :: self._step, :
+            ]
             # Not by BLAS: a column is alike beside whatever others, with any number of threads.
             out = np.einsum("...kt,t->k...", seen, self._kernel)
         self._skip += max(0, span - waiting.shape[-1])
@@ -218,7 +228,9 @@ def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
 def _central_weights(reach: int) -> tuple[Array, Array]:
     """Return k = 1 ... reach and w_k."""
     ahead = np.arange(1.0, reach + 1.0)
-    weights = [-((-1) ** k) * math.comb(2 * reach, reach - k) for k in range(1, reach + 1)]
+    weights = [
+        -((-1) ** k) * math.comb(2 * reach, reach - k) for k in range(1, reach + 1)
+    ]
     return ahead, np.array(weights) / math.comb(2 * reach, reach)
 
 
@@ -241,7 +253,9 @@ def advanced(values: Array, samples: float) -> tuple[Array, int]:
     return inner[start:stop], first
 
 
-def _correlated(values: Array, stencil: Array, order: int = 0, scale: float = 1.0) -> Array:
+def _correlated(
+    values: Array, stencil: Array, order: int = 0, scale: float = 1.0
+) -> Array:
     """Return scaled sums of a stencil that is blind to polynomials below an order.
 
     Sum_k s_k x_k = -sum_k S_k (x_(k+1) - x_k), S_k = s_0 + ... + s_k. Neighbours' differences have

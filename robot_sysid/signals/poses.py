@@ -53,11 +53,19 @@ def resting_poses(
         )
     q, tau = (0.5 * (each[:-1] + each[1:])[again] for each in (q, tau))
     tau[(direction[:-1] * direction[1:])[again] >= 0.0] = np.nan
-    blind = [name for name, column in zip(joint_names, tau.T) if not np.any(np.isfinite(column))]
+    blind = [
+        name
+        for name, column in zip(joint_names, tau.T)
+        if not np.any(np.isfinite(column))
+    ]
     if len(blind) == len(joint_names):
-        raise InputError("no joint approaches its poses from both sides; --static needs that")
+        raise InputError(
+            "no joint approaches its poses from both sides; --static needs that"
+        )
     still = np.zeros_like(q)
-    return Measurement(time[:-1][again, 0], q, still, np.nan_to_num(tau), still), np.isfinite(tau)
+    return Measurement(
+        time[:-1][again, 0], q, still, np.nan_to_num(tau), still
+    ), np.isfinite(tau)
 
 
 def _rests(samples: Measurement) -> Iterator[Array]:
@@ -69,13 +77,17 @@ def _rests(samples: Measurement) -> Iterator[Array]:
     for first, last in np.flatnonzero(np.diff(still)).reshape(-1, 2).tolist():
         if time[last - 1] - time[first] < LEAST_REST:
             continue
-        inside = np.searchsorted(time, [time[first] + SETTLING, time[last - 1] - SETTLING])
+        inside = np.searchsorted(
+            time, [time[first] + SETTLING, time[last - 1] - SETTLING]
+        )
         before = int(np.searchsorted(time, time[first] - APPROACH))
         part = slice(int(inside[0]), int(inside[1]) + 1)
         mean = np.mean(q[part], axis=0)
         moved = mean - q[before]
         direction = np.where(np.abs(moved) < LEAST_APPROACH, 0.0, np.sign(moved))
-        yield np.hstack([time[first], mean, np.mean(samples.tau[part], axis=0), direction])
+        yield np.hstack(
+            [time[first], mean, np.mean(samples.tau[part], axis=0), direction]
+        )
 
 
 def _is_still(time: Array, q: Array) -> NDArray[np.bool_]:

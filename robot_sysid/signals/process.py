@@ -128,7 +128,10 @@ class ProcessedSignals:
         return self.low_pass.rate
 
     def passed(
-        self, made: Callable[[Motion], Iterable[Array]], smooth: bool = False, most: int = CHUNK
+        self,
+        made: Callable[[Motion], Iterable[Array]],
+        smooth: bool = False,
+        most: int = CHUNK,
     ) -> list[Array]:
         """Return each (K, ...) of what is made of the motion, through the low-pass and decimated.
 
@@ -141,7 +144,9 @@ class ProcessedSignals:
         low_pass = self.low_pass.at_every(stride)
         size = min(most, CHUNK) * stride
         parts: defaultdict[int, list[Array]] = defaultdict(list)
-        decimators: defaultdict[int, Decimator] = defaultdict(lambda: Decimator(low_pass))
+        decimators: defaultdict[int, Decimator] = defaultdict(
+            lambda: Decimator(low_pass)
+        )
         for start in range(0, len(self), size):
             motion = self.motion(slice(start, start + size, stride))
             for number, values in enumerate(made(motion)):
@@ -162,7 +167,9 @@ class ProcessedSignals:
         after a second pass of its low-pass; where it passed none, by the next lower derivatives.
         """
         less = FINE_REACH - 1 if self.exact else 0
-        low_pass = replace(self.low_pass if self.exact else self.flat, step=self.low_pass.step)
+        low_pass = replace(
+            self.low_pass if self.exact else self.flat, step=self.low_pass.step
+        )
         reach = low_pass.half_width + less
         centres = self.low_pass.centres(len(self))
         rows = np.flatnonzero((centres >= reach) & (centres < len(self) - reach))
@@ -176,7 +183,9 @@ class ProcessedSignals:
         inner = slice(less, len(q) - less)
         first = low_pass.decimated(first_derivative(q, self.rate, less) - qd[inner])
         second = low_pass.decimated(second_derivative(q, self.rate, less) - qdd[inner])
-        return rows, Motion(self.time[at], self.q[at], self.qd[at] + first, self.qdd[at] + second)
+        return rows, Motion(
+            self.time[at], self.q[at], self.qd[at] + first, self.qdd[at] + second
+        )
 
     def spread(self, most: int) -> NDArray[np.int64]:
         """Return at most so many samples, spread evenly over the log."""
@@ -201,7 +210,9 @@ class ProcessedSignals:
         """Yield a sentence per joint whose sign(qd) hardly takes both values."""
         forward = np.mean(self.qd > self.deadband, axis=0)
         backward = np.mean(self.qd < -self.deadband, axis=0)
-        for joint in np.flatnonzero(np.minimum(forward, backward) < ENOUGH_EACH_WAY).tolist():
+        for joint in np.flatnonzero(
+            np.minimum(forward, backward) < ENOUGH_EACH_WAY
+        ).tolist():
             yield (
                 f"{joint_names[joint]} moves faster than {self.deadband[joint]:.2g} rad/s in "
                 f"{100.0 * forward[joint]:.0f} % of the samples forwards and in "
@@ -246,8 +257,12 @@ class LogPiece(Measurement):
     def choice(self) -> tuple[float, float, str]:
         """``choose_cutoff`` of the piece; InputError where it is too short."""
         if self.spectra is None:
-            few = f"{len(resampled(self).q)} samples are too few to choose a cut-off from"
-            raise InputError(f"{few}; record longer, or give identify or payload a --cutoff HZ")
+            few = (
+                f"{len(resampled(self).q)} samples are too few to choose a cut-off from"
+            )
+            raise InputError(
+                f"{few}; record longer, or give identify or payload a --cutoff HZ"
+            )
         return choose_cutoff(self.spectra)
 
 
@@ -293,14 +308,18 @@ def process(
     turning = np.zeros(qd.shape, dtype=bool)
     if corners is None and piece.spectra is not None:
         # Of positions without noise any speed has a sign.
-        turning = turning_samples(uniform.q[lost:-lost], qd, piece.spectra.position_noise)
+        turning = turning_samples(
+            uniform.q[lost:-lost], qd, piece.spectra.position_noise
+        )
     time = uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate
     bridged = bridged if corners is None else bridged | corners
     # A view would keep the torque of the whole log.
     q = q[reach:-reach]
     tau = uniform.tau[lost:-lost].copy()
     unsure = bridged, slow, turning
-    signals = ProcessedSignals(time, q, qd, qdd, tau, *unsure, low_pass, flat, (), expected)
+    signals = ProcessedSignals(
+        time, q, qd, qdd, tau, *unsure, low_pass, flat, (), expected
+    )
     notes = (*uniform.notes, Detail(reason), *_notes(signals, joint_names))
     return replace(signals, notes=notes)
 
@@ -337,7 +356,9 @@ def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | 
     largest = np.max(np.sqrt(np.mean(fine**2, axis=0)))
     fine -= second_derivative(uniform.q[1:-1], uniform.rate, FINE_REACH - 1)
     apart = np.max(np.abs(fine), axis=1, initial=0.0)
-    moves = np.any(np.diff(uniform.q[FINE_REACH - 1 : -FINE_REACH], axis=0) != 0.0, axis=1)
+    moves = np.any(
+        np.diff(uniform.q[FINE_REACH - 1 : -FINE_REACH], axis=0) != 0.0, axis=1
+    )
     usual = np.median(apart[moves]) if np.any(moves) else math.inf
     if usual > _NOISELESS * largest:
         return None
@@ -357,7 +378,9 @@ def _exact_enough(
     Positions pass their filter alone: it scales motion by up to 1 + ripple, and with it what is
     identified. So it is as flat as the noise of positions is low, for more samples at the ends.
     """
-    ripple = max(_UNSEEN * noise_share(spectra, low_pass.cutoff), 10.0 ** (-_FLATTEST / 20.0))
+    ripple = max(
+        _UNSEEN * noise_share(spectra, low_pass.cutoff), 10.0 ** (-_FLATTEST / 20.0)
+    )
     wanted = -20.0 * math.log10(min(ripple, 1.0))
     if wanted <= ATTENUATION:
         return low_pass, REACH
@@ -380,7 +403,9 @@ def _notes(signals: ProcessedSignals, joint_names: Sequence[str]) -> Iterator[st
         f"{lost / signals.rate:.2g} s cut off at each end"
     )
     if signals.exact:
-        yield Detail("positions have no noise: they are differentiated without a low-pass")
+        yield Detail(
+            "positions have no noise: they are differentiated without a low-pass"
+        )
     for joint, share in enumerate(np.mean(usable, axis=0)):
         name = joint_names[joint] if joint < len(joint_names) else str(joint + 1)
         if share < 0.5:

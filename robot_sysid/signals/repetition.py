@@ -71,7 +71,9 @@ class Visits:
 
 def visits(motions: Sequence[Motion]) -> Visits:
     """Return which rows of some logs (K, n), taken together, pass the same states."""
-    q, qd = (np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "qd"))
+    q, qd = (
+        np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "qd")
+    )
     off = q - np.mean(q, axis=0)
     state = np.hstack([off / scales(off), qd / scales(qd)])
     ends = np.cumsum([len(m.time) for m in motions])[:-1]
@@ -101,7 +103,11 @@ def _steps(state: Array) -> Array:
 
 def _near(probes: Array, radius: Array, state: Array) -> NDArray[np.bool_]:
     """Return (P, K) which rows' states lie within the radius (P,) of each of P."""
-    apart = np.sum(probes**2, axis=1)[:, None] + np.sum(state**2, axis=1) - 2.0 * probes @ state.T
+    apart = (
+        np.sum(probes**2, axis=1)[:, None]
+        + np.sum(state**2, axis=1)
+        - 2.0 * probes @ state.T
+    )
     return np.asarray(apart < radius[:, None] ** 2)
 
 
@@ -129,14 +135,21 @@ class RowSample:
     def __add__(self, other: RowSample) -> RowSample:
         """Return the sample of both's rows, or raise InputError where a row is in both."""
         names = [each.name for each in fields(self) if each.name != "total"]
-        both = {name: np.concatenate([getattr(s, name) for s in (self, other)]) for name in names}
+        both = {
+            name: np.concatenate([getattr(s, name) for s in (self, other)])
+            for name in names
+        }
         order = np.argsort(both["drawn"], kind="stable")[:MOST_ROWS]
         log = both["log"][order]
         place = both["place"][order]
         if np.any((log[1:] == log[:-1]) & (place[1:] == place[:-1])):
-            raise InputError("the same log is in both parts of a sum; add each log once")
+            raise InputError(
+                "the same log is in both parts of a sum; add each log once"
+            )
         total = self.total + other.total
-        return RowSample(**{name: rows[order] for name, rows in both.items()}, total=total)
+        return RowSample(
+            **{name: rows[order] for name, rows in both.items()}, total=total
+        )
 
     def motion(self, most: int) -> Motion:
         """Return some of the motion; its time only counts the rows."""
@@ -175,7 +188,11 @@ def sampled(motion: Motion, residual: Array, log: int) -> RowSample:
     moved = np.diff(np.hstack([motion.q, motion.qd]), axis=0)
     # The last row has no next one; it is as far from the one before.
     moved = np.vstack([moved, moved[-1:]])
-    q, qd, qdd, moved = (each[chosen] for each in (motion.q, motion.qd, motion.qdd, moved))
+    q, qd, qdd, moved = (
+        each[chosen] for each in (motion.q, motion.qd, motion.qdd, moved)
+    )
     numbers = np.full(len(chosen), log, dtype=np.uint64)
     left = np.nan_to_num(residual[chosen])
-    return RowSample(drawn[chosen], numbers, chosen, q, qd, qdd, moved, left, len(drawn))
+    return RowSample(
+        drawn[chosen], numbers, chosen, q, qd, qdd, moved, left, len(drawn)
+    )

@@ -53,7 +53,9 @@ def resampled(measurement: Measurement) -> UniformSignals:
     """
     time = measurement.time
     if len(time) < 8:
-        raise InputError(f"only {len(time)} samples; a log of several seconds is needed")
+        raise InputError(
+            f"only {len(time)} samples; a log of several seconds is needed"
+        )
     if measurement.joint_time is None and is_even(time):
         lost = rows_lost(measurement)
         if np.any(lost):
@@ -64,7 +66,9 @@ def resampled(measurement: Measurement) -> UniformSignals:
             return _interpolated(whole, 1.0 / period, words)
         gap = np.zeros(len(time))
         exact = (len(time) - 1) / float(time[-1] - time[0])
-        return UniformSignals(float(time[0]), exact, measurement.q, measurement.tau, gap, ())
+        return UniformSignals(
+            float(time[0]), exact, measurement.q, measurement.tau, gap, ()
+        )
     return _interpolated(measurement, 1.0 / usual_period(time))
 
 
@@ -103,10 +107,14 @@ def is_even(time: Array) -> bool:
     scaled = (((time - time[0]) * 10.0**digits, digits) for digits in (3, 4, 5, 6))
     whole = (k for since, k in scaled if np.all(np.abs(since - np.round(since)) < 1e-3))
     last_digit = next((10.0**-k for k in whole), 0.0)
-    return bool(np.max(np.abs(time - line)) <= max(_REGULAR * period, 1.01 * last_digit))
+    return bool(
+        np.max(np.abs(time - line)) <= max(_REGULAR * period, 1.01 * last_digit)
+    )
 
 
-def _interpolated(measurement: Measurement, rate: float, why: str = "") -> UniformSignals:
+def _interpolated(
+    measurement: Measurement, rate: float, why: str = ""
+) -> UniformSignals:
     from scipy.interpolate import CubicSpline
 
     time = measurement.time
@@ -122,13 +130,17 @@ def _interpolated(measurement: Measurement, rate: float, why: str = "") -> Unifo
         fresh = is_fresh(stamps)
         both = np.column_stack((measurement.q[:, joint], measurement.tau[:, joint]))
         q[:, joint], tau[:, joint] = CubicSpline(stamps[fresh], both[fresh])(grid).T
-    said = "each joint at its own time stamps" if own is not None else "uneven time stamps"
+    said = (
+        "each joint at its own time stamps" if own is not None else "uneven time stamps"
+    )
     note = f"resampled to a uniform {rate:.6g} Hz ({why or said + ', cubic splines'})"
     step = np.diff(time)
     index = np.clip(np.searchsorted(time, grid) - 1, 0, len(step) - 1)
     nearest = np.minimum(np.abs(grid - time[index]), np.abs(grid - time[index + 1]))
     bridged = (step[index] > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
-    return UniformSignals(first, rate, q, tau, np.where(bridged, step[index], 0.0), (note,))
+    return UniformSignals(
+        first, rate, q, tau, np.where(bridged, step[index], 0.0), (note,)
+    )
 
 
 def is_fresh(stamps: Array) -> NDArray[np.bool_]:
@@ -169,23 +181,37 @@ def pieces_of(samples: Measurement) -> tuple[Measurement, ...]:
     cuts = np.flatnonzero(step > longest_step(float(np.median(step)))) + 1
     edges = [0, *cuts.tolist(), len(samples)]
     span = float(samples.time[-1] - samples.time[0])
-    most = MOST_ROWS if span <= MOST_TIME else min(MOST_ROWS, round(PART_TIME / np.median(step)))
+    most = (
+        MOST_ROWS
+        if span <= MOST_TIME
+        else min(MOST_ROWS, round(PART_TIME / np.median(step)))
+    )
     # Equal parts of each piece, none with more rows than that.
-    parts = [np.linspace(a, b, -(-(b - a) // most) + 1) for a, b in zip(edges, edges[1:])]
+    parts = [
+        np.linspace(a, b, -(-(b - a) // most) + 1) for a, b in zip(edges, edges[1:])
+    ]
     cut = (part.astype(int).tolist() for part in parts if part[-1] - part[0] > 1)
     spans = [span for ends in cut for span in zip(ends, ends[1:])]
     if len(spans) == 1:
         return (samples,)
-    long = [(a, b) for a, b in spans if samples.time[b - 1] - samples.time[a] >= SHORTEST]
-    return tuple(part_of(samples, a, b) for a, b in _spread(samples, long)) or (samples,)
+    long = [
+        (a, b) for a, b in spans if samples.time[b - 1] - samples.time[a] >= SHORTEST
+    ]
+    return tuple(part_of(samples, a, b) for a, b in _spread(samples, long)) or (
+        samples,
+    )
 
 
-def piece_note(samples: Measurement, pieces: tuple[Measurement, ...]) -> tuple[str, ...]:
+def piece_note(
+    samples: Measurement, pieces: tuple[Measurement, ...]
+) -> tuple[str, ...]:
     """Return a sentence on a log that gaps split; nothing on one that has none."""
     used = sum(len(piece) for piece in pieces)
     if len(pieces) == 1 and used == len(samples):
         return ()
-    left = f"; {len(samples) - used} rows of other pieces are left out" * (used < len(samples))
+    left = f"; {len(samples) - used} rows of other pieces are left out" * (
+        used < len(samples)
+    )
     if sum(float(piece.time[-1] - piece.time[0]) for piece in pieces) > 0.5 * MOST_TIME:
         left += ", as the log is longer than any result needs" * (used < len(samples))
     gap = float(np.max(np.diff(samples.time)))
@@ -197,7 +223,9 @@ def piece_note(samples: Measurement, pieces: tuple[Measurement, ...]) -> tuple[s
     )
 
 
-def _spread(samples: Measurement, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _spread(
+    samples: Measurement, spans: list[tuple[int, int]]
+) -> list[tuple[int, int]]:
     """Return as many of the spans as ``MOST_TIME`` allows, evenly spread over those that move."""
     time = samples.time
     if sum(time[b - 1] - time[a] for a, b in spans) <= MOST_TIME:
@@ -207,13 +235,17 @@ def _spread(samples: Measurement, spans: list[tuple[int, int]]) -> list[tuple[in
     moving = [span for span, share in zip(spans, moved) if share > _MOVING]
     total = float(sum(time[b - 1] - time[a] for a, b in moving))
     count = max(1, int(len(moving) * min(1.0, MOST_TIME / total)))
-    return [moving[k] for k in np.linspace(0, len(moving) - 1, count).round().astype(int)]
+    return [
+        moving[k] for k in np.linspace(0, len(moving) - 1, count).round().astype(int)
+    ]
 
 
 def part_of(samples: Measurement, start: int, stop: int) -> Measurement:
     """Return some consecutive samples of a log."""
     whole = {each.name: getattr(samples, each.name) for each in fields(Measurement)}
-    return replace(samples, **{n: v[start:stop] for n, v in whole.items() if v is not None})
+    return replace(
+        samples, **{n: v[start:stop] for n, v in whole.items() if v is not None}
+    )
 
 
 MOST_KEPT = 300_000
@@ -249,9 +281,15 @@ def bounded(
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     """Return consecutive chunks as one measurement."""
     parts = list(chunks)
-    there = [each.name for each in fields(Measurement) if getattr(parts[0], each.name) is not None]
+    there = [
+        each.name
+        for each in fields(Measurement)
+        if getattr(parts[0], each.name) is not None
+    ]
     made: dict[str, Any] = {"qd": None}
-    made |= {name: np.concatenate([getattr(part, name) for part in parts]) for name in there}
+    made |= {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in there
+    }
     return Measurement(**made)
 
 
@@ -264,7 +302,9 @@ class Thinning:
         self._last = np.nan
         if every > 1:
             rate = 1.0 / period
-            self._low_pass = replace(design_low_pass(_CUTOFF * rate / every, rate), step=every)
+            self._low_pass = replace(
+                design_low_pass(_CUTOFF * rate / every, rate), step=every
+            )
             self._decimator = Decimator(self._low_pass)
 
     @classmethod

@@ -75,7 +75,10 @@ class ArmStepper:
     """
 
     def __init__(
-        self, robot: RobotModel, q: Array | None = None, timestep: float = DEFAULT_TIMESTEP
+        self,
+        robot: RobotModel,
+        q: Array | None = None,
+        timestep: float = DEFAULT_TIMESTEP,
     ) -> None:
         self._robot = robot
         self.n_joints = robot.n_joints
@@ -97,7 +100,9 @@ class ArmStepper:
         self._units[np.arange(robot.n_joints), robot.dof_index] = 1.0
         self._columns = np.empty_like(self._units)
 
-    def step(self, torque: Array, damping: Array, duration: float | None = None) -> Array:
+    def step(
+        self, torque: Array, damping: Array, duration: float | None = None
+    ) -> Array:
         """Advance by ``duration`` [s], a timestep if not given, under ``torque - damping qd``, and
         return the mean torque (n,) that acted [N m]; ``damping`` (n,) is in [N m s/rad].
 
@@ -113,7 +118,9 @@ class ArmStepper:
         end_response, mean_response = _velocity_responses(mobility, resistance, h)
 
         load = torque - bias - resistance * self.qd
-        velocity, friction = self._resolve_dry_friction(self.qd + end_response @ load, end_response)
+        velocity, friction = self._resolve_dry_friction(
+            self.qd + end_response @ load, end_response
+        )
         mean_velocity = self.qd + mean_response @ (load - friction)
         mean_velocity = np.where(velocity == 0.0, 0.5 * self.qd, mean_velocity)
 
@@ -121,7 +128,9 @@ class ArmStepper:
         self.q = self.q + h * mean_velocity
         self.qd = velocity
         if not np.all(np.isfinite(self.q)):
-            raise SimulationError("the simulated arm diverged; lower the gains or the torques")
+            raise SimulationError(
+                "the simulated arm diverged; lower the gains or the torques"
+            )
         return np.asarray(torque - damping * mean_velocity)
 
     def tip(self) -> Array:
@@ -132,7 +141,9 @@ class ArmStepper:
     def axis(self, joint: int) -> Array:
         """Return the direction (3,) of a chain joint's axis in the world."""
         self._dynamics(self.q, self.qd)
-        return np.array(self._data.xaxis[self._model.dof_jntid[self._robot.dof_index[joint]]])
+        return np.array(
+            self._data.xaxis[self._model.dof_jntid[self._robot.dof_index[joint]]]
+        )
 
     def moved_inertia(self) -> Array:
         """Return the inertia (n,) that each joint moves, the others being free [kg m^2]."""
@@ -154,7 +165,9 @@ class ArmStepper:
         mujoco.mj_solveM(self._model, data, self._columns, self._units)
         return self._columns[:, dofs], data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
 
-    def _resolve_dry_friction(self, free: Array, response: Array) -> tuple[Array, Array]:
+    def _resolve_dry_friction(
+        self, free: Array, response: Array
+    ) -> tuple[Array, Array]:
         """Return (velocities, dry friction torques) (n,) at the end of a step.
 
         ``free`` (n,) are the velocities without dry friction, which changes them by -response
@@ -169,13 +182,17 @@ class ArmStepper:
         of_friction = response @ along.T
         crossed = along @ of_friction
         without = along @ free
-        direction = np.where(along @ self.qd != 0.0, np.sign(along @ self.qd), np.sign(without))
+        direction = np.where(
+            along @ self.qd != 0.0, np.sign(along @ self.qd), np.sign(without)
+        )
         stuck = np.zeros(len(fc), dtype=bool)
         for _ in range(2 * len(fc) + 1):
             friction = np.where(stuck, 0.0, fc * direction)
             velocity = without - crossed @ friction
             if np.any(stuck):
-                friction[stuck] = self._holding(crossed[np.ix_(stuck, stuck)], velocity[stuck])
+                friction[stuck] = self._holding(
+                    crossed[np.ix_(stuck, stuck)], velocity[stuck]
+                )
                 velocity -= crossed[:, stuck] @ friction[stuck]
                 velocity[stuck] = 0.0
             turned = rubs & ~stuck & (velocity * direction < 0.0)
@@ -200,7 +217,9 @@ class ArmStepper:
 _STAGE = 1.0 - math.sqrt(0.5)
 
 
-def _velocity_responses(mobility: Array, resistance: Array, h: float) -> tuple[Array, Array]:
+def _velocity_responses(
+    mobility: Array, resistance: Array, h: float
+) -> tuple[Array, Array]:
     """Return what a constant torque adds to the velocities at the end of a step of ``h`` [s], and
     to their mean over it, as matrices (n, n), while ``resistance`` (n,) [N m s/rad] damps.
     """

@@ -13,7 +13,9 @@ LONGEST_DELAY = 1.0
 
 def _plausible_delay(value: float) -> str | None:
     if value > LONGEST_DELAY:
-        return f"is given in seconds and may be at most {LONGEST_DELAY:g} (got {value:g})"
+        return (
+            f"is given in seconds and may be at most {LONGEST_DELAY:g} (got {value:g})"
+        )
     return not_negative(value)
 
 
@@ -25,7 +27,9 @@ class SimulatedArmOptions(OptionRecord):
         None, "model that plays the real arm and makes the torques", "TRUTH.xml"
     )
     noise_torque: PerJoint = option(
-        0.0, "standard deviation of the torque noise, one number or one per joint", "S [N·m] >= 0"
+        0.0,
+        "standard deviation of the torque noise, one number or one per joint",
+        "S [N·m] >= 0",
     )
     encoder_resolution: float = option(0.0, "step of the encoders", "R [rad] >= 0")
     torque_delay: float = option(

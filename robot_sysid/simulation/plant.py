@@ -53,7 +53,9 @@ class PlantSimulation:
         per_joint(options.noise_torque, plant.n_joints, "--noise-torque")
         moved = plan.evaluate(np.zeros(1)).q.shape[1]
         if moved != plant.n_joints:
-            raise InputError(f"the trajectory moves {moved} joints, the plant has {plant.n_joints}")
+            raise InputError(
+                f"the trajectory moves {moved} joints, the plant has {plant.n_joints}"
+            )
         self._plant = plant
         self._plan = plan
         self._options = options
@@ -67,7 +69,9 @@ class PlantSimulation:
         delayed = simulate_inverse(self._plant, self._earlier_motions())
         rng = np.random.default_rng(self._seed)
         for motion, late in zip(motions, delayed):
-            noise = np.asarray(options.noise_torque) * rng.standard_normal(late.tau.shape)
+            noise = np.asarray(options.noise_torque) * rng.standard_normal(
+                late.tau.shape
+            )
             tau = late.tau + noise
             measured = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
             if options.encoder_resolution > 0.0:
@@ -78,14 +82,18 @@ class PlantSimulation:
     def _earlier_motions(self) -> Iterator[Motion]:
         """Yield the motion whose torque is measured, that before the delay; at first the start."""
         for time in sample_times(self._plan.duration, self._sample_rate):
-            yield self._plan.evaluate(np.maximum(time - self._options.torque_delay, 0.0))
+            yield self._plan.evaluate(
+                np.maximum(time - self._options.torque_delay, 0.0)
+            )
 
 
 GEOMETRY_TOLERANCE = 1e-6
 """How far apart the terminal bodies of model and plant may be without a note [m]."""
 
 
-def load_plant(robot: RobotModel, plant_path: Path, mesh_dir: Path | None = None) -> RobotModel:
+def load_plant(
+    robot: RobotModel, plant_path: Path, mesh_dir: Path | None = None
+) -> RobotModel:
     """Load the model that plays the real arm, matched to the arm to be identified.
 
     An MJCF or URDF file with the same joints; masses, friction, armature, fingers and everything
@@ -113,7 +121,11 @@ def load_plant(robot: RobotModel, plant_path: Path, mesh_dir: Path | None = None
         )
     ours = _hinges_and_slides(robot.mj_model)
     held = [name for name in _hinges_and_slides(plant.mj_model) if name not in ours]
-    note = (f"joints only the plant has are held still: {', '.join(held)}",) if held else ()
+    note = (
+        (f"joints only the plant has are held still: {', '.join(held)}",)
+        if held
+        else ()
+    )
     return replace(plant, notes=plant.notes + note + _geometry_notes(robot, plant))
 
 
@@ -145,7 +157,9 @@ def _geometry_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
         return np.array(posed(arm.mj_model, qpos).xpos[arm.body_id])
 
     poses = robot.reference, robot.reference + 0.5
-    distance = max(float(np.linalg.norm(place(robot, q) - place(plant, q))) for q in poses)
+    distance = max(
+        float(np.linalg.norm(place(robot, q) - place(plant, q))) for q in poses
+    )
     if distance <= GEOMETRY_TOLERANCE:
         return ()
     return (

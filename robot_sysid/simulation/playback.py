@@ -60,7 +60,9 @@ def rollout_copy(robot: RobotModel, timestep: float) -> Any:
     model.opt.tolerance = 1e-8
     # A rollout that diverges must not go on from the start; a chain has no islands to be found.
     for name in ("AUTORESET", "ISLAND"):
-        model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0))
+        model.opt.disableflags |= int(
+            getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0)
+        )
     if not model.ntendon:
         # Nothing asks where a geom is: what lies at its body's origin is not worked out.
         model.geom_sameframe[:] = 1
@@ -98,12 +100,16 @@ class Roller:
         for start, q, qd in zip(starts, inputs.q, inputs.qd):
             placed(robot, model, data[0], q, qd)
             mujoco.mj_getState(model, data[0], start, _FULL)
-        given = np.zeros((*inputs.torque.shape[:2], mujoco.mj_stateSize(model, _INPUTS)))
+        given = np.zeros(
+            (*inputs.torque.shape[:2], mujoco.mj_stateSize(model, _INPUTS))
+        )
         given[:, :, model.nu + robot.dof_index] = inputs.torque
         if inputs.control is not None:
             given[:, :, : model.nu] = inputs.control
         models = [model] * len(starts)
-        states, _ = self._pool.rollout(models, data, starts, given, control_spec=_INPUTS)
+        states, _ = self._pool.rollout(
+            models, data, starts, given, control_spec=_INPUTS
+        )
         q = np.array(states[:, :, 1 + robot.qpos_index])
         # A rollout that diverges stands still from there, its clock too.
         expected = model.opt.timestep * np.arange(1, q.shape[1] + 1)
@@ -155,7 +161,9 @@ class Servo:
     damping: Array
 
 
-def pieces_of_signals(signals: ProcessedSignals, first: float = -np.inf) -> list[Measurement]:
+def pieces_of_signals(
+    signals: ProcessedSignals, first: float = -np.inf
+) -> list[Measurement]:
     """Return what can be played, low-passed, of a log from a time [s] on, cut at its long holes."""
     half = signals.low_pass.half_width
     inner = slice(half, len(signals) - half)
@@ -166,7 +174,11 @@ def pieces_of_signals(signals: ProcessedSignals, first: float = -np.inf) -> list
     runs = np.split(usable, np.flatnonzero(np.diff(usable) > 1) + 1)
     q = signals.q[inner]
     qd = signals.qd[inner]
-    return [Measurement(time[run], q[run], qd[run], tau[run]) for run in runs if len(run) > 1]
+    return [
+        Measurement(time[run], q[run], qd[run], tau[run])
+        for run in runs
+        if len(run) > 1
+    ]
 
 
 def stated_servo(robots: Sequence[RobotModel], pieces: Sequence[Measurement]) -> Servo:
@@ -198,7 +210,11 @@ def starts(pieces: Sequence[Measurement], horizon: float) -> list[Start]:
         for piece in pieces
         for number in range(int((piece.time[-1] - piece.time[0]) / horizon + 1e-9))
     ]
-    keep = np.linspace(0, len(found) - 1, min(len(found), MOST_WINDOWS)).round().astype(int)
+    keep = (
+        np.linspace(0, len(found) - 1, min(len(found), MOST_WINDOWS))
+        .round()
+        .astype(int)
+    )
     return [found[k] for k in keep]
 
 
@@ -206,7 +222,9 @@ def interpolated(
     at: Array | float, time: Array, values: Array, outside: float | None = None
 ) -> Array:
     """Return values (N, n) at other times (K,) or one, ``outside`` or those at the ends beyond."""
-    return np.stack([np.interp(at, time, column, outside, outside) for column in values.T], axis=-1)
+    return np.stack(
+        [np.interp(at, time, column, outside, outside) for column in values.T], axis=-1
+    )
 
 
 def played(
@@ -220,14 +238,18 @@ def played(
     grid = np.arange(steps + 1) * model.opt.timestep
     middle = 0.5 * (grid[1:] + grid[:-1])
     q, qd, torque = (
-        np.stack([interpolated(at + start, p.time, getattr(p, name)) for p, start in windows])
+        np.stack(
+            [interpolated(at + start, p.time, getattr(p, name)) for p, start in windows]
+        )
         for name, at in (("q", grid), ("qd", grid), ("tau", middle))
     )
     if servo is not None:
         model.jnt_stiffness[model.dof_jntid[robot.dof_index]] += servo.stiffness
         model.dof_damping[robot.dof_index] += servo.damping
         rest = np.array(model.qpos_spring[robot.qpos_index])
-        torque = torque + servo.stiffness * (q[:, :-1] - rest) + servo.damping * qd[:, 1:]
+        torque = (
+            torque + servo.stiffness * (q[:, :-1] - rest) + servo.damping * qd[:, 1:]
+        )
     found = Roller(robot, model)(Inputs(q[:, 0], qd[:, 0], torque))
     most = np.array([RAN_AWAY[bool(slide)] for slide in robot.is_slide])
     error = np.abs(found - q[:, 1:])

@@ -46,7 +46,9 @@ class Servos:
 
     def vector(self) -> Array:
         """Return all of it as one vector (4 n + 1,), the delay last."""
-        return np.concatenate([np.atleast_1d(getattr(self, each.name)) for each in fields(self)])
+        return np.concatenate(
+            [np.atleast_1d(getattr(self, each.name)) for each in fields(self)]
+        )
 
     @staticmethod
     def of(vector: Array) -> Servos:
@@ -164,7 +166,9 @@ def set_servos(model: Any, robot: RobotModel, servos: Servos) -> None:
     model.actuator_forcelimited[at] = np.isfinite(limit)
     model.actuator_forcerange[at] = np.column_stack((-limit, limit))
     sprung = _joints(robot)[~driven]
-    model.jnt_stiffness[sprung] = robot.mj_model.jnt_stiffness[sprung] + servos.stiffness[~driven]
+    model.jnt_stiffness[sprung] = (
+        robot.mj_model.jnt_stiffness[sprung] + servos.stiffness[~driven]
+    )
 
 
 @dataclass(frozen=True)
@@ -183,7 +187,9 @@ class Window:
         """Return (S, n) the mean commanded position of each step between S + 1 edges [s]."""
         times = self.start + edges - delay
         step = np.diff(self.time, append=self.time[-1] + 1.0)[:, None]
-        summed = np.vstack((np.zeros_like(self.q), np.cumsum(self.command * step, axis=0)))
+        summed = np.vstack(
+            (np.zeros_like(self.q), np.cumsum(self.command * step, axis=0))
+        )
         knots = np.append(self.time, self.time[-1] + 1.0)
         values = (
             interpolated(times, knots, summed)
@@ -210,7 +216,9 @@ class ServoRollouts:
         model.opt.timestep = edges[1] - edges[0]
         q, qd = (np.stack([getattr(w, name) for w in windows]) for name in ("q", "qd"))
         delays = {servos.delay for servos in choices}
-        commanded = {d: np.stack([w.controls(d, edges) for w in windows]) for d in delays}
+        commanded = {
+            d: np.stack([w.controls(d, edges) for w in windows]) for d in delays
+        }
         index = actuators_of(robot).index
         driven = index != NONE
         rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
@@ -220,4 +228,6 @@ class ServoRollouts:
             given = np.zeros((*control.shape[:2], model.nu))
             given[:, :, index[driven]] = control[:, :, driven]
             torque = servos.stiffness * ~driven * (control - rest)
-            yield np.concatenate((q[:, None], self._roller(Inputs(q, qd, torque, given))), axis=1)
+            yield np.concatenate(
+                (q[:, None], self._roller(Inputs(q, qd, torque, given))), axis=1
+            )

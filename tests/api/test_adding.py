@@ -40,22 +40,33 @@ def logs(workshop):
 def added(model, logs, rounds=2):
     found = None
     for _ in range(rounds):
-        found = sum(rs.information(model, log, around=found, cutoff=CUTOFF) for log in logs)
+        found = sum(
+            rs.information(model, log, around=found, cutoff=CUTOFF) for log in logs
+        )
     return found
 
 
 @pytest.mark.slow
 def test_the_sum_is_what_identify_finds(model, logs, tmp_path):
     """To rounding in three rounds, and nearly so in two."""
-    whole = rs.identify(model, logs, cutoff=CUTOFF, friction_model=TERMS, keep="gravity")
+    whole = rs.identify(
+        model, logs, cutoff=CUTOFF, friction_model=TERMS, keep="gravity"
+    )
     for rounds, same, alike in ((2, 1e-4, 0.15), (3, 1e-9, 0.02)):
-        found = rs.identify_from(model, pickle.loads(pickle.dumps(added(model, logs, rounds))))
+        found = rs.identify_from(
+            model, pickle.loads(pickle.dumps(added(model, logs, rounds)))
+        )
         assert found.theta == pytest.approx(whole.theta, rel=same)
         assert found.failure == whole.failure
         errors = whole.standard_errors.items()
-        assert found.standard_errors == {k: pytest.approx(v, rel=alike) for k, v in errors}
+        assert found.standard_errors == {
+            k: pytest.approx(v, rel=alike) for k, v in errors
+        }
     assert "3 logs, added" in str(found.to_dict())
-    assert {path.name for path in found.save(tmp_path)} == {"params.json", "updated_model.xml"}
+    assert {path.name for path in found.save(tmp_path)} == {
+        "params.json",
+        "updated_model.xml",
+    }
     with pytest.raises(InputError, match="holds no samples"):
         found.plot()
 
@@ -72,7 +83,10 @@ def test_a_cluster_finds_the_numbers_of_one_process(model, logs):
     with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster):
         many = rs.identify_from(model, page["total"](model, logs, CUTOFF))
     np.testing.assert_allclose(many.theta, one.theta, rtol=1e-9)
-    errors = {name: pytest.approx(error, rel=1e-6) for name, error in one.standard_errors.items()}
+    errors = {
+        name: pytest.approx(error, rel=1e-6)
+        for name, error in one.standard_errors.items()
+    }
     assert many.standard_errors == errors
 
 
@@ -101,5 +115,9 @@ def test_a_first_round_is_no_result(model, logs):
 def test_scales_that_are_known_are_as_sure_as_their_file_says(model, logs, tmp_path):
     joints = [f"joint{k}" for k in range(len(pages.AXES))]
     write_torque_scale(tmp_path / "scale.json", dict.fromkeys(joints, (1.0, 0.004)))
-    first = rs.information(model, logs[0], cutoff=CUTOFF, torque_scale=tmp_path / "scale.json")
-    assert first.settled.estimation.scale_uncertainty == pytest.approx((0.4,) * len(joints))
+    first = rs.information(
+        model, logs[0], cutoff=CUTOFF, torque_scale=tmp_path / "scale.json"
+    )
+    assert first.settled.estimation.scale_uncertainty == pytest.approx(
+        (0.4,) * len(joints)
+    )

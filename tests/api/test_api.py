@@ -70,7 +70,12 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
     s = log.samples
     arrays = {"time": s.time, "q": s.q, "qd": s.qd, "tau": s.tau}
-    forms = (log, arrays, Measurement(s.time, s.q, s.qd, s.tau), frame_of(workshop / "log.csv"))
+    forms = (
+        log,
+        arrays,
+        Measurement(s.time, s.q, s.qd, s.tau),
+        frame_of(workshop / "log.csv"),
+    )
     for form in forms:
         again = rs.identify(workshop / "arm.xml", form)
         np.testing.assert_allclose(again.theta, result.theta, rtol=1e-9)
@@ -84,11 +89,15 @@ def test_named_values_fit_together(result):
     assert result.center_of_mass.tolist() == written["center_of_mass"]
     assert result.standard_errors == written["standard_errors"]
     for joint, terms in result.friction.items():
-        assert terms == {k: f["value"] for k, f in written["joints"][joint]["terms"].items()}
+        assert terms == {
+            k: f["value"] for k, f in written["joints"][joint]["terms"].items()
+        }
     assert result.mass == written["mass"]
     assert result.theta[0] == result.mass
     np.testing.assert_allclose(result.theta[1:4], result.mass * result.center_of_mass)
-    assert result.inertia.shape == (3, 3) and np.all(np.linalg.eigvalsh(result.inertia) > 0.0)
+    assert result.inertia.shape == (3, 3) and np.all(
+        np.linalg.eigvalsh(result.inertia) > 0.0
+    )
     assert abs(result.mass - 4.0) < 3.0 * result.standard_errors["m"]
     assert result.failure is None
     assert "mass" in result._repr_html_() and "<td>kg</td>" in result._repr_html_()
@@ -103,15 +112,21 @@ def test_a_result_is_the_same_after_pickling(result, tmp_path):
     itself = rs.identify(result.robot.path, seed=1, duration=2.0)
     assert pickle.loads(pickle.dumps(itself)).mass == itself.mass
     assert "Self-test passed" in str(itself)
-    simulated = rs.identify(result.robot.path, plant_model=result.robot.path, seed=1, duration=4.0)
+    simulated = rs.identify(
+        result.robot.path, plant_model=result.robot.path, seed=1, duration=4.0
+    )
     again = pickle.loads(pickle.dumps(simulated))
-    np.testing.assert_array_equal(again.analysis.traces().truth.theta, itself.robot.prior.theta)
+    np.testing.assert_array_equal(
+        again.analysis.traces().truth.theta, itself.robot.prior.theta
+    )
 
 
 def test_results_plans_and_logs_say_what_they_are(workshop, result, monkeypatch):
     assert repr(result).startswith("<Identified link3 of arm.xml: 4.0")
     assert repr(result).endswith("kg, usable>")
-    assert repr(result.robot).endswith("arm.xml: joint0, joint1, joint2, joint3 carry link3>")
+    assert repr(result.robot).endswith(
+        "arm.xml: joint0, joint1, joint2, joint3 carry link3>"
+    )
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
     assert repr(log).endswith("log.csv: 1601 samples of 4 joints in 8 s>")
     assert "position from" in log._repr_html_() and "<Measure" not in log._repr_html_()
@@ -123,22 +138,32 @@ def test_a_saved_result_is_that_of_the_command(workshop, result, tmp_path):
     written = rs.load_robot_model(tmp_path / "out" / "bundle" / "updated_model.xml")
     file = result.result.file
     assert written.prior.mass == pytest.approx(file.thetas[-1][0], rel=1e-9)
-    assert written.friction.coulomb[-1] == pytest.approx(file.joints["joint3"]["coulomb"].value)
+    assert written.friction.coulomb[-1] == pytest.approx(
+        file.joints["joint3"]["coulomb"].value
+    )
 
 
 def test_a_spec_has_the_result_in_it(result):
     pytest.importorskip("mujoco", minversion="3.2.5")
     compiled = result.spec().compile()
     file = result.result.file
-    assert compiled.body_subtreemass[result.robot.body_id] == pytest.approx(file.thetas[-1][0])
-    coulomb = [file.joints[joint]["coulomb"].value for joint in result.robot.joint_names]
-    np.testing.assert_allclose(compiled.dof_frictionloss[result.robot.dof_index], coulomb)
+    assert compiled.body_subtreemass[result.robot.body_id] == pytest.approx(
+        file.thetas[-1][0]
+    )
+    coulomb = [
+        file.joints[joint]["coulomb"].value for joint in result.robot.joint_names
+    ]
+    np.testing.assert_allclose(
+        compiled.dof_frictionloss[result.robot.dof_index], coulomb
+    )
 
 
 def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_path):
     doubtful = replace(result.result, verdict=Verdict.TOO_WEAK, reasons=("so light",))
     wrong = replace(result, analysis=replace(result.analysis, result=doubtful))
-    assert wrong.failure.startswith("so light") and "Not to be used" in wrong._repr_html_()
+    assert (
+        wrong.failure.startswith("so light") and "Not to be used" in wrong._repr_html_()
+    )
     assert [path.name for path in wrong.save(tmp_path / "out")] == ["params.json"]
     with pytest.raises(SysidError, match="so light"):
         wrong.spec()
@@ -147,16 +172,25 @@ def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_p
 def test_a_plot_shows_every_joint(result, monkeypatch, tmp_path):
     pytest.importorskip("matplotlib")
     axes = result.plot().axes
-    assert [axis.get_ylabel() for axis in axes] == [f"joint{k}\n[N m]" for k in range(4)]
+    assert [axis.get_ylabel() for axis in axes] == [
+        f"joint{k}\n[N m]" for k in range(4)
+    ]
     monkeypatch.setattr(calls, "promise", lambda *_: [])
     path = tmp_path / "sliding.xml"
     path.write_text(arms.SLIDE_IN_CHAIN)
     axes = rs.plan(path, excitation="sines", duration=4.0, seed=1).plot().axes
-    units = ["m" if slides else "rad" for slides in arms.robot_of(arms.SLIDE_IN_CHAIN).is_slide]
+    units = [
+        "m" if slides else "rad"
+        for slides in arms.robot_of(arms.SLIDE_IN_CHAIN).is_slide
+    ]
     names = ("turn", "lift", "bend", "roll")
     labels = [f"{name} [{unit}]" for name, unit in zip(names, units)]
     assert "m" in units and [axis.get_ylabel() for axis in axes[::3]] == labels
-    assert len(axes) == 3 * len(units) and [len(axis.lines) for axis in axes[:3]] == [3, 3, 1]
+    assert len(axes) == 3 * len(units) and [len(axis.lines) for axis in axes[:3]] == [
+        3,
+        3,
+        1,
+    ]
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(InputError, match="pip install matplotlib"):
         result.plot()
@@ -170,7 +204,10 @@ def test_a_payload_is_the_difference(workshop, tmp_path):
     arrays = rs.read_log(logs[1], model)
     assert rs.payload(model, [logs[0]], [arrays]).mass == found.mass
     assert abs(found.mass - 2.0) < 3.0 * found.standard_errors["m"]
-    assert found.failure is None and found.to_dict()["payload"]["body"]["mass"] == found.mass
+    assert (
+        found.failure is None
+        and found.to_dict()["payload"]["body"]["mass"] == found.mass
+    )
     assert found.theta[0] == found.mass and found.center_of_mass.shape == (3,)
     assert "<td>centre of mass x</td>" in found._repr_html_()
     names = {path.name for path in found.save(tmp_path / "out")}
@@ -178,7 +215,9 @@ def test_a_payload_is_the_difference(workshop, tmp_path):
 
 
 @pytest.mark.slow
-def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(workshop, tmp_path):
+def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(
+    workshop, tmp_path
+):
     def scales(**given):
         logs = (workshop / "log.csv", workshop / "loaded.csv")
         found = rs.payload(workshop / "arm.xml", *logs, known_mass=2.0, **given)
@@ -200,7 +239,10 @@ def test_every_link_has_its_numbers(workshop, result):
     assert list(found.links) == ["link0", "link1", "link2", "link3"]
     for link in found.to_dict()["links"]:
         assert link["mass"] == found.links[link["name"]].mass
-    assert found.links["link3"].mass == found.mass and found.friction["joint0"]["coulomb"] > 0.0
+    assert (
+        found.links["link3"].mass == found.mass
+        and found.friction["joint0"]["coulomb"] > 0.0
+    )
     assert "link0 mass" in str(found) and "link0 mass" not in str(result)
 
 
@@ -229,7 +271,10 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
         ),
         (lambda m: rs.identify(m, plan_only=True), "call plan instead"),
         (lambda m: rs.identify(m, "a.csv", verify_rollout=True), "needs the command"),
-        (lambda m: rs.identify(m, "a.csv", torque_from="position-error"), "needs the command"),
+        (
+            lambda m: rs.identify(m, "a.csv", torque_from="position-error"),
+            "needs the command",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_one_clear_error(call, words, workshop):

@@ -33,7 +33,9 @@ def by_mujoco(model, q, qd, qdd):
 
 
 def check_law(found, tau):
-    assert found.Y.shape == (*tau.shape, len(found.names)) and len(found.theta) == len(found.names)
+    assert found.Y.shape == (*tau.shape, len(found.names)) and len(found.theta) == len(
+        found.names
+    )
     scale = np.max(np.abs(tau))
     np.testing.assert_allclose(found.Y @ found.theta, tau, rtol=0, atol=1e-9 * scale)
     np.testing.assert_allclose(found.tau, tau, rtol=0, atol=1e-9 * scale)
@@ -55,7 +57,10 @@ def test_columns_times_parameters_are_the_inverse_dynamics_of_mujoco(tmp_path, f
     # One sample and many take other sums of the same terms, all of them smaller than 10.
     np.testing.assert_allclose(matrix, found.Y[4], rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(tau, found.tau[4], rtol=0.0, atol=1e-13)
-    assert found.names[:2] == ("m(link0)", "hx(link0)") and found.names[-1] == "coulomb[joint2]"
+    assert (
+        found.names[:2] == ("m(link0)", "hx(link0)")
+        and found.names[-1] == "coulomb[joint2]"
+    )
 
 
 def test_it_is_so_of_a_public_arm():
@@ -69,7 +74,9 @@ def test_it_is_so_of_a_public_arm():
 def test_arrays_that_do_not_fit_are_refused():
     model = mujoco.MjModel.from_xml_string(TEXT)
     q, qd, qdd = motion(3)
-    with pytest.raises(rs.InputError, match=r"qd has shape \(20, 2\), expected \(None, 3\)"):
+    with pytest.raises(
+        rs.InputError, match=r"qd has shape \(20, 2\), expected \(None, 3\)"
+    ):
         rs.regressor(model, q, qd[:, :2], qdd)
     with pytest.raises(rs.InputError, match="the same number of samples"):
         rs.regressor(model, q, qd, qdd[:5])
@@ -94,10 +101,16 @@ def test_a_spec_is_identified_like_its_file(tmp_path):
     assert spec.meshdir == mesh_dir
     assert from_spec.spec().compile().ngeom == spec.compile().ngeom
     assert (tmp_path / "updated_model.xml") in from_spec.save(tmp_path)
-    assets = {each.name: each.read_bytes() for each in (EXAMPLE / "model/meshes").iterdir()}
+    assets = {
+        each.name: each.read_bytes() for each in (EXAMPLE / "model/meshes").iterdir()
+    }
     held = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"), assets=assets)
-    np.testing.assert_allclose(rs.identify(held, **quick).theta, from_spec.theta, rtol=1e-6)
-    assert repr(from_spec).startswith("<Identified link6 of kinova_fullinertia_guess.xml: 0.78")
+    np.testing.assert_allclose(
+        rs.identify(held, **quick).theta, from_spec.theta, rtol=1e-6
+    )
+    assert repr(from_spec).startswith(
+        "<Identified link6 of kinova_fullinertia_guess.xml: 0.78"
+    )
 
 
 def test_a_compiled_model_is_written_while_mujoco_still_knows_its_xml():

@@ -37,20 +37,59 @@ def test_a_signature_shows_every_keyword_with_its_default(function):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: rs.identify("m", cutof=8.0), "unknown option 'cutof'; did you mean 'cutoff'?"),
-        (lambda: rs.identify("m", "l", cutoff="abc"), "cutoff must be a number (got 'abc')"),
-        (lambda: rs.identify(5, "l"), "a model is the path of an MJCF or URDF file, a mujoco"),
-        (lambda: rs.identify("m", measurements="l"), "measurements is the argument log"),
-        (lambda: rs.identify("m", "l", output_dir="x"), "output_dir is for the command; the res"),
-        (lambda: rs.identify("m", units="deg"), "units describes a log; add log=LOG.csv"),
-        (lambda: rs.payload("m", [], "b"), "empty=LOG... is missing: a payload is found from"),
+        (
+            lambda: rs.identify("m", cutof=8.0),
+            "unknown option 'cutof'; did you mean 'cutoff'?",
+        ),
+        (
+            lambda: rs.identify("m", "l", cutoff="abc"),
+            "cutoff must be a number (got 'abc')",
+        ),
+        (
+            lambda: rs.identify(5, "l"),
+            "a model is the path of an MJCF or URDF file, a mujoco",
+        ),
+        (
+            lambda: rs.identify("m", measurements="l"),
+            "measurements is the argument log",
+        ),
+        (
+            lambda: rs.identify("m", "l", output_dir="x"),
+            "output_dir is for the command; the res",
+        ),
+        (
+            lambda: rs.identify("m", units="deg"),
+            "units describes a log; add log=LOG.csv",
+        ),
+        (
+            lambda: rs.payload("m", [], "b"),
+            "empty=LOG... is missing: a payload is found from",
+        ),
         (lambda: rs.plan("m", for_="friction", seed=7), "seed has nothing to draw"),
-        (lambda: rs.plan("m", static=True), 'static=True is about resting poses; add for_="pay'),
-        (lambda: rs.plan("m", cutoff=5.0), "cutoff is about an estimate; a plan stops before it"),
-        (lambda: rs.payload("m", "a", "b", links=True), "links means nothing for a payload; lea"),
-        (lambda: rs.read_log("l", "m", accept="gravity"), "accept is about an estimate; reading "),
-        (lambda: rs.read_log("l", 5), "a model is the path of an MJCF or URDF file, a mujoco"),
-        (lambda: rs.identify_from("m", None), "a sum of rs.information is needed, not NoneType"),
+        (
+            lambda: rs.plan("m", static=True),
+            'static=True is about resting poses; add for_="pay',
+        ),
+        (
+            lambda: rs.plan("m", cutoff=5.0),
+            "cutoff is about an estimate; a plan stops before it",
+        ),
+        (
+            lambda: rs.payload("m", "a", "b", links=True),
+            "links means nothing for a payload; lea",
+        ),
+        (
+            lambda: rs.read_log("l", "m", accept="gravity"),
+            "accept is about an estimate; reading ",
+        ),
+        (
+            lambda: rs.read_log("l", 5),
+            "a model is the path of an MJCF or URDF file, a mujoco",
+        ),
+        (
+            lambda: rs.identify_from("m", None),
+            "a sum of rs.information is needed, not NoneType",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_said_in_the_words_of_python(call, words):
@@ -107,10 +146,19 @@ print(report.cycles, rs.motors.hold("arm.xml", 2.0, others="hold").worst_trackin
         (("others=", "other="), 'Unexpected keyword argument "other" for "hold"'),
     ],
 )
-def test_a_checker_knows_the_keywords_of_a_users_script(tmp_path, monkeypatch, wrong, said):
+def test_a_checker_knows_the_keywords_of_a_users_script(
+    tmp_path, monkeypatch, wrong, said
+):
     pytest.importorskip("mypy")
     monkeypatch.setenv("MYPYPATH", str(ROOT))
     (tmp_path / "mine.py").write_text(USER.replace(*wrong) if said else USER)
-    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "mine.py"]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--strict",
+        "--follow-imports=silent",
+        "mine.py",
+    ]
     checked = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert checked.returncode == bool(said) and said in checked.stdout, checked.stdout

@@ -15,7 +15,12 @@ from robot_sysid.damiao import execution
 from robot_sysid.damiao.protocol.frames import DISABLED, REFRESH, REGISTER_ID
 from tests.support import arms
 from tests.support.clocks import ScriptedClock
-from tests.support.damiao_rig import swing, trajectory_file, two_motor_arm, with_coarse_physics
+from tests.support.damiao_rig import (
+    swing,
+    trajectory_file,
+    two_motor_arm,
+    with_coarse_physics,
+)
 from tests.support.links import RememberingLink
 from tests.support.recordings import read_recording
 
@@ -53,7 +58,9 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
     report = rs.motors.play(planned, simulate=True, rate=250)
     assert report.cycles == 151 and np.max(report.worst_tracking) < 0.1
     for_none = replace(planned, config=replace(planned.config, motors=MotorOptions()))
-    with pytest.raises(rs.InputError, match="give rs.plan export_damiao and motor_type"):
+    with pytest.raises(
+        rs.InputError, match="give rs.plan export_damiao and motor_type"
+    ):
         rs.motors.play(for_none, simulate=True)
 
 
@@ -64,7 +71,10 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
         ({"below_base": True}, "below_base is for designing a motion; see plan"),
         ({}, "this command needs channel, for"),
         ({"simulate": True}, "a simulated arm needs a model; add model"),
-        ({"model": 5}, "a model is the path of an MJCF or URDF file, a mujoco.MjSpec or"),
+        (
+            {"model": 5},
+            "a model is the path of an MJCF or URDF file, a mujoco.MjSpec or",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_said(trajectory, options, words):
@@ -75,7 +85,9 @@ def test_what_cannot_be_used_is_said(trajectory, options, words):
 def test_an_arm_that_is_held_plays_nothing(model):
     with pytest.raises(rs.InputError, match="unknown option 'trajectory'"):
         rs.motors.hold(model, 0.5, channel="can0", trajectory="motion.csv")
-    with pytest.raises(rs.InputError, match="a model is the path of an MJCF or URDF file"):
+    with pytest.raises(
+        rs.InputError, match="a model is the path of an MJCF or URDF file"
+    ):
         rs.motors.hold(None, 0.5, channel="can0")
 
 
@@ -87,7 +99,9 @@ def arm(monkeypatch):
     monkeypatch.setattr(execution.bus, "SystemClock", lambda: clock)
 
     def opened(address, timing, clock, tell):
-        return RememberingLink(execution.SimulatedLink(clock, arm, timing, echo=True), clock)
+        return RememberingLink(
+            execution.SimulatedLink(clock, arm, timing, echo=True), clock
+        )
 
     monkeypatch.setattr(execution.bus, "open_bus", opened)
     return arm
@@ -99,14 +113,18 @@ HELD = {"channel": "can0", "max_torque_error": 27.0, "rate": 100}
 def test_an_arm_is_held_from_any_thread(model, arm):
     """Signals are for the main thread; a run does not need them."""
     reports = []
-    thread = threading.Thread(target=lambda: reports.append(rs.motors.hold(model, 0.5, **HELD)))
+    thread = threading.Thread(
+        target=lambda: reports.append(rs.motors.hold(model, 0.5, **HELD))
+    )
     thread.start()
     thread.join()
     assert reports[0].cycles == 51 and [m.status for m in arm.motors] == [DISABLED] * 2
 
 
 def test_what_cannot_be_held_is_said(model, arm, monkeypatch):
-    with pytest.raises(rs.InputError, match="also is a motion; an arm that is held has none"):
+    with pytest.raises(
+        rs.InputError, match="also is a motion; an arm that is held has none"
+    ):
         rs.motors.hold(model, 0.5, **HELD, also="other.csv")
     for seconds in (0.0, -1.0, float("nan")):
         with pytest.raises(rs.InputError, match="seconds must be above 0"):
@@ -118,7 +136,11 @@ def test_what_cannot_be_held_is_said(model, arm, monkeypatch):
     answer = arm.motors[1].handle
     asks = lambda frame: frame.id == REGISTER_ID and frame.data[2] == REFRESH  # noqa: E731
     monkeypatch.setattr(
-        arm.motors[1], "handle", lambda frame, time: None if asks(frame) else answer(frame, time)
+        arm.motors[1],
+        "handle",
+        lambda frame, time: None if asks(frame) else answer(frame, time),
     )
-    with pytest.raises(rs.HardwareAbort, match="motor 2 .* does not tell its state; see"):
+    with pytest.raises(
+        rs.HardwareAbort, match="motor 2 .* does not tell its state; see"
+    ):
         rs.motors.hold(model, 0.5, **HELD)

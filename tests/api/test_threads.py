@@ -12,12 +12,16 @@ from robot_sysid.api.results import one_thread
 from tests.support import arms
 
 HERE = [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
-pytestmark = pytest.mark.skipif(not HERE, reason="a linear algebra that has no threads to set")
+pytestmark = pytest.mark.skipif(
+    not HERE, reason="a linear algebra that has no threads to set"
+)
 
 
 def counts():
     """Threads of each library of linear algebra."""
-    return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+    return {
+        each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"
+    }
 
 
 @pytest.fixture(autouse=True)

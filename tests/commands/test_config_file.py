@@ -39,15 +39,27 @@ def test_every_option_that_is_written_is_read_again(name, tmp_path):
     logs = {"measurements": (Path("log.csv"),)} if name == "identify" else {}
     for sample in option_samples.samples(kind):
         if sample.option.key in taken:
-            file.write_text(written(kind, sample) + 'measurements = ["log.csv"]\n' * len(logs))
+            file.write_text(
+                written(kind, sample) + 'measurements = ["log.csv"]\n' * len(logs)
+            )
             values, _ = parsed(partial(build_parser, name), ["--config", str(file)])
             assert values == {"path": MODEL, **logs, sample.option.key: sample.value}
 
 
 def test_what_is_typed_counts_before_the_file(tmp_path):
     file = tmp_path / "mine.toml"
-    file.write_text('path = "arm.xml"\ncutoff = 8\nkeep = ["friction"]\nverbose = true\n')
-    words = ["other.xml", "b.csv", f"--config={file}", "--cutoff", "9", "--keep", "links"]
+    file.write_text(
+        'path = "arm.xml"\ncutoff = 8\nkeep = ["friction"]\nverbose = true\n'
+    )
+    words = [
+        "other.xml",
+        "b.csv",
+        f"--config={file}",
+        "--cutoff",
+        "9",
+        "--keep",
+        "links",
+    ]
     values, console = parsed(IDENTIFY, words)
     assert values == {
         **{"path": Path("other.xml"), "measurements": (Path("b.csv"),)},
@@ -59,7 +71,10 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("cutoff = 'high'", "mine.toml: argument --cutoff: invalid float value: 'high'"),
+        (
+            "cutoff = 'high'",
+            "mine.toml: argument --cutoff: invalid float value: 'high'",
+        ),
         ("cutof = 8", "robot-sysid identify has no option cutof"),
         ("links = 'false'", "mine.toml: links takes true or false (got 'false')"),
         ("cutoff = true", "mine.toml: cutoff takes a value (got True)"),

@@ -39,7 +39,9 @@ LONG = "Usable: " + " ".join(["torque"] * 30)
 @pytest.mark.parametrize(
     ("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb"), ("TERM", "xterm")]
 )
-def test_a_terminal_gets_lines_that_fit_in_colour_unless_it_is_forbidden(monkeypatch, name, value):
+def test_a_terminal_gets_lines_that_fit_in_colour_unless_it_is_forbidden(
+    monkeypatch, name, value
+):
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.setenv("COLUMNS", "60")
     monkeypatch.setenv(name, value)
@@ -59,7 +61,9 @@ def test_a_terminal_gets_lines_that_fit_in_colour_unless_it_is_forbidden(monkeyp
         (Terminal, f"robot-sysid identify {LONG[8:]}"),
     ],
 )
-def test_a_pipe_a_command_and_the_row_of_a_table_get_what_is_said(monkeypatch, stream, line):
+def test_a_pipe_a_command_and_the_row_of_a_table_get_what_is_said(
+    monkeypatch, stream, line
+):
     monkeypatch.setenv("COLUMNS", "60")
     printed = stream()
     print_line(line, printed)
@@ -75,7 +79,9 @@ def test_a_result_as_json_has_standard_output_for_itself(capsys):
         printed = capsys.readouterr()
         if as_json:
             assert json.loads(printed.out) == {"value": None, "at": "x"}
-            assert printed.err == "a stage\nnote: a note\n" and console.said == ["a stage"]
+            assert printed.err == "a stage\nnote: a note\n" and console.said == [
+                "a stage"
+            ]
         else:
             assert (printed.out, printed.err) == ("a stage\n", "note: a note\n")
 
@@ -93,7 +99,9 @@ def test_a_bar_tells_the_time_left_until_a_line_takes_its_place(monkeypatch):
     assert sys.stdout.getvalue() == "a line\n" and console._bar is None
 
 
-@pytest.mark.parametrize(("quiet", "told"), [(False, ["Designing: 50 %, mass ± 1 kg"]), (True, [])])
+@pytest.mark.parametrize(
+    ("quiet", "told"), [(False, ["Designing: 50 %, mass ± 1 kg"]), (True, [])]
+)
 def test_a_log_file_is_told_now_and_then_that_something_long_lives(
     monkeypatch, capsys, quiet, told
 ):

@@ -25,7 +25,11 @@ def unrecorded(monkeypatch):
 
 
 def printed_commands(out: str) -> list[list[str]]:
-    return [shlex.split(line) for line in out.splitlines() if line.startswith("robot-sysid ")]
+    return [
+        shlex.split(line)
+        for line in out.splitlines()
+        if line.startswith("robot-sysid ")
+    ]
 
 
 @pytest.mark.usefixtures("unrecorded")
@@ -34,7 +38,9 @@ def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path)
     commands = printed_commands(out)
     assert commands[0] == ["robot-sysid", "a/b c/model/kinova_fullinertia_guess.xml"]
     assert [words[1] for words in commands[1:]] == ["identify", "payload"]
-    named = [word for words in commands for word in words if re.search(r"\.(xml|csv)$", word)]
+    named = [
+        word for words in commands for word in words if re.search(r"\.(xml|csv)$", word)
+    ]
     assert len(named) == 6 and all((tmp_path / name).is_file() for name in named)
     meshes = {path.name for path in (tmp_path / "a/b c/model/meshes").iterdir()}
     assert meshes == {path.name for path in (EXAMPLE / "model/meshes").iterdir()}
@@ -46,20 +52,28 @@ def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(example, "_record", fail)
-    assert "no unfinished file is left" in command.refused("example", "kinova", code=130)
+    assert "no unfinished file is left" in command.refused(
+        "example", "kinova", code=130
+    )
 
 
 def test_nothing_that_is_there_is_overwritten(command, tmp_path, monkeypatch):
     (tmp_path / "kinova").mkdir()
-    assert "kinova exists; choose another folder" in command.refused("example", "kinova")
+    assert "kinova exists; choose another folder" in command.refused(
+        "example", "kinova"
+    )
     assert "invalid choice: 'ur5'" in command.refused("example", "ur5")
     (tmp_path / "kinova").rmdir()
-    monkeypatch.setattr("robot_sysid.__file__", str(tmp_path / "lib" / "robot_sysid" / "x.py"))
+    monkeypatch.setattr(
+        "robot_sysid.__file__", str(tmp_path / "lib" / "robot_sysid" / "x.py")
+    )
     assert "is not in this installation" in command.refused("example", "kinova")
 
 
 def test_the_wheel_carries_every_file_of_the_model():
-    patterns = re.findall(r'"(model/[^"]+)"', (ROOT / "setup.py").read_text(encoding="utf-8"))
+    patterns = re.findall(
+        r'"(model/[^"]+)"', (ROOT / "setup.py").read_text(encoding="utf-8")
+    )
     files = [path for path in (EXAMPLE / "model").rglob("*") if path.is_file()]
     names = [path.relative_to(EXAMPLE).as_posix() for path in files]
     assert [n for n in names if not any(fnmatch.fnmatch(n, p) for p in patterns)] == []
@@ -73,7 +87,9 @@ def test_the_printed_commands_work_when_pasted(command):
         found.append(command._capsys.readouterr().out)
     assert "Mass: 0.789 kg" in found[0]
     # The true arm's link weighs 1.517 kg, the block in its grip 0.306 kg.
-    mass, error = map(float, re.findall(r"  mass +[\d.]+ +([\d.]+) +([\d.]+)", found[1])[0])
+    mass, error = map(
+        float, re.findall(r"  mass +[\d.]+ +([\d.]+) +([\d.]+)", found[1])[0]
+    )
     assert abs(mass - 1.517) < 3.0 * error and error < 0.1 * mass
     mass, error = map(float, re.findall(r"  mass +([\d.]+) +([\d.]+)  kg", found[2])[0])
     assert abs(mass - 0.306) < 3.0 * error and error < 0.1 * mass

@@ -21,7 +21,9 @@ from tests.support.measured_logs import JOINT, log_of, plan_of, true_arm
 AXES = (arms.Z, arms.Y, arms.X)
 XML = arms.serial_arm(AXES, joint=JOINT)
 SMOOTH = XML.replace(JOINT, JOINT.replace("frictionloss", "margin"))
-HEAVY = arms.serial_arm(AXES, joint=JOINT, tip_inertial=arms.TIP.replace('mass=".8"', 'mass="1.6"'))
+HEAVY = arms.serial_arm(
+    AXES, joint=JOINT, tip_inertial=arms.TIP.replace('mass=".8"', 'mass="1.6"')
+)
 TERMS = "coulomb-viscous-offset-armature"
 QUICK = ("--cutoff", "8", "--friction-model", TERMS)
 
@@ -66,7 +68,9 @@ def first(heavy, logs):
     return folder
 
 
-def test_the_same_log_asked_in_every_way_gives_the_same_files(command, heavy, logs, first):
+def test_the_same_log_asked_in_every_way_gives_the_same_files(
+    command, heavy, logs, first
+):
     """To the last bit."""
     with one_thread():
         command.run(heavy, "--measurements", logs[0], *QUICK, "--output-dir", "out")
@@ -80,7 +84,14 @@ def test_the_same_log_asked_in_every_way_gives_the_same_files(command, heavy, lo
 
 def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
     first, second = logs
-    words = (arm_file(HEAVY), first, "--links", "--validation-measurements", second, *QUICK)
+    words = (
+        arm_file(HEAVY),
+        first,
+        "--links",
+        "--validation-measurements",
+        second,
+        *QUICK,
+    )
     out = command.run("identify", *words).out
     folder = arm_file(HEAVY).parent / "sysid_output"
     content = result_in(folder)
@@ -98,7 +109,9 @@ def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
         assert mine.theta[0] == pytest.approx(link["in_the_file"]["mass"], rel=1e-6)
     assert written.friction.coulomb == pytest.approx(0.3, abs=0.02)
     (pair,) = content["file"]["others"]
-    assert pair["after"]["relative_error"] < 0.05 < 0.2 < pair["before"]["relative_error"]
+    assert (
+        pair["after"]["relative_error"] < 0.05 < 0.2 < pair["before"]["relative_error"]
+    )
     assert f"Torque error of the model on {second}: " in out
     assert "link1 mass  " in out and "joint0: coulomb " not in out
     assert out.splitlines()[-2].startswith("Usable: torque error on held-out data ")
@@ -110,7 +123,9 @@ def test_torques_that_do_not_follow_from_the_motion_change_nothing(
     titles, *rows = logs[0].read_text().splitlines()
     table = np.array([[float(v) for v in row.split(",")] for row in rows])
     columns = [k for k, title in enumerate(titles.split(",")) if "torque" in title]
-    table[:, columns] = 5.0 * np.random.default_rng(0).normal(size=(len(table), len(columns)))
+    table[:, columns] = 5.0 * np.random.default_rng(0).normal(
+        size=(len(table), len(columns))
+    )
     path = tmp_path / "noise.csv"
     np.savetxt(path, table, "%.9g", ",", header=titles, comments="")
     words = ("identify", arm_file(HEAVY), path, *QUICK)
@@ -132,7 +147,9 @@ def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(
     out = command.run(*words).out
     entry = result_in(folder)["rollout"]
     assert entry["is_better"] and entry["score"] < 0.7
-    assert "the last fifth of every log" in entry["held_out"] and entry["held_out"] in out
+    assert (
+        "the last fifth of every log" in entry["held_out"] and entry["held_out"] in out
+    )
     assert {(e["loop"], e["horizon"]) for e in entry["errors"]} >= {
         ("open loop", 0.1), ("closed loop", 1.0)
     }  # fmt: skip
@@ -140,23 +157,31 @@ def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(
     monkeypatch.setattr("robot_sysid.results.rollout.compare", swapped)
     refused = command.run(*words, "--validation-measurements", logs[1], code=1).err
     assert "not better than the old one" in refused and "--accept rollout" in refused
-    assert (folder / "params.json").exists() and not (folder / "updated_model.xml").exists()
+    assert (folder / "params.json").exists() and not (
+        folder / "updated_model.xml"
+    ).exists()
     command.run(*words, "--validation-measurements", logs[1], "--accept", "rollout")
     assert (folder / "updated_model.xml").exists()
 
 
 def test_what_is_kept_stays_as_it_was(command, arm_file, logs):
-    path = arm_file(HEAVY.replace('armature=".05"', 'armature=".04" ').replace('".3"', '".2"'))
+    path = arm_file(
+        HEAVY.replace('armature=".05"', 'armature=".04" ').replace('".3"', '".2"')
+    )
     kept = ("friction", "rotors", "links")
     words = [word for part in kept for word in ("--keep", part)]
     command.run("identify", path, logs[0], *words, *QUICK)
     folder = path.parent / "sysid_output"
     assert result_in(folder)["file"]["kept"] == sorted(kept)
-    written, own = (load_robot_model(p).mj_model for p in (folder / "updated_model.xml", path))
+    written, own = (
+        load_robot_model(p).mj_model for p in (folder / "updated_model.xml", path)
+    )
     for name in ("dof_frictionloss", "dof_damping", "dof_armature"):
         np.testing.assert_array_equal(getattr(written, name), getattr(own, name))
     for name in ("body_mass", "body_ipos", "body_inertia"):
-        np.testing.assert_array_equal(getattr(written, name)[:-1], getattr(own, name)[:-1])
+        np.testing.assert_array_equal(
+            getattr(written, name)[:-1], getattr(own, name)[:-1]
+        )
         assert not np.array_equal(getattr(written, name)[-1], getattr(own, name)[-1])
 
 
@@ -169,7 +194,11 @@ SERVOS = ("--torque-from", "position-error")
 def recorded():
     """(time, positions, commands) of the true arm."""
     time, command = servo_logs.commanded()
-    return time, servo_logs.positions(arms.robot_of(servo_logs.XML), time, command), command
+    return (
+        time,
+        servo_logs.positions(arms.robot_of(servo_logs.XML), time, command),
+        command,
+    )
 
 
 @pytest.fixture
@@ -178,8 +207,12 @@ def servo_log(recorded, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1800)  # 16 s of processor time on two threads; the machine may be busy
-def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_file, servo_log):
+@pytest.mark.timeout(
+    1800
+)  # 16 s of processor time on two threads; the machine may be busy
+def test_servos_friction_and_rotor_inertia_are_found_and_written(
+    command, arm_file, servo_log
+):
     path = arm_file(servo_logs.XML)
     out = command.run("identify", path, servo_log, *SERVOS).out
     folder = path.parent / "sysid_output"
@@ -190,9 +223,13 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_fi
     assert content["delay"]["value"] == pytest.approx(truth.delay, abs=0.002)
     terms = {"gain": truth.stiffness, "damping": truth.damping}
     terms.update(frictionloss=truth.frictionloss, armature=truth.armature)
-    first = [content["joints"]["joint0"][term]["value"] / terms[term][0] for term in terms]
+    first = [
+        content["joints"]["joint0"][term]["value"] / terms[term][0] for term in terms
+    ]
     # Nothing but small links fix the size of what stands on a vertical axis; ratios are seen.
-    assert max(first) < 1.2 * min(first) and "only their ratios" in " ".join(content["notes"])
+    assert max(first) < 1.2 * min(first) and "only their ratios" in " ".join(
+        content["notes"]
+    )
     for term, values in terms.items():
         found = content["joints"]["joint1"][term]
         assert found["value"] == pytest.approx(values[1], rel=0.05)
@@ -203,7 +240,9 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_fi
     assert {error["loop"] for error in errors} == {"closed loop"}
     assert all(3.0 * e["overall"]["after"] < e["overall"]["before"] for e in errors)
     written = mujoco.MjModel.from_xml_path(str(folder / "updated_model.xml"))
-    after = [content["joints"][joint]["gain"]["value"] for joint in ("joint0", "joint1")]
+    after = [
+        content["joints"][joint]["gain"]["value"] for joint in ("joint0", "joint1")
+    ]
     np.testing.assert_allclose(written.actuator_gainprm[:, 0], after, rtol=1e-6)
     whole = written.dof_damping - written.actuator_biasprm[:, 2]
     np.testing.assert_allclose(whole[1], truth.damping[1], rtol=0.05)
@@ -211,7 +250,9 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_fi
     assert text.count("<inertial") == servo_logs.XML.count("<inertial")
 
 
-def test_what_cannot_be_used_is_said_in_one_line(command, arm_file, recorded, servo_log, tmp_path):
+def test_what_cannot_be_used_is_said_in_one_line(
+    command, arm_file, recorded, servo_log, tmp_path
+):
     path = arm_file(servo_logs.XML)
     (time, q, asked) = recorded
     said = command.run("identify", path, servo_log, code=2).err

@@ -36,7 +36,9 @@ def folder(truth, tmp_path_factory):
     for name, each in logs.items():
         write_measurement_csv(folder / f"{name}.csv", truth.robot.joint_names, [each])
     text = (folder / "log.csv").read_text()
-    (folder / "odd.csv").write_text(text.replace("joint0_torque", "joint0_torque\x1b[2J"))
+    (folder / "odd.csv").write_text(
+        text.replace("joint0_torque", "joint0_torque\x1b[2J")
+    )
     return folder
 
 
@@ -49,17 +51,23 @@ def command(folder, monkeypatch, capsys):
 def test_without_a_model_it_lists_the_columns(command):
     printed = command.run("log", "log.csv").out
     assert "log layout: 13 columns separated by comma" in printed
-    assert "3000 lines" in printed and "joint1_torque" in printed and "(torque)" in printed
+    assert (
+        "3000 lines" in printed and "joint1_torque" in printed and "(torque)" in printed
+    )
 
 
 def test_a_wrong_log_is_refused_and_right_with_the_scale_that_was_named(command):
     good = "nothing that stops an identification was found"
     assert good in command.run("log", "log.csv", "arm.xml").out
     told = json.loads(command.run("log", "late.csv", "arm.xml", "--json", code=1).out)
-    assert {each["level"] for each in told["findings"]} == {"warn"} and told["samples"] == 3000
+    assert {each["level"] for each in told["findings"]} == {"warn"} and told[
+        "samples"
+    ] == 3000
     said = command.refused("log", "wrong.csv", "arm.xml")
     assert "as in mN·m" in said and "--torque-scale 1000" in said
-    assert good in command.run("log", "wrong.csv", "arm.xml", "--torque-scale", "1000").out
+    assert (
+        good in command.run("log", "wrong.csv", "arm.xml", "--torque-scale", "1000").out
+    )
 
 
 def test_a_warning_stops_unless_it_is_accepted(command):

@@ -83,7 +83,9 @@ def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
     code, out, err = run(capsys, "check", trajectory, *CAN0, "--verbose")
     assert (code, err) == (0, "")
     assert "ready to play" in out and "load classic CAN to 14 %" in out
-    assert re.search(r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms +40 +31/29 +status 0", out)
+    assert re.search(
+        r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms +40 +31/29 +status 0", out
+    )
     assert only_asks(bus.wire.sent)
     assert [m.status for m in bus.motors] == [DISABLED] * 2
 
@@ -94,7 +96,10 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
     printed = capsys.readouterr()
     told = json.loads(printed.out)
     assert (told["command"], told["exit_code"]) == ("check", 0)
-    assert told["lines"] == printed.err.splitlines() and told["lines"][-2:] == told["verdict"]
+    assert (
+        told["lines"] == printed.err.splitlines()
+        and told["lines"][-2:] == told["verdict"]
+    )
     words = [*CAN0, "--speed", "0.3", "--record", "slow.csv", *limits]
     following = ["Next:", "robot-sysid", "motors", "play", str(trajectory), *words]
     assert told["verdict"][0] == "Usable: ready to play"
@@ -166,8 +171,16 @@ def test_existing_recordings_are_kept_and_nobody_is_asked_first(
         assert sorted(tmp_path.iterdir()) == sorted([trajectory, there])
         there.unlink()
     there.write_text("precious")
-    assert run(capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite")[0] == 0
-    assert read_recording(tmp_path / "measured.csv").ending == "completed" and person[1] == []
+    assert (
+        run(
+            capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite"
+        )[0]
+        == 0
+    )
+    assert (
+        read_recording(tmp_path / "measured.csv").ending == "completed"
+        and person[1] == []
+    )
 
 
 def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
@@ -187,7 +200,10 @@ def test_a_driver_that_does_not_return_ends_the_program(capsys, monkeypatch):
     assert ended == []
     motors_asked._hanging("it hangs", True)
     assert ended == [3]
-    assert capsys.readouterr().err == "robot-sysid: note: it hangs\nrobot-sysid: error: it hangs\n"
+    assert (
+        capsys.readouterr().err
+        == "robot-sysid: note: it hangs\nrobot-sysid: error: it hangs\n"
+    )
 
 
 def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch):
@@ -226,7 +242,9 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
         (["simulate", "T", "--model", "M", "--interface", "pcan"], "--interface needs --channel"),
     ],
 )  # fmt: skip
-def test_bad_usage_is_one_line_and_exit_code_2(capsys, trajectory, model, arguments, words):
+def test_bad_usage_is_one_line_and_exit_code_2(
+    capsys, trajectory, model, arguments, words
+):
     files = {"T": trajectory, "M": model}
     code, _, err = run(capsys, *(files.get(word, word) for word in arguments))
     assert code == 2 and words in err, err
@@ -251,27 +269,39 @@ def refused_by(capsys, folder, trajectory, path):
     ):
         code, out, err = run(capsys, *arguments)
         assert code == 3 and len(err.splitlines()) == 1
-        said.append(err.partition(" played: ")[2] or err.partition("not rehearsed: ")[2])
+        said.append(
+            err.partition(" played: ")[2] or err.partition("not rehearsed: ")[2]
+        )
     code, out, _ = run(capsys, "check", trajectory, "--model", path, *CAN0)
     assert code == 1
-    stops = [line.partition("[STOP] ")[2] for line in out.splitlines() if "[STOP]" in line]
+    stops = [
+        line.partition("[STOP] ")[2] for line in out.splitlines() if "[STOP]" in line
+    ]
     assert set(folder.iterdir()) == files
     assert {text.strip() for text in said} == {stops[0]}
     return stops
 
 
-def test_a_trajectory_beyond_the_joint_ranges_is_refused(capsys, bus, tmp_path, arm_file):
+def test_a_trajectory_beyond_the_joint_ranges_is_refused(
+    capsys, bus, tmp_path, arm_file
+):
     trajectory = written(tmp_path, swing(2, amplitude=0.98))
     path = arm_file(arms.serial_arm((arms.Z, arms.Y), joint=NARROW))
     first, second, *_ = refused_by(capsys, tmp_path, trajectory, path)
-    assert first.startswith("joint joint0: position 0.98 rad is beyond the model's limit 0.3, at ")
-    assert second.startswith("joint joint1: position 0.98 rad is beyond the model's limit 0.3, at ")
+    assert first.startswith(
+        "joint joint0: position 0.98 rad is beyond the model's limit 0.3, at "
+    )
+    assert second.startswith(
+        "joint joint1: position 0.98 rad is beyond the model's limit 0.3, at "
+    )
     assert only_asks(bus.wire.sent)
 
 
 def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):
     """At 0.31 rad/s; planes only with a model."""
-    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes", "--max-velocity", "0.3")
+    code, _, err = run(
+        capsys, "play", trajectory, *CAN0, "--yes", "--max-velocity", "0.3"
+    )
     assert code == 3 and "rad/s is beyond --max-velocity 0.3" in err
     plane = "--keep-out", "0", "0", "1", "0"
     code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes", *plane)
@@ -279,7 +309,9 @@ def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):
     # What is played at 0.6 keeps it, and the way to the first point does not.
     slow = "--max-velocity", "0.4", "--speed", "0.6"
     bus.arm.mechanism.q[:] = 0.3
-    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes", *slow, "--approach-speed", "0.5")
+    code, _, err = run(
+        capsys, "play", trajectory, *CAN0, "--yes", *slow, "--approach-speed", "0.5"
+    )
     assert (
         code == 3
         and "on the way to the first point, motor 1: 0." in err
@@ -289,7 +321,9 @@ def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):
 
 
 def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file):
-    code, _, err = run(capsys, "play", trajectory, *CAN0, "--model", arm_file(arms.THREE))
+    code, _, err = run(
+        capsys, "play", trajectory, *CAN0, "--model", arm_file(arms.THREE)
+    )
     assert code == 2 and "has 2 joints but the chain" in err and "has 3" in err
     assert bus.wire is None
 
@@ -312,10 +346,23 @@ SOFT = ("--kp", "5", "--kd", "1", "--rate", "100")
 def test_an_arm_is_held_where_it_stands_without_sagging(capsys, bus, leaning, tmp_path):
     """With this stiffness alone the second joint would sink by several degrees."""
     model, start = leaning
-    load = gravity_check(load_robot_model(model), damiao_joints(["DM4340"] * 2, 2)).torque(start)
+    load = gravity_check(
+        load_robot_model(model), damiao_joints(["DM4340"] * 2, 2)
+    ).torque(start)
     assert np.max(np.abs(load)) / 5.0 > 0.05
     record = tmp_path / "held.csv"
-    words = ("hold", "--model", model, *CAN0, *SOFT, "--yes", "--for", "0.5", "--record", record)
+    words = (
+        "hold",
+        "--model",
+        model,
+        *CAN0,
+        *SOFT,
+        "--yes",
+        "--for",
+        "0.5",
+        "--record",
+        record,
+    )
     code, out, err = run(capsys, *words)
     assert (code, err) == (0, "") and "holding; Ctrl-C ends it" in out
     q = read_recording(record).joint_values("pos")
@@ -323,11 +370,15 @@ def test_an_arm_is_held_where_it_stands_without_sagging(capsys, bus, leaning, tm
     assert [m.status for m in bus.motors] == [DISABLED] * 2
 
 
-def test_holding_ends_well_when_it_is_asked_to_and_badly_when_a_motor_fails(capsys, bus, leaning):
+def test_holding_ends_well_when_it_is_asked_to_and_badly_when_a_motor_fails(
+    capsys, bus, leaning
+):
     words = ("hold", "--model", leaning[0], *CAN0, *SOFT, "--yes")
     bus.clock.at(4.0, lambda: signal.raise_signal(signal.SIGINT))
     code, out, err = run(capsys, *words)
-    assert (code, err) == (0, "") and out.endswith("Done: held, and all motors are disabled\n")
+    assert (code, err) == (0, "") and out.endswith(
+        "Done: held, and all motors are disabled\n"
+    )
     bus.clock.at(bus.clock.now() + 4.0, lambda: fault("status", 1, 0xA)(bus))
     code, _, err = run(capsys, *words)
     assert code == 3 and "motor 2 (joint joint1) reports status A" in err
@@ -351,12 +402,26 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
 ):
     read = []
     load = parser.load_robot_model
-    monkeypatch.setattr(parser, "load_robot_model", lambda *a: read.append(a) or load(*a))
+    monkeypatch.setattr(
+        parser, "load_robot_model", lambda *a: read.append(a) or load(*a)
+    )
     record = tmp_path / "measured.csv"
-    arguments = ("--model", model, "--play", "--fd", "--rate", "250", "--record", record)
+    arguments = (
+        "--model",
+        model,
+        "--play",
+        "--fd",
+        "--rate",
+        "250",
+        "--record",
+        record,
+    )
     code, out, err = run(capsys, "simulate", trajectory, *arguments)
     assert (code, err) == (0, "")
-    assert "played 126 cycles, 0 skipped; started late by 0.00 ms" in out and len(read) == 1
+    assert (
+        "played 126 cycles, 0 skipped; started late by 0.00 ms" in out
+        and len(read) == 1
+    )
     recording = read_recording(record)
     assert recording.ending == "completed"
     assert np.all(np.isfinite(recording.joint_values("pos")))
@@ -369,7 +434,9 @@ def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, 
     fd = ("--fd",)
     spaced = model.rename(model.with_name("an arm.xml"))
     arm = ("--model", str(spaced), "--joint", "joint1")
-    code, out, err = run(capsys, "simulate", trajectory, *arm, *address, *fd, "--for", "2")
+    code, out, err = run(
+        capsys, "simulate", trajectory, *arm, *address, *fd, "--for", "2"
+    )
     assert (code, err) == (0, "")
     words = ["play", str(trajectory), *address, *fd, *arm, "--accept-directions"]
     words += ["--record", "measured.csv"]
@@ -387,7 +454,9 @@ def two_buses(tmp_path):
 
 
 def test_a_map_of_two_buses_needs_none_to_be_checked(capsys, trajectory, two_buses):
-    code, out, _ = run(capsys, "play", trajectory, "--joint-map", two_buses, "--dry-run", "-v")
+    code, out, _ = run(
+        capsys, "play", trajectory, "--joint-map", two_buses, "--dry-run", "-v"
+    )
     assert code == 0 and "ids are unique: 1, 1" in out
 
 
@@ -414,16 +483,29 @@ def both_arms(tmp_path):
         head = "<mujoco><compiler angle='radian'/><worldbody>"
         path.write_text(f"{head}{bodies}</worldbody></mujoco>")
         arms = ("--joint", "left_j", "--also", paths[1], "--also-joint", "right_j")
-        return ("simulate", paths[0], *arms, "--model", path, "--joint-map", table, "--play")
+        return (
+            "simulate",
+            paths[0],
+            *arms,
+            "--model",
+            path,
+            "--joint-map",
+            table,
+            "--play",
+        )
 
     return words
 
 
-def test_both_arms_of_a_model_are_played_in_one_run(capsys, both_arms, tmp_path, quickly):
+def test_both_arms_of_a_model_are_played_in_one_run(
+    capsys, both_arms, tmp_path, quickly
+):
     record = tmp_path / "measured.csv"
     words = both_arms(0.4)
     mirrored = map_line("left_j", "left", 1, 0x11, -1, 0.4)
-    write_joint_map(tmp_path / "map.csv", [map_line("right_j", "right", 1, 0x11), mirrored])
+    write_joint_map(
+        tmp_path / "map.csv", [map_line("right_j", "right", 1, 0x11), mirrored]
+    )
     code, out, err = run(capsys, *words, "--verbose", "--record", record)
     assert (code, err) == (0, "") and "the limits of two.xml, and the arms apart" in out
     columns = read_recording(record).columns
@@ -450,10 +532,19 @@ def stand_on_two_buses(bus, q):
     bus.arm.mechanism.q[:] = q
 
 
-def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(capsys, both_arms, bus):
+def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(
+    capsys, both_arms, bus
+):
     """They stand bent towards each other: their own motions begin apart."""
     stand_on_two_buses(bus, 0.4)
-    buses = ("--channel", "left", "--channel", "right", "--dry-run", "--accept-directions")
+    buses = (
+        "--channel",
+        "left",
+        "--channel",
+        "right",
+        "--dry-run",
+        "--accept-directions",
+    )
     code, out, err = run(capsys, "play", *both_arms(0.3)[1:-1], *buses)
     said = "on the way to the first point the model's arms touch if it goes straight, and joint by"
     assert code == 3 and said in err, out + err
@@ -462,7 +553,16 @@ def test_arms_that_are_in_each_others_way_to_the_first_point_are_not_played(caps
 def test_both_arms_are_held_in_one_run(capsys, both_arms, bus, tmp_path):
     """Each bends by another angle, and its weight is carried: stiffness alone sinks by 0.1 rad."""
     *_, model, _, table = both_arms(1.0)[:-1]
-    both = ("--joint", "left_j", "--also-joint", "right_j", "--model", model, "--joint-map", table)
+    both = (
+        "--joint",
+        "left_j",
+        "--also-joint",
+        "right_j",
+        "--model",
+        model,
+        "--joint-map",
+        table,
+    )
     arms = [load_robot_model(model, None, f"{s}_j") for s in ("left", "right")]
     start = [0.5, -0.3]
     stand_on_two_buses(bus, 0.0)
@@ -476,42 +576,63 @@ def test_both_arms_are_held_in_one_run(capsys, both_arms, bus, tmp_path):
         assert np.max(np.abs(columns[f"{side}_j_pos"] - place)) < 5e-3
     assert [m.status for m in bus.motors] == [DISABLED] * 2
     code, _, err = run(capsys, "hold", *both[:3], "left_j", *both[4:], *buses)
-    assert code == 2 and "--joint and --also-joint are of one arm: both move left_j" in err
+    assert (
+        code == 2 and "--joint and --also-joint are of one arm: both move left_j" in err
+    )
     code, _, err = run(capsys, "hold", *both[2:], *buses)
     assert code == 2 and "two arms need --model, --joint and --also-joint" in err
 
 
-def test_the_small_motions_of_two_arms_are_checked_and_not_their_files(capsys, both_arms, bus):
+def test_the_small_motions_of_two_arms_are_checked_and_not_their_files(
+    capsys, both_arms, bus
+):
     """They stand at the end of their ranges, where their files never bring them."""
     stand_on_two_buses(bus, 2.98)
     buses = ("--channel", "left", "--channel", "right", "--verify")
     code, out, err = run(capsys, "play", *both_arms(3.0)[1:-1], *buses)
-    assert code == 3 and "not moved (where there is no room for 0.1 rad" in err, out + err
+    assert code == 3 and "not moved (where there is no room for 0.1 rad" in err, (
+        out + err
+    )
     assert "position 3.08 rad is beyond the model's limit 3" in err
     assert only_asks(bus.wire.sent)
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
-def test_terminals_of_a_map_of_two_buses_have_its_names(capsys, trajectory, model, two_buses):
+def test_terminals_of_a_map_of_two_buses_have_its_names(
+    capsys, trajectory, model, two_buses
+):
     arm = ("--model", model, "--joint-map", two_buses)
     code, out, err = run(capsys, "simulate", trajectory, *arm, "--for", "0.01")
     assert (code, err) == (0, "")
-    words = shlex.split(next(line for line in out.splitlines() if line.startswith("robot-sysid")))
+    words = shlex.split(
+        next(line for line in out.splitlines() if line.startswith("robot-sysid"))
+    )
     channels = [word for before, word in zip(words, words[1:]) if before == "--channel"]
-    assert [name for name, _, _ in (c.partition("=/dev/") for c in channels)] == ["can0", "can1"]
+    assert [name for name, _, _ in (c.partition("=/dev/") for c in channels)] == [
+        "can0",
+        "can1",
+    ]
 
 
-def test_a_map_names_the_joints_in_what_is_said_about_motors(capsys, bus, trajectory, tmp_path):
+def test_a_map_names_the_joints_in_what_is_said_about_motors(
+    capsys, bus, trajectory, tmp_path
+):
     table = tmp_path / "map.csv"
-    write_joint_map(table, [map_line("hip", "", 1, 0x11), map_line("knee", "", 2, 0x12)])
+    write_joint_map(
+        table, [map_line("hip", "", 1, 0x11), map_line("knee", "", 2, 0x12)]
+    )
     fault("watchdog", 1, 0.0)(bus)
     code, out, _ = run(capsys, "check", trajectory, *CAN0, "--joint-map", table)
     assert code == 1 and "[STOP] motor 2 (joint knee) has no watchdog" in out
-    said = [line for line in out.splitlines() if line.startswith("[") and "motor 1" in line]
+    said = [
+        line for line in out.splitlines() if line.startswith("[") and "motor 1" in line
+    ]
     assert said and all("motor 1 (joint hip)" in line for line in said)
 
 
-def test_a_simulated_arm_goes_on_until_it_is_interrupted(capsys, bus, trajectory, model):
+def test_a_simulated_arm_goes_on_until_it_is_interrupted(
+    capsys, bus, trajectory, model
+):
     bus.clock.at(3.0, lambda: signal.raise_signal(signal.SIGINT))
     assert run(capsys, "simulate", trajectory, "--model", model, *CAN0)[0] == 0
     assert bus.clock.now() == pytest.approx(3.0, abs=2e-3)
@@ -570,7 +691,9 @@ def small_files_only():
 @pytest.mark.realtime
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
 @pytest.mark.parametrize("trouble", ["output closed", "disk full", "output held"])
-def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(model, tmp_path, trouble):
+def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(
+    model, tmp_path, trouble
+):
     """The frames themselves show that each motor braked before it was disabled."""
     trajectory = written(tmp_path, swing(2, duration=6.0, amplitude=0.4))
     record = tmp_path / "measured.csv"
@@ -600,14 +723,24 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(model, tmp_
         finally:
             play.kill()
             play.stderr.close()
-    said = b"cannot record: File too large" if trouble == "disk full" else b"stopped by SIGTERM"
+    said = (
+        b"cannot record: File too large"
+        if trouble == "disk full"
+        else b"stopped by SIGTERM"
+    )
     assert said in err
     if trouble != "disk full":
         assert read_recording(record).ending.startswith("stopped: stopped by SIGTERM")
         with can.LogReader(frames) as reader:
-            sent = [bytes(m.data) for m in reader if not m.is_rx and m.arbitration_id in (1, 2)]
+            sent = [
+                bytes(m.data)
+                for m in reader
+                if not m.is_rx and m.arbitration_id in (1, 2)
+            ]
         disabled = sent.index(b"\xff" * 7 + b"\xfd")
         # The commanded speed is the twelve bits after the position's sixteen; zero is the middle.
-        speeds = [abs((data[2] << 4 | data[3] >> 4) - 2047.5) for data in sent[:disabled]]
+        speeds = [
+            abs((data[2] << 4 | data[3] >> 4) - 2047.5) for data in sent[:disabled]
+        ]
         commands = [v for v, data in zip(speeds, sent) if data[:7] != b"\xff" * 7]
         assert max(commands[-2:]) < 0.1 * max(commands)

@@ -37,12 +37,17 @@ def words(bus, arm_file, tmp_path, monkeypatch):
     return ("play", played.path, *CAN0, "--model", path)
 
 
-def test_nothing_is_played_before_somebody_has_seen_which_way_joints_turn(capsys, bus, words):
+def test_nothing_is_played_before_somebody_has_seen_which_way_joints_turn(
+    capsys, bus, words
+):
     code, _, err = run(capsys, *words, "--yes")
     assert code == 3 and "nobody has verified which way motor 1 (joint joint0)" in err
     assert only_asks(bus.wire.sent)
     code, out, err = run(capsys, *words, "--yes", "--accept-directions")
-    assert (code, err) == (0, "") and "mirrored or swapped, they would be played like that" in out
+    assert (code, err) == (
+        0,
+        "",
+    ) and "mirrored or swapped, they would be played like that" in out
     # Without a model it is said.
     code, out, err = run(capsys, *words[:-2], "--yes")
     assert (code, err) == (0, "") and "nobody has verified which way motor 1" in out
@@ -52,7 +57,10 @@ def test_a_small_motion_verifies_a_set_up_once(capsys, bus, words, person, tmp_p
     person[0][:] = ["yes"] * 3
     code, out, err = run(capsys, *words, "--verify", "--park", "start")
     assert (code, err) == (0, ""), err
-    assert "motor 1 (joint joint0) is to turn so that" in out and "parking, straight" in out
+    assert (
+        "motor 1 (joint joint0) is to turn so that" in out
+        and "parking, straight" in out
+    )
     assert np.max(np.abs(bus.arm.mechanism.q - START)[0]) < 0.02
     rows = read_joint_map(tmp_path / "joint_map.csv")
     assert [row.verified for row in rows] == ["motion"] * 2
@@ -73,14 +81,20 @@ def test_what_is_seen_is_never_written_into_a_file_of_lerobots(
     person[0][:] = ["yes"] * 3
     code, _, err = run(capsys, *words, "--verify", "--joint-map", theirs)
     assert (code, err) == (0, "") and theirs.read_text() == text
-    assert "motion" in [row.verified for row in read_joint_map(tmp_path / "joint_map.csv")]
+    assert "motion" in [
+        row.verified for row in read_joint_map(tmp_path / "joint_map.csv")
+    ]
 
 
-def test_a_joint_that_went_another_way_leaves_nothing_written(capsys, words, person, tmp_path):
+def test_a_joint_that_went_another_way_leaves_nothing_written(
+    capsys, words, person, tmp_path
+):
     person[0][:] = ["yes", "no"]
     code, _, err = run(capsys, *words, "--verify")
     assert code == 2 and "motor 1 (joint joint0) is not verified" in err
-    assert "Did motor 1 (joint joint0), and no other joint, turn so that" in person[1][-1]
+    assert (
+        "Did motor 1 (joint joint0), and no other joint, turn so that" in person[1][-1]
+    )
     assert not (tmp_path / "joint_map.csv").exists()
 
 
@@ -89,6 +103,8 @@ def test_a_motor_that_carries_nothing_where_its_joint_carries_much_is_stopped():
     joints = damiao_joints(["DM4310"], 1)
     check = HoldingCheck(joints, lambda q: np.array([2.5]), 0.0, "the model needs")
     check(np.zeros(1), np.array([1.0]))
-    with pytest.raises(HardwareAbort, match="motor 1 holds the arm with 0.1 N m but the model"):
+    with pytest.raises(
+        HardwareAbort, match="motor 1 holds the arm with 0.1 N m but the model"
+    ):
         check(np.zeros(1), np.array([0.1]))
     assert check.unverified_joints(np.zeros(1)) == []

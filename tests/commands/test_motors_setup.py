@@ -26,7 +26,8 @@ CAN0 = ("--channel", "can0")
 
 def drives_nothing(frames):
     return not any(
-        f.id != REGISTER_ID and (not is_special(f.data) or f.data[7] == ENABLE) for f in frames
+        f.id != REGISTER_ID and (not is_special(f.data) or f.data[7] == ENABLE)
+        for f in frames
     )
 
 
@@ -39,13 +40,27 @@ def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
 def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     motor = bus.motors[0]
     motor.registers[frames.CTRL_MODE] = 2.0
-    words = ("--motor", 1, "--new-id", 5, "--new-master-id", "0x15", "--mit", "--watchdog", "0.2")
+    words = (
+        "--motor",
+        1,
+        "--new-id",
+        5,
+        "--new-master-id",
+        "0x15",
+        "--mit",
+        "--watchdog",
+        "0.2",
+    )
     code, out, err = run(capsys, "setup", *CAN0, *words, "--store")
     assert (code, err) == (0, "")
-    assert "motor 1: CTRL_MODE=2 is now CTRL_MODE=1" in out and "ESC_ID=1 is now ESC_ID=5" in out
+    assert (
+        "motor 1: CTRL_MODE=2 is now CTRL_MODE=1" in out
+        and "ESC_ID=1 is now ESC_ID=5" in out
+    )
     assert "MST_ID=17 is now MST_ID=21" in out and "keeps its values" in out
     found = [
-        motor.registers[n] for n in (frames.ESC_ID, frames.MST_ID, frames.CTRL_MODE, frames.TIMEOUT)
+        motor.registers[n]
+        for n in (frames.ESC_ID, frames.MST_ID, frames.CTRL_MODE, frames.TIMEOUT)
     ]
     assert found == [5.0, 21.0, 1.0, 4000.0] and motor.stored == motor.registers
     assert bus.motors[1].stored == {} and drives_nothing(bus.wire.sent)
@@ -53,11 +68,15 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
 
 def test_nothing_is_stored_unless_asked_for(capsys, bus):
     assert run(capsys, "setup", *CAN0, "--motor", 1, "--watchdog", "0.2")[0] == 0
-    assert bus.motors[0].registers[frames.TIMEOUT] == 4000.0 and bus.motors[0].stored == {}
+    assert (
+        bus.motors[0].registers[frames.TIMEOUT] == 4000.0 and bus.motors[0].stored == {}
+    )
     assert not any(f.id == REGISTER_ID and f.data[2] == STORE for f in bus.wire.sent)
 
 
-@pytest.mark.parametrize("change", [("--mit",), ("--set-zero",), ("--store",), ("--new-id", 3)])
+@pytest.mark.parametrize(
+    "change", [("--mit",), ("--set-zero",), ("--store",), ("--new-id", 3)]
+)
 def test_an_enabled_motor_is_never_changed(capsys, bus, person, change):
     bus.motors[0].status = ENABLED
     bus.motors[0].registers[frames.TIMEOUT] = 0.0
@@ -83,7 +102,9 @@ def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, person):
     motor = bus.motors[0]
     asked = bytes([READ, frames.PMAX])
     answer = motor.handle
-    motor.handle = lambda frame, time: None if frame.data[2:4] == asked else answer(frame, time)
+    motor.handle = lambda frame, time: (
+        None if frame.data[2:4] == asked else answer(frame, time)
+    )
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
     assert code == 3 and "does not tell its PMAX" in err and only_asks(bus.wire.sent)
     assert person[1] == []
@@ -102,14 +123,38 @@ def test_an_error_is_cleared_by_name(capsys, bus):
         (("--mit",), "--motor says which motor", 2),
         (("--scan",), "the bit rate of socketcan is set outside", 2),
         (("--motor", 9, "--mit"), "0 motors answer to CAN id 9", 3),
-        (("--motor", 1, "--new-id", 2), "CAN id 0x02 is used by more than one motor", 2),
-        (("--motor", 1, "--new-master-id", "0x02"), "taken as commands by the motor with CAN", 2),
-        (("--motor", 1, "--new-master-id", "0x102"), "taken as commands by the motor with CAN", 2),
-        (("--motor", 1, "--new-master-id", "0x12"), "master id 0x12 is used by more than one", 2),
-        (("--motor", 1, "--new-id", 3, "--new-master-id", 2), "commands by the motor with", 2),
+        (
+            ("--motor", 1, "--new-id", 2),
+            "CAN id 0x02 is used by more than one motor",
+            2,
+        ),
+        (
+            ("--motor", 1, "--new-master-id", "0x02"),
+            "taken as commands by the motor with CAN",
+            2,
+        ),
+        (
+            ("--motor", 1, "--new-master-id", "0x102"),
+            "taken as commands by the motor with CAN",
+            2,
+        ),
+        (
+            ("--motor", 1, "--new-master-id", "0x12"),
+            "master id 0x12 is used by more than one",
+            2,
+        ),
+        (
+            ("--motor", 1, "--new-id", 3, "--new-master-id", 2),
+            "commands by the motor with",
+            2,
+        ),
         (("--motor", 1, "--new-id", 16), "--new-id must be from 1 to 15", 2),
         (("--motor", 1, "--motor-bitrate", 500000), "with one motor on the bus", 2),
-        (("--motor", 1, "--motor-bitrate", 300000), "--motor-bitrate must be one of 125000", 2),
+        (
+            ("--motor", 1, "--motor-bitrate", 300000),
+            "--motor-bitrate must be one of 125000",
+            2,
+        ),
     ],
 )
 def test_what_cannot_be_meant_is_refused(capsys, bus, words, said, code):
@@ -119,7 +164,9 @@ def test_what_cannot_be_meant_is_refused(capsys, bus, words, said, code):
 
 
 @pytest.mark.parametrize("words", [("--new-master-id", "0x13"), ("--new-id", 3)])
-def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(capsys, bus, words):
+def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
+    capsys, bus, words
+):
     """As they come from the factory: all answer on 0, and one's answers are another's commands."""
     for each in bus.motors:
         each.registers[frames.MST_ID] = 0.0
@@ -135,12 +182,17 @@ def test_an_id_is_free_where_only_another_bus_has_it(capsys, bus):
     assert run(capsys, *both, *words)[0] == 0
     assert bus.motors[1].registers[frames.ESC_ID] == 1.0
     code, _, err = run(capsys, *both, "--motor", 1, "--mit")
-    assert code == 3 and "can0 and can1 each have a motor 1; give only the --channel" in err
+    assert (
+        code == 3
+        and "can0 and can1 each have a motor 1; give only the --channel" in err
+    )
 
 
 def test_a_bit_rate_is_changed_with_one_motor_on_the_bus(capsys, bus):
     bus.motors[1].silent = True
-    code, out, _ = run(capsys, "setup", *CAN0, "--motor", 1, "--motor-bitrate", 500000, "--store")
+    code, out, _ = run(
+        capsys, "setup", *CAN0, "--motor", 1, "--motor-bitrate", 500000, "--store"
+    )
     assert code == 0 and "can_br=4 is now can_br=3" in out and "not stored" in out
     assert bus.motors[0].registers[frames.CAN_BR] == 3.0
 
@@ -172,9 +224,17 @@ def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, arm_file):
     waiting += [turned(1, 0.05), turned(1, -0.5), turned(0, 0.4), home]
     code, _, err = run(capsys, "map", *CAN0, "--model", model, "--output", output)
     assert (code, err) == (0, "")
-    assert "move joint joint0 alone" in asked[0] and "no motor turned far enough" in asked[1]
+    assert (
+        "move joint joint0 alone" in asked[0]
+        and "no motor turned far enough" in asked[1]
+    )
     first, second = read_joint_map(output)
-    assert (first.name, first.can_id, first.master_id, first.direction) == ("joint0", 2, 18, -1)
+    assert (first.name, first.can_id, first.master_id, first.direction) == (
+        "joint0",
+        2,
+        18,
+        -1,
+    )
     assert (second.name, second.can_id, second.direction) == ("joint1", 1, 1)
     assert first.offset == pytest.approx(-0.1, abs=1e-3)
     assert second.offset == pytest.approx(0.3, abs=1e-3)
@@ -210,7 +270,10 @@ def test_motors_are_looked_for_at_every_bit_rate_that_the_adapter_has(capsys, bu
     scan = ("setup", *CAN0, "--interface", "slcan", "--scan")
     code, out, _ = run(capsys, *scan)
     assert code == 0 and "500000 bit/s: 2 motors" in out
-    assert "200000 bit/s: not tried, cannot open" in out and "125000 bit/s: 2 motors" in out
+    assert (
+        "200000 bit/s: not tried, cannot open" in out
+        and "125000 bit/s: 2 motors" in out
+    )
     assert bus.rates == [1e6, 5e5, 2.5e5, 2e5, 1.25e5]
     bus.impossible = bus.rates
     code, _, err = run(capsys, *scan)

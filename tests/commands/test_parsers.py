@@ -77,7 +77,9 @@ def help_lines(arguments, capsys):
 
 
 @pytest.mark.parametrize("name", PARSERS)
-def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(name, capsys):
+def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(
+    name, capsys
+):
     lines = help_lines([*name.split(), "--help"], capsys)
     assert lines[0].startswith(f"example: robot-sysid {name}".rstrip())
     full = help_lines([*name.split(), "--help-all"], capsys)
@@ -85,8 +87,12 @@ def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(name,
     assert name == "log" or len(lines) <= 50
     for action in PARSERS[name]()._actions:
         assert action.help and not action.help.startswith("==")
-        assert all(re.search(rf"{flag}\b", "\n".join(full)) for flag in action.option_strings)
-    shown = [a for a in PARSERS[name](full=False)._actions if a.help != argparse.SUPPRESS]
+        assert all(
+            re.search(rf"{flag}\b", "\n".join(full)) for flag in action.option_strings
+        )
+    shown = [
+        a for a in PARSERS[name](full=False)._actions if a.help != argparse.SUPPRESS
+    ]
     main_options = run.QUESTIONS[name].main if name in run.QUESTIONS else ()
     assert set(main_options) <= {action.dest for action in shown}
 

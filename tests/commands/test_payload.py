@@ -39,10 +39,12 @@ def models(arm_file):
 
 def recorded(models, swapped=False):
     """The words that ask for the payload in logs of both arms, recorded in the order ABBA."""
-    empty, loaded = (load_robot_model(path) for path in (models[::-1] if swapped else models))
-    plan = generate_excitation_trajectory(empty, np.random.default_rng(1), 15.0, ArmTorque(empty))[
-        0
-    ]
+    empty, loaded = (
+        load_robot_model(path) for path in (models[::-1] if swapped else models)
+    )
+    plan = generate_excitation_trajectory(
+        empty, np.random.default_rng(1), 15.0, ArmTorque(empty)
+    )[0]
     paths = []
     for number, plant in enumerate((empty, loaded, loaded, empty)):
         rng = np.random.default_rng([1, number])
@@ -83,11 +85,15 @@ def test_a_payload_can_be_a_body_of_its_own(command, models):
     folder = models[0].parent / "sysid_output"
     found = json.loads((folder / "params.json").read_text())
     body = compile_model(folder / "updated_model.xml").mj_model.body("gripper")
-    assert float(body.mass[0]) == pytest.approx(found["payload"]["body"]["mass"], rel=1e-9)
+    assert float(body.mass[0]) == pytest.approx(
+        found["payload"]["body"]["mass"], rel=1e-9
+    )
 
 
 @pytest.mark.slow
-def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_good(command, models):
+def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_good(
+    command, models
+):
     printed = command.run("payload", *recorded(models, swapped=True), code=1)
     assert "look swapped" in printed.err
     folder = models[0].parent / "sysid_output"

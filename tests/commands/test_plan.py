@@ -17,11 +17,22 @@ from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, witness
 from tests.support.command_line import files_in
 
-SINES = ("--excitation", "sines", "--duration", "3", "--sample-rate", "100", "--seed", "1")
+SINES = (
+    "--excitation",
+    "sines",
+    "--duration",
+    "3",
+    "--sample-rate",
+    "100",
+    "--seed",
+    "1",
+)
 MOTOR = ("--motor-type", "DM10010")
 
 
-def test_it_writes_the_trajectory_and_says_what_it_promises(command, arm_file, monkeypatch):
+def test_it_writes_the_trajectory_and_says_what_it_promises(
+    command, arm_file, monkeypatch
+):
     monkeypatch.setattr(possible_errors, "_DRAWS", 24)  # words alone are looked at
     path = arm_file(arms.THREE)
     printed = command.run("plan", path, *SINES)
@@ -29,9 +40,13 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(command, arm_file, m
         *("arm.xml", "sysid_output", "sysid_output/trajectory.csv"),
         *("sysid_output/trajectory.json", "sysid_output/trajectory.toml"),
     ]
-    promise = printed.out[printed.out.index("Keeps all limits for 3.0 s; ") :].splitlines()
+    promise = printed.out[
+        printed.out.index("Keeps all limits for 3.0 s; ") :
+    ].splitlines()
     assert promise[1] == "An identification of one recording will state, of link2:"
-    assert promise[2].startswith("  mass ± ") and promise[3].startswith("  centre of mass ± ")
+    assert promise[2].startswith("  mass ± ") and promise[3].startswith(
+        "  centre of mass ± "
+    )
     assert len(promise) <= 12 and "Peaks (share of limit):" not in printed.out
     saved = load_trajectory(path.parent / "sysid_output" / "trajectory.json")
     assert isinstance(saved.plan, SineTrajectory)
@@ -44,23 +59,37 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(command, arm_file, m
 
 
 @pytest.mark.slow
-def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(command, arm_file):
+def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
+    command, arm_file
+):
     path = arm_file(arms.THREE)
     save = ("--save-trajectory", "plan.json", "--excitation-time-budget", "0.05")
     printed = command.run("plan", path, *SINES[2:], *save)
     assert "Designing excitation trajectory (3.0s, 100 Hz)..." in printed.out
-    again = command.run("plan", path, "--trajectory", "plan.json", "--sample-rate", "100", "-v")
+    again = command.run(
+        "plan", path, "--trajectory", "plan.json", "--sample-rate", "100", "-v"
+    )
     # Only the limit on accelerations differs: a design has one of its own.
-    promise = printed.out[printed.out.index("Keeps all") : printed.out.index("Stays loose")]
-    assert promise.splitlines() == [each for each in again.out.splitlines() if each in promise]
+    promise = printed.out[
+        printed.out.index("Keeps all") : printed.out.index("Stays loose")
+    ]
+    assert promise.splitlines() == [
+        each for each in again.out.splitlines() if each in promise
+    ]
     assert "Peaks (share of limit):" in again.out
     command.run("plan", path, "--trajectory", "plan.json", "--speed", "0.5", *export(3))
-    rows = (path.parent / "sysid_output" / "damiao_trajectory.csv").read_text().splitlines()
+    rows = (
+        (path.parent / "sysid_output" / "damiao_trajectory.csv")
+        .read_text()
+        .splitlines()
+    )
     assert rows[-1].startswith("6.0")
 
 
 @pytest.mark.usefixtures("unpredicted")
-def test_ctrl_c_without_a_terminal_keeps_the_best_motion(command, arm_file, monkeypatch):
+def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
+    command, arm_file, monkeypatch
+):
     path = arm_file(arms.THREE)
     told = []
 
@@ -70,7 +99,9 @@ def test_ctrl_c_without_a_terminal_keeps_the_best_motion(command, arm_file, monk
 
     monkeypatch.setattr(Console, "_tell", interrupt)
     printed = command.run("plan", path, *SINES[2:])
-    assert len(told) == 1 and re.match("Designing the trajectory: .* %, mass ± .* kg", told[0])
+    assert len(told) == 1 and re.match(
+        "Designing the trajectory: .* %, mass ± .* kg", told[0]
+    )
     assert "interrupted; this is the best trajectory" in printed.err
     assert load_trajectory(path.parent / "sysid_output" / "trajectory.json")
 
@@ -86,7 +117,10 @@ def test_poses_can_be_planned_saved_and_checked_again(command, arm_file):
     saved = path.parent / "sysid_output" / "trajectory.json"
     assert isinstance(load_trajectory(saved).plan, LineTrajectory)
     folder = ("--output-dir", "again", "--sample-rate", "100")
-    assert "Trajectory saved" in command.run("plan", path, "--trajectory", saved, *folder).out
+    assert (
+        "Trajectory saved"
+        in command.run("plan", path, "--trajectory", saved, *folder).out
+    )
 
 
 def export(joints):
@@ -100,12 +134,17 @@ def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     weak = ("--trajectory", "plan.json", "--max-torque", "0.5", *export(3))
     message = command.refused("plan", path, *weak, code=1)
     assert message.endswith("; nothing was written")
-    assert "NOT KEPT: torque limit of joint" in command.run("plan", path, *weak, code=1).out
+    assert (
+        "NOT KEPT: torque limit of joint"
+        in command.run("plan", path, *weak, code=1).out
+    )
     assert not (path.parent / "sysid_output").exists()
 
 
 @pytest.mark.usefixtures("unpredicted")
-def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(command, arm_file):
+def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
+    command, arm_file
+):
     """A limit that the motion cannot keep is never left out."""
     pulled = arms.THREE.replace("<option ", '<option gravity="9.81 0 0" ')
     # One that can hang down, and one that cannot.
@@ -115,7 +154,10 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(comma
     message = command.refused("plan", arm_file(stiff, "stiff.xml"), *too_weak)
     takes = "holding still takes 4.37 N·m (0.76 of it for errors of the links, --link-uncertainty)"
     assert f"{takes} at joint joint1, more than 95 % of its torque" in message
-    assert "raise the torque limit of joint1 in the model if the joint can carry it" in message
+    assert (
+        "raise the torque limit of joint1 in the model if the joint can carry it"
+        in message
+    )
     printed = command.run("plan", path, *too_weak, "--save-trajectory", "plan.json")
     assert "the motion starts and ends at another pose" in printed.err
     assert "the straight way in joint space there from the model's pose" in printed.out
@@ -126,7 +168,9 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(comma
 
 
 @pytest.mark.usefixtures("unpredicted")
-def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(command, arm_file, monkeypatch):
+def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(
+    command, arm_file, monkeypatch
+):
     def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
@@ -143,10 +187,15 @@ def test_motions_for_friction_and_for_an_arm_can_be_saved_exported_and_checked_a
     command, arm_file, purpose
 ):
     path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
-    drawn = ("--excitation-time-budget", "0.05", "--seed", "1") if purpose == "arm" else ()
+    drawn = (
+        ("--excitation-time-budget", "0.05", "--seed", "1") if purpose == "arm" else ()
+    )
     printed = command.run("plan", path, "--for", purpose, *drawn, *export(2))
     assert "Keeps all limits for " in printed.out
     folder = path.parent / "sysid_output"
     assert (folder / "damiao_trajectory.csv").exists()
     again = ("--trajectory", folder / "trajectory.json", "--output-dir", "again")
-    assert "Trajectory saved" in command.run("plan", path, *again, "--sample-rate", "100").out
+    assert (
+        "Trajectory saved"
+        in command.run("plan", path, *again, "--sample-rate", "100").out
+    )

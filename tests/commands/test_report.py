@@ -47,7 +47,9 @@ def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch
 
     monkeypatch.setattr(page, "report_data", slowly)
     command.run(arm, "--plant-model", arm, *MEASURED)
-    assert (folder / "report_data.npz").is_file() and not (folder / "report.html").exists()
+    assert (folder / "report_data.npz").is_file() and not (
+        folder / "report.html"
+    ).exists()
     run = load_run(folder)
     assert run.data is None and "belongs to another run" in " ".join(run.missing)
 
@@ -69,7 +71,10 @@ def test_data_that_cannot_be_left_is_only_noted(command, arm, monkeypatch):
 
     monkeypatch.setattr(page, "save_data", broken)
     printed = command.run(arm, "--plant-model", arm, *MEASURED)
-    assert "nothing was left for a later report" in printed.err and "disk full" in printed.err
+    assert (
+        "nothing was left for a later report" in printed.err
+        and "disk full" in printed.err
+    )
 
 
 def test_without_the_option_nothing_is_drawn_and_nothing_for_it_loaded(command, arm):
@@ -96,7 +101,9 @@ def test_a_page_its_figures_and_a_comparison(command, arm):
     assert "Written" in command.run("report", folder).out
     assert (folder / "report.html").read_bytes() == before
     command.run(arm, *RUN, "--output-dir", "second")
-    printed = command.run("report", folder, arm.parent / "second", "--output-dir", "both")
+    printed = command.run(
+        "report", folder, arm.parent / "second", "--output-dir", "both"
+    )
     assert "comparison.html" in printed.out
     text = (arm.parent / "both" / "comparison.html").read_text()
     assert "sysid_output" in text and "second" in text

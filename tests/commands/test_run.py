@@ -24,8 +24,23 @@ def planned(tmp_path_factory):
     """A trajectory of that arm, within the limits it was made for."""
     path = tmp_path_factory.mktemp("planned") / "plan.json"
     path.with_name("arm.xml").write_text(TUBES)
-    words = ("--max-acceleration", "30", "--save-trajectory", path, "--output-dir", path.parent)
-    assert main([str(word) for word in (path.with_name("arm.xml"), *SHORT, "--quiet", *words)]) == 0
+    words = (
+        "--max-acceleration",
+        "30",
+        "--save-trajectory",
+        path,
+        "--output-dir",
+        path.parent,
+    )
+    assert (
+        main(
+            [
+                str(word)
+                for word in (path.with_name("arm.xml"), *SHORT, "--quiet", *words)
+            ]
+        )
+        == 0
+    )
     return path.read_text()
 
 
@@ -48,8 +63,12 @@ CHECKED = {
 
 @pytest.mark.usefixtures("unpredicted")
 @pytest.mark.parametrize("case", CHECKED)
-def test_where_a_limit_is_broken_nothing_is_written_or_called_good(case, command, arm, monkeypatch):
-    monkeypatch.setattr(LimitCheck, "failure", property(lambda check: "it breaks the law"))
+def test_where_a_limit_is_broken_nothing_is_written_or_called_good(
+    case, command, arm, monkeypatch
+):
+    monkeypatch.setattr(
+        LimitCheck, "failure", property(lambda check: "it breaks the law")
+    )
     asked, code = (("plan", arm), 1) if case.startswith("planned") else ((arm,), 2)
     assert "it breaks the law" in command.refused(*asked, *CHECKED[case], code=code)
 
@@ -72,11 +91,17 @@ def test_a_plan_is_used_by_arms_with_its_joints_alone(command, arm):
     other = arm.with_name("other.xml")
     other.write_text(TUBES.replace('name="joint3"', 'name="wrist"'))
     message = command.refused(other, "--trajectory", "plan.json", *RATE)
-    assert "made for the 4 joints joint0, joint1, joint2, joint3, but this arm has the" in message
+    assert (
+        "made for the 4 joints joint0, joint1, joint2, joint3, but this arm has the"
+        in message
+    )
     assert "joint0, joint1, joint2, wrist; design one for this arm" in message
     other.write_text(TUBES.replace("<mujoco>", '<mujoco model="other">'))
     printed = command.run(other, "--trajectory", "plan.json", *RATE, *EXPORT)
-    assert "plan.json was made for another model file; it is checked against" in printed.err
+    assert (
+        "plan.json was made for another model file; it is checked against"
+        in printed.err
+    )
     assert (arm.parent / "sysid_output" / "damiao_trajectory.csv").exists()
 
 
@@ -96,9 +121,13 @@ def test_an_exported_motion_obeys_what_was_asked_for(command, arm):
         assert witness.distance_to_plane(robot, saved, (*axis, low), "link3") >= 0.0
         assert witness.distance_to_plane(robot, saved, (*-axis, -high), "link3") >= 0.0
     table = np.genfromtxt(
-        arm.parent / "sysid_output" / "damiao_trajectory.csv", delimiter=",", skip_header=5
+        arm.parent / "sysid_output" / "damiao_trajectory.csv",
+        delimiter=",",
+        skip_header=5,
     )
-    np.testing.assert_allclose(table[:, 1::3], saved.evaluate(table[:, 0]).q, rtol=0.0, atol=5.1e-5)
+    np.testing.assert_allclose(
+        table[:, 1::3], saved.evaluate(table[:, 0]).q, rtol=0.0, atol=5.1e-5
+    )
 
 
 def test_more_samples_than_anybody_can_wait_for_are_refused_at_once(command, arm):

@@ -45,7 +45,12 @@ BASES = {
     "motors map": "--channel can0 --model two.xml",
 }
 """Command to words with which it gets as far as its files."""
-BESIDE = {("motors hold", "--park"): "--model two.xml --joint-map map.csv --channel can0 --yes"}
+BESIDE = {
+    (
+        "motors hold",
+        "--park",
+    ): "--model two.xml --joint-map map.csv --channel can0 --yes"
+}
 """Words in place of a command's own, for options that do not go with these."""
 
 
@@ -70,7 +75,9 @@ def words_with(command, action, path):
 
 
 CASES = [
-    pytest.param(command, action, id=f"{command} {(*action.option_strings, action.dest)[0]}")
+    pytest.param(
+        command, action, id=f"{command} {(*action.option_strings, action.dest)[0]}"
+    )
     for command, parser in PARSERS.items()
     for action in parser._actions
     if is_path(action)
@@ -102,7 +109,9 @@ def bounds(seconds, memory):
 def files(tmp_path_factory):
     """A folder with what the commands read."""
     folder = tmp_path_factory.mktemp("files")
-    (folder / "arm.xml").write_text(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT))
+    (folder / "arm.xml").write_text(
+        arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
+    )
     (folder / "two.xml").write_text(arms.serial_arm((arms.Z, arms.Y)))
     measured = log_of(true_arm(), noise_torque=0.1)
     rows = np.column_stack((measured.time, measured.q, measured.tau))

@@ -38,7 +38,16 @@ def play(command, folder, code=0):
 def test_the_way_from_a_refused_motion_to_one_that_is_played_is_printed_step_by_step(
     command, tmp_path
 ):
-    begin = ("--export-damiao", *MOTORS, "--output-dir", "first", "--seed", "1", "--duration", "8")
+    begin = (
+        "--export-damiao",
+        *MOTORS,
+        "--output-dir",
+        "first",
+        "--seed",
+        "1",
+        "--duration",
+        "8",
+    )
     printed = command.run("plan", GUESS, *begin)
     assert "Usable: play it on the arm" in printed.out
     refused = play(command, Path("first"), code=3)

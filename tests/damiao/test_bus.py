@@ -60,7 +60,9 @@ class ArmBus:
     def message(self, identifier=1, data=b"", age=0.0, **rest):
         stamp = WALL + self._clock.now() - age
         rest = {"is_extended_id": False, **rest}
-        return can.Message(timestamp=stamp, arbitration_id=identifier, data=data, **rest)
+        return can.Message(
+            timestamp=stamp, arbitration_id=identifier, data=data, **rest
+        )
 
     def recv(self, timeout):
         if self.waiting:
@@ -86,14 +88,17 @@ def test_an_arm_behind_pythons_messages_answers(clock):
 
 
 @pytest.mark.parametrize(
-    ("age", "taken_back"), [(0.0, 0.0), (0.3, 0.3), (0.999, 0.999), (-0.1, 0.0), (1.5, 0.0)]
+    ("age", "taken_back"),
+    [(0.0, 0.0), (0.3, 0.3), (0.999, 0.999), (-0.1, 0.0), (1.5, 0.0)],
 )
 def test_stamps_are_in_our_clock_unless_they_are_of_another_one(clock, age, taken_back):
     bus = ArmBus(clock)
     clock.sleep_until(5.0)
     bus.waiting = [bus.message(age=age)]
     # The wall clock counts in quarters of a microsecond.
-    assert BusLink([bus], clock).receive(6.0).time == pytest.approx(5.0 - taken_back, abs=1e-6)
+    assert BusLink([bus], clock).receive(6.0).time == pytest.approx(
+        5.0 - taken_back, abs=1e-6
+    )
 
 
 def test_extended_frames_are_passed_over_and_echoes_marked(clock):
@@ -221,7 +226,9 @@ for module in pkgutil.walk_packages(robot_sysid.damiao.__path__, "robot_sysid.da
 from robot_sysid.cli import main
 sys.exit(main(["motors", "check", "--channel", "can0"]))
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True
+    )
     assert done.returncode == 2
     assert done.stderr.strip().endswith('pip install "robot-sysid[can]"')
     assert len(done.stderr.strip().splitlines()) == 1
@@ -282,7 +289,8 @@ def test_the_frame_log_is_lossless(tmp_path_factory, frames):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("x.unknown", "cannot log frames"), ("no/folder.log", "cannot write")]
+    ("name", "words"),
+    [("x.unknown", "cannot log frames"), ("no/folder.log", "cannot write")],
 )
 def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, words):
     with pytest.raises(InputError, match=words):
@@ -309,7 +317,9 @@ def test_a_full_queue_is_tried_again_within_the_cycle(clock):
     always = Queue(10**9)
     BusLink([once], clock).send(Frame(1, bytes(8)))
     assert len(once.calls) == 2 and once.calls[1] - once.calls[0] < 1e-3
-    with pytest.raises(LinkError, match="check the motors' power, the wiring and the termination"):
+    with pytest.raises(
+        LinkError, match="check the motors' power, the wiring and the termination"
+    ):
         BusLink([always], clock).send(Frame(1, bytes(8)))
     assert always.calls[-1] - always.calls[0] < 4e-3
 

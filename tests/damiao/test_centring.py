@@ -80,8 +80,12 @@ def sampled_ripple(mobility, stiffness, damping, step, growth, time):
     arm = mobility, stiffness, damping
     from_rest = one_period(*arm, torques, np.zeros((2, n)))[-1].ravel()
     units = np.eye(2 * n).reshape(-1, 2, n)
-    carried = np.array([one_period(*arm, 0.0 * torques, unit)[-1].ravel() for unit in units]).T
-    start = np.linalg.lstsq(np.eye(2 * n) - carried, from_rest, rcond=1e-12)[0].reshape(2, n)
+    carried = np.array(
+        [one_period(*arm, 0.0 * torques, unit)[-1].ravel() for unit in units]
+    ).T
+    start = np.linalg.lstsq(np.eye(2 * n) - carried, from_rest, rcond=1e-12)[0].reshape(
+        2, n
+    )
     states = one_period(*arm, torques, start)
     at = np.round(time / PERIOD * fine).astype(int) - 1
     sampled = states[at, :, np.arange(n)].T
@@ -103,7 +107,9 @@ def test_ripple_is_the_periodic_response_to_steps_at_their_moments(damping, stif
     command = MitCommand(*np.zeros((2, 2)), kp, kd, np.zeros(2))
     computed = ripple.motion(np.zeros(2), command, step, growth, time, PERIOD)
     for values, integrated in zip(computed, expected):
-        np.testing.assert_allclose(values, integrated, atol=2e-3 * np.max(np.abs(values)))
+        np.testing.assert_allclose(
+            values, integrated, atol=2e-3 * np.max(np.abs(values))
+        )
 
 
 def test_a_step_leaves_a_twelfth_of_its_impulse_where_nothing_damps():
@@ -144,5 +150,7 @@ def test_gains_that_leave_two_modes_in_one_spoil_no_sample(kp, kd):
     """None at all, or critical damping: kd^2 = 4 kp inertia."""
     ripple = SamplingRipple(lambda q: np.array([[0.25]]), np.zeros(1))
     one = np.ones(1)
-    added = ripple.motion(0.0 * one, stiff(0.0 * one, kp, kd), one, one, 0.0 * one, PERIOD)
+    added = ripple.motion(
+        0.0 * one, stiff(0.0 * one, kp, kd), one, one, 0.0 * one, PERIOD
+    )
     assert np.all(np.isfinite(added)) and np.max(np.abs(added)) < 1e-3

@@ -34,7 +34,9 @@ def scaling_of(*names: str) -> Scaling:
 
 
 def command(position, velocity, kp, kd, torque) -> MitCommand:
-    return MitCommand(*(np.array([float(x)]) for x in (position, velocity, kp, kd, torque)))
+    return MitCommand(
+        *(np.array([float(x)]) for x in (position, velocity, kp, kd, torque))
+    )
 
 
 def refusal(*arguments):
@@ -53,12 +55,17 @@ def refusal(*arguments):
     ],
 )
 def test_known_commands_have_known_bytes(values, limits, expected):
-    assert encode_mit(command(*values), Scaling([limits])).tobytes() == bytes.fromhex(expected)
+    assert encode_mit(command(*values), Scaling([limits])).tobytes() == bytes.fromhex(
+        expected
+    )
 
 
 @pytest.mark.parametrize(
     ("limits", "p", "v", "t"),
-    [((12.5, 10, 28), 1.08701, -0.21734, 1.40171), ((12.5, 30, 10), 1.08701, -0.65201, 0.50061)],
+    [
+        ((12.5, 10, 28), 1.08701, -0.21734, 1.40171),
+        ((12.5, 30, 10), 1.08701, -0.65201, 0.50061),
+    ],
 )
 def test_known_feedback_has_known_values(limits, p, v, t):
     frame = np.frombuffer(bytes.fromhex("138B217D3866231F"), dtype=np.uint8)[None]
@@ -75,7 +82,9 @@ def test_many_joints_and_samples_survive_within_half_a_step(names, seed, shape):
     rng = np.random.default_rng(seed)
     n = len(names)
     scaling = scaling_of(*names)
-    p, v, t = (rng.uniform(-0.8, 0.8, (*shape, n)) * limit for limit in scaling.limits.T)
+    p, v, t = (
+        rng.uniform(-0.8, 0.8, (*shape, n)) * limit for limit in scaling.limits.T
+    )
     kp = rng.uniform(0.0, KP_MAX, (*shape, n))
     kd = rng.uniform(0.01, KD_MAX, (*shape, n))
     frames = encode_mit(MitCommand(p, v, kp, kd, t), scaling)
@@ -88,7 +97,9 @@ def test_many_joints_and_samples_survive_within_half_a_step(names, seed, shape):
     for index in np.ndindex(*shape):
         for j, name in enumerate(names):
             at = (*index, j)
-            alone = encode_mit(command(p[at], v[at], kp[at], kd[at], t[at]), scaling_of(name))
+            alone = encode_mit(
+                command(p[at], v[at], kp[at], kd[at], t[at]), scaling_of(name)
+            )
             assert alone[0].tobytes() == frames[at].tobytes()
 
 
@@ -115,10 +126,14 @@ def test_feedback_survives_within_a_step_and_half_a_step_centred(names, seed):
     plain = decode_feedback(frames, scaling)
     centred = decode_feedback(frames, scaling, True)
     inside = np.clip(truth, -scaling.limits.T, scaling.limits.T)
-    for field, value, step in zip(("position", "velocity", "torque"), inside, scaling.steps):
+    for field, value, step in zip(
+        ("position", "velocity", "torque"), inside, scaling.steps
+    ):
         late = value - getattr(plain, field)
         assert np.all((late >= -1e-9 * step) & (late <= step * (1 + 1e-9)))
-        np.testing.assert_allclose(getattr(centred, field), getattr(plain, field) + 0.5 * step)
+        np.testing.assert_allclose(
+            getattr(centred, field), getattr(plain, field) + 0.5 * step
+        )
     for field in ("can_id", "status", "temperature_mos", "temperature_rotor"):
         np.testing.assert_array_equal(getattr(plain, field), getattr(sent, field))
 
@@ -133,7 +148,8 @@ def test_what_is_beyond_its_limit_by_a_millionth_of_it_is_refused(field, sign):
     low = 0.0 if field in ("kp", "kd") else -limits[field]
     exact = values | {field: limits[field] if sign > 0 else low}
     near, beyond = (
-        values | {field: exact[field] + sign * share * limits[field]} for share in (0.9e-6, 1.1e-6)
+        values | {field: exact[field] + sign * share * limits[field]}
+        for share in (0.9e-6, 1.1e-6)
     )
     frames = [encode_mit(command(**v), scaling).tobytes() for v in (exact, near)]
     assert frames[0] == frames[1]
@@ -154,7 +170,9 @@ def test_the_message_names_the_joint_that_is_out_of_range():
 
 def test_stiffness_without_damping_is_refused():
     damping = np.array([[1.0, 1.0], [1.0, 0.0]])
-    shaky = MitCommand(0.0 * damping, 0.0 * damping, 10.0 + 0.0 * damping, damping, 0.0 * damping)
+    shaky = MitCommand(
+        0.0 * damping, 0.0 * damping, 10.0 + 0.0 * damping, damping, 0.0 * damping
+    )
     assert refusal(shaky, scaling_of("DM4340", "DM4310")) == (
         "kp > 0 needs kd of at least 0.0012 of motor number 2: less is sent as 0"
     )
@@ -166,8 +184,12 @@ def test_stiffness_without_damping_is_refused():
 
 
 @pytest.mark.parametrize("share", [0.876, 1.0])
-def test_a_command_that_looks_like_a_special_frame_is_refused_by_the_motors_number(share):
-    many = MitCommand(*np.array([[0, 0, 1, 1, 0], [12.5, 10, 500, 5, 28 * share]], float).T)
+def test_a_command_that_looks_like_a_special_frame_is_refused_by_the_motors_number(
+    share,
+):
+    many = MitCommand(
+        *np.array([[0, 0, 1, 1, 0], [12.5, 10, 500, 5, 28 * share]], float).T
+    )
     assert refusal(many, scaling_of("DM4310", "DM4340")) == (
         "the command of motor number 2 has every field at its maximum and would read as a special "
         "frame; lower its gains or torque"
@@ -180,7 +202,11 @@ def test_scaling_has_to_be_positive(bad):
         Scaling([(1.0, 2.0, 3.0), (12.5, bad, 28.0)])
 
 
-@given(st.lists(st.floats(-10.0, 10.0), min_size=5, max_size=5), st.floats(0, 1), st.floats(0, 1))
+@given(
+    st.lists(st.floats(-10.0, 10.0), min_size=5, max_size=5),
+    st.floats(0, 1),
+    st.floats(0, 1),
+)
 def test_a_motor_is_pulled_towards_where_and_how_fast_it_should_be(values, kp, kd):
     """By a spring and a damper to its reference, beside the torque asked for."""
     p, v, t, q, qd = values

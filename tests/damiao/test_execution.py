@@ -14,7 +14,9 @@ from tests.support.arms import THREE
 from tests.support.damiao_rig import swing, trajectory_file
 
 
-@pytest.mark.parametrize(("error_type", "has_remedy"), [(Overload, True), (BeyondBounds, False)])
+@pytest.mark.parametrize(
+    ("error_type", "has_remedy"), [(Overload, True), (BeyondBounds, False)]
+)
 def test_an_arm_that_needs_more_than_its_motors_is_to_be_weighed(
     tmp_path, monkeypatch, heard, arm_file, error_type, has_remedy
 ):

@@ -20,7 +20,9 @@ from tests.support.places import ROOT
 def outcomes():
     """What came of all lines, by name: their runs branch off one undisturbed run."""
     assert loaded_joint(SetUp()) == SHOULDER
-    return {outcome.name: outcome for outcome in outcomes_of([line.case for line in LINES])}
+    return {
+        outcome.name: outcome for outcome in outcomes_of([line.case for line in LINES])
+    }
 
 
 @pytest.mark.slow

@@ -46,7 +46,8 @@ FD = BusTiming(fd=True)
 
 
 @pytest.mark.parametrize(
-    ("motors", "classic", "fast"), [(4, 648, 1546), (6, 432, 1031), (7, 370, 883), (14, 185, 442)]
+    ("motors", "classic", "fast"),
+    [(4, 648, 1546), (6, 432, 1031), (7, 370, 883), (14, 185, 442)],
 )
 def test_rates_at_seventy_percent_are_those_of_the_manual(motors, classic, fast):
     assert bus_load(motors, classic, CLASSIC) == pytest.approx(0.7, abs=1e-3)
@@ -72,11 +73,15 @@ def test_defaults_fit_the_bus():
 @given(number=st.sampled_from(sorted(NAMES)), data=st.data())
 def test_register_values_survive_their_four_bytes(number, data):
     whole = number in INTEGERS
-    values = st.integers(0, 2**32 - 1) if whole else st.floats(width=32, allow_nan=False)
+    values = (
+        st.integers(0, 2**32 - 1) if whole else st.floats(width=32, allow_nan=False)
+    )
     value = data.draw(values)
     assert value_from_bytes(number, bytes_from_value(number, value)) == value
 
 
 def test_every_code_has_words_and_all_but_two_are_faults():
-    assert [describe(code).startswith(f"status {code:X}: ") for code in range(16)] == [True] * 16
+    assert [describe(code).startswith(f"status {code:X}: ") for code in range(16)] == [
+        True
+    ] * 16
     assert [code for code in range(16) if not is_fault(code)] == [0, 1]

@@ -50,7 +50,9 @@ def test_every_type_has_its_limits_and_finds_itself_by_them():
 
 
 def test_an_unknown_type_lists_the_valid_ones():
-    with pytest.raises(InputError, match="unknown Damiao motor type 'no such type'") as caught:
+    with pytest.raises(
+        InputError, match="unknown Damiao motor type 'no such type'"
+    ) as caught:
         motor_spec("no such type")
     assert all(name in str(caught.value) for name in MOTORS)
 
@@ -74,7 +76,9 @@ NUMBERS = st.floats(-10.0, 10.0)
 
 @st.composite
 def spaces(draw, n=3):
-    each = [[draw(kind) for _ in range(n)] for kind in (WAYS, NUMBERS, st.floats(0.1, 5.0))]
+    each = [
+        [draw(kind) for _ in range(n)] for kind in (WAYS, NUMBERS, st.floats(0.1, 5.0))
+    ]
     return JointSpace(*np.array(each, dtype=float))
 
 
@@ -97,7 +101,11 @@ def test_a_motor_makes_the_torque_that_its_joint_is_told(space, numbers):
     np.testing.assert_allclose(torque, told.motor_torque(q, qd), atol=1e-6)
 
 
-@given(st.lists(st.tuples(WAYS, st.floats(-3, 3), st.floats(0.5, 2.0)), min_size=1, max_size=7))
+@given(
+    st.lists(
+        st.tuples(WAYS, st.floats(-3, 3), st.floats(0.5, 2.0)), min_size=1, max_size=7
+    )
+)
 def test_a_map_is_read_as_it_was_written(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("map") / "map.csv"
     written = [
@@ -147,7 +155,13 @@ def test_only_motors_on_one_bus_can_clash():
 
 # As LeRobot's OpenArm follower writes it, typed from its source.
 CALIBRATION = {
-    name: {"id": k, "drive_mode": 0, "homing_offset": 0, "range_min": -90, "range_max": 90}
+    name: {
+        "id": k,
+        "drive_mode": 0,
+        "homing_offset": 0,
+        "range_min": -90,
+        "range_max": 90,
+    }
     for k, name in enumerate(("joint_1", "joint_2", "gripper"), start=1)
 }
 ARM = {"port": "can0", "side": None, "motor_config": {"joint_1": [1, 17, "dm8009"]}}
@@ -173,9 +187,15 @@ def test_a_calibration_names_motors_that_turn_as_their_joints_do(read):
 
 
 def test_a_configuration_tells_ids_and_buses_of_one_arm_or_two(read):
-    assert read({"robot": ARM}) == read(ARM) == (DamiaoJoint("", 1, 17, "joint_1", 0, "can0"),)
+    assert (
+        read({"robot": ARM})
+        == read(ARM)
+        == (DamiaoJoint("", 1, 17, "joint_1", 0, "can0"),)
+    )
     right = {"port": "can1", "motor_config": {"joint_1": [1, 33, "dm8009"]}}
-    rows = read({"left_arm_config": ARM, "right_arm_config": right}, [*LEFT, "right_joint1"])
+    rows = read(
+        {"left_arm_config": ARM, "right_arm_config": right}, [*LEFT, "right_joint1"]
+    )
     assert [(row.name, row.master_id, row.channel) for row in rows] == [
         ("openarm_left_joint1", 17, "can0"),
         ("right_joint1", 33, "can1"),
@@ -185,11 +205,20 @@ def test_a_configuration_tells_ids_and_buses_of_one_arm_or_two(read):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"joint_1": {**CALIBRATION["joint_1"], "homing_offset": 512}}, "homing_offset of joint_1"),
-        ({"joint_1": {**CALIBRATION["joint_1"], "drive_mode": 1}}, "drive_mode of joint_1 is 1"),
+        (
+            {"joint_1": {**CALIBRATION["joint_1"], "homing_offset": 512}},
+            "homing_offset of joint_1",
+        ),
+        (
+            {"joint_1": {**CALIBRATION["joint_1"], "drive_mode": 1}},
+            "drive_mode of joint_1 is 1",
+        ),
         ({"joint_1": {"id": 1}}, "is no calibration or configuration of LeRobot"),
         ([1, 2], "is no calibration or configuration of LeRobot"),
-        ({"motor_config": {"a": [1, 2, "x"], "b": [2, 18, "x"]}}, "would be taken as commands"),
+        (
+            {"motor_config": {"a": [1, 2, "x"], "b": [2, 18, "x"]}},
+            "would be taken as commands",
+        ),
         ({}, "has no lines"),
     ],
 )

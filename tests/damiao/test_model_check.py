@@ -9,7 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.model_check import Contacts, model_checks, torque_checks, way_check
+from robot_sysid.damiao.model_check import (
+    Contacts,
+    model_checks,
+    torque_checks,
+    way_check,
+)
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Plan
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.references import ORDERS, STRAIGHT
@@ -55,7 +60,9 @@ def limited(arm, share, peaks):
 
 def checked(played, speed, robot, park=None, limits=NO_LIMITS):
     """What a model says to a motion played at a share of its speed."""
-    plan = Plan(played, PlaySettings(speed=speed, park=park and str(park)), limits=limits)
+    plan = Plan(
+        played, PlaySettings(speed=speed, park=park and str(park)), limits=limits
+    )
     return list(model_checks(plan, Contacts([robot], limits)))
 
 
@@ -66,7 +73,9 @@ def exceeded(checks):
     stops = [check.text.partition(";")[0] for check in checks if check.severity == STOP]
     if not stops:
         assert [check.severity for check in checks] == [OK]
-    found = [(j, w) for t in stops for j in JOINTS for w in WHAT if j in t and f"{w} " in t]
+    found = [
+        (j, w) for t in stops for j in JOINTS for w in WHAT if j in t and f"{w} " in t
+    ]
     assert len(found) == len(stops) == len(checks) - (not stops), stops
     return set(found)
 
@@ -82,7 +91,9 @@ def peaks_of(motion):
     share=st.lists(SHARES, min_size=9, max_size=9),
     seed=arms.SEEDS,
 )
-def test_every_row_counts_however_short_its_peak(arm, folder, rows, rate, speed, share, seed):
+def test_every_row_counts_however_short_its_peak(
+    arm, folder, rows, rate, speed, share, seed
+):
     """Feed-forward torques and stated velocities of any shape, around an arm that stands still."""
     share = np.reshape(share, (3, 3))
     rng = np.random.default_rng(seed)
@@ -105,7 +116,9 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     free = np.full(3, np.inf)
     robot = replace(arm, limits=JointLimits(-free, free, steepest / share, free))
     found = exceeded(checked(written(folder, (time, q, 0 * qd, tau)), speed, robot))
-    assert found == ({(joint, "velocity") for joint in JOINTS} if share > 1.0 else set())
+    assert found == (
+        {(joint, "velocity") for joint in JOINTS} if share > 1.0 else set()
+    )
 
 
 def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, rate=1000.0):
@@ -114,7 +127,9 @@ def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, rate=100
     time = np.arange(50) / rate
     q = np.tile((velocity * time)[:, None], 3)
     free = np.full(3, np.inf)
-    robot = replace(arm, limits=JointLimits(-free, free, np.full(3, velocity + 1e-4), free))
+    robot = replace(
+        arm, limits=JointLimits(-free, free, np.full(3, velocity + 1e-4), free)
+    )
     motion = time, q, np.full_like(q, velocity), 0 * q
     assert exceeded(checked(written(folder, motion), 1.0, robot)) == set()
 
@@ -145,7 +160,9 @@ def with_its_torque(arm, seed, factor=1.0):
 
 def refused(folder, arm, motion, **settings):
     played = trajectory_file(folder, motion)
-    settings = PlaySettings(**settings).for_motors([j.spec for j in played.joints], BusTiming())
+    settings = PlaySettings(**settings).for_motors(
+        [j.spec for j in played.joints], BusTiming()
+    )
     return [check.text for check in torque_checks(played, settings, arm)]
 
 
@@ -158,9 +175,15 @@ def test_the_torque_of_the_motion_is_let_pass_also_where_the_load_is_another(
 
 @pytest.mark.parametrize(
     ("factor", "words"),
-    [(-1.0, "forward has the other sign"), (0.0, "is missing"), (3.0, "is another joint's")],
+    [
+        (-1.0, "forward has the other sign"),
+        (0.0, "is missing"),
+        (3.0, "is another joint's"),
+    ],
 )
-def test_another_torque_than_the_motion_needs_is_refused_and_named(arm, folder, factor, words):
+def test_another_torque_than_the_motion_needs_is_refused_and_named(
+    arm, folder, factor, words
+):
     motion = with_its_torque(arm, 0)
     loaded = int(np.argmax(np.abs(motion[3]).mean(axis=0)))
     motion[3][:, loaded] *= factor
@@ -170,7 +193,10 @@ def test_another_torque_than_the_motion_needs_is_refused_and_named(arm, folder, 
 
 @pytest.mark.parametrize(
     ("amplitude", "words"),
-    [(0.05, "is missing: it is off by 10.5 N m where"), (0.15, "N m and its motor makes 27 at")],
+    [
+        (0.05, "is missing: it is off by 10.5 N m where"),
+        (0.15, "N m and its motor makes 27 at"),
+    ],
 )
 def test_a_ripple_that_no_motor_follows_is_refused(arm, folder, amplitude, words):
     """0.05 rad at 10 Hz: 3 rad/s, below any speed limit, and 197 rad/s^2."""
@@ -199,7 +225,9 @@ def turn(angle):
 
 
 @given(angle=st.floats(-2.5, 1.4) | st.floats(1.6, 2.5), speed=SPEEDS)
-def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(folder, angle, speed):
+def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(
+    folder, angle, speed
+):
     """The wall stands at a right angle; ball and box touch within 0.1 rad of it."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
     (check,) = checked(written(folder, turn(angle)), speed, robot)
@@ -214,15 +242,24 @@ def test_where_the_arm_is_parked_and_each_way_are_compared_too(folder, angle):
     """The one joint has no order that avoids the wall between zero and an angle."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
     (folder / "pose").write_text(f"{angle}")
-    said = [c.text for c in checked(written(folder, turn(0.5)), 1.0, robot, folder / "pose")]
-    assert any("outside the model's -3 to 3; choose another" in text for text in said) == (
-        angle > 3.0
-    )
+    said = [
+        c.text for c in checked(written(folder, turn(0.5)), 1.0, robot, folder / "pose")
+    ]
+    assert any(
+        "outside the model's -3 to 3; choose another" in text for text in said
+    ) == (angle > 3.0)
     order, touching = Contacts([robot]).order(np.zeros(1), np.array([angle]))
-    assert (order, "wall" in touching) == (("", True) if angle > 1.5 else (STRAIGHT, False))
-    for words, ends in (("the first point", "nearer by hand"), ("parked", "choose another --park")):
+    assert (order, "wall" in touching) == (
+        ("", True) if angle > 1.5 else (STRAIGHT, False)
+    )
+    for words, ends in (
+        ("the first point", "nearer by hand"),
+        ("parked", "choose another --park"),
+    ):
         found = [c.text for c in way_check(f"on the way to {words}", order, touching)]
-        assert [words in text and text.endswith(ends) for text in found] == [True] * (angle > 1.5)
+        assert [words in text and text.endswith(ends) for text in found] == [True] * (
+            angle > 1.5
+        )
 
 
 def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
@@ -231,8 +268,12 @@ def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
     low = turn(0.5)
     high = turn(1.0)
     for limits in (
-        LimitOptions(keep_out=((0.0, -1.0, 0.0, -0.3),), clearance=0.0, below_base=True),
-        LimitOptions(workspace=(-1.0, 1.0, -1.0, 0.3, -1.0, 1.0), clearance=0.0, below_base=True),
+        LimitOptions(
+            keep_out=((0.0, -1.0, 0.0, -0.3),), clearance=0.0, below_base=True
+        ),
+        LimitOptions(
+            workspace=(-1.0, 1.0, -1.0, 0.3, -1.0, 1.0), clearance=0.0, below_base=True
+        ),
     ):
         (fits,) = checked(written(folder, low), 1.0, robot, None, limits)
         assert fits.severity == OK
@@ -252,13 +293,19 @@ ELBOW = arms.world(
 
 
 @pytest.mark.parametrize(
-    ("post", "order"), [((0.6, -0.3), 0), ((0.154, 0.72), 1), ((0.55, 0.55), 2), ((0.8, 0.0), None)]
+    ("post", "order"),
+    [((0.6, -0.3), 0), ((0.154, 0.72), 1), ((0.55, 0.55), 2), ((0.8, 0.0), None)],
 )
 def test_an_arm_goes_joint_by_joint_where_the_straight_way_touches(post, order):
     """Folding first passes inside of a post, turning first outside of it; not one at the start."""
-    robot = arms.robot_of(ELBOW.format(x=post[0], y=post[1]), joint="b", max_velocity=np.inf)
+    robot = arms.robot_of(
+        ELBOW.format(x=post[0], y=post[1]), joint="b", max_velocity=np.inf
+    )
     found, touching = Contacts([robot]).order(np.zeros(2), np.array([1.2, 1.0]))
-    assert (found, bool(touching)) == ("" if order is None else ORDERS[order], order != 0)
+    assert (found, bool(touching)) == (
+        "" if order is None else ORDERS[order],
+        order != 0,
+    )
     (said,) = [*way_check("on the way", found, touching)] or [None]
     assert (said and said.severity) == {0: None, None: STOP}.get(order, NOTE)
 
@@ -278,10 +325,14 @@ def heavy_motion(arm):
     return time, q, 40.0 * qd, tau
 
 
-def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(arm, tmp_path):
+def test_an_arm_that_needs_more_than_its_motors_make_is_to_be_weighed_first(
+    arm, tmp_path
+):
     first = refused(tmp_path, arm, heavy_motion(arm))[0]
     command = first.partition("with a smaller motion first: ")[2]
-    assert command.startswith("robot-sysid plan inline.xml --joint joint2 --export-damiao ")
+    assert command.startswith(
+        "robot-sysid plan inline.xml --joint joint2 --export-damiao "
+    )
     assert command.count("--motor-type DM4340") == 3
     assert command.endswith(f"--for weight --output-dir {tmp_path / 'weighing'}")
     settings_file(tmp_path, "guess.xml")
@@ -299,7 +350,12 @@ HEAVY = arms.THREE.replace('mass=".8"', 'mass="8"')
 @pytest.mark.parametrize(
     ("purpose", "factor", "severity", "words"),
     [
-        ("link", 1.0, STOP, "weigh the arm with a smaller motion first: robot-sysid plan "),
+        (
+            "link",
+            1.0,
+            STOP,
+            "weigh the arm with a smaller motion first: robot-sysid plan ",
+        ),
         ("weight", 1.0, NOTE, "the file is as its model has it, and weighs this arm"),
         ("weight", -1.0, STOP, "export the file again for this arm: robot-sysid plan "),
     ],
@@ -314,5 +370,7 @@ def test_a_load_that_the_plan_did_not_know_is_told_from_a_wrong_file(
     light, heavy = (arms.robot_of(xml, max_velocity=np.inf) for xml in (LIGHT, HEAVY))
     played = trajectory_file(tmp_path, with_its_torque(light, 0, factor))
     settings = PlaySettings().for_motors([j.spec for j in played.joints], BusTiming())
-    checks = [c for c in torque_checks(played, settings, heavy) if "feeds forward " in c.text]
+    checks = [
+        c for c in torque_checks(played, settings, heavy) if "feeds forward " in c.text
+    ]
     assert checks[0].severity == severity and words in checks[0].text

@@ -24,7 +24,9 @@ STANDING = 0.7
 
 
 def rig(folder, **options):
-    return Rig(folder, 2, **{"motion": swing(2, duration=0.8), "rate": 125.0, **options})
+    return Rig(
+        folder, 2, **{"motion": swing(2, duration=0.8), "rate": 125.0, **options}
+    )
 
 
 def lifted():
@@ -45,7 +47,9 @@ def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(tmp_path)
     for what, close in (("pos", 2e-3), ("vel", 0.05), ("tau", 0.15)):
         straight, turned = (r.recording.joint_values(what) for r in (plain, odd))
         np.testing.assert_allclose(turned, straight, atol=close)
-    assert odd.motors[1].position == pytest.approx(0.6 - odd.arm.mechanism.q[1], abs=0.01)
+    assert odd.motors[1].position == pytest.approx(
+        0.6 - odd.arm.mechanism.q[1], abs=0.01
+    )
 
 
 # --- motors outside the trajectory ----------------------------------------------------------------
@@ -57,7 +61,9 @@ def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, how):
     gripper.position = 0.3
     seen = []
     run = rig(tmp_path, extra_motors=[gripper], others=how)
-    run.during("playing", 0.3, lambda r: seen.append((gripper.status, gripper.command))).run()
+    run.during(
+        "playing", 0.3, lambda r: seen.append((gripper.status, gripper.command))
+    ).run()
     assert run.error is None and run.states() == [DISABLED] * 3
     said = [check.text for check in run.checks if "not in the trajectory" in check.text]
     assert len(said) == 1 and how in said[0].replace("held", "hold")
@@ -68,31 +74,46 @@ def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, how):
     assert run.recording.joint_values("pos").shape[1] == 2
 
 
-def test_a_motor_that_another_program_has_enabled_is_refused_or_taken_over_when_asked(tmp_path):
+def test_a_motor_that_another_program_has_enabled_is_refused_or_taken_over_when_asked(
+    tmp_path,
+):
     """Left alone it would go on driving while the run says that all motors are disabled."""
     gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
     gripper.status = ENABLED
     gripper.position = 0.3
     gripper.registers[TIMEOUT] = 9e4
     run = rig(tmp_path, extra_motors=[gripper], others="limp").run()
-    assert "motor 8 is enabled by another program and not in the trajectory" in str(run.error)
+    assert "motor 8 is enabled by another program and not in the trajectory" in str(
+        run.error
+    )
     run.assert_never_moved()
     silent = inspect_bus(run.link)
     silent.motors[0, 8] = replace(silent.motors[0, 8], feedback=None)
-    assert "motor 8 does not tell whether it is enabled" in stops(bus_checks(run.plan, silent))[0]
+    assert (
+        "motor 8 does not tell whether it is enabled"
+        in stops(bus_checks(run.plan, silent))[0]
+    )
     run = rig(tmp_path, extra_motors=[gripper], others="hold").run()
     assert run.error is None and run.states() == [DISABLED] * 3
-    assert any("motor 8 is enabled by another program: it is taken" in c.text for c in run.checks)
+    assert any(
+        "motor 8 is enabled by another program: it is taken" in c.text
+        for c in run.checks
+    )
 
 
-def test_an_unknown_motor_cannot_be_held_and_the_fault_of_a_held_one_stops_the_arm(tmp_path):
+def test_an_unknown_motor_cannot_be_held_and_the_fault_of_a_held_one_stops_the_arm(
+    tmp_path,
+):
     gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
     run = rig(tmp_path, extra_motors=[gripper], others="hold")
     run.during("playing", 0.1, lambda r: gripper.fail(0xA)).run()
     assert "motor 8 reports status A" in str(run.error)
     gripper.registers[21] = 3.0
     run = rig(tmp_path, extra_motors=[gripper], others="hold").run()
-    assert "motor 8 is of no known type and cannot be held" in [*map(str, stops(run.checks))][-1]
+    assert (
+        "motor 8 is of no known type and cannot be held"
+        in [*map(str, stops(run.checks))][-1]
+    )
 
 
 # --- how the arm is left --------------------------------------------------------------------------
@@ -131,7 +152,10 @@ def test_an_arm_that_is_stopped_is_lowered_too(tmp_path):
 
 @pytest.mark.parametrize(
     ("where", "target"),
-    [("0.9, 0.5", [0.9, 0.5]), pytest.param("start", [0.6, 0.8], marks=pytest.mark.slow)],
+    [
+        ("0.9, 0.5", [0.9, 0.5]),
+        pytest.param("start", [0.6, 0.8], marks=pytest.mark.slow),
+    ],
 )
 def test_an_arm_is_parked_slowly(tmp_path, where, target):
     park = "start"
@@ -179,7 +203,10 @@ def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
     joints = damiao_joints(["DM4340"] * 2, 2)
     rows = [map_line("a", "", 1, 17, 1), map_line("b", "", 2, 18, -1)]
     assert [j.direction for j in map_joints(joints, rows, ["can0"])] == [1, -1]
-    assert [j.name for j in map_joints(joints, rows, ["can0"], ["b", "a"])] == ["b", "a"]
+    assert [j.name for j in map_joints(joints, rows, ["can0"], ["b", "a"])] == [
+        "b",
+        "a",
+    ]
     with pytest.raises(InputError, match="no line for c; it has a, b"):
         map_joints(joints, rows, ["can0"], ["a", "c"])
     with pytest.raises(InputError, match="2 joints but the trajectory 1"):
@@ -196,7 +223,9 @@ def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
     rows += [map_line(f"right_{k}", "can1", k, k + 16, 1) for k in (1, 2)]
     joints = damiao_joints(["DM4340"] * 2, 2)
     right = ["right_1", "right_2"]
-    with pytest.raises(InputError, match="right_1 on can1; open it with --channel can1"):
+    with pytest.raises(
+        InputError, match="right_1 on can1; open it with --channel can1"
+    ):
         map_joints(joints, rows, ["can0"], right)
     assert [j.can_id for j in map_joints(joints, rows, ["can1"], right)] == [1, 2]
 
@@ -211,12 +240,15 @@ def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):
     loaded = int(np.argmax(np.abs(holding)))
     assert abs(holding[loaded]) > 0.5
     turned = holding * np.where(np.arange(3) == loaded, -1.0, 1.0)
-    with pytest.raises(HardwareAbort, match=f"motor {loaded + 1} holds .* see 'motors map'"):
+    with pytest.raises(
+        HardwareAbort, match=f"motor {loaded + 1} holds .* see 'motors map'"
+    ):
         check(q, turned)
 
 
 @pytest.mark.parametrize(
-    ("bend", "held"), [(lambda t: 0.0 * t, 5.0), (lambda t: 1.0 + 0.0 * t, None), (np.cos, 5.0)]
+    ("bend", "held"),
+    [(lambda t: 0.0 * t, 5.0), (lambda t: 1.0 + 0.0 * t, None), (np.cos, 5.0)],
 )
 def test_without_a_model_the_file_says_what_holds_the_arm(tmp_path, bend, held):
     """5 N m where the motor of a swapped id holds none, and 12 more or less for what begins.

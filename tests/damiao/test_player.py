@@ -32,7 +32,9 @@ def test_too_late_stops_unless_told_otherwise():
     timer = CycleTimer(clock, 0.004, 0.02)
     timer.wait()
     clock.stall(0.05)
-    with pytest.raises(HardwareAbort, match="46.0 ms late for a control cycle, limit 20 ms"):
+    with pytest.raises(
+        HardwareAbort, match="46.0 ms late for a control cycle, limit 20 ms"
+    ):
         timer.wait()
     clock.stall(0.05)
     timer.wait(lenient=True)

@@ -12,7 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.preflight import NOTE, OK, STOP, Permissions, _watchdog, plan_checks, stops
+from robot_sysid.damiao.preflight import (
+    NOTE,
+    OK,
+    STOP,
+    Permissions,
+    _watchdog,
+    plan_checks,
+    stops,
+)
 from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
@@ -33,11 +41,17 @@ def rows_of(n, position=0.0, velocity=0.0, torque=0.0, seconds=1.0):
     return time, position * risen, velocity * risen, torque * risen
 
 
-def checks_of(rows, types, timing=None, inertia=None, pose=None, offset=0.0, **settings):
+def checks_of(
+    rows, types, timing=None, inertia=None, pose=None, offset=0.0, **settings
+):
     """What is said to what the checks look at of a plan, without a trajectory file."""
-    joints = [replace(joint, offset=offset) for joint in damiao_joints(types, len(types))]
+    joints = [
+        replace(joint, offset=offset) for joint in damiao_joints(types, len(types))
+    ]
     timing = timing or BusTiming()
-    chosen = PlaySettings(**settings).for_motors([joint.spec for joint in joints], timing)
+    chosen = PlaySettings(**settings).for_motors(
+        [joint.spec for joint in joints], timing
+    )
     asked = {"settings": chosen, "timing": timing, "inertia": inertia, "pose": pose}
     played = DamiaoTrajectory(Path(), tuple(joints), np.arange(len(rows[0])), *rows)
     return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **asked))
@@ -45,8 +59,15 @@ def checks_of(rows, types, timing=None, inertia=None, pose=None, offset=0.0, **s
 
 def beyond(checks):
     """(joint, what) of each limit that is said to be exceeded."""
-    found = [re.match(r"motor (\d+): ([a-z ]+?) [\d.e+]+ \S+", text) for text in stops(checks)]
-    limits = [m for m, text in zip(found, stops(checks)) if "is beyond its type's limit" in text]
+    found = [
+        re.match(r"motor (\d+): ([a-z ]+?) [\d.e+]+ \S+", text)
+        for text in stops(checks)
+    ]
+    limits = [
+        m
+        for m, text in zip(found, stops(checks))
+        if "is beyond its type's limit" in text
+    ]
     return {(int(match[1]) - 1, match[2]) for match in limits}
 
 
@@ -55,7 +76,9 @@ def beyond(checks):
     speed=st.floats(0.05, 1.0),
     data=st.data(),
 )
-def test_each_joint_and_limit_is_judged_by_itself_at_the_speed_it_is_played_at(types, speed, data):
+def test_each_joint_and_limit_is_judged_by_itself_at_the_speed_it_is_played_at(
+    types, speed, data
+):
     tops = np.array([MOTORS[name].limits for name in types]).T[[0, 1, 2, 1]]
     shares = np.array([[data.draw(SHARES) for _ in types] for _ in WHAT])
     slower = np.where(COUNTS_WITH_SPEED, speed, 1.0)[:, None]
@@ -70,7 +93,9 @@ def test_each_joint_and_limit_is_judged_by_itself_at_the_speed_it_is_played_at(t
 @given(worst=st.floats(0.0, 0.2), speed=st.floats(0.05, 1.0))
 def test_both_ends_have_to_be_at_rest_at_the_speed_they_are_played_at(worst, speed):
     rows = rows_of(2, velocity=np.array([0.0, worst]))
-    said = [c for c in checks_of(rows, ["DM4340"] * 2, speed=speed) if "at rest" in c.text]
+    said = [
+        c for c in checks_of(rows, ["DM4340"] * 2, speed=speed) if "at rest" in c.text
+    ]
     assert [check.severity for check in said] == [STOP if worst * speed > 0.05 else OK]
 
 
@@ -89,7 +114,9 @@ def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(n
     spec = MOTORS[name]
     for torque, severity in ((spec.rated_torque, NOTE), (spec.peak_torque, STOP)):
         checks = checks_of(rows_of(1, torque=1.001 * torque), [name])
-        (said,) = [c for c in checks if "exceeds the" in c.text and "torque of a" in c.text]
+        (said,) = [
+            c for c in checks if "exceeds the" in c.text and "torque of a" in c.text
+        ]
         assert said.severity == severity
     for share in (0.999, 1.001):
         top = share * (spec.no_load_rpm or 0.0) * 2 * np.pi / 60
@@ -103,8 +130,14 @@ def test_a_joint_that_its_motor_would_shake_is_noted():
     """A DM10010 makes torque in steps of 0.1 N m: 1.6 rad/s within a cycle for a bare wrist."""
     types = ["DM10010", "DM4310"]
     inertia = np.array([1.3e-4, 1.3e-4])
-    shaken = [c for c in checks_of(rows_of(2), types, inertia=inertia) if "will shake" in c.text]
-    assert [c.severity for c in shaken] == [NOTE] and shaken[0].text.startswith("motor 1 moves")
+    shaken = [
+        c
+        for c in checks_of(rows_of(2), types, inertia=inertia)
+        if "will shake" in c.text
+    ]
+    assert [c.severity for c in shaken] == [NOTE] and shaken[0].text.startswith(
+        "motor 1 moves"
+    )
     assert not any("shake" in c.text for c in checks_of(rows_of(2), types))
 
 
@@ -112,7 +145,10 @@ def test_a_joint_that_its_motor_would_shake_is_noted():
 @pytest.mark.parametrize("timeout", [0.0, 1e-3, 4.9, 20.0])
 def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, timeout):
     found = _watchdog("motor 1", timeout, PlaySettings(rate=rate))
-    asked = {key: float(value) for key, value in re.findall(r"--(\S+) ([\d.]*\d)", found.text)}
+    asked = {
+        key: float(value)
+        for key, value in re.findall(r"--(\S+) ([\d.]*\d)", found.text)
+    }
     if "set-watchdog" in asked:
         # Refuses what cannot be given.
         allowed = record_from(Permissions, {"set_watchdog": asked["set-watchdog"]})
@@ -121,7 +157,9 @@ def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, t
     assert found.severity != STOP
 
 
-@given(place=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0))
+@given(
+    place=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0)
+)
 def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(place, offset):
     pose = np.array([-offset, place - offset])
     checks = checks_of(rows_of(2), ["DM4340"] * 2, pose=pose, offset=offset)

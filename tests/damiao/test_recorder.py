@@ -21,7 +21,12 @@ from robot_sysid.damiao.protocol.codec import (
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
+from robot_sysid.damiao.recorder import (
+    Aside,
+    MeasurementRecorder,
+    RecordingOptions,
+    head_lines,
+)
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import simulated_motor
@@ -34,7 +39,10 @@ def recorder_for(path, types=("DM4340",), overwrite=False):
     """A recorder that writes at once, for motors of these types."""
     joints = damiao_joints(types, len(types))
     registers = [simulated_motor(j).registers for j in joints]
-    registers = [{k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)} for r in registers]
+    registers = [
+        {k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)}
+        for r in registers
+    ]
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
     head = head_lines(joints, registers, settings, "swing.csv")
     labels = [f"j{j}" for j in range(len(joints))]
@@ -51,7 +59,9 @@ def cycles(draw, n):
         frames = [draw(st.binary(min_size=8, max_size=8)) for _ in range(n)]
         raw = np.frombuffer(b"".join(frames), dtype=np.uint8).reshape(n, 8)
         answered = np.array([draw(st.booleans()) for _ in range(n)])
-        command = np.array([draw(st.floats(-10, 10)) for _ in range(3 * n)]).reshape(3, n)
+        command = np.array([draw(st.floats(-10, 10)) for _ in range(3 * n)]).reshape(
+            3, n
+        )
         stamp = 0.004 * k + np.array([draw(st.floats(1e-4, 2e-3)) for _ in range(n)])
         rows.append((0.004 * k, raw, answered, command, stamp))
     return rows
@@ -74,18 +84,28 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
             zero = np.zeros(n)
             replies = Replies(answered, stamps + 7.0, feedback, answered)
             recorder.write(
-                time, 7.0, replies, MitCommand(command[0], command[1], zero, zero, command[2])
+                time,
+                7.0,
+                replies,
+                MitCommand(command[0], command[1], zero, zero, command[2]),
             )
             recorder.end_cycle()
     recording = read_recording(path)
     assert recording.ending == "completed"
     assert len(recording.columns["time"]) == len(rows)
     for k, (time, raw, answered, command, stamp) in enumerate(rows):
-        values = {w: recording.joint_values(w)[k] for w in ("pos", "vel", "tau", "status", "time")}
+        values = {
+            w: recording.joint_values(w)[k]
+            for w in ("pos", "vel", "tau", "status", "time")
+        }
         assert recording.columns["time"][k] == pytest.approx(time, abs=1e-6)
         np.testing.assert_array_equal(np.isfinite(values["pos"]), answered)
         np.testing.assert_allclose(values["time"][answered], stamp[answered], atol=1e-6)
-        codes = {"status": raw[:, 0] >> 4, "temp_mos": raw[:, 6], "temp_rotor": raw[:, 7]}
+        codes = {
+            "status": raw[:, 0] >> 4,
+            "temp_mos": raw[:, 6],
+            "temp_rotor": raw[:, 7],
+        }
         for what, code in codes.items():
             expected = np.where(answered, code, np.nan)
             np.testing.assert_array_equal(recording.joint_values(what)[k], expected)
@@ -99,7 +119,9 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
         again = encode_feedback(told, scaling)
         np.testing.assert_array_equal(again[answered], raw[answered])
         for row, what in enumerate(("cmd_pos", "cmd_vel", "cmd_tau")):
-            np.testing.assert_allclose(recording.joint_values(what)[k], command[row], atol=6e-7)
+            np.testing.assert_allclose(
+                recording.joint_values(what)[k], command[row], atol=6e-7
+            )
 
 
 def test_the_identification_reads_it_directly(tmp_path):
@@ -110,7 +132,12 @@ def test_the_identification_reads_it_directly(tmp_path):
             stamps = 0.004 * k + np.array([0.0001, 0.0002])
             recorder.write(0.004 * k, 0.0, replace(replies, time=stamps), acted)
     log = read_measurements(path, ("first", "second"))
-    found = log.columns.position, log.columns.velocity, log.columns.torque, log.columns.joint_time
+    found = (
+        log.columns.position,
+        log.columns.velocity,
+        log.columns.torque,
+        log.columns.joint_time,
+    )
     for what, signals in zip(("pos", "vel", "tau", "time"), found):
         assert [signal.title for signal in signals] == [f"j0_{what}", f"j1_{what}"]
     assert log.columns.time.title == "time"
@@ -174,17 +201,24 @@ def test_an_error_is_written_at_the_end(tmp_path):
 def test_frames_are_written_beside_the_recording_or_where_that_was_asked_for():
     row = Path("a/m.csv")
     raw = Path("r.asc")
-    found = [RecordingOptions(*given).frames for given in ((), (row,), (None, raw), (row, raw))]
+    found = [
+        RecordingOptions(*given).frames
+        for given in ((), (row,), (None, raw), (row, raw))
+    ]
     assert found == [None, Path("a/m.log"), raw, raw]
 
 
-def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(tmp_path, monkeypatch):
+def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(
+    tmp_path, monkeypatch
+):
     """By whatever name it is called; rows and frames do not go into one file either."""
     monkeypatch.chdir(tmp_path)
     options = RecordingOptions(record=tmp_path / "m.csv", overwrite=True)
     options.require_free(Path("other.csv"))
     for read in (Path("m.csv"), Path("m.log")):
-        with pytest.raises(InputError, match=f"{read} is needed for something else; choose"):
+        with pytest.raises(
+            InputError, match=f"{read} is needed for something else; choose"
+        ):
             options.require_free(Path("other.csv"), read)
     with pytest.raises(InputError, match="m.log is needed for something else"):
         RecordingOptions(record=tmp_path / "m.log", overwrite=True).require_free()
@@ -241,7 +275,9 @@ def test_what_goes_wrong_is_kept_and_nothing_is_done_after_it(threaded, error):
     aside(lambda: done.append("more"))
     aside.finish()
     assert aside.failure is error and done == list(range(20))
-    assert words_of(error) == ("full" if isinstance(error, OSError) else type(error).__name__)
+    assert words_of(error) == (
+        "full" if isinstance(error, OSError) else type(error).__name__
+    )
 
 
 def test_somebody_who_does_not_answer_is_not_waited_for():

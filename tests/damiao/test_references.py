@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.references import ORDERS, Lowering, Reference, approach, reference_along
+from robot_sysid.damiao.references import (
+    ORDERS,
+    Lowering,
+    Reference,
+    approach,
+    reference_along,
+)
 from tests.support.damiao_rig import swing, trajectory_file
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
@@ -31,11 +37,16 @@ def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed
     shortest=st.floats(0.1, 3.0),
     order=st.sampled_from(ORDERS),
 )
-def test_an_approach_goes_from_rest_to_rest_within_its_speed(start, data, speed, shortest, order):
+def test_an_approach_goes_from_rest_to_rest_within_its_speed(
+    start, data, speed, shortest, order
+):
     """And carries the arm on its way, with what start and target ask for besides."""
     start = np.array(start)
     target = np.array([data.draw(st.floats(-3.0, 3.0)) for _ in start])
-    ends = Reference(start, 0 * start, 2.0 + np.sin(start)), Reference(target, 0 * start, 0 * start)
+    ends = (
+        Reference(start, 0 * start, 2.0 + np.sin(start)),
+        Reference(target, 0 * start, 0 * start),
+    )
     path, duration = approach(*ends, speed, shortest, order, np.sin)
     assert duration >= shortest
     for moment, end in ((-1.0, 0), (0.0, 0), (duration, 1), (duration + 1.0, 1)):
@@ -47,7 +58,9 @@ def test_an_approach_goes_from_rest_to_rest_within_its_speed(start, data, speed,
     if order != ORDERS[0]:
         assert np.max(np.count_nonzero(qd, axis=1)) <= 1
     ahead = np.array([path(moment + 1e-6).position for moment in times[:-1]])
-    np.testing.assert_allclose((ahead - q[:-1]) / 1e-6, qd[:-1], atol=1e-3 * speed + 1e-6)
+    np.testing.assert_allclose(
+        (ahead - q[:-1]) / 1e-6, qd[:-1], atol=1e-3 * speed + 1e-6
+    )
     extra = (tau - np.sin(q) - 2.0) / (-np.sin(target) - 2.0)
     assert np.all(np.diff(extra, axis=0) >= -1e-9)
 

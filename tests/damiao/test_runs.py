@@ -19,7 +19,13 @@ import pytest
 from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.preflight import Permissions, stops
 from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, BusTiming, Frame, is_special
+from robot_sysid.damiao.protocol.frames import (
+    DISABLED,
+    ENABLED,
+    BusTiming,
+    Frame,
+    is_special,
+)
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.recorder import MeasurementRecorder, RecordingOptions
 from robot_sysid.damiao.references import reference_along
@@ -36,7 +42,9 @@ USUAL = {"rate": 250.0}
 
 @pytest.fixture
 def rig(tmp_path):
-    return lambda *arguments, **options: Rig(tmp_path, *arguments, **{**SHORT, **options})
+    return lambda *arguments, **options: Rig(
+        tmp_path, *arguments, **{**SHORT, **options}
+    )
 
 
 # --- runs that end well -------------------------------------------------------------------------
@@ -91,7 +99,9 @@ def test_a_few_lost_replies_leave_gaps_but_do_not_stop(rig):
 
     def lose(rig):
         rig.motors[1].lost_replies = True
-        rig.clock.at(rig.clock.now() + 0.008, lambda: fault("lost_replies", 1, False)(rig))
+        rig.clock.at(
+            rig.clock.now() + 0.008, lambda: fault("lost_replies", 1, False)(rig)
+        )
 
     run.during("playing", 0.3, lose).run()
     assert run.error is None and run.states() == [DISABLED] * 2
@@ -106,7 +116,9 @@ def test_a_short_stall_skips_cycles_and_never_replays_them(rig):
     assert run.error is None and run.states() == [DISABLED] * 2
     time = run.assert_nothing_lost().columns["time"]
     assert run.report.skipped in (2, 3) and len(time) == 251 - run.report.skipped
-    assert np.max(np.diff(time)) == pytest.approx(0.004 * (1 + run.report.skipped), abs=1e-9)
+    assert np.max(np.diff(time)) == pytest.approx(
+        0.004 * (1 + run.report.skipped), abs=1e-9
+    )
     assert np.all(np.diff(run.recording.columns["j0_cmd_pos"][:120]) >= 0.0)
 
 
@@ -117,7 +129,9 @@ def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, opcode):
         answering_writes_with(opcode, each)
     seen = []
     timeout = frames.TIMEOUT
-    run.during("playing", 0.1, lambda r: seen.append(r.motors[1].registers[timeout])).run()
+    run.during(
+        "playing", 0.1, lambda r: seen.append(r.motors[1].registers[timeout])
+    ).run()
     assert run.error is None and run.states() == [DISABLED] * 2
     assert seen == [2000.0]
     assert [m.registers[timeout] for m in run.motors] == [0.0, 0.0]
@@ -136,7 +150,9 @@ def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(rig
 
 def test_can_fd_motors_play_on_an_fd_host(rig):
     run = rig(timing=BusTiming(fd=True))
-    run.motors[0].registers[frames.CAN_BR] = 9.0  # the other one answers in classic frames
+    run.motors[0].registers[frames.CAN_BR] = (
+        9.0  # the other one answers in classic frames
+    )
     run.run()
     assert run.error is None and run.states() == [DISABLED] * 2
     assert {frame.fd for frame in run.play_frames} == {True, False}
@@ -146,7 +162,11 @@ def test_can_fd_motors_play_on_an_fd_host(rig):
 def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):
     """Each line of the manual is found in a run, in its order."""
     text = (ROOT / "docs" / "damiao.md").read_text(encoding="utf-8")
-    block = text.partition("## The frames of a run")[2].partition("```text\n")[2].split("```")[0]
+    block = (
+        text.partition("## The frames of a run")[2]
+        .partition("```text\n")[2]
+        .split("```")[0]
+    )
     motion = swing(1, duration=1.0)
     allowed = Permissions(watchdog=0.1)
     run = Rig(tmp_path, 1, motion=motion, watchdog=0.0, allowed=allowed)
@@ -182,7 +202,10 @@ WRONG = (
         lambda rig: rig.motors[12].registers.update({frames.MST_ID: 0x21}),
         "answers on 0x21 (MST_ID 0x21) but the trajectory expects 0x1d",
     ),
-    (lambda rig: rig.motors[13].registers.pop(frames.CTRL_MODE), "answer for CTRL_MODE; try again"),
+    (
+        lambda rig: rig.motors[13].registers.pop(frames.CTRL_MODE),
+        "answer for CTRL_MODE; try again",
+    ),
 )
 
 
@@ -196,7 +219,9 @@ def test_every_motor_that_is_not_as_expected_is_named_with_what_is_wrong(rig):
         (found,) = [text for text in said if words in text]
         assert f"motor {number} " in found or f"motor {number}'s" in found, found
     assert len(said) == len(WRONG)
-    assert str(run.error).startswith("not played: ") and isinstance(run.error, HardwareAbort)
+    assert str(run.error).startswith("not played: ") and isinstance(
+        run.error, HardwareAbort
+    )
     run.assert_never_moved()
     assert not run.record_path.exists()
 
@@ -218,17 +243,35 @@ def extra(*joint):
     ("options", "change", "words"),
     [
         (extra("DM4340", 2, 0x12), None, "2 motors answer to the id of motor 2"),
-        (extra("DM4310", 9, 0x102), None, "would be taken as commands by the motor with CAN id 2"),
-        (extra("DM4310", 9, 0x12), None, "master id 0x12 is used by more than one motor"),
+        (
+            extra("DM4310", 9, 0x102),
+            None,
+            "would be taken as commands by the motor with CAN id 2",
+        ),
+        (
+            extra("DM4310", 9, 0x12),
+            None,
+            "master id 0x12 is used by more than one motor",
+        ),
         ({}, as_if_somebody_talked, "another program is talking to these motors"),
         ({}, answers_in_fd, "motor 1 does not answer"),
-        ({"start": [0.0, 0.7]}, None, "but the trajectory starts at 0.000, more than 0.5 away"),
+        (
+            {"start": [0.0, 0.7]},
+            None,
+            "but the trajectory starts at 0.000, more than 0.5 away",
+        ),
         ({"start": [-2 * np.pi, 0.0]}, None, "lost its turn count"),
         ({"adapter": lambda: 0.016}, None, "use --rate 50"),
-        ({"rate": 2000.0}, None, "load classic CAN to 108 %, limit 70 %; use --rate 1000"),
+        (
+            {"rate": 2000.0},
+            None,
+            "load classic CAN to 108 %, limit 70 %; use --rate 1000",
+        ),
     ],
 )
-def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(rig, options, change, words):
+def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(
+    rig, options, change, words
+):
     run = rig(**options)
     if change:
         change(run)
@@ -309,7 +352,9 @@ def lifted(q, qd, tau):
         ),
     ],
 )
-def test_what_cannot_be_known_before_is_stopped_before_it_plays(tmp_path, change, options, words):
+def test_what_cannot_be_known_before_is_stopped_before_it_plays(
+    tmp_path, change, options, words
+):
     run = Rig(tmp_path, motion=changed(change), **options).run()
     assert words in str(run.error) and run.states() == [DISABLED] * 2
     assert not any(sentence.startswith("playing") for sentence in run.phases)
@@ -337,7 +382,11 @@ def mirrored(run):
     [
         (negated, None, "drives it off; a motor turns the other way"),
         (lambda q, qd, tau: tau.fill(0.0), None, "its torque lacks gravity"),
-        (lambda q, qd, tau: None, mirrored, "drives it off; a motor turns the other way"),
+        (
+            lambda q, qd, tau: None,
+            mirrored,
+            "drives it off; a motor turns the other way",
+        ),
     ],
 )
 def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
@@ -409,7 +458,9 @@ def signalled(name):
 
 
 def disk_full(rig):
-    rig.patch.setattr(MeasurementRecorder, "_row", raising(OSError(28, "No space left on device")))
+    rig.patch.setattr(
+        MeasurementRecorder, "_row", raising(OSError(28, "No space left on device"))
+    )
 
 
 def driver_fails(kind, seconds):
@@ -450,7 +501,9 @@ def then(first, seconds, second):
 
 
 def slow_adapter(rig):
-    rig.adapter.delay = iter(np.random.default_rng(0).uniform(5e-3, 16e-3, 10**5)).__next__
+    rig.adapter.delay = iter(
+        np.random.default_rng(0).uniform(5e-3, 16e-3, 10**5)
+    ).__next__
 
 
 @dataclass(frozen=True)
@@ -538,14 +591,19 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
         run.during(line.phase, line.begins, cause).run(settle=0.0)
     run.clock.sleep_until(began[0] + AFTER[-1])
     last = {j: int(code, 16) for j, code in enumerate(line.states[-2:])}
-    if line.fault in ("disk full", "adapter turns slow"):  # what is not recorded, by its nature
+    if line.fault in (
+        "disk full",
+        "adapter turns slow",
+    ):  # what is not recorded, by its nature
         monkeypatch.setattr(run, "assert_nothing_lost", lambda: None)
     assert line.said in str(run.error), run.error
     run.assert_stopped(line.said, last)
     if line.phase != "enabling":
         assert " ".join(seen) == line.states
         assert "stopping" in run.phases
-    enabled = [frame.data[7] for frame in run.wire.sent if is_special(frame.data)].count(0xFC)
+    enabled = [
+        frame.data[7] for frame in run.wire.sent if is_special(frame.data)
+    ].count(0xFC)
     assert enabled == 2
     if line.options is KEPT:
         # The one that was seen to be off has its old value back, the other one keeps its watchdog.
@@ -587,11 +645,15 @@ def test_frames_that_are_recorded_alone_are_written_as_the_run_goes_on(rig, tmp_
     run = rig(1)
     run.plan = replace(run.plan, recording=RecordingOptions(raw_log=path))
     run.during("playing", 0.8, lambda rig: sizes.append(path.stat().st_size)).run()
-    assert run.error is None and 0.5 * path.stat().st_size < sizes[0] < path.stat().st_size
+    assert (
+        run.error is None and 0.5 * path.stat().st_size < sizes[0] < path.stat().st_size
+    )
     assert not run.record_path.exists()
 
 
-@pytest.mark.parametrize("kp", [(), (0.0, 60.0)], ids=["usual", "a joint without stiffness"])
+@pytest.mark.parametrize(
+    "kp", [(), (0.0, 60.0)], ids=["usual", "a joint without stiffness"]
+)
 def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig, kp):
     faults = [fault("velocity_factor", 1, 0.8)]
     motion = swing(2, 4.0)
@@ -634,7 +696,9 @@ def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, 
 
 
 @pytest.mark.parametrize("after", [0.005, 0.02, 0.05])
-def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(rig, after, monkeypatch):
+def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(
+    rig, after, monkeypatch
+):
     """What has been fed forward by then is only a part of what carries it."""
     monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
     motion = changed(raised)

@@ -15,7 +15,9 @@ from robot_sysid.damiao.serial_adapter import PacketReader, slcan_terminal
 from robot_sysid.errors import InputError
 
 FRAMES = st.lists(
-    st.tuples(st.integers(0, 0x7FF), st.binary(min_size=8, max_size=8)).map(lambda f: Frame(*f))
+    st.tuples(st.integers(0, 0x7FF), st.binary(min_size=8, max_size=8)).map(
+        lambda f: Frame(*f)
+    )
 )
 
 
@@ -39,11 +41,15 @@ def test_other_packets_and_broken_ones_are_passed_over():
     status = b"\xaa\x01" + bytes(13) + b"\x55"
     torn = answer(one)[:9]
     # A torn packet swallows at most what looks like its own rest.
-    found = list(PacketReader().take(status + answer(one) + torn + answer(one) + answer(one)))
+    found = list(
+        PacketReader().take(status + answer(one) + torn + answer(one) + answer(one))
+    )
     assert found.count(one) >= 2 and set(found) == {one}
 
 
-NEEDS_TERMINALS = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+NEEDS_TERMINALS = pytest.mark.skipif(
+    not hasattr(os, "openpty"), reason="needs pseudo-terminals"
+)
 
 
 @pytest.fixture
@@ -108,7 +114,9 @@ def test_a_silent_slcan_bus_keeps_no_other_one_waiting():
 @NEEDS_TERMINALS
 def test_can_fd_is_refused_because_it_would_be_classic_frames():
     with pytest.raises(InputError, match="leave --fd off"):
-        open_bus(BusAddress("damiao", ("/dev/null",)), BusTiming(fd=True), SystemClock())
+        open_bus(
+            BusAddress("damiao", ("/dev/null",)), BusTiming(fd=True), SystemClock()
+        )
 
 
 @NEEDS_TERMINALS

@@ -39,14 +39,18 @@ def test_inspection_reads_everything_and_changes_nothing():
 
 def test_a_refused_write_is_noticed():
     bench = Bench()
-    with pytest.raises(HardwareAbort, match="motor 1 refused OC_Value = 0.5 and keeps 0.8"):
+    with pytest.raises(
+        HardwareAbort, match="motor 1 refused OC_Value = 0.5 and keeps 0.8"
+    ):
         bench.client.write(Address(0, 1), 3, 0.5)
 
 
 def test_a_motor_that_is_not_there_does_not_answer():
     bench = Bench()
     assert bench.client.read(Address(0, 9), frames.PMAX) is None
-    with pytest.raises(HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"):
+    with pytest.raises(
+        HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"
+    ):
         bench.client.write(Address(0, 9), frames.TIMEOUT, 1.0)
 
 
@@ -91,7 +95,9 @@ def test_leaving_without_having_enabled_sends_nothing():
     assert bench.bus.sent == []
 
 
-@pytest.mark.parametrize("error", [None, RuntimeError("x"), KeyboardInterrupt(), SystemExit(1)])
+@pytest.mark.parametrize(
+    "error", [None, RuntimeError("x"), KeyboardInterrupt(), SystemExit(1)]
+)
 def test_every_way_out_disables(error):
     bench = Bench()
     try:
@@ -111,9 +117,13 @@ def test_a_reply_is_the_state_before_the_command_acted():
     with bench.session as session:
         session.enable()
         bench.clock.sleep_until(bench.clock.now() + 0.004)
-        first = session.exchange(bench.command(0.03, kp=500.0), bench.clock.now() + 0.004)
+        first = session.exchange(
+            bench.command(0.03, kp=500.0), bench.clock.now() + 0.004
+        )
         bench.clock.sleep_until(bench.clock.now() + 0.004)
-        second = session.exchange(bench.command(0.03, kp=500.0), bench.clock.now() + 0.004)
+        second = session.exchange(
+            bench.command(0.03, kp=500.0), bench.clock.now() + 0.004
+        )
     half = 0.5 * 28.0 * 2 / 4095
     assert np.all(np.abs(first.feedback.torque) <= half * 1.01)
     assert np.all(second.feedback.torque > 10.0)
@@ -125,7 +135,9 @@ def test_joints_that_were_not_asked_do_not_answer():
         session.enable()
         session.exchange(bench.command(), bench.clock.now() + 0.004)
         only = np.array([True, False, True])
-        replies = session.exchange(bench.command(0.005), bench.clock.now() + 0.004, only)
+        replies = session.exchange(
+            bench.command(0.005), bench.clock.now() + 0.004, only
+        )
     # Who was told nothing is under its old command.
     np.testing.assert_allclose(replies.command.position, [0.005, 0.0, 0.005], atol=1e-3)
     assert replies.answered.tolist() == [True, False, True]
@@ -154,7 +166,9 @@ def test_stamps_differ_from_joint_to_joint(echo):
         replies = session.exchange(bench.command(), start + 0.004)
     frame = 135e-6
     first = frame if echo else 4 * frame
-    np.testing.assert_allclose(replies.time - start, first + frame * np.arange(3), atol=1e-9)
+    np.testing.assert_allclose(
+        replies.time - start, first + frame * np.arange(3), atol=1e-9
+    )
 
 
 def test_garbage_on_the_bus_is_ignored():
@@ -208,7 +222,9 @@ def test_a_command_beyond_its_bounds_is_not_sent():
         with pytest.raises(HardwareAbort, match="motor 1 would be sent to 1.000 rad"):
             session.exchange(bench.command(1.0), bench.clock.now() + 0.004)
         assert len(bench.bus.sent) == sent
-        replies = session.exchange(bench.command(1.0), bench.clock.now() + 0.004, braking=True)
+        replies = session.exchange(
+            bench.command(1.0), bench.clock.now() + 0.004, braking=True
+        )
     assert np.all(np.abs(replies.command.position) < 0.1)
 
 
@@ -251,9 +267,9 @@ def test_one_lost_answer_costs_the_pause_and_no_more():
     for _ in range(10):
         assert books.may_be_commanded(ONE)[0] and books.heard(0)
     assert books.may_be_commanded(ONE)[0]
-    assert [bool(books.may_be_commanded(ONE)[0]) for _ in range(PAUSE + 1)] == [False] * PAUSE + [
-        True
-    ]
+    assert [bool(books.may_be_commanded(ONE)[0]) for _ in range(PAUSE + 1)] == [
+        False
+    ] * PAUSE + [True]
     assert books.heard(0)
 
 

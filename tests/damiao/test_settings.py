@@ -7,8 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.protocol.codec import KD_MAX, KP_MAX, MitCommand, Scaling, encode_mit
-from robot_sysid.damiao.protocol.frames import PLANNING_LIMIT, BusTiming, bus_load, default_rate
+from robot_sysid.damiao.protocol.codec import (
+    KD_MAX,
+    KP_MAX,
+    MitCommand,
+    Scaling,
+    encode_mit,
+)
+from robot_sysid.damiao.protocol.frames import (
+    PLANNING_LIMIT,
+    BusTiming,
+    bus_load,
+    default_rate,
+)
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import InputError
@@ -32,7 +43,10 @@ def test_what_is_left_open_suits_motors_and_bus(specs, timing):
     assert bus_load(len(specs), chosen.rate, timing) <= PLANNING_LIMIT
     zero = np.zeros(len(specs))
     command = MitCommand(zero, zero, np.array(chosen.kp), np.array(chosen.kd), zero)
-    assert encode_mit(command, Scaling([s.limits for s in specs])).shape == (len(specs), 8)
+    assert encode_mit(command, Scaling([s.limits for s in specs])).shape == (
+        len(specs),
+        8,
+    )
     assert chosen.for_motors(specs, timing) == chosen
 
 
@@ -41,19 +55,27 @@ def test_what_was_asked_for_is_kept(specs, timing, data):
     kp = tuple(data.draw(KP) for _ in specs)
     kd = data.draw(KD)
     rate = data.draw(st.floats(1.0, 1000.0))
-    chosen = PlaySettings(kp=kp, kd=(kd,), rate=rate, speed=0.3).for_motors(specs, timing)
+    chosen = PlaySettings(kp=kp, kd=(kd,), rate=rate, speed=0.3).for_motors(
+        specs, timing
+    )
     assert (chosen.kp, chosen.kd) == (kp, (kd,) * len(specs))
     assert (chosen.rate, chosen.period, chosen.speed) == (rate, 1.0 / rate, 0.3)
 
 
 def test_another_number_of_gains_is_refused():
-    with pytest.raises(InputError, match=r"--kp takes one number, or .* 3 joints \(got "):
+    with pytest.raises(
+        InputError, match=r"--kp takes one number, or .* 3 joints \(got "
+    ):
         PlaySettings(kp=(1.0,) * 2).for_motors([MOTORS["DM4340"]] * 3, BusTiming())
 
 
 @pytest.mark.parametrize(
     ("name", "bad"),
-    [(n, -1.0) for n, each in options_of(PlaySettings).items() if each.check and not each.several]
+    [
+        (n, -1.0)
+        for n, each in options_of(PlaySettings).items()
+        if each.check and not each.several
+    ]
     + [("kp", (1.0, bad)) for bad in (-1.0, 500.1, np.nan)]
     + [("kd", (1.0, bad)) for bad in (0.0, 5e-4, 5.1, np.nan)],
 )
@@ -71,9 +93,13 @@ def test_a_motor_may_start_no_warmer_than_it_may_get():
 @given(specs=SPECS, timing=TIMINGS, data=st.data())
 def test_a_light_joint_is_damped_less(specs, timing, data):
     inertia = np.array([data.draw(st.floats(1e-4, 10.0)) for _ in specs])
-    usual, chosen = (PlaySettings().for_motors(specs, timing, i) for i in (None, inertia))
+    usual, chosen = (
+        PlaySettings().for_motors(specs, timing, i) for i in (None, inertia)
+    )
     assert chosen.kp == usual.kp
     for i, kd, kp in zip(inertia, chosen.kd, usual.kp):
         # Never less than 40 %: models often lack the rotors' inertia.
         least = max(0.4 * kp / 40.0, 0.05)
-        assert kd == pytest.approx(np.clip(min(kp / 40.0, i * chosen.rate), least, KD_MAX))
+        assert kd == pytest.approx(
+            np.clip(min(kp / 40.0, i * chosen.rate), least, KD_MAX)
+        )

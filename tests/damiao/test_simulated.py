@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from robot_sysid.damiao.bus import BusLink, SimulatedClock, SystemClock
-from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_mit, encode_feedback
+from robot_sysid.damiao.protocol.codec import (
+    Feedback,
+    Scaling,
+    decode_mit,
+    encode_feedback,
+)
 from robot_sysid.damiao.protocol.frames import (
     Address,
     Frame,
@@ -53,13 +58,23 @@ def test_a_motor_packs_and_unpacks_as_the_codec_does():
     motor = simulated_motor(DamiaoJoint("DM4340", 5, 0x15))
     scaling = Scaling([motor.joint.spec.limits])
     for _ in range(200):
-        measured = [random.uniform(-1.1 * limit, 1.1 * limit) for limit in scaling.limits[0]]
+        measured = [
+            random.uniform(-1.1 * limit, 1.1 * limit) for limit in scaling.limits[0]
+        ]
         motor.position, motor.velocity, motor.torque = measured
-        columns = (np.array([value]) for value in (motor.can_id, motor.status, *measured, 31, 29))
-        assert motor._feedback() == encode_feedback(Feedback(*columns), scaling)[0].tobytes()
+        columns = (
+            np.array([value])
+            for value in (motor.can_id, motor.status, *measured, 31, 29)
+        )
+        assert (
+            motor._feedback()
+            == encode_feedback(Feedback(*columns), scaling)[0].tobytes()
+        )
         command = random.integers(0, 256, 8, dtype=np.uint8)
         meaning = decode_mit(command[None], scaling)
-        assert motor._unpack(command.tobytes()) == [float(value[0]) for value in meaning]
+        assert motor._unpack(command.tobytes()) == [
+            float(value[0]) for value in meaning
+        ]
 
 
 def test_a_motor_keeps_its_command_until_it_is_disabled():
@@ -91,7 +106,9 @@ def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():
 def test_watchdogs_expire_while_nobody_talks():
     clock = SimulatedClock()
     arm = two_motor_arm(watchdog=0.1)
-    far = FarEnd(clock, (0.1, enable_frame(Address(0, 1))), (0.3, disable_frame(Address(0, 2))))
+    far = FarEnd(
+        clock, (0.1, enable_frame(Address(0, 1))), (0.3, disable_frame(Address(0, 2)))
+    )
     served(clock, far, arm, 0.15)
     assert arm.motors[0].driving
     served(clock, far, arm, 0.3)
@@ -121,7 +138,9 @@ def test_a_computer_that_falls_behind_leaves_time_out_instead_of_catching_up():
     assert sum(steps) == pytest.approx(0.2 + 0.3, abs=10 * arm.mechanism.timestep)
 
 
-NEEDS_TERMINALS = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+NEEDS_TERMINALS = pytest.mark.skipif(
+    not hasattr(os, "openpty"), reason="needs pseudo-terminals"
+)
 # Far longer than any pause of a busy machine.
 PATIENCE = 60.0
 
@@ -133,7 +152,9 @@ def adapter():
     clock = SystemClock()
     terminal, device = slcan_terminal()
     far = BusLink([terminal], clock)
-    bus = can.Bus(interface="slcan", channel=device, bitrate=1000000, sleep_after_open=0)
+    bus = can.Bus(
+        interface="slcan", channel=device, bitrate=1000000, sleep_after_open=0
+    )
     near = BusLink([bus], clock)
     yield far, near, device
     near.close()
@@ -141,7 +162,9 @@ def adapter():
 
 
 @NEEDS_TERMINALS
-def test_frames_pass_through_the_adapter_both_ways_whatever_else_is_on_the_line(adapter):
+def test_frames_pass_through_the_adapter_both_ways_whatever_else_is_on_the_line(
+    adapter,
+):
     """A client that was killed leaves half a line."""
     far, near, device = adapter
     clock = SystemClock()

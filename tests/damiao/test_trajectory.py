@@ -113,7 +113,10 @@ def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
         ({"can_ids": [1, 16]}, "CAN id 16 is outside 1 to 15"),
         ({"can_ids": [1]}, "--can-id was given once but the chain has 2 joints"),
         ({"master_ids": [17, 17]}, "master id 0x11 is used by more than one motor"),
-        ({"master_ids": [0x102, 0x12]}, "would be taken as commands by the motor with CAN id 2"),
+        (
+            {"master_ids": [0x102, 0x12]},
+            "would be taken as commands by the motor with CAN id 2",
+        ),
         ({"master_ids": [0x800, 0x12]}, "outside 0 to 0x7fe"),
     ],
 )
@@ -128,7 +131,9 @@ def test_what_is_told_is_what_was_asked_for_not_what_is_left_of_it():
     report, _ = exported([(time, q, qd, np.array([[40.0], [0], [0], [0]]))], ["DM4340"])
     clamped, rating = report.warnings
     assert clamped.startswith("motor 1: 25.00 % of the samples were clamped")
-    assert rating.startswith("motor 1: 40.00 N m exceeds the peak torque of a DM4340, 27 N m")
+    assert rating.startswith(
+        "motor 1: 40.00 N m exceeds the peak torque of a DM4340, 27 N m"
+    )
 
 
 def test_a_failure_half_way_leaves_the_old_file_alone(tmp_path):
@@ -161,7 +166,10 @@ GOOD = "# motor_type=DM4340,can_id=1,mode=MIT\ntime,j0_pos,j0_vel,j0_tau\n"
     [
         ("", "no column line"),
         ("time,j0_pos,j0_vel,j0_tau\n0,0,0,0\n", "no '# motor_type=...' lines"),
-        ("# motor_type=DM1,can_id=1,mode=MIT\n", "line 1: unknown Damiao motor type 'DM1'"),
+        (
+            "# motor_type=DM1,can_id=1,mode=MIT\n",
+            "line 1: unknown Damiao motor type 'DM1'",
+        ),
         ("# motor_type=DM4340,can_id=x,mode=MIT\n", "line 1: expected"),
         ("# motor_type=DM4340,mode=MIT\n", "line 1: expected"),
         ("# motor_type=DM4340,can_id=1,mode=VEL\n", "mode 'VEL' cannot be played"),
@@ -180,11 +188,15 @@ def test_bad_files_are_refused_with_the_line(text, words, tmp_path):
         read_damiao_trajectory(path)
 
 
-def test_windows_line_ends_and_blank_lines_are_fine_and_a_missing_file_is_named(tmp_path):
+def test_windows_line_ends_and_blank_lines_are_fine_and_a_missing_file_is_named(
+    tmp_path,
+):
     with pytest.raises(InputError, match="cannot read .*nothing.csv: No such file"):
         read_damiao_trajectory(tmp_path / "nothing.csv")
     path = tmp_path / "t.csv"
-    path.write_bytes((GOOD + "0,0,0,0\n\n1,1,1,1\n\n").replace("\n", "\r\n").encode("utf-8-sig"))
+    path.write_bytes(
+        (GOOD + "0,0,0,0\n\n1,1,1,1\n\n").replace("\n", "\r\n").encode("utf-8-sig")
+    )
     np.testing.assert_array_equal(reread(path)[0], [0.0, 1.0])
 
 
@@ -200,7 +212,11 @@ def smooth_motion(rate, seed, seconds=3.0):
     w = 2.0 * np.pi / seconds * rng.integers(1, 7, (3, 1, 2))
     a = rng.uniform(0.05, 0.3, (3, 1, 2)) * rng.choice([-1.0, 1.0], (3, 1, 2))
     phase = w * time[:, None]
-    return time, (a * (1.0 - np.cos(phase))).sum(axis=0), (a * w * np.sin(phase)).sum(axis=0)
+    return (
+        time,
+        (a * (1.0 - np.cos(phase))).sum(axis=0),
+        (a * w * np.sin(phase)).sum(axis=0),
+    )
 
 
 def mismatch(time, q, qd):
@@ -218,11 +234,19 @@ def test_a_derivative_and_a_difference_quotient_are_left_alone(rate, seed, gap):
     time, q, qd = smooth_motion(rate, seed)
     # A pause of the clock at the turning point, where the joints stand.
     time = time + 5.0 * gap * (time > 2.9999)
-    for velocity in (qd, differences(time, q, "forward"), differences(time, q, "backward")):
+    for velocity in (
+        qd,
+        differences(time, q, "forward"),
+        differences(time, q, "backward"),
+    ):
         assert mismatch(time, q, velocity) is None
 
 
-@given(rate=RATES, seed=st.integers(0, 10**6), factor=st.sampled_from([-1.0, 0.0, 0.8, 1.25, 57.3]))
+@given(
+    rate=RATES,
+    seed=st.integers(0, 10**6),
+    factor=st.sampled_from([-1.0, 0.0, 0.8, 1.25, 57.3]),
+)
 def test_another_scale_or_sign_is_found(rate, seed, factor):
     time, q, qd = smooth_motion(rate, seed)
     qd = qd * [1.0, factor]
@@ -248,7 +272,9 @@ def test_velocities_of_a_joint_that_stands_are_found_with_their_row():
 
 
 @pytest.mark.parametrize("start", [0.0, 0.5, 0.1233])
-def test_what_is_wrong_in_one_of_two_files_is_found_whenever_its_time_begins(start, tmp_path):
+def test_what_is_wrong_in_one_of_two_files_is_found_whenever_its_time_begins(
+    start, tmp_path
+):
     """Moments that only rounding keeps apart would allow any slope, and any acceleration."""
     first = trajectory_file(tmp_path, swing(1))
     second = replace(first, time=first.time + start, qd=1.3 * first.qd)
@@ -275,7 +301,9 @@ def test_a_rate_the_bus_cannot_carry_comes_with_one_that_it_can():
 def test_limits_that_are_asked_for_hold_joint_by_joint_at_the_speed_that_is_played(
     swinging, share, speed
 ):
-    shaken = speed**2 * np.abs(np.gradient(swinging.qd, swinging.time, axis=0)).max(axis=0)
+    shaken = speed**2 * np.abs(np.gradient(swinging.qd, swinging.time, axis=0)).max(
+        axis=0
+    )
     fast = speed * np.abs(swinging.qd).max(axis=0)
     strong = np.abs(swinging.tau).max(axis=0)
     top = float(shaken[0] / share[4])
@@ -297,7 +325,9 @@ def swinging(tmp_path_factory):
 
 
 @given(
-    amplitude=st.floats(0.0, 0.3), inertia=st.floats(0.02, 2.0), speed=st.sampled_from([1.0, 0.5])
+    amplitude=st.floats(0.0, 0.3),
+    inertia=st.floats(0.02, 2.0),
+    speed=st.sampled_from([1.0, 0.5]),
 )
 def test_a_shaken_joint_is_refused_without_a_model_unless_it_is_fed_its_torque(
     tmp_path_factory, amplitude, inertia, speed
@@ -310,10 +340,15 @@ def test_a_shaken_joint_is_refused_without_a_model_unless_it_is_fed_its_torque(
     most = 0.0158 * speed**2 * amplitude * wave**2
     for own in (0.0, inertia):
         fed = tau + own * amplitude * wave**2 * np.cos(wave * time)[:, None] * [0, 1]
-        file = trajectory_file(tmp_path_factory.mktemp("shake"), (time, q, qd, fed), "DM8009")
+        file = trajectory_file(
+            tmp_path_factory.mktemp("shake"), (time, q, qd, fed), "DM8009"
+        )
         said = [*rotor_problems(file, speed, torque_doubt(file.joints))]
         if own == 0.0 and most > 1.1 * 2.4:
             (why,) = said
-            assert "motor 2: at" in why and "the torque of another motion; it cannot" in why
+            assert (
+                "motor 2: at" in why
+                and "the torque of another motion; it cannot" in why
+            )
         elif own > 0.0 or most < 0.9 * 2.4:
             assert said == []

@@ -22,7 +22,9 @@ def contest_of(robot, log, options=OPTIONS):
 
 
 def test_a_right_log_fits_tells_the_link_and_has_no_explanation(truth, right):
-    assert misfit(right.log, right.posterior) < 0.02 and right.is_plausible(right.posterior)
+    assert misfit(right.log, right.posterior) < 0.02 and right.is_plausible(
+        right.posterior
+    )
     mass, error = right.last_mass(right.posterior)
     assert abs(mass - truth.theta[0]) < 3.0 * error
     assert findings(right, np.ones(5)) == []
@@ -40,7 +42,9 @@ def test_the_evidence_is_that_of_a_normal_distribution(right):
     expected = []
     used = np.repeat(base.count / len(base.right), len(base.right))
     for precision in base.prior.precisions:
-        covariance = whole @ np.linalg.solve(precision, whole.T) + np.diag(noise.T.ravel())
+        covariance = whole @ np.linalg.solve(precision, whole.T) + np.diag(
+            noise.T.ravel()
+        )
         right_side = base.right.T.ravel()
         exponent = right_side @ np.linalg.solve(covariance, right_side)
         size_of = np.linalg.slogdet(covariance)[1] - np.sum(np.log(noise))

@@ -74,7 +74,11 @@ def pulled(truth, newtons):
     point = np.zeros((4, 10))
     point[-1, 0] = 1.0
     still = np.zeros_like(truth.log.q)
-    return LinkDynamics(ROBOT, np.array(newtons)).motion(truth.log.q, still, still).torque(point)
+    return (
+        LinkDynamics(ROBOT, np.array(newtons))
+        .motion(truth.log.q, still, still)
+        .torque(point)
+    )
 
 
 def sprung(truth, joint):
@@ -88,17 +92,27 @@ def carried(truth, share):
     body = np.zeros((4, 10))
     body[-1] = share * truth.theta
     log = truth.log
-    speed, acceleration = (np.gradient(values, log.time, axis=0) for values in (log.q, log.qd))
+    speed, acceleration = (
+        np.gradient(values, log.time, axis=0) for values in (log.q, log.qd)
+    )
     torque = LinkDynamics(ROBOT).motion(log.q, speed, acceleration).torque(body)
     return torque * (log.time > 6.3)[:, None]
 
 
 WRONG = {
     "tilt": lambda t: {"tau": t.log.tau + rested(t, (0.07, -0.05)) - t.still},
-    "payload-step: the last link carries": lambda t: {"tau": t.log.tau + carried(t, 0.8)},
-    "force: a constant force of": lambda t: {"tau": t.log.tau + pulled(t, (4.0, 3.0, 0.0))},
-    "force: at joint joint1 a torque follows": lambda t: {"tau": t.log.tau + sprung(t, 1)},
-    "gravity: of the links' weight is missing": lambda t: {"tau": t.log.tau - 0.6 * t.still},
+    "payload-step: the last link carries": lambda t: {
+        "tau": t.log.tau + carried(t, 0.8)
+    },
+    "force: a constant force of": lambda t: {
+        "tau": t.log.tau + pulled(t, (4.0, 3.0, 0.0))
+    },
+    "force: at joint joint1 a torque follows": lambda t: {
+        "tau": t.log.tau + sprung(t, 1)
+    },
+    "gravity: of the links' weight is missing": lambda t: {
+        "tau": t.log.tau - 0.6 * t.still
+    },
     "torque-scale: changes its scale by": lambda t: {
         "tau": t.log.tau * (1.0 + 0.03 * t.log.time)[:, None]
     },
@@ -109,13 +123,17 @@ WRONG = {
     "gravity": lambda t: {"tau": t.log.tau - t.still},
     "computed": lambda t: {"tau": t.rigid},
     "sign": lambda t: {"tau": t.log.tau * [1.0, -1.0, 1.0, 1.0]},
-    "order": lambda t: {name: getattr(t.log, name)[:, ::-1] for name in ("q", "qd", "tau")},
+    "order": lambda t: {
+        name: getattr(t.log, name)[:, ::-1] for name in ("q", "qd", "tau")
+    },
     "angle-unit": lambda t: {"q": np.degrees(t.log.q), "qd": np.degrees(t.log.qd)},
     "zero": lambda t: {"q": t.log.q + [0.0, 0.2, 0.0, 0.0]},
     "contact": lambda t: {"tau": pushed(t)},
     "delay": lambda t: {"tau": np.roll(t.log.tau, 10, axis=0)},
     "delay: torque of joint joint2 alone": lambda t: {"tau": late(t, 2)},
-    "contact: torque of joint joint1 hums: a sine of 0.6": lambda t: {"tau": t.log.tau + hum(t, 1)},
+    "contact: torque of joint joint1 hums: a sine of 0.6": lambda t: {
+        "tau": t.log.tau + hum(t, 1)
+    },
     "torque-scale: torque of joint joint3 alone reads": lambda t: {
         "tau": t.log.tau * [1, 1, 1, 1e3]
     },
@@ -123,7 +141,10 @@ WRONG = {
         "time": t.log.time * (1.0 + 0.008 * t.log.time),
         "qd": None,
     },
-    "clock: by inertia beside gravity, time in": lambda t: {"time": 1.3 * t.log.time, "qd": None},
+    "clock: by inertia beside gravity, time in": lambda t: {
+        "time": 1.3 * t.log.time,
+        "qd": None,
+    },
     "clock: by the recorded velocities, time in": lambda t: {"time": 1.15 * t.log.time},
 }
 """Name of a check, and what it says, to a way to spoil a log that it has to tell; for all ways,
@@ -156,7 +177,9 @@ REMEDIES = {
         EstimationOptions(),
     ),
     "torque-scale": lambda log, text: (
-        replace(log, tau=log.tau / float(re.search("reads ([0-9.e-]+) times", text)[1])),
+        replace(
+            log, tau=log.tau / float(re.search("reads ([0-9.e-]+) times", text)[1])
+        ),
         EstimationOptions(),
     ),
 }
@@ -167,7 +190,9 @@ REMEDIES = {
 def test_what_is_advised_puts_the_log_right(four, name):
     spoils = {"clock": {"time": 1.3 * four.log.time, "qd": None}}
     wrong = replace(four.log, **(spoils.get(name) or WRONG[name](four)))
-    text = next(each.text for each in check_against_model(ROBOT, [wrong]) if each.name == name)
+    text = next(
+        each.text for each in check_against_model(ROBOT, [wrong]) if each.name == name
+    )
     log, options = REMEDIES[name](wrong, text)
     assert check_against_model(ROBOT, [log], options) == ()
 
@@ -188,8 +213,13 @@ def test_torque_scales_or_a_tilted_base_are_no_fault_of_the_clock(seed, scales, 
 @pytest.mark.parametrize("given", [[2.0] * 5, [2.0, 3.0, 4.0, 5.0, 6.0]])
 def test_the_scale_to_pass_is_multiplied_with_the_one_that_was_given(truth, given):
     wrong = [replace(truth.log, tau=1e3 * truth.log.tau)]
-    texts = (check_against_model(truth.robot, wrong, divided=d)[0].text for d in (None, given))
-    plain, scales = (re.search(r"--torque-scale ([0-9.e+,]+)", text)[1] for text in texts)
+    texts = (
+        check_against_model(truth.robot, wrong, divided=d)[0].text
+        for d in (None, given)
+    )
+    plain, scales = (
+        re.search(r"--torque-scale ([0-9.e+,]+)", text)[1] for text in texts
+    )
     expected = float(plain) * np.unique(given)
     np.testing.assert_allclose([*map(float, scales.split(","))], expected, rtol=0.01)
 
@@ -209,16 +239,23 @@ def test_what_is_only_noted_is_no_note_of_a_note(four, monkeypatch):
     told = Progress()
     found = Finding("delay", Level.NOTE, "it lags")
     monkeypatch.setattr(told, "note", notes.append)
-    log = SimpleNamespace(path="log.csv", pieces=(four.log,), notes=(), torque_scale=None)
-    monkeypatch.setattr("robot_sysid.diagnosis.run.check_against_model", lambda *_: (found,))
+    log = SimpleNamespace(
+        path="log.csv", pieces=(four.log,), notes=(), torque_scale=None
+    )
+    monkeypatch.setattr(
+        "robot_sysid.diagnosis.run.check_against_model", lambda *_: (found,)
+    )
     look_at(ROBOT, log, (), told)
     assert notes == ["it lags [delay]"] and found.line() == "note: it lags [delay]"
 
 
 def test_a_log_that_cannot_be_looked_at_is_named(four):
-    log = SimpleNamespace(path="log.csv", pieces=(four.log,), notes=(), torque_scale=None)
+    log = SimpleNamespace(
+        path="log.csv", pieces=(four.log,), notes=(), torque_scale=None
+    )
     with pytest.raises(
-        InputError, match=r"^log\.csv: the log's 12 s are too short for a cut-off of 0.001 Hz"
+        InputError,
+        match=r"^log\.csv: the log's 12 s are too short for a cut-off of 0.001 Hz",
     ):
         look_at(ROBOT, log, (), Progress(), EstimationOptions(cutoff=1e-3))
 
@@ -239,12 +276,16 @@ def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     robot = arms.robot_of(arms.serial_arm(axes, joint=JOINT))
     motion = next(motion_chunks(excitation(robot, 0, 12.0), 200.0))
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.q.shape)
-    log = Measurement(motion.time, np.round(motion.q, 5), None, ArmTorque(robot)(motion) + noise)
+    log = Measurement(
+        motion.time, np.round(motion.q, 5), None, ArmTorque(robot)(motion) + noise
+    )
     assert check_against_model(robot, [log]) == ()
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not MODELS.exists(), reason="the models of public arms are not here")
+@pytest.mark.skipif(
+    not MODELS.exists(), reason="the models of public arms are not here"
+)
 @pytest.mark.parametrize(
     ("arm_name", "kind", "duration", "seed"),
     [
@@ -267,7 +308,10 @@ def test_right_logs_of_public_arms_draw_no_alarm(arm_name, kind, duration, seed)
 @pytest.mark.parametrize(
     ("model", "log"),
     [
-        *(("kuka_lwr4/kuka_lwr4.urdf", f"kuka_lwr4/lwr4_hw{run}_200Hz.csv") for run in (1, 2, 3)),
+        *(
+            ("kuka_lwr4/kuka_lwr4.urdf", f"kuka_lwr4/lwr4_hw{run}_200Hz.csv")
+            for run in (1, 2, 3)
+        ),
         ("tx40/tx40.urdf", "tx40/tx40_500Hz.csv"),
     ],
 )
@@ -282,7 +326,12 @@ def test_logs_of_real_arms_draw_no_alarm(model, log):
 
 
 FINDINGS = st.lists(
-    st.builds(Finding, st.sampled_from(sorted(CHECKS)), st.sampled_from(Level), st.just("words")),
+    st.builds(
+        Finding,
+        st.sampled_from(sorted(CHECKS)),
+        st.sampled_from(Level),
+        st.just("words"),
+    ),
     max_size=6,
 )
 

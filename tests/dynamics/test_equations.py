@@ -32,7 +32,13 @@ ARMS = {
     name: robot_of(arms.MODELS[name])
     for name in (
         *("seven", "three", "slide in chain", "shared bodies", "unlimited", "nameless"),
-        *("coupled fingers", "massless tip", "tilted gravity", "gravity compensated", "in water"),
+        *(
+            "coupled fingers",
+            "massless tip",
+            "tilted gravity",
+            "gravity compensated",
+            "in water",
+        ),
         *("armature", "springs", "tendon spring", "home keyframe"),
     )
 }
@@ -53,7 +59,9 @@ def plant_with(robot, theta, friction):
 
 def measure(plant, seed, rate=RATE, duration=DURATION):
     """One chunk of noise-free measurements along an excitation trajectory of the plant."""
-    plan, _ = generate_excitation_trajectory(plant, np.random.default_rng(seed), duration)
+    plan, _ = generate_excitation_trajectory(
+        plant, np.random.default_rng(seed), duration
+    )
     return list(simulate_inverse(plant, motion_chunks(plan, rate)))
 
 
@@ -78,7 +86,9 @@ class Fit:
 
 
 def identify(robot, measurements, torques="chain", friction=TERMINAL_FRICTION):
-    equations = Equations(robot, torques, friction_per_joint(robot, "terminal", friction))
+    equations = Equations(
+        robot, torques, friction_per_joint(robot, "terminal", friction)
+    )
     information = collect_sysid_data(equations, measurements)
     return solve(information, equations.prior)
 
@@ -89,7 +99,9 @@ def solve(information, prior):
     values = prior + space.solve(right - matrix @ prior)
     squared = np.sum(information.squared_residuals(values))
     rmse = float(np.sqrt(squared / information.n_samples))
-    return Fit(information.names, values, prior, space, float(np.linalg.norm(right)), rmse)
+    return Fit(
+        information.names, values, prior, space, float(np.linalg.norm(right)), rmse
+    )
 
 
 def scale_of(truth):
@@ -125,7 +137,9 @@ def test_on_any_chain_what_is_called_identified_is_right_and_the_rest_is_the_mod
     digits = 1e-8 + 1e-14 * estimate.torque_size * condition * space.scale
     assert np.all((estimate.error(truth) < digits)[estimate.identified])
     moved = (estimate.values - estimate.prior) / space.scale
-    size = np.linalg.norm(moved) + np.linalg.norm((truth - estimate.prior) / space.scale)
+    size = np.linalg.norm(moved) + np.linalg.norm(
+        (truth - estimate.prior) / space.scale
+    )
     rotation = 1e-10 + 1e-15 * condition
     np.testing.assert_allclose(space.null.T @ moved, 0.0, atol=rotation * size)
     assert estimate.rmse < 1e-9 * (1.0 + np.linalg.norm(truth))
@@ -133,9 +147,13 @@ def test_on_any_chain_what_is_called_identified_is_right_and_the_rest_is_the_mod
 
 @pytest.mark.parametrize("missing", ["qd", "qdd"])
 def test_a_measurement_without_derivatives_is_refused(missing):
-    equations = Equations(SEVEN, "chain", friction_per_joint(SEVEN, "terminal", TERMINAL_FRICTION))
+    equations = Equations(
+        SEVEN, "chain", friction_per_joint(SEVEN, "terminal", TERMINAL_FRICTION)
+    )
     with pytest.raises(InputError, match="differentiate it first"):
-        collect_sysid_data(equations, [replace(measure(SEVEN, 5)[0], **{missing: None})])
+        collect_sysid_data(
+            equations, [replace(measure(SEVEN, 5)[0], **{missing: None})]
+        )
 
 
 @pytest.mark.parametrize(

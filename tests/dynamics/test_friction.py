@@ -33,12 +33,18 @@ def test_terms_with_a_sign_brake_the_motion(qd, qdd, load):
 
 
 def test_columns_at_hand_computed_values():
-    columns = EVERYTHING.columns(np.array([-4.0, 0.1]), np.array([3.0, 5.0]), np.array([2.0, -7.0]))
+    columns = EVERYTHING.columns(
+        np.array([-4.0, 0.1]), np.array([3.0, 5.0]), np.array([2.0, -7.0])
+    )
     coulomb_to_sqrt = [[-1.0, -4.0, 1.0, 3.0, -2.0], [1.0, 0.1, 1.0, 5.0, np.sqrt(0.1)]]
     np.testing.assert_allclose(columns[:, :5], coulomb_to_sqrt, rtol=1e-15)
-    np.testing.assert_allclose(columns[:, 5], [0.0, np.exp(-1.0)], rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(
+        columns[:, 5], [0.0, np.exp(-1.0)], rtol=1e-12, atol=1e-300
+    )
     np.testing.assert_array_equal(columns[:, 6], [-2.0, 7.0])
-    np.testing.assert_allclose(columns[:, 7:9], [[-16.0, -64.0], [0.01, 0.001]], rtol=1e-12)
+    np.testing.assert_allclose(
+        columns[:, 7:9], [[-16.0, -64.0], [0.01, 0.001]], rtol=1e-12
+    )
     np.testing.assert_allclose(columns[:, 9], [-1.0, np.tanh(2.0)], rtol=1e-12)
 
 
@@ -52,7 +58,11 @@ def test_square_root_frees_the_sign_of_the_viscous_term():
     assert friction_model("coulomb-viscous-sqrt").non_negative == (True, False, False)
 
 
-@pytest.mark.parametrize("name", ["colomb-viscous", "", "coulomb--viscous", "+", "auto"])
+@pytest.mark.parametrize(
+    "name", ["colomb-viscous", "", "coulomb--viscous", "+", "auto"]
+)
 def test_an_unknown_name_lists_the_valid_ones(name):
-    with pytest.raises(InputError, match="coulomb, viscous, offset, armature, sqrt, stribeck"):
+    with pytest.raises(
+        InputError, match="coulomb, viscous, offset, armature, sqrt, stribeck"
+    ):
         friction_model(name)

@@ -8,11 +8,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid.dynamics.kinematics import ArmDynamics, analysis_copy, has_only_armature
+from robot_sysid.dynamics.kinematics import (
+    ArmDynamics,
+    analysis_copy,
+    has_only_armature,
+)
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.model.inertia import body_theta, composite_theta
 from tests.support import arms
-from tests.support.arms import SEEDS, random_chain, random_motion, rigid_bodies, robot_of
+from tests.support.arms import (
+    SEEDS,
+    random_chain,
+    random_motion,
+    rigid_bodies,
+    robot_of,
+)
 from tests.support.model_files import random_theta
 
 SAMPLES = 4
@@ -76,12 +86,20 @@ def plain_torque(xml, motion):
 
 @pytest.mark.parametrize(
     "name",
-    ["gravity compensated", "in water", "dry friction", "equality on chain", "discrete inverse"],
+    [
+        "gravity compensated",
+        "in water",
+        "dry friction",
+        "equality on chain",
+        "discrete inverse",
+    ],
 )
 def test_torque_is_that_of_the_rigid_bodies_alone(name):
     motion = random_motion(np.random.default_rng(1), 3, 20)
     expected = plain_torque(arms.THREE, motion)
-    np.testing.assert_allclose(plain_torque(arms.MODELS[name], motion), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        plain_torque(arms.MODELS[name], motion), expected, rtol=1e-12
+    )
 
 
 BESIDE_ARMATURE = [
@@ -109,7 +127,9 @@ def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
     branch = arms.link(arms.hinge("side", arms.Y))
     bodies = [arms.link(arms.hinge("joint1", arms.X), inertial=arms.TIP), branch]
     inside = "".join(bodies[::-1] if first else bodies)
-    robot = robot_of(arms.world(arms.link(arms.hinge("joint0", arms.Z), inside)), "joint1")
+    robot = robot_of(
+        arms.world(arms.link(arms.hinge("joint0", arms.Z), inside)), "joint1"
+    )
     assert list(robot.dof_index) == ([0, 2] if first else [0, 1])
     motion = random_motion(np.random.default_rng(7), 2, SAMPLES)
     assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
@@ -120,7 +140,10 @@ def test_held_joints_stay_at_the_home_keyframe():
     motion = random_motion(np.random.default_rng(4), robot.n_joints, SAMPLES)
     wide = np.array([0.03, 0.01])
     closed = np.array([0.0, 0.0])
-    moved = [composite_theta(robot.mj_model, np.append(np.zeros(4), f), 4) for f in (wide, closed)]
+    moved = [
+        composite_theta(robot.mj_model, np.append(np.zeros(4), f), 4)
+        for f in (wide, closed)
+    ]
     assert np.max(np.abs(moved[0] - moved[1])) > 1e-4
     np.testing.assert_allclose(robot.prior.theta, moved[0], rtol=1e-14)
     assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
@@ -130,7 +153,9 @@ def test_springs_and_armature_stay_in_the_torque():
     motion = random_motion(np.random.default_rng(2), 3, 20)
     rigid = plain_torque(arms.THREE, motion)
     springs = plain_torque(arms.SPRINGS, motion) - rigid
-    np.testing.assert_allclose(springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(
+        springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10
+    )
     armature = plain_torque(arms.ARMATURE, motion) - rigid
     np.testing.assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)
 
@@ -141,7 +166,9 @@ def test_springs_and_armature_stay_in_the_torque():
 def assert_equals_mujoco(robot, motion):
     thetas = robot.thetas
     links = LinkDynamics(robot).motion(*motion)
-    actual = ArmDynamics(robot).torque(*motion) - ArmDynamics(robot).beyond_rigid_bodies(*motion)
+    actual = ArmDynamics(robot).torque(*motion) - ArmDynamics(
+        robot
+    ).beyond_rigid_bodies(*motion)
     allowed = 1e-11 * np.max(np.abs(actual)) + 1e-13
     np.testing.assert_allclose(links.torque(thetas), actual, rtol=0.0, atol=allowed)
     columns = links.columns(range(robot.n_joints)) @ thetas.ravel()

@@ -23,19 +23,25 @@ def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
     np.testing.assert_allclose(np.linalg.norm(after), np.linalg.norm(down), rtol=1e-12)
     # Both axes are perpendicular to gravity, so the whole turn shows.
     sine = np.linalg.norm(np.cross(down, after)) / (down @ down)
-    np.testing.assert_allclose(sine, np.sin(np.hypot(first, second)), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        sine, np.sin(np.hypot(first, second)), rtol=0.0, atol=1e-12
+    )
 
 
 @given(SEEDS, st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
 def test_angles_of_a_turn_are_found_again(seed, first, second):
     level = 9.81 * np.random.default_rng(seed).normal(size=3)
     angles = np.array([first, second])
-    np.testing.assert_allclose(tilt_angles(level, turned(level, angles)), angles, atol=1e-9)
+    np.testing.assert_allclose(
+        tilt_angles(level, turned(level, angles)), angles, atol=1e-9
+    )
     np.testing.assert_allclose(tilt_angles(level, -level), [np.pi, 0.0])
 
 
 @given(SEEDS, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
-def test_axes_that_are_carried_along_stay_square_and_small_turns_add_up(seed, first, second):
+def test_axes_that_are_carried_along_stay_square_and_small_turns_add_up(
+    seed, first, second
+):
     level = 9.81 * np.random.default_rng(seed).normal(size=3)
     angles = np.array([first, second])
     here = turned(level, angles)
@@ -65,12 +71,16 @@ def test_a_zero_changes_the_torque_as_differences_of_it_say(xml, seed):
     dynamics = LinkDynamics(robot)
     own = step * np.eye(robot.n_joints)
     below, above = (
-        np.stack([dynamics.motion(q + at, qd, qdd).torque(thetas) for at in side], axis=-1)
+        np.stack(
+            [dynamics.motion(q + at, qd, qdd).torque(thetas) for at in side], axis=-1
+        )
         for side in (-own, own)
     )
     found = zero_columns(robot, thetas, Motion(np.arange(5.0), q, qd, qdd))
     rounding = 1e-9 * np.max(np.abs(above), initial=1.0)
-    np.testing.assert_allclose(found, (below - above) / (2.0 * step), rtol=1e-6, atol=rounding)
+    np.testing.assert_allclose(
+        found, (below - above) / (2.0 * step), rtol=1e-6, atol=rounding
+    )
 
 
 @given(st.integers(0, 40), st.integers(0, 10**6))

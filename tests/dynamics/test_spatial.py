@@ -22,7 +22,9 @@ def random_frame(rng):
 
 
 def scaled(theta):
-    return theta / spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
+    return theta / spatial.parameter_scale(
+        theta[0], spatial.characteristic_length(theta)
+    )
 
 
 def point_masses(rng, count=8):
@@ -32,9 +34,13 @@ def point_masses(rng, count=8):
 
 def theta_of_points(masses, points):
     squares = np.sum(points**2, axis=1)[:, None, None] * np.eye(3)
-    inertia = np.einsum("n,nij->ij", masses, squares - points[:, :, None] * points[:, None, :])
+    inertia = np.einsum(
+        "n,nij->ij", masses, squares - points[:, :, None] * points[:, None, :]
+    )
     moment = masses @ points
-    return np.concatenate(([np.sum(masses)], moment, spatial.six_from_symmetric(inertia)))
+    return np.concatenate(
+        ([np.sum(masses)], moment, spatial.six_from_symmetric(inertia))
+    )
 
 
 @given(SEEDS)
@@ -42,8 +48,12 @@ def test_theta_from_com_is_the_sum_over_point_masses(seed):
     masses, points = point_masses(np.random.default_rng(seed))
     com = masses @ points / np.sum(masses)
     about_com = theta_of_points(masses, points - com)
-    actual = spatial.theta_from_com(np.sum(masses), com, spatial.symmetric_from_six(about_com[4:]))
-    np.testing.assert_allclose(actual, theta_of_points(masses, points), rtol=0.0, atol=1e-12)
+    actual = spatial.theta_from_com(
+        np.sum(masses), com, spatial.symmetric_from_six(about_com[4:])
+    )
+    np.testing.assert_allclose(
+        actual, theta_of_points(masses, points), rtol=0.0, atol=1e-12
+    )
 
 
 @given(SEEDS)
@@ -61,7 +71,9 @@ def test_moving_the_frame_moves_the_points(seed):
     masses, points = point_masses(rng)
     rotation, translation = random_frame(rng)
     moved = theta_of_points(masses, points @ rotation.T + translation)
-    actual = spatial.transform_theta(theta_of_points(masses, points), rotation, translation)
+    actual = spatial.transform_theta(
+        theta_of_points(masses, points), rotation, translation
+    )
     np.testing.assert_allclose(actual, moved, rtol=0.0, atol=1e-11)
 
 
@@ -134,9 +146,13 @@ def turns(rng, kind):
     if kind == "any":
         return random_rotation(rng)
     if kind == "right angles":
-        return Rotation.from_euler("ZYX", 90.0 * rng.integers(-2, 3, 3), degrees=True).as_matrix()
+        return Rotation.from_euler(
+            "ZYX", 90.0 * rng.integers(-2, 3, 3), degrees=True
+        ).as_matrix()
     tilt = rng.choice([-1.0, 1.0]) * (0.5 * np.pi - 10.0 ** rng.uniform(-17.0, -3.0))
-    return Rotation.from_euler("ZYX", [rng.uniform(-3, 3), tilt, rng.uniform(-3, 3)]).as_matrix()
+    return Rotation.from_euler(
+        "ZYX", [rng.uniform(-3, 3), tilt, rng.uniform(-3, 3)]
+    ).as_matrix()
 
 
 KINDS = st.sampled_from(["any", "right angles", "nearly locked"])
@@ -162,7 +178,9 @@ def test_principal_axes_give_the_inertia_back_and_turn_least(seed, spread):
     axes = random_rotation(rng)
     inertia = axes @ np.diag(1.0 + spread * rng.uniform(0.0, 1.0, 3)) @ axes.T
     moments, found = spatial.principal_axes(inertia)
-    np.testing.assert_allclose(found @ np.diag(moments) @ found.T, inertia, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        found @ np.diag(moments) @ found.T, inertia, rtol=0.0, atol=1e-14
+    )
     np.testing.assert_allclose(found.T @ found, np.eye(3), rtol=0.0, atol=1e-14)
     assert np.linalg.det(found) > 0.0
     # No frame is further than 62.8 degrees from the nearest of its 24 turns.

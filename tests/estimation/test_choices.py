@@ -51,8 +51,14 @@ def scores(**factors):
         (scores(**{STRIBECK: 0.5, RICHEST: 0.5}), STRIBECK),
         (scores(**{STRIBECK: 1.0 - 0.8 * CLEAR_SHARE}), CANDIDATES[0]),
         # Clearly lower on average, but not by two standard errors of that; and by more.
-        ({**scores(), RICHEST: BLOCKS * np.exp([-0.9, -0.5, 0.6, 0.2, -0.1])}, CANDIDATES[0]),
-        ({**scores(), RICHEST: BLOCKS * np.exp([-0.4, -0.1, -0.3, -0.1, -0.2])}, RICHEST),
+        (
+            {**scores(), RICHEST: BLOCKS * np.exp([-0.9, -0.5, 0.6, 0.2, -0.1])},
+            CANDIDATES[0],
+        ),
+        (
+            {**scores(), RICHEST: BLOCKS * np.exp([-0.4, -0.1, -0.3, -0.1, -0.2])},
+            RICHEST,
+        ),
         # Much better here, worse there.
         ({**scores(), RICHEST: BLOCKS * [0.2, 1.6, 1.0, 0.9, 1.3]}, CANDIDATES[0]),
     ],
@@ -67,7 +73,9 @@ def test_a_stretch_that_shows_friction_far_more_than_others_does_not_hide_it():
     assert is_clearly_lower(before / 5.0, before)
 
 
-def chosen(plant, robot, more, offered=False, given=None, seed=1, duration=10.0, **uncertain):
+def chosen(
+    plant, robot, more, offered=False, given=None, seed=1, duration=10.0, **uncertain
+):
     """(choice, its fit) of a log with more torque, of the exact motion, than the plant has."""
     plan = plan_of(plant, seed, duration)
     log = log_of(plant, plan, seed, noise_torque=0.02, encoder_resolution=1e-5)
@@ -128,11 +136,15 @@ def loss(motion):
     return 0.2 * np.sign(motion.qd) * np.abs(carried)
 
 
-@pytest.mark.parametrize(("term", "more"), [("stribeck", stribeck), ("sqrt", root), ("load", loss)])
+@pytest.mark.parametrize(
+    ("term", "more"), [("stribeck", stribeck), ("sqrt", root), ("load", loss)]
+)
 def test_the_joint_that_has_a_term_takes_it(plant, robot, term, more):
     found, fit = chosen(plant, robot, lambda motion: more(motion) * MIDDLE, seed=2)
     assert names(found) == [BASIC, f"{BASIC}-{term}", BASIC]
-    assert found.errors["joint1"][f"{BASIC}-{term}"] < 0.9 * found.errors["joint1"][BASIC]
+    assert (
+        found.errors["joint1"][f"{BASIC}-{term}"] < 0.9 * found.errors["joint1"][BASIC]
+    )
     if term == "stribeck":
         assert fit.point.speed["stribeck"][1] == pytest.approx(0.05, rel=0.2)
 
@@ -163,10 +175,17 @@ def test_links_that_are_further_off_are_given_more_room(plant):
     """That all are, and not the torques, is known where scales are said."""
     model = with_links(plant, 0.5, 7)
     told = {"given": BASIC, "duration": 30.0}
-    found, _ = chosen(plant, model, lambda motion: 0.0 * motion.q, scale_uncertainty=2.0, **told)
-    usual, _ = chosen(plant, plant, lambda motion: 0.0 * motion.q, scale_uncertainty=2.0, **told)
+    found, _ = chosen(
+        plant, model, lambda motion: 0.0 * motion.q, scale_uncertainty=2.0, **told
+    )
+    usual, _ = chosen(
+        plant, plant, lambda motion: 0.0 * motion.q, scale_uncertainty=2.0, **told
+    )
     assert found.choice.link_scales.mass > usual.choice.link_scales.mass
-    assert found.choice.link_scales.centre_of_mass > usual.choice.link_scales.centre_of_mass
+    assert (
+        found.choice.link_scales.centre_of_mass
+        > usual.choice.link_scales.centre_of_mass
+    )
     assert not found.choice.common_scale
 
 
@@ -175,9 +194,15 @@ def test_a_scale_of_all_torques_is_told_from_none(plant, factor, told):
     """The model is the plant, and what all torques read too much looks like links off alike."""
 
     def more(motion):
-        return (factor - 1.0) * ArmDynamics(plant).torque(motion.q, motion.qd, motion.qdd)
+        return (factor - 1.0) * ArmDynamics(plant).torque(
+            motion.q, motion.qd, motion.qdd
+        )
 
-    known = {"link_uncertainty": 0.2, "zero_uncertainty": 0.5, "gravity_uncertainty": 0.02}
+    known = {
+        "link_uncertainty": 0.2,
+        "zero_uncertainty": 0.5,
+        "gravity_uncertainty": 0.02,
+    }
     known["delay_uncertainty"] = 0.0
     found, fit = chosen(plant, plant, more, given=BASIC, seed=3, duration=30.0, **known)
     assert bool(found.choice.common_scale) == told
@@ -192,14 +217,27 @@ def test_errors_grow_where_there_may_be_no_scale_of_all_torques(plant):
     def more(motion):
         return 0.25 * ArmDynamics(plant).torque(motion.q, motion.qd, motion.qdd)
 
-    known = {"zero_uncertainty": 0.5, "gravity_uncertainty": 0.02, "delay_uncertainty": 0.0}
+    known = {
+        "zero_uncertainty": 0.5,
+        "gravity_uncertainty": 0.02,
+        "delay_uncertainty": 0.0,
+    }
     for share, either in ((1.0, True), (0.05, False)):
-        told = {"given": BASIC, "seed": 3, "duration": 30.0, "link_uncertainty": share, **known}
+        told = {
+            "given": BASIC,
+            "seed": 3,
+            "duration": 30.0,
+            "link_uncertainty": share,
+            **known,
+        }
         _, fit = chosen(plant, plant, more, **told)
         errors = fit_errors(fit)
         names = fit.information.names
         (scales,) = (group for group in fit.unknowns.groups if group.cause == SCALES)
-        parts = scales.covariance_rows(names, errors.whole.inverse), errors.causes[SCALES]
+        parts = (
+            scales.covariance_rows(names, errors.whole.inverse),
+            errors.causes[SCALES],
+        )
         prior, whole = (np.sum(rows[:, 0] ** 2) for rows in parts)
         grown = whole / prior
         assert grown > 1.5 if either else grown == pytest.approx(1.0, abs=0.01)
@@ -208,11 +246,15 @@ def test_errors_grow_where_there_may_be_no_scale_of_all_torques(plant):
 def test_noise_with_a_memory_alone_gives_them_none(plant, robot):
     def noise(motion):
         keep = np.exp(-1.0 / (0.3 * RATE))
-        drive = np.sqrt(1.0 - keep**2) * np.random.default_rng(3).standard_normal(motion.q.shape)
+        drive = np.sqrt(1.0 - keep**2) * np.random.default_rng(3).standard_normal(
+            motion.q.shape
+        )
         return 0.1 * lfilter([1.0], [1.0, -keep], drive, axis=0)
 
     found, _ = chosen(plant, robot, noise, given=BASIC, duration=30.0)
-    white, _ = chosen(plant, robot, lambda motion: 0.0 * motion.q, given=BASIC, duration=30.0)
+    white, _ = chosen(
+        plant, robot, lambda motion: 0.0 * motion.q, given=BASIC, duration=30.0
+    )
     slow = found.choice.link_scales
     fast = white.choice.link_scales
     assert slow.mass < 1.2 * fast.mass
@@ -263,7 +305,8 @@ def test_the_error_is_that_of_the_noise(payload_fit):
 def test_a_fit_is_judged_with_bodies_that_are_possible(robot, noisy):
     """Noise ten times as large: what a block alone would give is impossible."""
     loud = replace(
-        noisy, tau=noisy.tau + 3.0 * np.random.default_rng(1).normal(size=noisy.tau.shape)
+        noisy,
+        tau=noisy.tau + 3.0 * np.random.default_rng(1).normal(size=noisy.tau.shape),
     )
     (log,), options = datasets_of(robot, loud, **KNOWN)
     fit = fitted(robot, [log], options)

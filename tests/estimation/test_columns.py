@@ -18,7 +18,12 @@ from robot_sysid.records import DELAY_NAME
 from robot_sysid.signals import process as process_module
 from robot_sysid.signals.filters import LowPass, design_low_pass
 from tests.support import arms
-from tests.support.payload_logs import changed, exact_recording, four_joint_arm, wide_motion
+from tests.support.payload_logs import (
+    changed,
+    exact_recording,
+    four_joint_arm,
+    wide_motion,
+)
 
 ARMS = {
     "four": four_joint_arm('range="-2 2" armature=".3"'),
@@ -53,7 +58,11 @@ def torque_of(columns, motion, values, is_loaded):
     """What the torque sensors of the arm read (N, rows), by MuJoCo and the friction's formulas."""
     known = dict(zip(columns.names, values.tolist()))
     rigid = rigid_torque(columns, motion, values, is_loaded)
-    scaled = rigid if is_loaded else rigid_torque(columns, motion, as_modelled(columns, values), 0)
+    scaled = (
+        rigid
+        if is_loaded
+        else rigid_torque(columns, motion, as_modelled(columns, values), 0)
+    )
     found = np.zeros((len(rigid), len(columns.joints)))
     for row, (j, name) in enumerate(zip(columns.rows_of, columns.joints)):
         qd = motion.qd[:, j]
@@ -128,7 +137,10 @@ def without_dry_friction(columns, values):
     found = values.copy()
     bodies = {k for at in columns.bodies().values() for k in at}
     for index, name in enumerate(columns.names):
-        if index not in bodies and name.partition("[")[0] not in ("viscous", "armature"):
+        if index not in bodies and name.partition("[")[0] not in (
+            "viscous",
+            "armature",
+        ):
             found[index] = 0.0
     return found
 
@@ -145,11 +157,15 @@ def test_each_column_is_the_derivative_of_the_torque(name, torques):
     full = np.stack(list(dense(samples)), axis=1)
     for index, parameter in enumerate(columns.names):
         if parameter == DELAY_NAME:
-            smooth = torque_of(columns, motion, without_dry_friction(columns, values), True)
+            smooth = torque_of(
+                columns, motion, without_dry_friction(columns, values), True
+            )
             expected = -np.gradient(smooth, samples.time, axis=0)
         else:
             step = 1e-5 * np.eye(len(values))[index]
-            up, down = (torque_of(columns, motion, values + s * step, True) for s in (1, -1))
+            up, down = (
+                torque_of(columns, motion, values + s * step, True) for s in (1, -1)
+            )
             expected = (up - down) / 2e-5
         off = np.max(np.abs(full[..., index] - expected))
         assert off < 1e-6 * max(np.max(np.abs(expected)), 1.0), parameter
@@ -179,11 +195,15 @@ def test_rows_under_another_gravity_are_those_made_for_it(torques, angle):
     low_pass = design_low_pass(20.0, RATE)
     _, columns = recorded(bare, values, True, 3, low_pass, duration=2.0)
     columns.samples(columns.start())
-    point = point_at(columns, values, gravity=turned(gravity(ARMS["four"]), np.full(2, angle)))
+    point = point_at(
+        columns, values, gravity=turned(gravity(ARMS["four"]), np.full(2, angle))
+    )
     (found,) = columns.samples(point)
     (anew,) = Columns(columns.robot, columns.datasets, torques).samples(point)
     for mine, other in zip((*found.rows, *found.tau), (*anew.rows, *anew.tau)):
-        np.testing.assert_allclose(mine, other, rtol=0.0, atol=1e-3 * angle * (angle < 0.1))
+        np.testing.assert_allclose(
+            mine, other, rtol=0.0, atol=1e-3 * angle * (angle < 0.1)
+        )
 
 
 def test_a_file_has_the_same_columns_as_the_arm_that_they_are_of():
@@ -194,7 +214,9 @@ def test_a_file_has_the_same_columns_as_the_arm_that_they_are_of():
     for is_loaded in (False, True):
         _, columns = recorded(bare, values, is_loaded, 5)
         point = point_at(columns, values)
-        (every,), (some,) = (columns.samples(replace(point, in_file=f)) for f in (False, True))
+        (every,), (some,) = (
+            columns.samples(replace(point, in_file=f)) for f in (False, True)
+        )
         pairs = zip(some.columns, some.rows, some.tau, dense(every), every.tau)
         for places, rows, tau, whole, side in pairs:
             np.testing.assert_array_equal(rows, whole[:, places])

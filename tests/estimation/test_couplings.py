@@ -36,11 +36,15 @@ def wrist():
 
 @since(3, 3)
 @pytest.mark.parametrize("friction", [NO_FRICTION, friction_model(DEFAULT_MEASURED)])
-def test_a_motor_of_the_model_is_in_the_torque_whether_it_is_sought_or_not(wrist, friction):
+def test_a_motor_of_the_model_is_in_the_torque_whether_it_is_sought_or_not(
+    wrist, friction
+):
     (motor,) = couplings_of_model(wrist)
     assert motor.name == "joint1-2*joint2" and motor.tendon == 0
     np.testing.assert_array_equal(motor.model[:3], [1.5, 0.4, 0.03])
-    motion = Motion(np.arange(20.0), *arms.random_motion(np.random.default_rng(0), 3, 20))
+    motion = Motion(
+        np.arange(20.0), *arms.random_motion(np.random.default_rng(0), 3, 20)
+    )
     (measured,) = simulate_inverse(wrist, [motion])
     for motors in ((), (motor,)):
         equations = Equations(wrist, "chain", (friction,) * 3, motors)
@@ -51,12 +55,18 @@ def test_a_motor_of_the_model_is_in_the_torque_whether_it_is_sought_or_not(wrist
 @since(3, 3)
 def test_what_the_model_has_is_neither_offered_nor_counted_twice(wrist, tmp_path):
     every, offered = couplings_of(wrist, EstimationOptions())
-    assert [motor.tendon for motor in every] == [0, *(None,) * 4] and every[1:] == offered
+    assert [motor.tendon for motor in every] == [0, *(None,) * 4] and every[
+        1:
+    ] == offered
     path = written(
-        tmp_path, {"m": {"joint1": -1.5, "joint2": 3.0}, "n": {"joint0": 1, "joint1": 1}}
+        tmp_path,
+        {"m": {"joint1": -1.5, "joint2": 3.0}, "n": {"joint0": 1, "joint1": 1}},
     )
     every, offered = couplings_of(wrist, EstimationOptions(coupling=path))
-    assert [motor.name for motor in every] == ["joint1-2*joint2", "joint0+joint1"] and not offered
+    assert [motor.name for motor in every] == [
+        "joint1-2*joint2",
+        "joint0+joint1",
+    ] and not offered
 
 
 def test_a_tendon_that_only_pulls_or_leads_elsewhere_is_no_motor():

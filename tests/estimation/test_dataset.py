@@ -27,7 +27,12 @@ from robot_sysid.estimation.dataset import (
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
 from tests.support.measured_logs import CUTOFF, equations_of, log_of
-from tests.support.payload_logs import TrueArm, exact_recording, four_joint_arm, wide_motion
+from tests.support.payload_logs import (
+    TrueArm,
+    exact_recording,
+    four_joint_arm,
+    wide_motion,
+)
 
 ROBOT = four_joint_arm()
 
@@ -53,18 +58,24 @@ def random_samples(seed, count=40):
     )
 
 
-def test_rows_stand_at_the_decimated_instants_and_masked_ones_stay_in_place(plant, signals):
+def test_rows_stand_at_the_decimated_instants_and_masked_ones_stay_in_place(
+    plant, signals
+):
     samples = decimated_equations(equations_of(plant), signals)
     np.testing.assert_array_equal(samples.time, signals.decimated_time())
     for tau, usable in zip(samples.tau, signals.usable().T):
         np.testing.assert_array_equal(np.isfinite(tau), usable)
     still = replace(signals, deadband=np.full(3, 1e3))
-    with pytest.raises(InputError, match="faster than its velocity deadband for long enough"):
+    with pytest.raises(
+        InputError, match="faster than its velocity deadband for long enough"
+    ):
         decimated_equations(equations_of(plant), still)
 
 
 @pytest.mark.parametrize("torques", ["chain", "terminal"])
-def test_rows_are_those_of_all_samples_that_passed_the_low_pass(plant, signals, torques):
+def test_rows_are_those_of_all_samples_that_passed_the_low_pass(
+    plant, signals, torques
+):
     """Bodies from fewer samples within 1e-7, friction and torque to rounding."""
     equations = equations_of(plant, torques)
     whole = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
@@ -76,9 +87,13 @@ def test_rows_are_those_of_all_samples_that_passed_the_low_pass(plant, signals, 
         exact = signals.low_pass.decimated(np.column_stack((rows, tau)))[used]
         found = np.column_stack((samples.rows[joint], samples.tau[joint]))[used]
         size = np.sqrt(np.mean(exact**2, axis=0))
-        np.testing.assert_array_less(np.sqrt(np.mean((found - exact) ** 2, 0)), 1e-7 * size + 1e-12)
+        np.testing.assert_array_less(
+            np.sqrt(np.mean((found - exact) ** 2, 0)), 1e-7 * size + 1e-12
+        )
         friction = slice(10, 14)
-        np.testing.assert_allclose(found[:, friction], exact[:, friction], rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(
+            found[:, friction], exact[:, friction], rtol=0.0, atol=1e-10
+        )
 
 
 @given(st.integers(BLOCKS, 500), st.integers(0, 100), st.floats(0.01, 5.0))
@@ -114,7 +129,9 @@ def test_the_truth_solves_the_equations_of_resting_poses():
     count = 12
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (count, 4))
     still = np.zeros_like(q)
-    tau = arm.torque(replace(wide_motion(0), time=np.arange(12.0), q=q, qd=still, qdd=still), True)
+    tau = arm.torque(
+        replace(wide_motion(0), time=np.arange(12.0), q=q, qd=still, qdd=still), True
+    )
     used = np.arange(count)[:, None] != np.arange(4)
     poses = RestingPoses(Measurement(np.arange(12.0), q, still, tau, still), used)
     recording = Dataset("poses", poses, is_loaded=True)
@@ -123,7 +140,9 @@ def test_the_truth_solves_the_equations_of_resting_poses():
     columns = Columns(ROBOT, [recording])
     (samples,) = columns.samples(columns.start())
     truth = arm.values(columns)
-    for rows, right, places, ok in zip(samples.rows, samples.tau, samples.columns, used.T):
+    for rows, right, places, ok in zip(
+        samples.rows, samples.tau, samples.columns, used.T
+    ):
         np.testing.assert_array_equal(np.isfinite(right), ok)
         np.testing.assert_allclose(rows[ok] @ truth[places], right[ok], atol=1e-9)
 
@@ -150,7 +169,9 @@ def test_rows_put_together_are_those_beside_each_other(seed):
     samples = random_samples(seed)
     factor = np.array([2.0, 0.0, -1.0])
     beside = np.random.default_rng(seed).normal(size=(40, 2))
-    rows = RowsBeside(samples.rows, [((slice(None), factor), (beside, 0.5), (slice(1), 3.0))])
+    rows = RowsBeside(
+        samples.rows, [((slice(None), factor), (beside, 0.5), (slice(1), 3.0))]
+    )
     first = samples.rows[0]
     whole = np.hstack((first * factor, 0.5 * beside, 3.0 * first[:, :1]))
     np.testing.assert_array_equal(rows[0], whole)

@@ -32,10 +32,14 @@ def white(shape, rng):
 
 def coloured(shape, rng):
     keep = np.exp(-1.0 / (0.1 * RATE))
-    return lfilter([1.0], [1.0, -keep], np.sqrt(1.0 - keep**2) * white(shape, rng), axis=0)
+    return lfilter(
+        [1.0], [1.0, -keep], np.sqrt(1.0 - keep**2) * white(shape, rng), axis=0
+    )
 
 
-@pytest.mark.parametrize("noise", [pytest.param(white, marks=pytest.mark.slow), coloured])
+@pytest.mark.parametrize(
+    "noise", [pytest.param(white, marks=pytest.mark.slow), coloured]
+)
 def test_errors_are_the_spread_of_many_recordings(noise):
     """Noise is all that is not known; what has a memory counts by its memory."""
     arm = TrueArm(SMALL, 1, wrong=0.0)
@@ -47,16 +51,26 @@ def test_errors_are_the_spread_of_many_recordings(noise):
         fit = fitted(SMALL, [with_torque(exact, drawn)], EstimationOptions(**KNOWN))
         off.append((fit.values - arm.values(fit.columns))[fit.unknowns.kept])
         stated.append(fit_errors(fit).whole.standard_errors)
-    ratio = np.sqrt(np.mean(np.square(off), axis=0) / np.mean(np.square(stated), axis=0))
+    ratio = np.sqrt(
+        np.mean(np.square(off), axis=0) / np.mean(np.square(stated), axis=0)
+    )
     assert np.all((ratio > 0.6) & (ratio < 1.6))
-    assert np.mean(np.abs(off) < 1.96 * np.array(stated)) == pytest.approx(0.95, abs=0.03)
+    assert np.mean(np.abs(off) < 1.96 * np.array(stated)) == pytest.approx(
+        0.95, abs=0.03
+    )
 
 
 @pytest.mark.slow
 def test_whole_errors_cover_all_that_is_wrong_with_an_arm():
     plan = plan_of(SMALL, 1, 20.0)
     off = []
-    sizes = {"links": 0.04, "zero": 2e-3, "tilt": np.radians(0.4), "lag": 3e-3, "load": 0.02}
+    sizes = {
+        "links": 0.04,
+        "zero": 2e-3,
+        "tilt": np.radians(0.4),
+        "lag": 3e-3,
+        "load": 0.02,
+    }
     for run in range(24):
         rng = np.random.default_rng(run)
         scale = 1.0 + 0.02 * rng.standard_normal(3)
@@ -93,7 +107,9 @@ def test_beside_noise_the_low_pass_does_not_count(plant):
     assert np.max(off / errors.whole.standard_errors) < WITHIN
 
 
-def test_where_a_joint_turns_round_between_two_passes_its_friction_says_nothing(monkeypatch):
+def test_where_a_joint_turns_round_between_two_passes_its_friction_says_nothing(
+    monkeypatch,
+):
     """Reversed motion takes the same torque of the links; only the sign of friction differs."""
     recording = TrueArm(SMALL, 1, wrong=0.0).recording(wide_motion(3, 3), False)
     fit = fitted(SMALL, [recording], EstimationOptions(**KNOWN))
@@ -110,7 +126,9 @@ def test_where_a_joint_turns_round_between_two_passes_its_friction_says_nothing(
 @pytest.mark.parametrize(("seed", "seconds"), [(2, 0.1), (0, 0.3)])
 def test_noise_with_a_memory_is_no_cause(plant, seed, seconds):
     """The model is the plant; noise without a memory would not do what this noise does."""
-    log = log_of(plant, plan_of(plant, seed), seed, noise_torque=0.1, encoder_resolution=1e-4)
+    log = log_of(
+        plant, plan_of(plant, seed), seed, noise_torque=0.1, encoder_resolution=1e-4
+    )
     keep = np.exp(-1.0 / (200.0 * seconds))
     drawn = np.random.default_rng(seed).standard_normal(log.tau.shape)
     slow = 0.1 * lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], drawn, axis=0)
@@ -147,7 +165,9 @@ def errors(payload_fit):
 @pytest.fixture(scope="module")
 def change(payload_fit):
     kept = payload_fit.unknowns.kept
-    return np.eye(len(kept))[np.searchsorted(kept, payload_fit.columns.at(PAYLOAD_NAMES))]
+    return np.eye(len(kept))[
+        np.searchsorted(kept, payload_fit.columns.at(PAYLOAD_NAMES))
+    ]
 
 
 def test_squares_of_the_causes_and_of_noise_add_up(payload_fit, errors, change):
@@ -186,7 +206,9 @@ def test_the_truth_lies_within_the_errors(payload_fit, errors, change):
     assert np.all(errors.shown(change))
     share = errors.share(payload_fit)
     names = payload_fit.unknowns.kept_names
-    assert share[names.index("m(payload)")] > 0.99 and np.all((share >= 0.0) & (share <= 1.0))
+    assert share[names.index("m(payload)")] > 0.99 and np.all(
+        (share >= 0.0) & (share <= 1.0)
+    )
     # Its joint shows none of it; what other links weigh tells a little.
     assert share[names.index("m(link0)")] < 0.3
 
@@ -200,5 +222,9 @@ def test_what_no_torque_shows_has_no_error():
     errors = fit_errors(fit)
     hidden = {"hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz"}
     own = np.eye(len(fit.unknowns.kept))[:10]
-    np.testing.assert_array_equal(errors.shown(own), [n not in hidden for n in PARAMETER_NAMES])
-    assert np.isinf(errors.of(own[3:4])[1][0]) and not errors.shown(own[:1] + own[3:4])[0]
+    np.testing.assert_array_equal(
+        errors.shown(own), [n not in hidden for n in PARAMETER_NAMES]
+    )
+    assert (
+        np.isinf(errors.of(own[3:4])[1][0]) and not errors.shown(own[:1] + own[3:4])[0]
+    )

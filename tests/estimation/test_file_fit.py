@@ -38,7 +38,9 @@ def file_of(plant, model, kept=(), more=None, couplings=()):
     """The file's fit."""
     datasets, options = recorded(plant, model, more=more)
     made = fitted(model, datasets, options, couplings=couplings)
-    return fit_file(fitter_of(model, datasets, couplings=couplings), options, kept, made)
+    return fit_file(
+        fitter_of(model, datasets, couplings=couplings), options, kept, made
+    )
 
 
 def compiled(robot, fit):
@@ -119,11 +121,18 @@ def without_rotors(robot):
     return replace(robot, mj_model=model)
 
 
-def test_a_rotor_is_that_of_the_estimate_where_it_is_clear_else_the_model_s(plant, robot):
+def test_a_rotor_is_that_of_the_estimate_where_it_is_clear_else_the_model_s(
+    plant, robot
+):
     """What a file lacks of friction would look like one."""
 
     def more(motion):
-        return 1.5 * np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2)) * [0.0, 1.0, 0.0]
+        return (
+            1.5
+            * np.sign(motion.qd)
+            * np.exp(-((motion.qd / 0.3) ** 2))
+            * [0.0, 1.0, 0.0]
+        )
 
     for model, error in ((robot, 0.0), (without_rotors(robot), 0.01)):
         datasets, options = recorded(plant, model, more=more)
@@ -141,7 +150,9 @@ def test_a_part_that_is_to_stay_stays(plant, robot, parts):
         ROTORS: ["armature[joint0]", "armature[joint2]"],
         LINKS: ["m(link0)", "Izz(link1)"],
     }
-    for name, held in ((name, kind in parts) for kind, names in stays.items() for name in names):
+    for name, held in (
+        (name, kind in parts) for kind, names in stays.items() for name in names
+    ):
         place = fit.columns.place[name]
         assert (fit.values[place] == fit.columns.prior[place]) == held, name
     assert "offset[joint1]" in fit.unknowns.kept_names
@@ -151,11 +162,15 @@ def test_a_urdf_gets_no_rotors(plant, robot):
     """It cannot hold them: what it has beside links is friction, and rotors count as links."""
     model = replace(robot, kind="urdf")
     fit = file_of(plant, model).fit
-    assert not [name for name in fit.unknowns.kept_names if name.startswith("armature[")]
+    assert not [
+        name for name in fit.unknowns.kept_names if name.startswith("armature[")
+    ]
     assert all(fit.value(f"armature[{joint}]") == 0.0 for joint in model.joint_names)
 
 
-@pytest.mark.skipif(not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7")
+@pytest.mark.skipif(
+    not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7"
+)
 def test_nonlinear_damping_is_given_to_the_joint_that_has_it(plant, robot):
     def more(motion):
         return 0.3 * motion.qd * np.abs(motion.qd) * [0.0, 1.0, 0.0]
@@ -187,12 +202,18 @@ def test_a_motor_that_turns_two_joints_is_in_the_file(plant, robot):
     with_it = file_of(plant, robot, (GRAVITY,), shared_motor, motors)
     without = file_of(plant, robot, (GRAVITY,), shared_motor)
     for term, value in {"coulomb": 1.5, "viscous": 0.4, "armature": 0.02}.items():
-        assert with_it.fit.value(f"{term}[joint1+joint2]") == pytest.approx(value, rel=0.1)
+        assert with_it.fit.value(f"{term}[joint1+joint2]") == pytest.approx(
+            value, rel=0.1
+        )
     assert with_it.after.relative_error < 0.2 * without.after.relative_error
     assert with_it.beside is None
 
     kept = file_of(plant, robot, (GRAVITY, FRICTION), shared_motor, motors).fit
-    assert kept.value("coulomb[joint1+joint2]") == 0.0 != kept.value("armature[joint1+joint2]")
+    assert (
+        kept.value("coulomb[joint1+joint2]")
+        == 0.0
+        != kept.value("armature[joint1+joint2]")
+    )
     kept = file_of(plant, robot, (GRAVITY, FRICTION, ROTORS), shared_motor, motors).fit
     assert not kept.choice.couplings
 
@@ -201,7 +222,12 @@ def test_a_motor_that_turns_two_joints_is_in_the_file(plant, robot):
 def test_beside_the_mjcf_that_holds_such_a_motor_a_urdf_is_fitted_as_one(plant, robot):
     model = replace(robot, kind="urdf")
     found = file_of(plant, model, (GRAVITY,), shared_motor, (coupling(robot, WRIST),))
-    assert found.fit.question.file_kind == "mjcf" and found.beside.fit.question.file_kind == "urdf"
+    assert (
+        found.fit.question.file_kind == "mjcf"
+        and found.beside.fit.question.file_kind == "urdf"
+    )
     alone = file_of(plant, model, (GRAVITY,), shared_motor)
-    assert found.beside.after.relative_error == pytest.approx(alone.after.relative_error, rel=0.05)
+    assert found.beside.after.relative_error == pytest.approx(
+        alone.after.relative_error, rel=0.05
+    )
     assert found.after.relative_error < 0.2 * alone.after.relative_error

@@ -65,12 +65,18 @@ def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
     arm = TrueArm(ROBOT, seed, wrong=0.0)
     arm.thetas[-1] = random_body(np.random.default_rng(seed))
     recording = arm.recording(wide_motion(seed), False)
-    for options, allowed in ((EstimationOptions(), 1e-8), (EstimationOptions(**KNOWN), 1e-10)):
+    for options, allowed in (
+        (EstimationOptions(), 1e-8),
+        (EstimationOptions(**KNOWN), 1e-10),
+    ):
         fit = fitted(ROBOT, [recording], options)
         assert off_by(fit.values[:10], arm.thetas[-1]) < allowed
         # Exact data makes no error smaller than a millionth of the torque would.
         torque = np.sqrt(np.mean(recording.torque**2))
-        assert np.all(1.0 / fit.weights > 0.9e-6 * torque) or options.link_uncertainty == 0.0
+        assert (
+            np.all(1.0 / fit.weights > 0.9e-6 * torque)
+            or options.link_uncertainty == 0.0
+        )
         truth = arm.values(fit.columns)[fit.unknowns.kept]
         np.testing.assert_allclose(fit.values[fit.unknowns.kept], truth, atol=1e-6)
 
@@ -89,13 +95,17 @@ def test_torques_times_k_give_bodies_times_k():
     recordings = [with_torque(each, 0.3 * each.torque) for each in pair(5, wrong=0.1)]
     fit = fitted(ROBOT, recordings, SURE, loaded=True)
     assert off_by(payload(fit), 1.3 * PAYLOAD) < 1e-6
-    assert np.mean([fit.value(f"scale[{joint}]") for joint in JOINTS]) == pytest.approx(0, abs=1e-9)
+    assert np.mean([fit.value(f"scale[{joint}]") for joint in JOINTS]) == pytest.approx(
+        0, abs=1e-9
+    )
 
 
 def test_a_drift_of_friction_is_told_from_the_payload():
     recordings = TrueArm(ROBOT, 3).abba(3, drift=0.15)
     fit = fitted(ROBOT, recordings, SURE, loaded=True, drifts=True)
-    np.testing.assert_allclose([fit.value(f"drift[{j}]") for j in JOINTS], 0.15, rtol=1e-6)
+    np.testing.assert_allclose(
+        [fit.value(f"drift[{j}]") for j in JOINTS], 0.15, rtol=1e-6
+    )
     assert off_by(payload(fit), PAYLOAD) < 1e-6
     blind = fitted(ROBOT, recordings, SURE, loaded=True)
     assert off_by(payload(blind), PAYLOAD) > 1e-3
@@ -106,7 +116,9 @@ def test_a_known_mass_tells_the_torque_scales():
     recordings = TrueArm(ROBOT, 4, scale=scale).abba(4)
     weight = {"known_mass": float(PAYLOAD[0])}
     fit = fitted(ROBOT, recordings, SURE, loaded=True, **weight)
-    np.testing.assert_allclose([1.0 + fit.value(f"scale[{j}]") for j in JOINTS], scale, atol=1e-6)
+    np.testing.assert_allclose(
+        [1.0 + fit.value(f"scale[{j}]") for j in JOINTS], scale, atol=1e-6
+    )
     assert off_by(payload(fit), PAYLOAD) < 1e-5
 
 
@@ -135,7 +147,9 @@ def test_what_gears_lose_with_their_load_is_found_and_stays_within_bounds():
     for each in arm.abba(6):
         motion = each.source.motion(np.arange(len(each.source)))
         carried = bare.torque(motion, each.is_loaded)
-        recordings.append(with_torque(each, lost * np.abs(carried) * np.sign(motion.qd)))
+        recordings.append(
+            with_torque(each, lost * np.abs(carried) * np.sign(motion.qd))
+        )
     fit = fitted(ROBOT, recordings, SURE, f"{BASIC}-load", loaded=True)
     found = [fit.value(f"load[{joint}]") for joint in JOINTS]
     assert found[1] == pytest.approx(0.08, abs=0.02)
@@ -148,13 +162,17 @@ def test_the_speed_of_a_stribeck_term_is_found_with_it_within_its_bounds():
     arm = TrueArm(ROBOT, 9, wrong=0.0)
     drop = np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2))
     tau = arm.torque(motion, False) + np.array([0.4, 0.4, 0.4, 0.0]) * drop
-    fit = fitted(ROBOT, [exact_recording(motion, tau, False)], friction=f"{BASIC}-stribeck")
+    fit = fitted(
+        ROBOT, [exact_recording(motion, tau, False)], friction=f"{BASIC}-stribeck"
+    )
     for joint in JOINTS[:3]:
         assert fit.value(f"stribeck_speed[{joint}]") == pytest.approx(0.3, rel=0.05)
         assert fit.value(f"stribeck[{joint}]") == pytest.approx(0.4, rel=0.1)
     assert fit.value("stribeck[joint3]") == pytest.approx(0.0, abs=0.02)
     low, high = BENT["stribeck"].bounds
-    assert np.all((fit.point.speed["stribeck"] >= low) & (fit.point.speed["stribeck"] <= high))
+    assert np.all(
+        (fit.point.speed["stribeck"] >= low) & (fit.point.speed["stribeck"] <= high)
+    )
 
 
 # ---- recordings put together
@@ -165,7 +183,9 @@ def test_order_and_cuts_of_recordings_change_nothing(recordings):
 
     def values_of(parts):
         fitter = replace(fitter_of(ROBOT, parts), visits=None)
-        return fitter.fit(Question(EstimationOptions(), loaded=True), choice_of(ROBOT)).values
+        return fitter.fit(
+            Question(EstimationOptions(), loaded=True), choice_of(ROBOT)
+        ).values
 
     rows = len(recordings[0].motion.time)
     masks = [np.arange(rows) < rows // 3, np.arange(rows) >= rows // 3]
@@ -181,7 +201,8 @@ def test_a_recording_given_twice_says_no_more(robot, noisy):
     once, twice = (fitted(robot, [log] * count, options) for count in (1, 2))
     assert np.all(twice.inflation > 1.7) and np.all(once.inflation < 1.3)
     roots = [
-        np.linalg.inv(np.linalg.qr(f.information.stacked(f.weights)[0], "r")) for f in (once, twice)
+        np.linalg.inv(np.linalg.qr(f.information.stacked(f.weights)[0], "r"))
+        for f in (once, twice)
     ]
     errors = [np.linalg.norm(root, axis=1) for root in roots]
     assert np.all((errors[1] > 0.85 * errors[0]) & (errors[1] < 1.05 * errors[0]))
@@ -198,7 +219,9 @@ def test_a_wrong_zero_is_found_and_taken_from_its_joint_alone(plant):
     """The model knows the links; one encoder reads 10 mrad too much."""
     log = log_of(plant, noise_torque=0.02)
     read = replace(log, q=log.q + np.array([0.0, 0.01, 0.0]))
-    (shifted,), options = datasets_of(plant, read, **{**KNOWN, "zero_uncertainty": 10.0})
+    (shifted,), options = datasets_of(
+        plant, read, **{**KNOWN, "zero_uncertainty": 10.0}
+    )
     fit = fitted(plant, [shifted], options)
     assert fit.value("zero[joint1]") == pytest.approx(0.01, abs=1e-3)
     assert abs(fit.value("zero[joint2]")) < 1e-3
@@ -215,7 +238,9 @@ def test_delay_and_tilt_are_found_together(plant, robot):
     seed = 5
     turn = np.radians(degrees) * np.array([np.cos(direction), np.sin(direction), 0.0])
     askew = with_gravity(plant, Rotation.from_rotvec(turn).apply(gravity(plant)))
-    log = log_of(askew, plan_of(plant, seed), torque_delay=delay, encoder_resolution=2e-5)
+    log = log_of(
+        askew, plan_of(plant, seed), torque_delay=delay, encoder_resolution=2e-5
+    )
     datasets, options = datasets_of(robot, log, **KNOWN, delay="auto", tilt="auto")
     fit = fitted(robot, datasets, options)
     assert fit.value(DELAY_NAME) == pytest.approx(delay, abs=1e-4)
@@ -226,7 +251,9 @@ def test_delay_and_tilt_are_found_together(plant, robot):
 def test_a_search_that_does_not_settle_ends_with_a_remedy(robot, noisy, monkeypatch):
     monkeypatch.setattr(fit_module, "_AUTO_ROUNDS", 1)
     datasets, options = datasets_of(robot, noisy, delay="auto", tilt="auto")
-    with pytest.raises(SysidError, match="delay and tilt do not settle within 1 rounds"):
+    with pytest.raises(
+        SysidError, match="delay and tilt do not settle within 1 rounds"
+    ):
         fitted(robot, datasets, options)
 
 

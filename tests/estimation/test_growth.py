@@ -58,7 +58,9 @@ def pieces_of_a_wrong_model(arm_name, seed):
     if not MODELS.exists():
         pytest.skip("public models are not here")
     robot = load_robot_model(MODELS / ARMS[arm_name])
-    log = draw_arm(robot, "real", arm_name in SENSOR_ARMS, 24.0, seed % 2 == 0, seed).log
+    log = draw_arm(
+        robot, "real", arm_name in SENSOR_ARMS, 24.0, seed % 2 == 0, seed
+    ).log
     return robot, [[first_part(log, share)] for share in PARTS]
 
 
@@ -68,7 +70,10 @@ def repetitions(arm_name, seed):
     log = parts[1][0]
     rng = np.random.default_rng(seed)
     size = 0.003 * np.max(np.abs(log.tau), axis=0)
-    logs = [replace(log, tau=log.tau + size * rng.standard_normal(log.tau.shape)) for _ in range(4)]
+    logs = [
+        replace(log, tau=log.tau + size * rng.standard_normal(log.tau.shape))
+        for _ in range(4)
+    ]
     return robot, [logs[:count] for count in (1, 2, 4)]
 
 
@@ -109,7 +114,9 @@ def growths(table):
 
 
 @pytest.mark.parametrize(("pieces", "given"), CASES)
-def test_with_the_same_priors_more_data_makes_no_mass_less_certain(pieces, given, monkeypatch):
+def test_with_the_same_priors_more_data_makes_no_mass_less_certain(
+    pieces, given, monkeypatch
+):
     """A body at the edge of what is possible has less room to be off than one inside: errors of
     possible bodies are below those that may not grow, and not always in the same proportion.
     """

@@ -12,7 +12,12 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import base_parameters, structural_base, traces_of
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings, refit
+from robot_sysid.estimation.identify import (
+    Piece,
+    answer_link,
+    low_pass_recordings,
+    refit,
+)
 from robot_sysid.estimation.identify import validate_datasets as validated
 from robot_sysid.estimation.itself import identify_itself
 from robot_sysid.estimation.result import result_of
@@ -38,14 +43,20 @@ def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, noisy)
         {each.signals.cutoff for each in datasets_of(robot, *logs, cutoff=None)[0]}
         for logs in ([noisy], [coarse], [noisy, coarse])
     ]
-    assert cutoffs[1] == cutoffs[2] and len(cutoffs[2]) == 1 and max(cutoffs[1]) < max(cutoffs[0])
+    assert (
+        cutoffs[1] == cutoffs[2]
+        and len(cutoffs[2]) == 1
+        and max(cutoffs[1]) < max(cutoffs[0])
+    )
     pieces = [Piece("fine", noisy), Piece("coarse", coarse)]
     notes = [
         note
         for note in low_pass_recordings(robot, pieces, EstimationOptions())[1]
         if "cut-off" in note
     ]
-    assert [note.split(" Hz ")[1][:8] for note in notes] == ["as anoth", "chosen f"], notes
+    assert [note.split(" Hz ")[1][:8] for note in notes] == ["as anoth", "chosen f"], (
+        notes
+    )
 
 
 @pytest.mark.parametrize(
@@ -59,7 +70,9 @@ def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, noisy)
 def test_every_option_gives_a_possible_result(robot, noisy, options):
     result = result_of(answered(robot, noisy, kept=(), **options), ORIGIN)
     # Friction that may not be found is torque that nothing explains.
-    assert result.verdict.is_trustworthy != bool(options.get("no_friction")), result.reasons
+    assert result.verdict.is_trustworthy != bool(options.get("no_friction")), (
+        result.reasons
+    )
     assert result.failure is None and result.estimate.inertial.is_consistent
     if options.get("torques") != "terminal" and not options.get("no_friction"):
         assert result.estimate.inertial.mass == pytest.approx(0.8, abs=0.15)
@@ -67,7 +80,9 @@ def test_every_option_gives_a_possible_result(robot, noisy, options):
 
 
 def test_a_tilt_needs_gravity():
-    weightless = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X), option='gravity="0 0 0"'))
+    weightless = arms.robot_of(
+        arms.serial_arm((arms.Z, arms.Y, arms.X), option='gravity="0 0 0"')
+    )
     with pytest.raises(InputError, match="--tilt auto needs gravity"):
         answered(weightless, log_of(weightless), tilt="auto")
 
@@ -75,14 +90,18 @@ def test_a_tilt_needs_gravity():
 def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
     (log,), options = datasets_of(robot, noisy)
     fit = fitted(robot, [log], options)
-    other = log_of(plant, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4)
+    other = log_of(
+        plant, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4
+    )
     others, _ = datasets_of(robot, other)
     errors = fit_errors(fit)
     found = validated(fit, errors, others, "other.csv")
     assert found.source == "other.csv"
     assert found.rmse < 1.3 * np.sqrt(np.mean(fit.weights**-2.0))
     heavier, _ = datasets_of(robot, replace(other, tau=1.2 * other.tau))
-    assert validated(fit, errors, heavier, "x").relative_error > 3.0 * found.relative_error
+    assert (
+        validated(fit, errors, heavier, "x").relative_error > 3.0 * found.relative_error
+    )
 
 
 @pytest.mark.parametrize("still", [True, False])
@@ -98,7 +117,9 @@ def test_a_log_of_a_joint_that_stood_still_is_no_test_but_one_of_another_body_is
     for mass in (".8", "1.6"):
         other = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
         arm = arms.robot_of(other.replace('mass=".8"', f'mass="{mass}"'))
-        seen = log_of(arm, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4)
+        seen = log_of(
+            arm, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4
+        )
         others, _ = datasets_of(robot, seen)
         found = validated(fit, fit_errors(fit), others, "other.csv")
         told.append(found.told_enough)
@@ -124,7 +145,9 @@ def test_what_a_report_draws_is_the_residual_of_the_file(robot, noisy):
     # Near a reversal the low-pass takes from friction's jump.
     moves = np.isfinite(traces.measured[:, -1]) & (np.abs(traces.qd[:, -1]) > 0.3)
     assert traces.joints == robot.joint_names
-    np.testing.assert_allclose(np.nansum(traces.residual**2, axis=0), squares, rtol=1e-9)
+    np.testing.assert_allclose(
+        np.nansum(traces.residual**2, axis=0), squares, rtol=1e-9
+    )
     # The guess is clearly worse, and dry friction is most of what friction makes at low speed.
     worse = np.nanstd(traces.measured - traces.before, axis=0)
     assert np.all(worse > 2.0 * np.nanstd(traces.residual, axis=0))
@@ -167,7 +190,9 @@ def test_what_the_torques_show_is_found_whatever_is_sought(link_uncertainty):
     known = dict(zip(fit.columns.names, arm.values(fit.columns)))
     truth = np.array([combined(words, known) for words in found.combinations])
     assert np.all(np.abs(found.values - truth) < 4.0 * found.standard_errors + 1e-3)
-    kept = dict(zip((words.split()[0] for words in found.combinations), found.essential))
+    kept = dict(
+        zip((words.split()[0] for words in found.combinations), found.essential)
+    )
     # Rotors turn as some of the inertia does, so that nobody misses it.
     assert kept["m"] and kept["Ixx"] and kept["Izz"] and not kept["Izz(link0)"]
 
@@ -192,17 +217,25 @@ class Listener(Progress):
         assert self.steps == total
 
 
-@pytest.mark.parametrize(("torques", "friction"), [("chain", True), ("terminal", False)])
-def test_the_models_own_values_come_back_with_where_they_are_from(plant, torques, friction):
+@pytest.mark.parametrize(
+    ("torques", "friction"), [("chain", True), ("terminal", False)]
+)
+def test_the_models_own_values_come_back_with_where_they_are_from(
+    plant, torques, friction
+):
     options = EstimationOptions(torques=torques, no_friction=not friction)
     listener = Listener()
     plan = plan_of(plant, 1, 4.0)
     found, traces = identify_itself(plant, plan, 500.0, 7, options, listener)
     estimate = found.estimate
     data = found.data
-    np.testing.assert_allclose(estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(
+        estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10
+    )
     values = [estimate.value(f"{term}[joint2]") for term in ("coulomb", "viscous")]
-    assert values == (pytest.approx([0.3, 0.2], abs=1e-10) if friction else [None, None])
+    assert values == (
+        pytest.approx([0.3, 0.2], abs=1e-10) if friction else [None, None]
+    )
     whole = torques == "chain"
     assert found.verdict is (Verdict.OK if whole else Verdict.PARTLY_FROM_MODEL)
     assert (found.torques, found.known_to, found.is_measured) == (torques, None, False)

@@ -37,19 +37,30 @@ def test_every_recording_says_the_same_within_its_errors(payload_fit):
         assert abs(one.mass - mass) < 3.0 * one.noise_error
         assert one.noise_error < one.error < 0.1
         # The centre of mass is told in the flange frame, 5 cm further out.
-        assert one.com == pytest.approx(PAYLOAD[1:4] / PAYLOAD[0] - [0, 0, 0.05], abs=0.01)
+        assert one.com == pytest.approx(
+            PAYLOAD[1:4] / PAYLOAD[0] - [0, 0, 0.05], abs=0.01
+        )
 
 
 def test_bodies_are_those_on_the_arm(payload_fit, recordings):
     bodies, covariance = bodies_apart(payload_fit, payload_fit.samples)
-    assert not np.any(bodies[0]) and not np.any(covariance[0]) and not np.any(covariance[:, :, 0])
+    assert (
+        not np.any(bodies[0])
+        and not np.any(covariance[0])
+        and not np.any(covariance[:, :, 0])
+    )
     off = bodies[1:] - np.outer([each.is_loaded for each in recordings[1:]], PAYLOAD)
     errors = np.sqrt(np.diag(covariance[1:, :, 1:].reshape(30, 30)))
-    assert np.max(np.abs(off.ravel()) / errors) < 4.0 and np.max(errors.reshape(3, 10)[:, 0]) < 0.05
+    assert (
+        np.max(np.abs(off.ravel()) / errors) < 4.0
+        and np.max(errors.reshape(3, 10)[:, 0]) < 0.05
+    )
     assert contradiction(payload_fit, FLANGE) == ""
 
 
-def test_a_recording_on_the_wrong_side_is_named_with_all_that_the_arm_carries(recordings):
+def test_a_recording_on_the_wrong_side_is_named_with_all_that_the_arm_carries(
+    recordings,
+):
     wrong = list(recordings)
     wrong[0] = replace(wrong[0], is_loaded=True)
     wrong[1] = replace(wrong[1], is_loaded=False)
@@ -74,8 +85,16 @@ def turned(theta):
         (2, lambda theta: 1.01 * theta, ""),
         (2, lambda theta: 1.3 * theta, "log2 differs from log1 in mass"),
         (2, turned, "in centre of mass"),
-        (2, lambda theta: theta + [0, 0, 0, 0, 0.05, 0, 0, 0.05, 0, 0.05], "in inertia"),
-        (3, lambda theta: 0.2 * theta, "log3 differs from log0 in mass; compared with log0"),
+        (
+            2,
+            lambda theta: theta + [0, 0, 0, 0, 0.05, 0, 0, 0.05, 0, 0.05],
+            "in inertia",
+        ),
+        (
+            3,
+            lambda theta: 0.2 * theta,
+            "log3 differs from log0 in mass; compared with log0",
+        ),
     ],
 )
 def test_clear_differences_of_a_kind_are_named(place, change, what):
@@ -102,13 +121,17 @@ def logs_of_days(plant, plants, seed=0):
     """One log of each arm; the motions differ."""
     sensors = {"noise_torque": 0.1, "encoder_resolution": 1e-4}
     plans = [plan_of(plant, 1 + seed + k) for k in range(len(plants))]
-    return [log_of(*pair, seed + k, **sensors) for k, pair in enumerate(zip(plants, plans))]
+    return [
+        log_of(*pair, seed + k, **sensors) for k, pair in enumerate(zip(plants, plans))
+    ]
 
 
 def compared(plant, robot, *plants):
     logs = logs_of_days(plant, plants)
     datasets, options = datasets_of(robot, *logs, link_uncertainty=2.0)
-    return compare_recordings(fitted(robot, datasets, options), [d.name for d in datasets])
+    return compare_recordings(
+        fitted(robot, datasets, options), [d.name for d in datasets]
+    )
 
 
 def test_logs_that_agree_are_said_to(plant, robot):
@@ -124,13 +147,19 @@ def test_logs_that_agree_are_said_to(plant, robot):
 
 
 @pytest.mark.parametrize("alone", [(), (2,), (0, 2)])
-def test_a_log_of_joints_that_move_in_it_alone_is_no_test_of_the_others(plant, robot, alone):
-    logs = [log_of(plant, plan_of(plant, 1 + k), k, noise_torque=0.05) for k in range(2)]
+def test_a_log_of_joints_that_move_in_it_alone_is_no_test_of_the_others(
+    plant, robot, alone
+):
+    logs = [
+        log_of(plant, plan_of(plant, 1 + k), k, noise_torque=0.05) for k in range(2)
+    ]
     datasets, options = datasets_of(robot, *logs)
     used = np.ones(datasets[0].motion.q.shape, dtype=bool)
     used[:, list(alone)] = False
     first = replace(datasets[0], used=used)
-    tests = compare_recordings(fitted(robot, [first, datasets[1]], options), ["a", "b"]).tests
+    tests = compare_recordings(
+        fitted(robot, [first, datasets[1]], options), ["a", "b"]
+    ).tests
     assert [each.source[0] for each in tests] == (["a"] if alone else ["a", "b"])
 
 
@@ -148,7 +177,9 @@ def warmer(plant, rng, share):
     factors = 1.0 + share * rng.standard_normal((2, plant.n_joints))
     friction = plant.friction
     changed = replace(
-        friction, coulomb=factors[0] * friction.coulomb, viscous=factors[1] * friction.viscous
+        friction,
+        coulomb=factors[0] * friction.coulomb,
+        viscous=factors[1] * friction.viscous,
     )
     return replace(plant, friction=changed)
 
@@ -157,10 +188,14 @@ def true_friction(plant, names):
     """Coulomb and viscous friction by name."""
     terms = {"coulomb": plant.friction.coulomb, "viscous": plant.friction.viscous}
     split = [name[:-1].split("[") for name in names]
-    return np.array([terms[term][plant.joint_names.index(joint)] for term, joint in split])
+    return np.array(
+        [terms[term][plant.joint_names.index(joint)] for term, joint in split]
+    )
 
 
-def test_friction_that_differs_between_logs_is_said_and_their_masses_agree(plant, robot):
+def test_friction_that_differs_between_logs_is_said_and_their_masses_agree(
+    plant, robot
+):
     one_joint = np.array([1.0, 1.3, 1.0])
     friction = replace(plant.friction, coulomb=one_joint * plant.friction.coulomb)
     comparison = compared(plant, robot, plant, replace(plant, friction=friction))
@@ -174,12 +209,17 @@ def test_friction_that_differs_between_logs_is_said_and_their_masses_agree(plant
     )
     place = comparison.friction.terms_of(joint)["coulomb"]
     between = comparison.friction.between
-    off = between.values[:, place] - true_friction(plant, [f"coulomb[{joint}]"]) * [1.0, 1.3]
+    off = between.values[:, place] - true_friction(plant, [f"coulomb[{joint}]"]) * [
+        1.0,
+        1.3,
+    ]
     assert np.all(np.abs(off) < WITHIN * between.errors[:, place])
 
 
 @pytest.mark.parametrize("share", [0.0, pytest.param(0.2, marks=pytest.mark.slow)])
-def test_the_error_on_another_day_covers_the_friction_of_a_third_log(plant, robot, share):
+def test_the_error_on_another_day_covers_the_friction_of_a_third_log(
+    plant, robot, share
+):
     """Friction of all logs is drawn from one distribution; two of them are identified."""
     ratios = []
     excess = []

@@ -39,7 +39,10 @@ def result(robot, noisy):
 
 
 def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
-    assert (result.question, result.verdict) == (LINK, Verdict.BETTER) and not result.reasons
+    assert (result.question, result.verdict) == (
+        LINK,
+        Verdict.BETTER,
+    ) and not result.reasons
     assert [link.name for link in result.links] == ["link0", "link1", "link2"]
     assert [link.joint for link in result.links] == list(plant.joint_names)
     last = result.links[-1]
@@ -47,13 +50,22 @@ def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
     assert np.max(off) < 4.0 and result.known_to < 0.25
     assert result.links[0].data_share[0] < 0.3 and last.data_share[9] > 0.9
     for name, joint in result.joints.items():
-        assert joint.friction_model == BASIC and set(joint.terms) == set(BASIC.split("-"))
+        assert joint.friction_model == BASIC and set(joint.terms) == set(
+            BASIC.split("-")
+        )
         assert joint.terms["coulomb"].value == pytest.approx(0.3, abs=0.05)
         forward, backward = joint.two_ways
-        both = 0.5 * (forward.value + backward.value), 0.5 * (forward.value - backward.value)
-        assert both == pytest.approx((joint.terms["coulomb"].value, joint.terms["offset"].value))
+        both = (
+            0.5 * (forward.value + backward.value),
+            0.5 * (forward.value - backward.value),
+        )
+        assert both == pytest.approx(
+            (joint.terms["coulomb"].value, joint.terms["offset"].value)
+        )
         assert joint.noise == pytest.approx(0.1 * np.sqrt(2.0 * 8.0 / 200.0), rel=0.3)
-        assert {f"scale[{name}]", f"zero[{name}]", f"load[{name}]"} <= set(result.sensors)
+        assert {f"scale[{name}]", f"zero[{name}]", f"load[{name}]"} <= set(
+            result.sensors
+        )
     own = result.validation[0]
     assert own.rmse < 1.5 * result.estimate.rmse and result.cutoff == 8.0
 
@@ -73,7 +85,11 @@ def test_torque_that_nothing_explains_is_said(robot, noisy, share, verdict, is_t
     found = of_link(robot, replace(noisy, tau=noisy.tau + made))
     assert found.verdict is verdict and found.failure is None
     assert found.verdict.is_trustworthy == (verdict is Verdict.BETTER)
-    said = [note for note in found.notes if "explained by neither the model nor noise" in note]
+    said = [
+        note
+        for note in found.notes
+        if "explained by neither the model nor noise" in note
+    ]
     assert len(said) == is_told
     assert found.reasons == (tuple(said) if verdict is Verdict.TORQUES_ONLY else ())
 
@@ -86,7 +102,11 @@ def test_the_estimate_leads_with_the_link_and_its_errors_add_up(result):
     assert len(interest) == 10 + 4 * 3
     total = np.square(estimate.standard_errors)
     np.testing.assert_allclose(np.diag(estimate.covariance), total, rtol=1e-6)
-    assert estimate.samples.keys() == estimate.effective_samples.keys() == result.joints.keys()
+    assert (
+        estimate.samples.keys()
+        == estimate.effective_samples.keys()
+        == result.joints.keys()
+    )
 
 
 @pytest.mark.parametrize("degrees", [3.0, 25.0])
@@ -94,7 +114,13 @@ def test_the_estimate_leads_with_the_link_and_its_errors_add_up(result):
 def test_every_number_of_sensors_is_the_whole_of_it(plant, degrees, seed):
     """An arm that is tilted and late, with wrong zeros and scales; all of it is sought at once."""
     rng = np.random.default_rng(seed)
-    sizes = {"links": 0.02, "scale": 0.02, "tilt": np.radians(degrees), "lag": 0.05, "load": 0.01}
+    sizes = {
+        "links": 0.02,
+        "scale": 0.02,
+        "tilt": np.radians(degrees),
+        "lag": 0.05,
+        "load": 0.01,
+    }
     arm = ImperfectArm(plant, rng, Imperfections(**sizes, noise=0.05))
     log = arm.log(plan_of(plant, seed, 20.0), np.zeros(10), rng)
     found = of_link(plant, log, kept=None, tilt="auto", delay="auto")
@@ -108,28 +134,44 @@ def test_every_number_of_sensors_is_the_whole_of_it(plant, degrees, seed):
     assert found.tilt == pytest.approx(arm.off.tilt, rel=0.2)
     assert found.delay == found.sensors["delay"].value
     in_estimate = dict(zip(found.estimate.names, found.estimate.values))
-    assert all(in_estimate[name] == figure.value for name, figure in found.sensors.items())
+    assert all(
+        in_estimate[name] == figure.value for name, figure in found.sensors.items()
+    )
 
 
 @pytest.mark.parametrize(("size", "is_told"), [(1.3, True), (1.01, False), (0.7, True)])
-def test_a_common_scale_is_told_only_where_it_is_worth_a_word(plant, noisy, size, is_told):
+def test_a_common_scale_is_told_only_where_it_is_worth_a_word(
+    plant, noisy, size, is_told
+):
     """That it is allowed for follows from a first fit; the last one may find next to none."""
     datasets, options = datasets_of(plant, noisy, friction_model=BASIC)
     answer = answer_link(plant, datasets, options, Progress(), None)
     fit = answer.fit
     values = fit.values.copy()
-    values[[fit.columns.place[f"scale[{joint}]"] for joint in plant.joint_names]] = size - 1.0
+    values[[fit.columns.place[f"scale[{joint}]"] for joint in plant.joint_names]] = (
+        size - 1.0
+    )
     choice = replace(fit.choice, common_scale=0.15)
-    notes = result_of(replace(answer, fit=replace(fit, choice=choice, values=values)), ORIGIN).notes
-    assert any(f"all torques read about {size:g} times" in note for note in notes) is is_told
+    notes = result_of(
+        replace(answer, fit=replace(fit, choice=choice, values=values)), ORIGIN
+    ).notes
+    assert (
+        any(f"all torques read about {size:g} times" in note for note in notes)
+        is is_told
+    )
     assert is_told or not any("torques read about" in note for note in notes)
 
 
-def test_a_still_joint_keeps_the_models_numbers_and_an_offset_is_told(plant, robot, result):
+def test_a_still_joint_keeps_the_models_numbers_and_an_offset_is_told(
+    plant, robot, result
+):
     plan = plan_of(plant).scaled(np.array([1.0, 1.0, 0.0]))
     log = log_of(plant, plan, noise_torque=0.05)
     found = of_link(robot, replace(log, tau=log.tau + [0.0, 1.0, 0.0]))
-    assert found.joints["joint2"].friction_model == "none" and not found.joints["joint2"].terms
+    assert (
+        found.joints["joint2"].friction_model == "none"
+        and not found.joints["joint2"].terms
+    )
     assert "joint2" not in found.file.joints
     assert any("joint2 does not move fast enough" in note for note in found.notes)
     of = "no model file holds an offset of a torque sensor (joint1 "
@@ -167,7 +209,9 @@ def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
     assert body.errors[0] < 0.02 and result.body.inertial is body.inertial
     link = result.payload.link.inertial.theta
     total = result.payload.total.inertial.theta
-    np.testing.assert_allclose(FLANGE.to_flange(total - link), body.inertial.theta, atol=1e-12)
+    np.testing.assert_allclose(
+        FLANGE.to_flange(total - link), body.inertial.theta, atol=1e-12
+    )
     kinds = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
     assert result.payload.recordings == kinds and len(result.payload.scatter) == 4
     assert result.payload.torque_scale == {} and "drift[joint0]" not in result.sensors
@@ -189,7 +233,9 @@ def test_an_inertia_that_is_not_told_from_zero_is_a_balls():
     for carried in (total, answer.file.fit.question.carried):
         np.testing.assert_allclose(FLANGE.to_flange(carried), theta, atol=1e-12)
     for body in (payload.body, payload.total):
-        assert np.all(np.isfinite(body.errors[:4])) and np.all(np.isinf(body.errors[4:]))
+        assert np.all(np.isfinite(body.errors[:4])) and np.all(
+            np.isinf(body.errors[4:])
+        )
     (said,) = [note for note in result.notes if "not told from zero" in note]
     assert said.count("±") == 3
 
@@ -206,7 +252,9 @@ def test_a_known_mass_is_the_payloads_and_tells_scales(recordings):
     assert result.payload.scatter == ()
     # Axes along gravity show nothing of it.
     for name, scale in result.payload.torque_scale.items():
-        assert isinstance(scale, Figure) and abs(scale.value - 1.0) < 3.0 * scale.error, name
+        assert (
+            isinstance(scale, Figure) and abs(scale.value - 1.0) < 3.0 * scale.error
+        ), name
     assert min(each.error for each in result.payload.torque_scale.values()) < 0.01
 
 

@@ -24,7 +24,9 @@ LENGTHS = (10.0, 14.0, 25.0)
 @pytest.fixture(scope="module")
 def logs(plant):
     lengths = enumerate(LENGTHS)
-    return [log_of(plant, plan_of(plant, 1 + k, s), k, noise_torque=0.1) for k, s in lengths]
+    return [
+        log_of(plant, plan_of(plant, 1 + k, s), k, noise_torque=0.1) for k, s in lengths
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +73,9 @@ def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(found, together):
     assert found.file.after.relative_error == pytest.approx(
         together.file.after.relative_error, rel=0.02
     )
-    thetas = [each.file.fit.columns.thetas(each.file.fit.values) for each in (found, together)]
+    thetas = [
+        each.file.fit.columns.thetas(each.file.fit.values) for each in (found, together)
+    ]
     np.testing.assert_allclose(thetas[0][-1], thetas[1][-1], atol=5e-3)
 
 

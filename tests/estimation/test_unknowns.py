@@ -29,7 +29,12 @@ COLUMNS = Columns(ROBOT, ())
 PLAIN = EstimationOptions()
 
 
-def asked(options=PLAIN, columns=COLUMNS, friction="coulomb-viscous-offset-armature", **question):
+def asked(
+    options=PLAIN,
+    columns=COLUMNS,
+    friction="coulomb-viscous-offset-armature",
+    **question,
+):
     shown = np.ones(len(columns.names), dtype=bool)
     choice = choice_of(columns.robot, friction)
     torque = np.full(columns.robot.n_joints, 5.0)
@@ -65,7 +70,9 @@ def test_a_question_has_the_priors_of_its_causes(question, expected):
         assert set(group.names) <= names
     assert ("m(payload)" in names) == bool(question.get("loaded"))
     if question.get("in_file"):
-        assert not any(name.startswith(("scale", "zero", "load", "delay")) for name in names)
+        assert not any(
+            name.startswith(("scale", "zero", "load", "delay")) for name in names
+        )
 
 
 def test_sizes_are_those_that_were_said():
@@ -79,7 +86,9 @@ def test_sizes_are_those_that_were_said():
     assert own["load[joint0]"] == 0.02
     mass = groups[LINKS].factor @ groups[LINKS].factor.T
     # Each link on its own, and all in common.
-    assert mass[0, 0] == pytest.approx(2.0 * (0.05 * ROBOT.links[0].theta[0]) ** 2, rel=1e-6)
+    assert mass[0, 0] == pytest.approx(
+        2.0 * (0.05 * ROBOT.links[0].theta[0]) ** 2, rel=1e-6
+    )
     held = {g.cause: g for g in asked(loaded=True, known_mass=2.0).groups}
     np.testing.assert_allclose(held[SCALES].factor, 0.03 * np.eye(4))
     assert held[WEIGHT].mean[0] == 2.0 and held[WEIGHT].factor[0, 0] < 1e-5
@@ -90,7 +99,9 @@ def test_the_mean_of_torque_scales_that_is_held_is_that_of_the_surest():
     groups = {group.cause: group for group in asked(sure, loaded=True).groups}
     np.testing.assert_allclose(np.diag(groups[SCALES].factor), [0.01, 1e-9, 0.02, 0.04])
     sure = EstimationOptions(scale_uncertainty=(1.0, 1.0, 2.0, 4.0))
-    (held,) = (group for group in asked(sure, loaded=True).groups if group.cause == COMMON)
+    (held,) = (
+        group for group in asked(sure, loaded=True).groups if group.cause == COMMON
+    )
     # What it allows has no part along the mean weighted by 1 / variance.
     allowed = held.factor @ np.random.default_rng(1).standard_normal(4)
     assert np.linalg.norm(allowed) > 10.0
@@ -104,7 +115,9 @@ def test_bounds_hold_friction_and_no_other_sign():
     bounded = [f"{term}[{joint}]" for term in ("coulomb", "armature", "load")]
     assert all(lower[name] == 0.0 for name in bounded)
     # With a root of the speed only the sum has to brake.
-    free = [f"{term}[{joint}]" for term in ("offset", "sqrt", "viscous", "scale", "zero")]
+    free = [
+        f"{term}[{joint}]" for term in ("offset", "sqrt", "viscous", "scale", "zero")
+    ]
     assert np.all(np.isinf([lower[name] for name in (*free, "m", "Ixy")]))
     assert asked().lower[COLUMNS.place[f"viscous[{joint}]"]] == 0.0
     assert found.upper[COLUMNS.place[f"load[{joint}]"]] == module.LARGEST_LOSS

@@ -31,7 +31,11 @@ def body(mass=1.0, com=(0.0, 0.0, 0.1), error=0.01, size=0.05, moved=1e-3):
     covariance = np.diag([error**2, 0.0, 0.0, moved**2] + [1e-6] * 6)
     noise = np.sqrt(np.diag(covariance))
     return BodyEstimate(
-        "it", InertialParameters(theta), np.nan_to_num(covariance), np.isfinite(noise), noise
+        "it",
+        InertialParameters(theta),
+        np.nan_to_num(covariance),
+        np.isfinite(noise),
+        noise,
     )
 
 
@@ -76,14 +80,26 @@ IMPLAUSIBLE = Verdict.IMPLAUSIBLE
         # A tenth of a metre too far away: one standard error of that, or three.
         (of_link(body(com=(0.0, 0.0, REACH + 0.3 * ARM + 0.1), moved=0.1)), OK, ""),
         (of_link(body(com=(0.0, 0.0, REACH + 0.3 * ARM + 0.1), moved=0.07)), OK, ""),
-        (of_link(body(com=(0.0, 0.0, REACH + 0.3 * ARM + 0.1), moved=0.03)), IMPLAUSIBLE, "away"),
-        (of_link(body(com=(0.0, 0.0, 1.8))), IMPLAUSIBLE, "centre of mass is 1.8 m away"),
+        (
+            of_link(body(com=(0.0, 0.0, REACH + 0.3 * ARM + 0.1), moved=0.03)),
+            IMPLAUSIBLE,
+            "away",
+        ),
+        (
+            of_link(body(com=(0.0, 0.0, 1.8))),
+            IMPLAUSIBLE,
+            "centre of mass is 1.8 m away",
+        ),
         (of_link(body(size=0.6)), IMPLAUSIBLE, "radius of gyration is 0.6 m"),
         (of_link(body(mass=10.4, error=np.inf)), IMPLAUSIBLE, "do not show the mass"),
         (of_links(1, lambda theta: 3.0 * theta), OK, ""),
         (of_links(1, lambda theta: 100.0 * theta), IMPLAUSIBLE, "link1 would weigh"),
         (of_links(2, moved), IMPLAUSIBLE, "centre of mass of link2"),
-        (of_links(3, lambda theta: -theta), IMPLAUSIBLE, "link3 is no possible rigid body"),
+        (
+            of_links(3, lambda theta: -theta),
+            IMPLAUSIBLE,
+            "link3 is no possible rigid body",
+        ),
         (of_payload(body(error=0.4)), OK, ""),
         (of_payload(body(mass=-1.0)), Verdict.SWAPPED, "-1"),
         (of_payload(body(mass=0.01, error=0.02)), Verdict.NOT_SEEN, "0.010 ± 0.020 kg"),
@@ -152,13 +168,18 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     count = len(log.motion.time)
     used = np.ones((count, 3), dtype=bool)
     at = np.arange(count)
-    used[:, 2] = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
+    used[:, 2] = np.where(
+        at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0)
+    )
     fit = fitted(robot, [replace(log, used=used)], options)
     judge = held_out(fit)
     squared = judge.squared_errors(fit.unknowns)
     chance = judge.chance(fit)
     assert np.sum(squared[:, :2]) == pytest.approx(np.sum(chance[:, :2]), rel=0.3)
-    assert held_out_validation(fit).rmse_per_joint["joint2"] > 3.0 * fit.noise_per_joint["joint2"]
+    assert (
+        held_out_validation(fit).rmse_per_joint["joint2"]
+        > 3.0 * fit.noise_per_joint["joint2"]
+    )
     speed = log.motion.qd
     at = at[:, None]
     used = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
@@ -167,7 +188,9 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     assert own.relative_error > verdict.HARMLESS
     assert first(verdict.find_misfits(fit, [own], 0.0, {}), OK) == (OK, ())
     told = replace(own, told_enough=True)
-    assert first(verdict.find_misfits(fit, [told], 0.0, {}), OK)[0] is Verdict.UNEXPLAINED
+    assert (
+        first(verdict.find_misfits(fit, [told], 0.0, {}), OK)[0] is Verdict.UNEXPLAINED
+    )
 
 
 @pytest.mark.parametrize("what", ["another joint's torque", "white noise"])
@@ -180,11 +203,15 @@ def test_a_joint_whose_torque_follows_from_nothing_is_named_one_with_noise_is_no
         usual = np.sqrt(np.mean(noisy.tau[:, 2] ** 2))
         tau[:, 2] = (
             noisy.tau[:, 2]
-            + 9.0 * usual * np.repeat(np.random.default_rng(0).normal(size=len(tau)), 8)[: len(tau)]
+            + 9.0
+            * usual
+            * np.repeat(np.random.default_rng(0).normal(size=len(tau)), 8)[: len(tau)]
         )
     fit = fit_of(robot, replace(noisy, tau=tau))
     counts = sample_counts(fit.information)
-    share = dict(zip(robot.joint_names, np.array(fit_errors(fit).whole.effective) / counts))
+    share = dict(
+        zip(robot.joint_names, np.array(fit_errors(fit).whole.effective) / counts)
+    )
     odd = first(verdict.find_misfits(fit, [], 0.0, {}), OK)
     assert "of the torque of joint2 is unexplained" in odd[1][0]
     found = first(verdict.find_misfits(fit, [], 0.0, share), OK)
@@ -212,7 +239,8 @@ def test_friction_and_rotors_that_no_joint_has_are_refused():
 def test_a_link_is_named_whose_first_moment_is_clearly_off(distance, error, is_named):
     """Off by 50 %: beyond two errors of 0.01 kg m, within two of 0.03."""
     link = replace(
-        body(com=(0.0, 0.0, distance), moved=error), before=body(com=(0.0, 0.0, 0.1)).inertial
+        body(com=(0.0, 0.0, distance), moved=error),
+        before=body(com=(0.0, 0.0, 0.1)).inertial,
     )
     named = list(verdict.wrong_links([link]))
     assert bool(named) == is_named

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import MeasurementLog
-from tests.support.log_files import JOINTS, TITLES, limits, motion, read_measurements, table, write
+from tests.support.log_files import (
+    JOINTS,
+    TITLES,
+    limits,
+    motion,
+    read_measurements,
+    table,
+    write,
+)
 
 # Rows in which something is put that is no row of numbers; row k stands in line k + 2.
 RUBBISH = (9, 20, 31, 42, 53)
@@ -27,7 +35,10 @@ def odd(log: MeasurementLog) -> str:
 
 
 def text_cells(rows):
-    return [[*r[:2], "oops", *r[3:]] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
+    return [
+        [*r[:2], "oops", *r[3:]] if k in RUBBISH else r
+        for k, r in enumerate(rows.tolist())
+    ]
 
 
 def short_rows(rows):
@@ -89,15 +100,30 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
         changed(TIME, lambda time: np.floor(time * 50) / 50),
         ["repeat the time stamp", "more digits"],
     ),
-    "milliseconds": (changed(TIME, lambda t: 1e3 * t), ["time steps of 5 s", "--units ms"]),
+    "milliseconds": (
+        changed(TIME, lambda t: 1e3 * t),
+        ["time steps of 5 s", "--units ms"],
+    ),
     "microseconds": (changed(TIME, lambda t: 1e6 * t), ["--units us"]),
-    "nanoseconds since 1970": (changed(TIME, lambda t: 1.7e18 + 1e9 * t), ["--units ns"]),
-    "tiny time": (changed(TIME, lambda t: 1e-3 * t), ["time steps of 5e-06 s", "declare the unit"]),
+    "nanoseconds since 1970": (
+        changed(TIME, lambda t: 1.7e18 + 1e9 * t),
+        ["--units ns"],
+    ),
+    "tiny time": (
+        changed(TIME, lambda t: 1e-3 * t),
+        ["time steps of 5e-06 s", "declare the unit"],
+    ),
     "minutes": (
         changed(TIME, lambda t: t / 60.0),
-        ["time steps of 8.33e-05 s are so short that joint base", "'time = 60 * TITLE'"],
+        [
+            "time steps of 8.33e-05 s are so short that joint base",
+            "'time = 60 * TITLE'",
+        ],
     ),
-    "hours": (changed(TIME, lambda t: t / 3600.0), ["too short", "'time = 3600 * TITLE'"]),
+    "hours": (
+        changed(TIME, lambda t: t / 3600.0),
+        ["too short", "'time = 3600 * TITLE'"],
+    ),
     "stamps of arrival": (
         changed((slice(10, None, 9), 0), lambda t: t - 4.99e-3),
         ["uneven (11% of the steps", "joint base would often", "'rate = 200'"],
@@ -112,7 +138,11 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     ),
     "full turns": (
         changed(np.s_[:, 2], lambda q: q + 6.0 * np.pi),
-        ["joint elbow reaches 19.7", "3 full turns from the model's zero", "--units rad"],
+        [
+            "joint elbow reaches 19.7",
+            "3 full turns from the model's zero",
+            "--units rad",
+        ],
     ),
     "no effort": (
         changed(np.s_[:, [4, 6]], lambda tau: np.nan * tau),
@@ -136,7 +166,10 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     ),
     "degrees": (changed(Q, np.degrees), ["look like degrees", "--units deg"]),
     "at rest": (changed(Q, lambda q: 0.3 + 1e-3 * q), ["at rest", "no joint moves"]),
-    "spike": (changed((33, 3), lambda q: q + 2.0), ["joint wrist", "jumps at line 35 and 1 more"]),
+    "spike": (
+        changed((33, 3), lambda q: q + 2.0),
+        ["joint wrist", "jumps at line 35 and 1 more"],
+    ),
     "zero torque": (
         changed(np.s_[:, 5], lambda tau: 0.0 * tau),
         ["torque of joint elbow is zero in every row"],
@@ -160,7 +193,9 @@ def test_a_log_that_cannot_be_used_is_refused(tmp_path, name):
     assert ("degrees" in message) == (name == "degrees")
 
 
-@pytest.mark.parametrize("name", ["minutes", "hours", "stamps of arrival", "whole seconds"])
+@pytest.mark.parametrize(
+    "name", ["minutes", "hours", "stamps of arrival", "whole seconds"]
+)
 def test_the_remedy_for_a_clock_is_one(tmp_path, name):
     remedies = {"minutes": "time = 60 * time", "hours": "time = 3600 * time"}
     columns = tmp_path / "columns.txt"
@@ -192,13 +227,18 @@ NOTES: dict[str, tuple[Callable, list[str]]] = {
     ),
     "cut off": (
         lambda rows: [*rows[:-1].tolist(), rows[-1, :4].tolist()],
-        ["left out 1 rows that are no rows of numbers (first: line 401: 4 cells instead of 7)"],
+        [
+            "left out 1 rows that are no rows of numbers (first: line 401: 4 cells instead of 7)"
+        ],
     ),
     "at rest": (
         stands_still,
         ["stands still up to line 103 (0.5", "stands still from line 252 on (0.7"],
     ),
-    "one at rest": (changed(np.s_[:, 2], lambda q: 0.0 * q), ["do not move in this log: elbow"]),
+    "one at rest": (
+        changed(np.s_[:, 2], lambda q: 0.0 * q),
+        ["do not move in this log: elbow"],
+    ),
 }
 
 
@@ -265,7 +305,9 @@ def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path)
     titles = (*TITLES, *(f"{joint}_time" for joint in JOINTS))
     stamps = table(motion())[:, :1] + np.array([0.0, 1e-3, 2e-3])
     rows = np.column_stack((table(motion()), stamps))
-    np.testing.assert_array_equal(read(tmp_path, rows, titles).samples.joint_time, stamps)
+    np.testing.assert_array_equal(
+        read(tmp_path, rows, titles).samples.joint_time, stamps
+    )
     rows[7, 8] -= 0.05
     with pytest.raises(InputError, match="runs backwards at line 9"):
         read(tmp_path, rows, titles)

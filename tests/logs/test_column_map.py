@@ -23,7 +23,9 @@ def recognise(
     titles: str, joints=JOINTS, chosen=None, first_row=(), is_slide=(False,) * 3
 ) -> column_map.ColumnMap:
     chosen = chosen or column_map.ColumnChoices()
-    return column_map.recognise_columns(titles.split(","), joints, chosen, first_row, is_slide)
+    return column_map.recognise_columns(
+        titles.split(","), joints, chosen, first_row, is_slide
+    )
 
 
 def where(found: column_map.ColumnMap) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -66,7 +68,20 @@ def test_named_titles_go_to_their_joint_whatever_the_order(titles):
     assert where(recognise(titles, UR)) == ((3, 2, 1), (6, 5, 4))
 
 
-NAME_PIECES = ("s", "m", "ms", "deg", "rad", "nm", "j2s7s300", "right", "s0", "e1", "7", "arm")
+NAME_PIECES = (
+    "s",
+    "m",
+    "ms",
+    "deg",
+    "rad",
+    "nm",
+    "j2s7s300",
+    "right",
+    "s0",
+    "e1",
+    "7",
+    "arm",
+)
 
 
 @given(
@@ -77,14 +92,20 @@ NAME_PIECES = ("s", "m", "ms", "deg", "rad", "nm", "j2s7s300", "right", "s0", "e
 )  # fmt: skip
 def test_a_unit_within_a_joints_name_is_no_unit(names):
     titles = [f"{name}_{kind}" for kind in ("position", "torque") for name in names]
-    found = recognise(",".join(["time", *titles]), tuple(names), is_slide=[False] * len(names))
+    found = recognise(
+        ",".join(["time", *titles]), tuple(names), is_slide=[False] * len(names)
+    )
     assert [s.title for s in found.position + found.torque] == titles
     assert {s.factor for s in found.position + found.torque} == {1.0}
 
 
 def test_ros_names_in_the_first_row_outrank_counting_and_its_header_the_receipt():
-    titles = "%time,field.name0,field.name1,field.name2,field.position0,field.position1,"
-    titles += "field.position2,field.effort0,field.effort1,field.effort2,field.header.stamp"
+    titles = (
+        "%time,field.name0,field.name1,field.name2,field.position0,field.position1,"
+    )
+    titles += (
+        "field.position2,field.effort0,field.effort1,field.effort2,field.header.stamp"
+    )
     row = ["1", "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"] + ["0"] * 7
     found = recognise(titles, UR, first_row=row)
     assert where(found) == ((6, 5, 4), (9, 8, 7))
@@ -92,16 +113,37 @@ def test_ros_names_in_the_first_row_outrank_counting_and_its_header_the_receipt(
 
 
 def test_the_columns_of_a_damiao_recording_are_known():
-    extra = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "status", "temp_mos", "temp_rotor")
+    extra = (
+        "time",
+        "cmd_pos",
+        "cmd_vel",
+        "cmd_tau",
+        "status",
+        "temp_mos",
+        "temp_rotor",
+    )
     titles = ["time", *trajectory_columns(3)]
     titles += [f"j{j}_{what}" for j in range(3) for what in extra]
     found = recognise(",".join(titles), ("joint1", "joint2", "joint3"))
-    taken = found.position + found.torque + (found.velocity or ()) + (found.joint_time or ())
-    expected = [f"j{j}_{what}" for what in ("pos", "tau", "vel", "time") for j in range(3)]
+    taken = (
+        found.position
+        + found.torque
+        + (found.velocity or ())
+        + (found.joint_time or ())
+    )
+    expected = [
+        f"j{j}_{what}" for what in ("pos", "tau", "vel", "time") for j in range(3)
+    ]
     assert [source.title for source in taken] == expected
 
 
-COMMANDS = ("q_des[{}]", "action[{}]", "joint{}_command", "j{} goal_position", "jointTarget[{}]")
+COMMANDS = (
+    "q_des[{}]",
+    "action[{}]",
+    "joint{}_command",
+    "j{} goal_position",
+    "jointTarget[{}]",
+)
 
 
 @pytest.mark.parametrize(
@@ -118,9 +160,13 @@ COMMANDS = ("q_des[{}]", "action[{}]", "joint{}_command", "j{} goal_position", "
         ("current_position_1", "position", "position"),
     ],
 )  # fmt: skip
-def test_what_a_title_says_where_commands_are_asked_for_and_where_not(title, measured, commanded):
+def test_what_a_title_says_where_commands_are_asked_for_and_where_not(
+    title, measured, commanded
+):
     assert read_title(title).kind == measured
-    (found,) = with_meaning([read_title(title)], ("ref_joint", "joint1"), False, commanded=True)
+    (found,) = with_meaning(
+        [read_title(title)], ("ref_joint", "joint1"), False, commanded=True
+    )
     assert joint_kind(found) == commanded
 
 
@@ -152,7 +198,9 @@ def test_units_in_titles_become_factors():
 
 def test_declared_degrees_leave_slides_alone():
     chosen = column_map.ColumnChoices(angle_unit="deg", time_unit="us")
-    found = recognise("t,q1,q2,q3,tau1,tau2,tau3", JOINTS, chosen, is_slide=(False, True, False))
+    found = recognise(
+        "t,q1,q2,q3,tau1,tau2,tau3", JOINTS, chosen, is_slide=(False, True, False)
+    )
     assert [s.factor for s in found.position] == [math.pi / 180, 1.0, math.pi / 180]
     assert found.time is not None and found.time.factor == 1e-6
     with pytest.raises(InputError, match=r"q1 \[rad\].*contradicts"):
@@ -162,22 +210,35 @@ def test_declared_degrees_leave_slides_alone():
 @pytest.mark.parametrize(
     ("titles", "words"),
     [
-        ("time,q1,q2,q3,tau1,tau2,tau3,torque_1", ["'tau1' and 'torque_1'", "joint joint0"]),
+        (
+            "time,q1,q2,q3,tau1,tau2,tau3,torque_1",
+            ["'tau1' and 'torque_1'", "joint joint0"],
+        ),
         ("time,timestamp,q1,q2,q3,tau1,tau2,tau3", ["'time' and 'timestamp'"]),
         (
             "t,joint0_pos,joint1_pos,joint2_pos,q1,q2,q3,tau1,tau2,tau3",
             ["'joint0_pos' and 'q1'", "--columns"],
         ),
-        ("t,q1,q2,q3,q4,tau1,tau2,tau3,tau4", ["position", "3 chain joints", "found 4"]),
+        (
+            "t,q1,q2,q3,q4,tau1,tau2,tau3,tau4",
+            ["position", "3 chain joints", "found 4"],
+        ),
         ("t,q1,q2,q3", ["torque", "found none"]),
         ("t,q1,q2,q3,tau1,tau2,tau3<script>", ["torque", "found 2"]),
         ("t,q1,q2,q3,tau1_cmd,tau2_cmd,tau3_cmd", ["torque", "commanded"]),
         ("q1,q2,q3,tau1,tau2,tau3", ["no time column", "rate"]),
         (
             "when,q1,q2,q3,tau1,tau2,tau9",
-            ["one torque column for each", "found 3 (tau1, tau2, tau9)", "; the log has no time"],
+            [
+                "one torque column for each",
+                "found 3 (tau1, tau2, tau9)",
+                "; the log has no time",
+            ],
         ),
-        ("t,joint1_pos,joint2_pos,joint3_pos,tau1,tau2,tau3", ["carries the name of joint joint1"]),
+        (
+            "t,joint1_pos,joint2_pos,joint3_pos,tau1,tau2,tau3",
+            ["carries the name of joint joint1"],
+        ),
         ("t,q1 [furlong],q2,q3,tau1,tau2,tau3", ["furlong", "unknown"]),
     ],
 )
@@ -216,7 +277,9 @@ def test_a_draft_says_what_was_recognised_and_works_once_completed(tmp_path):
         recognise(titles)
     drafted = caught.value.draft
     assert "time = ?\nposition = #2, #3, #4\ntorque = ?, ?, ?\n" in drafted
-    with pytest.raises(InputError, match="line 4: put the log's columns in the place of ?"):
+    with pytest.raises(
+        InputError, match="line 4: put the log's columns in the place of ?"
+    ):
         choices(tmp_path, drafted)
     completed = drafted.replace("time = ?", "time = when").replace("?, ?, ?", "#5-7")
     found = recognise(titles, chosen=choices(tmp_path, completed))
@@ -237,7 +300,10 @@ def test_a_draft_says_what_was_recognised_and_works_once_completed(tmp_path):
         ("rate = -3", "positive number"),
         ("units = grad", "not understood"),
         ("units = deg,rad", "not understood"),
-        *((f"torque = {k} * tau1, tau2, tau3", "no single column") for k in ("1.2.3", "1e999")),
+        *(
+            (f"torque = {k} * tau1, tau2, tau3", "no single column")
+            for k in ("1.2.3", "1e999")
+        ),
         ("torque = B, tau2, tau3", "no single column 'B'.*time, q1"),
     ],
 )

@@ -19,24 +19,37 @@ from robot_sysid.logs import reader
 from robot_sysid.logs.formats import text as formats_text
 from robot_sysid.logs.reader import write_measurement_csv
 from robot_sysid.records import Measurement
-from tests.support.log_files import JOINTS, TITLES, motion, read_measurements, table, write
+from tests.support.log_files import (
+    JOINTS,
+    TITLES,
+    motion,
+    read_measurements,
+    table,
+    write,
+)
 
 QUANTITIES = ("time", "q", "qd", "tau", "qdd", "joint_time")
 
 
-def assert_same(first: Measurement, second: Measurement, tolerance: float = 0.0) -> None:
+def assert_same(
+    first: Measurement, second: Measurement, tolerance: float = 0.0
+) -> None:
     for name in QUANTITIES:
         expected = getattr(first, name)
         got = getattr(second, name)
         if expected is None:
             assert got is None, name
         else:
-            np.testing.assert_allclose(got, expected, rtol=0.0, atol=tolerance, err_msg=name)
+            np.testing.assert_allclose(
+                got, expected, rtol=0.0, atol=tolerance, err_msg=name
+            )
 
 
 def part(data: Measurement, start: int, stop: int) -> Measurement:
     values = {name: getattr(data, name) for name in QUANTITIES}
-    return Measurement(**{k: None if v is None else v[start:stop] for k, v in values.items()})
+    return Measurement(
+        **{k: None if v is None else v[start:stop] for k, v in values.items()}
+    )
 
 
 NAMES = st.lists(
@@ -48,7 +61,11 @@ NAMES = st.lists(
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(NAMES, st.sets(st.sampled_from(("qd", "qdd", "joint_time"))), st.sets(st.integers(1, 39)))
+@given(
+    NAMES,
+    st.sets(st.sampled_from(("qd", "qdd", "joint_time"))),
+    st.sets(st.integers(1, 39)),
+)
 def test_what_is_written_reads_back_to_the_last_bit(tmp_path, names, optional, cuts):
     """Whatever the joints' names, what else is there, and the chunks it comes in; nobody needs
     accelerations.
@@ -63,7 +80,10 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path, names, optional, c
     edges = [0, *sorted(cuts), len(time)]
     chunks = [part(written, a, b) for a, b in zip(edges, edges[1:])]
     write_measurement_csv(tmp_path / "log.csv", names, chunks)
-    assert_same(replace(written, qdd=None), read_measurements(tmp_path / "log.csv", names).samples)
+    assert_same(
+        replace(written, qdd=None),
+        read_measurements(tmp_path / "log.csv", names).samples,
+    )
 
 
 @pytest.mark.parametrize("size", [1, 700, 40_000])
@@ -103,7 +123,9 @@ def restyled(text: str, style: str) -> bytes:
         "blanks": "\n".join("  " + line.replace(",", "   ") for line in lines),
         "crlf": text.replace("\n", "\r\n"),
         "bom": "\ufeff" + text,
-        "quoted": "\n".join(",".join(f'"{cell}"' for cell in line.split(",")) for line in lines),
+        "quoted": "\n".join(
+            ",".join(f'"{cell}"' for cell in line.split(",")) for line in lines
+        ),
         "utf16": text,
         "decimal comma": text.replace(",", ";").replace(".", ","),
         "comments": "# made by us\n#\n" + text.replace("\n", "\n# between\n"),
@@ -116,7 +138,8 @@ def restyled(text: str, style: str) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "form", ["{day}T{clock}", "{day} {clock}Z", "{day}T{clock}+05:30", "{clock}", '"{clock}"']
+    "form",
+    ["{day}T{clock}", "{day} {clock}Z", "{day}T{clock}+05:30", "{clock}", '"{clock}"'],
 )
 def test_dates_are_times_from_the_first(tmp_path, form):
     data = motion(50)
@@ -132,10 +155,17 @@ def test_dates_are_times_from_the_first(tmp_path, form):
 def test_a_decimal_comma_need_not_be_in_the_first_row_nor_unquoted(tmp_path):
     data = motion(50)
     data = replace(data, q=data.q - data.q[0], tau=data.tau - data.tau[0], qd=None)
-    rows = [[str(cell).replace(".", ",") for cell in row] for row in table(data).tolist()]
+    rows = [
+        [str(cell).replace(".", ",") for cell in row] for row in table(data).tolist()
+    ]
     rows[0] = ["0"] * 7
-    for cells, separator in ((rows, ";"), ([[f'"{c}"' for c in row] for row in rows], ",")):
-        log = read_measurements(write(tmp_path / "l.csv", cells, separator=separator), JOINTS)
+    for cells, separator in (
+        (rows, ";"),
+        ([[f'"{c}"' for c in row] for row in rows], ","),
+    ):
+        log = read_measurements(
+            write(tmp_path / "l.csv", cells, separator=separator), JOINTS
+        )
         assert_same(data, log.samples)
 
 
@@ -149,7 +179,9 @@ def test_dates_go_on_over_a_change_of_the_clock(tmp_path):
     np.testing.assert_allclose(log.samples.time, 0.02 * np.arange(40), atol=1e-12)
 
 
-def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(tmp_path):
+def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(
+    tmp_path,
+):
     data = motion(30)
     path = write(tmp_path / "log.csv", table(data), titles=())
     with pytest.raises(InputError, match="no column titles.*7 columns.*--columns"):
@@ -162,8 +194,13 @@ def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(t
 
 def test_text_columns_that_are_not_used_do_not_matter(tmp_path):
     data = motion(30)
-    rows = [[*row, '"ok, fine"' if k % 2 else "nan"] for k, row in enumerate(table(data).tolist())]
-    log = read_measurements(write(tmp_path / "l.csv", rows, (*TITLES, "status")), JOINTS)
+    rows = [
+        [*row, '"ok, fine"' if k % 2 else "nan"]
+        for k, row in enumerate(table(data).tolist())
+    ]
+    log = read_measurements(
+        write(tmp_path / "l.csv", rows, (*TITLES, "status")), JOINTS
+    )
     assert_same(replace(data, qd=None), log.samples)
     assert any("not used: status" in note for note in log.notes)
 
@@ -200,7 +237,9 @@ def test_a_log_is_read_from_a_pipe(tmp_path, monkeypatch):
         stdin = SimpleNamespace(buffer=pipe, isatty=partial(bool, content is None))
         monkeypatch.setattr(sys, "stdin", stdin)
         if content is None:
-            with pytest.raises(InputError, match="a log that is piped in, and nothing is"):
+            with pytest.raises(
+                InputError, match="a log that is piped in, and nothing is"
+            ):
                 read_measurements("-", JOINTS)
         else:
             whole = read_measurements(path, JOINTS)
@@ -225,9 +264,13 @@ POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(scale=POSITIVE, constants=POSITIVE)
-def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scale, constants):
+def test_torque_is_divided_by_scale_and_multiplied_with_constants(
+    tmp_path, scale, constants
+):
     path = write(tmp_path / "log.csv", table(motion(20)))
-    log = read_measurements(path, JOINTS, torque_scale=scale, torque_constants=constants)
+    log = read_measurements(
+        path, JOINTS, torque_scale=scale, torque_constants=constants
+    )
     expected = motion(20).tau * constants / np.array(scale)
     np.testing.assert_allclose(log.samples.tau, expected, rtol=1e-14)
     np.testing.assert_array_equal(log.samples.q, motion(20).q)

@@ -13,7 +13,10 @@ from tests.support.model_files import TETRAHEDRON, write_files
 MESH = "<asset><mesh name='m' file='{}'/></asset>"
 USE = "<worldbody><body><geom type='mesh' mesh='m'/></body></worldbody>"
 CASES = {
-    "no folder named": {"m.xml": f"<mujoco>{MESH.format('m.obj')}{USE}</mujoco>", "m.obj": ""},
+    "no folder named": {
+        "m.xml": f"<mujoco>{MESH.format('m.obj')}{USE}</mujoco>",
+        "m.obj": "",
+    },
     "meshdir": {
         "m.xml": f"<mujoco><compiler meshdir='d &amp; e'/>{MESH.format('m.obj')}{USE}</mujoco>",
         "d & e/m.obj": "",
@@ -74,7 +77,9 @@ def test_behind_a_symbolic_link_the_path_is_absolute(tmp_path):
 
 def test_an_included_file_that_is_not_utf8_takes_its_place(tmp_path):
     part = "<?xml version='1.0' encoding='latin-1'?><mujoco><!-- é --></mujoco>"
-    (tmp_path / "part.xml").write_bytes(part.replace("<!--", "<size/><!--").encode("latin-1"))
+    (tmp_path / "part.xml").write_bytes(
+        part.replace("<!--", "<size/><!--").encode("latin-1")
+    )
     main = "<mujoco><include file='part.xml'/><worldbody/></mujoco>"
     (tmp_path / "m.xml").write_text(main)
     moved = relocated_text(Edits(read_document(tmp_path / "m.xml")), tmp_path / "out")
@@ -92,5 +97,8 @@ def test_the_users_mesh_folder_replaces_that_of_the_file(tmp_path):
     files = {"m.xml": text, "d/s/m.obj": "", "mine/m.obj": "", "mine/t.png": ""}
     document = read_document(write_files(tmp_path, files))
     found = {a.name: a.path for a in find_assets(document, tmp_path / "mine")}
-    assert found == {"s/m.obj": tmp_path / "mine/m.obj", "t.png": tmp_path / "mine/t.png"}
+    assert found == {
+        "s/m.obj": tmp_path / "mine/m.obj",
+        "t.png": tmp_path / "mine/t.png",
+    }
     check_assets(document, tmp_path / "mine")

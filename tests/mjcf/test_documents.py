@@ -20,7 +20,9 @@ OUTSIDE = """<!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/hostname">]>
 
 
 def names(path):
-    return [node.get("name") for node in read_document(path).walk() if node.tag == "body"]
+    return [
+        node.get("name") for node in read_document(path).walk() if node.tag == "body"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -71,7 +73,9 @@ def test_what_mujoco_accepts_is_accepted(tmp_path, content):
 
 ONE = "<mujoco><include file='s/a'/></mujoco>"
 TWO = "<mujoco><include file='b'/></mujoco>"
-INSIDE = "<worldbody><body name='1'><include file='a'/></body><body name='4'/></worldbody>"
+INSIDE = (
+    "<worldbody><body name='1'><include file='a'/></body><body name='4'/></worldbody>"
+)
 THREE = "<anything><body name='2'><body name='3'/></body></anything>"
 
 
@@ -79,7 +83,10 @@ THREE = "<anything><body name='2'><body name='3'/></body></anything>"
     ("files", "bodies"),
     [
         ({"m": ONE, "s/a": TWO, "s/b": BODY.format("x")}, ["x"]),
-        ({"m": ONE, "s/a": TWO, "s/b": BODY.format("x"), "b": BODY.format("first")}, ["first"]),
+        (
+            {"m": ONE, "s/a": TWO, "s/b": BODY.format("x"), "b": BODY.format("first")},
+            ["first"],
+        ),
         ({"m": f"<mujoco>{INSIDE}</mujoco>", "a": THREE}, ["1", "2", "3", "4"]),
     ],
 )
@@ -91,8 +98,14 @@ def test_includes_are_found_where_mujoco_finds_them(tmp_path, files, bodies):
     ("files", "message"),
     [
         ({"m": "<mujoco><include/></mujoco>"}, "without a file attribute"),
-        ({"m": "<mujoco>\n<include file='a'/></mujoco>"}, "line 2: included file a not found"),
-        ({"m": "<mujoco><include file='m'/></mujoco>"}, "m is included twice or includes itself"),
+        (
+            {"m": "<mujoco>\n<include file='a'/></mujoco>"},
+            "line 2: included file a not found",
+        ),
+        (
+            {"m": "<mujoco><include file='m'/></mujoco>"},
+            "m is included twice or includes itself",
+        ),
         (
             {
                 "m": "<mujoco><include file='a'/><include file='./a'/></mujoco>",
@@ -153,14 +166,18 @@ def test_includes_are_not_followed_without_end(tmp_path):
 def test_a_file_that_is_too_large_is_not_read(tmp_path):
     with (tmp_path / "m.xml").open("wb") as file:
         file.truncate(5 * 10**9)
-    with pytest.raises(ModelError, match="m.xml has more than the 100 MB of a model file"):
+    with pytest.raises(
+        ModelError, match="m.xml has more than the 100 MB of a model file"
+    ):
         read_document(tmp_path / "m.xml")
 
 
 def test_elements_are_counted_with_those_of_includes(tmp_path):
     main = '<mujoco><include file="a.xml"/><worldbody/></mujoco>'
     files = {"m.xml": main, "a.xml": f"<mujoco>{'<site/>' * 20_000}</mujoco>"}
-    with pytest.raises(ModelError, match="a.xml: more than the 20000 elements .* includes counted"):
+    with pytest.raises(
+        ModelError, match="a.xml: more than the 20000 elements .* includes counted"
+    ):
         read_document(write_files(tmp_path, files))
 
 

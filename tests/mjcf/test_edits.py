@@ -31,7 +31,9 @@ def document_of(tmp_path, text):
         (0, "no", None, "", ""),
     ],
 )
-def test_an_attribute_is_changed_and_nothing_else(tmp_path, element, name, value, before, after):
+def test_an_attribute_is_changed_and_nothing_else(
+    tmp_path, element, name, value, before, after
+):
     document = document_of(tmp_path, TEXT)
     edits = Edits(document)
     edits.set(list(document.walk())[element], name, value)

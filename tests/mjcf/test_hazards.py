@@ -25,7 +25,9 @@ def model(folder, name, assets="", bodies=LEAF):
 
 
 def attaching(folder, name, *files):
-    assets = "".join(f'<model name="m{k}" file="{file}"/>' for k, file in enumerate(files))
+    assets = "".join(
+        f'<model name="m{k}" file="{file}"/>' for k, file in enumerate(files)
+    )
     bodies = "".join(
         f'<frame><attach model="m{k}" body="b" prefix="{name[0]}{k}"/></frame>'
         for k in range(len(files))
@@ -33,7 +35,9 @@ def attaching(folder, name, *files):
     return model(folder, name, assets, LEAF + bodies)
 
 
-@pytest.mark.parametrize("ring", [("a.xml",), ("a.xml", "c.xml"), ("a.xml", "c.xml", "d.xml")])
+@pytest.mark.parametrize(
+    "ring", [("a.xml",), ("a.xml", "c.xml"), ("a.xml", "c.xml", "d.xml")]
+)
 def test_a_model_that_attaches_itself_is_refused(tmp_path, ring):
     """MuJoCo ends the process over it."""
     for name, following in zip(ring, (*ring[1:], ring[0])):
@@ -60,14 +64,23 @@ def test_a_model_may_be_attached_more_than_once(tmp_path):
         ),
         ('<size memory="900G"/>', "largest: <size>"),
         ('<size nuser_body="100000000"/>', "take 1.6 GB"),
-        ('<worldbody><replicate count="1000000"><site/></replicate></worldbody>', "at most 3000"),
+        (
+            '<worldbody><replicate count="1000000"><site/></replicate></worldbody>',
+            "at most 3000",
+        ),
         (
             '<worldbody><replicate count="99"><frame><replicate count="99"><site/></replicate>'
             "</frame></replicate></worldbody>",
             "copies; at most 3000",
         ),
-        ('<worldbody><geom class="%s%n%d" size=".1"/></worldbody>', "'%s%n%d' of a geom has a %"),
-        ('<asset><mesh name="m" file="shape.stl"/></asset>', "shape.stl is not a file but a pipe"),
+        (
+            '<worldbody><geom class="%s%n%d" size=".1"/></worldbody>',
+            "'%s%n%d' of a geom has a %",
+        ),
+        (
+            '<asset><mesh name="m" file="shape.stl"/></asset>',
+            "shape.stl is not a file but a pipe",
+        ),
         ('<option gravity="0 0 -1e300"/>', r"a value no arm has \(gravity 1e\+300\)"),
     ],
 )
@@ -85,7 +98,8 @@ def png(width, height, content=b"\0", colours=2):
     head = struct.pack(">IIBBBBB", width, height, 8, colours, 0, 0, 0)
     parts = [(b"IHDR", head), (b"IDAT", zlib.compress(content, 9)), (b"IEND", b"")]
     chunks = (
-        struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(k + c)) for k, c in parts
+        struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(k + c))
+        for k, c in parts
     )
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
@@ -126,7 +140,11 @@ FACES = "f 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
         ("m.obj", VERTICES + FACES, 4),
         ("m.obj", (VERTICES + FACES).replace("\n", "\r"), 4),
         ("m.obj", VERTICES + 10_000 * FACES, 40_000),
-        ("m.obj", VERTICES + 10_000 * FACES.replace(" ", "  ").replace("\n", " \r\n"), 40_000),
+        (
+            "m.obj",
+            VERTICES + 10_000 * FACES.replace(" ", "  ").replace("\n", " \r\n"),
+            40_000,
+        ),
         ("m.obj", 10_000 * (VERTICES + FACES), 40_000),
         ("m.obj", VERTICES + 15_000 * "f 1//1 2//1 3//1 4//1 1//1\n", 45_000),
         ("m.stl", "\0" * (80 + 4 + 50 * 12), 12),

@@ -18,7 +18,10 @@ from robot_sysid.mjcf.inertial import urdf_inertial_about_com as urdf_inertial
 from robot_sysid.mjcf.updated_model import find_element
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.inertia import body_label, body_theta
-from robot_sysid.results.verification import reads_fullinertia_exactly, verify_written_model
+from robot_sysid.results.verification import (
+    reads_fullinertia_exactly,
+    verify_written_model,
+)
 from tests.support.model_files import ARM, random_theta, write_files
 from tests.support.releases import since
 
@@ -50,15 +53,24 @@ def test_inertias_are_about_the_centre_of_mass_in_the_order_of_their_format():
 
 
 def test_numbers_that_mujoco_cannot_read_are_zero():
-    assert numbers(np.array([-0.0, 5e-324, -2e-310, 1e-300, 0.1])) == "0.0 0.0 0.0 1e-300 0.1"
+    assert (
+        numbers(np.array([-0.0, 5e-324, -2e-310, 1e-300, 0.1]))
+        == "0.0 0.0 0.0 1e-300 0.1"
+    )
 
 
 @pytest.mark.parametrize(
     ("before", "after"),
     [
         ("<body name='a'/>", "<body name='a'><NEW/></body>"),
-        ("<body><inertial pos='0 0 0'\n mass='1'/><joint/></body>", "<body><NEW/><joint/></body>"),
-        ("\n  <body>\n    <joint/>\n  </body>", "\n  <body>\n    <NEW/>\n    <joint/>\n  </body>"),
+        (
+            "<body><inertial pos='0 0 0'\n mass='1'/><joint/></body>",
+            "<body><NEW/><joint/></body>",
+        ),
+        (
+            "\n  <body>\n    <joint/>\n  </body>",
+            "\n  <body>\n    <NEW/>\n    <joint/>\n  </body>",
+        ),
         (
             "<body><body><inertial/></body></body>",
             "<body>\n  <NEW/><body><inertial/></body></body>",
@@ -69,7 +81,9 @@ def test_numbers_that_mujoco_cannot_read_are_zero():
 def test_the_old_inertial_goes_and_a_missing_one_comes(tmp_path, before, after):
     text = f"<mujoco><worldbody>{before}</worldbody></mujoco>"
     included = "<x><inertial pos='0 0 0' mass='1'/></x>"
-    edits = Edits(read_document(write_files(tmp_path, {"m.xml": text, "i.xml": included})))
+    edits = Edits(
+        read_document(write_files(tmp_path, {"m.xml": text, "i.xml": included}))
+    )
     edits.put_inertial(next(edits.document.walk("body")), "<NEW/>")
     assert edits.text().decode() == text.replace(before, after)
 
@@ -89,7 +103,11 @@ def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
     document = read_document(path)
     for number in range(1, mj_model.nbody):
         node = find_element(document, "body", body_label(mj_model, number))
-        assert float(node.child("geom").get("mass")) == mj_model.body_mass[number] == number
+        assert (
+            float(node.child("geom").get("mass"))
+            == mj_model.body_mass[number]
+            == number
+        )
 
 
 @pytest.mark.parametrize(
@@ -98,14 +116,20 @@ def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
         ("<body name='a'/>", "b", "'b' is not written out in the file"),
         ("<body name='a'/><body name='a'/>", "a", "'a' stands in the file 2 times"),
         ("<replicate count='2'><body/></replicate><body/>", "#3", "is not written out"),
-        ("<body><attach model='x' body='y' prefix='z'/></body><body/>", "#4", "is not written out"),
+        (
+            "<body><attach model='x' body='y' prefix='z'/></body><body/>",
+            "#4",
+            "is not written out",
+        ),
         ("<body/><replicate count='2'><body/></replicate>", "#2", "is not written out"),
     ],
 )
 def test_what_is_not_written_out_is_one_line(tmp_path, content, label, message):
     text = f"<mujoco><worldbody>{content}</worldbody></mujoco>"
     with pytest.raises(ExportError, match=message) as caught:
-        find_element(read_document(write_files(tmp_path, {"m.xml": text})), "body", label)
+        find_element(
+            read_document(write_files(tmp_path, {"m.xml": text})), "body", label
+        )
     assert "\n" not in str(caught.value)
 
 
@@ -126,7 +150,9 @@ def arm(tmp_path, compiler, text=ARM):
         ("fusestatic='true'", "fusestatic"),
     ],
 )
-def test_a_setting_that_would_change_the_value_is_refused_by_name(tmp_path, compiler, name):
+def test_a_setting_that_would_change_the_value_is_refused_by_name(
+    tmp_path, compiler, name
+):
     document = read_document(arm(tmp_path, compiler))
     with pytest.raises(ExportError, match=f"compiler setting {name} ") as caught:
         check_settings(document, find_element(document, "body", "link2"), THETA)
@@ -138,7 +164,9 @@ def test_fusestatic_does_not_matter_to_a_body_without_welded_children(tmp_path):
     check_settings(document, find_element(document, "body", "finger"), THETA)
 
 
-AT_ITS_BOUND = spatial.theta_from_com(1.0, np.array([0.0, 0.0, 0.1]), (1e-6 - 3e-16) * np.eye(3))
+AT_ITS_BOUND = spatial.theta_from_com(
+    1.0, np.array([0.0, 0.0, 0.1]), (1e-6 - 3e-16) * np.eye(3)
+)
 
 
 @pytest.mark.parametrize(
@@ -150,9 +178,13 @@ AT_ITS_BOUND = spatial.theta_from_com(1.0, np.array([0.0, 0.0, 0.1]), (1e-6 - 3e
         ("boundinertia='1e-6'", AT_ITS_BOUND),
     ],
 )
-def test_the_written_value_survives_and_the_other_bodies_stay(tmp_path, compiler, theta):
+def test_the_written_value_survives_and_the_other_bodies_stay(
+    tmp_path, compiler, theta
+):
     # With inertiafromgeom the geom of link1 decides, although it has an inertial.
-    text = ARM.replace('<joint name="j1"', '<geom name="g" size="0.05"/><joint name="j1"')
+    text = ARM.replace(
+        '<joint name="j1"', '<geom name="g" size="0.05"/><joint name="j1"'
+    )
     text = text.replace(
         '<geom size="0.1"/>', '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
     )

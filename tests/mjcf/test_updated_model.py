@@ -15,7 +15,11 @@ import pytest
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.updated_model import changed_model_text, write_actuator, write_joint
+from robot_sysid.mjcf.updated_model import (
+    changed_model_text,
+    write_actuator,
+    write_joint,
+)
 from robot_sysid.mjcf.write_back import (
     ActuatorChange,
     BodyChange,
@@ -27,9 +31,18 @@ from robot_sysid.mjcf.write_back import (
 from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta, subtree_bodies
-from robot_sysid.results.verification import reads_fullinertia_exactly, verify_written_model
+from robot_sysid.results.verification import (
+    reads_fullinertia_exactly,
+    verify_written_model,
+)
 from tests.support import urdf
-from tests.support.model_files import ARM, INERTIAL, TETRAHEDRON, random_theta, write_files
+from tests.support.model_files import (
+    ARM,
+    INERTIAL,
+    TETRAHEDRON,
+    random_theta,
+    write_files,
+)
 from tests.support.places import SHARED
 from tests.support.releases import since
 
@@ -43,7 +56,11 @@ def exported(source, label, composite, target, mesh_dir=None, original=None):
     body = int(label[1:]) if label.startswith("#") else body
     plan = plan_write_back(composite, subtree_bodies(original, original.qpos0, body))
     write(source, label, plan, target, mesh_dir)
-    return plan, verify_written_model(original, target, change_of(label, plan, body)).mj_model, body
+    return (
+        plan,
+        verify_written_model(original, target, change_of(label, plan, body)).mj_model,
+        body,
+    )
 
 
 def change_of(label, plan, body=0):
@@ -62,13 +79,19 @@ def write(source, label, plan, target, mesh_dir=None):
 def test_only_the_inertial_and_the_comment_change(tmp_path):
     source = write_files(tmp_path, {"m.xml": ARM})
     plan = WriteBack(THETA)
-    text = changed_model_text(source, change_of("link2", plan), tmp_path / "out").decode()
+    text = changed_model_text(
+        source, change_of("link2", plan), tmp_path / "out"
+    ).decode()
     difference = list(difflib.ndiff(ARM.splitlines(), text.splitlines()))
     removed = [line[2:].split() for line in difference if line.startswith("- ")]
     comment, inertial = [line[2:] for line in difference if line.startswith("+ ")]
     assert [words[0] for words in removed] == ["<inertial", 'diaginertia="2e-3']
-    assert comment == ("        <!-- System ID: body 'link2' identified with RMSE 0.000123 Nm -->")
-    assert inertial.startswith("          <inertial pos=") and "fullinertia=" in inertial
+    assert comment == (
+        "        <!-- System ID: body 'link2' identified with RMSE 0.000123 Nm -->"
+    )
+    assert (
+        inertial.startswith("          <inertial pos=") and "fullinertia=" in inertial
+    )
     assert "quat" not in inertial and "diaginertia" not in inertial
 
 
@@ -102,14 +125,19 @@ INCLUDING = {
 
 @pytest.mark.parametrize("folder", ["out", "in/parts", "in"])
 @since(3, 1, 6)
-def test_a_nameless_body_in_an_include_is_changed_and_its_files_are_found(tmp_path, folder):
+def test_a_nameless_body_in_an_include_is_changed_and_its_files_are_found(
+    tmp_path, folder
+):
     source = write_files(tmp_path / "in", INCLUDING)
     before = source.read_bytes(), (tmp_path / "in/parts/link.xml").read_bytes()
     target = tmp_path / folder / "updated.xml"
     exported(source, "#1", THETA, target)
     text = changed_model_text(source, CHANGE, target.parent).decode()
     assert "in place of 0 0 -5" in text and text.count("gravity=") == 1
-    assert before == (source.read_bytes(), (tmp_path / "in/parts/link.xml").read_bytes())
+    assert before == (
+        source.read_bytes(),
+        (tmp_path / "in/parts/link.xml").read_bytes(),
+    )
     assert b"size.xml" in target.read_bytes() and b"link.xml" not in target.read_bytes()
 
 
@@ -125,13 +153,22 @@ def terminal_label(mj_model) -> str:
     """The terminal body of a public model; one of them where the tool would ask."""
     names = [mj_model.body(i).name for i in range(mj_model.nbody)]
     chosen = [name for name in WITHOUT_ONE_TERMINAL if name in names]
-    return chosen[0] if chosen else names[mj_model.jnt_bodyid[find_terminal_joint(mj_model)]]
+    return (
+        chosen[0]
+        if chosen
+        else names[mj_model.jnt_bodyid[find_terminal_joint(mj_model)]]
+    )
 
 
 MODELS = [
     path
-    for path in (*sorted(SHARED.glob("models/**/*.xml")), *sorted(SHARED.glob("**/*.urdf")))
-    if not path.stem.endswith(("actuators", "keyframe_ctrl", "no_act", "properties", "hand"))
+    for path in (
+        *sorted(SHARED.glob("models/**/*.xml")),
+        *sorted(SHARED.glob("**/*.urdf")),
+    )
+    if not path.stem.endswith(
+        ("actuators", "keyframe_ctrl", "no_act", "properties", "hand")
+    )
     or path.stem.endswith("nohand")
 ]
 
@@ -142,7 +179,9 @@ MODELS = [
 def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
     original = compile_model(path).mj_model
     label = terminal_label(original)
-    theta = composite_theta(original, original.qpos0, original.body(label).id) + 0.2 * THETA
+    theta = (
+        composite_theta(original, original.qpos0, original.body(label).id) + 0.2 * THETA
+    )
     first = tmp_path / "a" / path.name
     second = tmp_path / "b" / "c" / path.name
     exported(path, label, theta, first)
@@ -150,7 +189,9 @@ def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
     assert second.read_bytes().count(b"System ID") == 1
 
 
-def test_a_link_that_weighs_nothing_does_not_keep_the_written_urdf_from_loading(tmp_path):
+def test_a_link_that_weighs_nothing_does_not_keep_the_written_urdf_from_loading(
+    tmp_path,
+):
     links = {"l1": "", "l2": urdf.inertial(2.0) + urdf.mesh("visual", "a.dae")}
     light = urdf.robot(urdf.serial(links))
     source = write_files(tmp_path, {"m.urdf": light})
@@ -158,7 +199,10 @@ def test_a_link_that_weighs_nothing_does_not_keep_the_written_urdf_from_loading(
     with pytest.raises(ValueError, match="mjMINVAL"):
         mujoco.MjModel.from_xml_path(str(source))
     compiled = compile_model(source)
-    assert compiled.mj_model.body("l1").mass == 1e-6 and "'l1' has no mass" in compiled.notes[0]
+    assert (
+        compiled.mj_model.body("l1").mass == 1e-6
+        and "'l1' has no mass" in compiled.notes[0]
+    )
     write(source, "l2", WriteBack(random_theta(np.random.default_rng(1))), target)
     assert mujoco.MjModel.from_xml_path(str(target)).njnt == 2
 
@@ -177,7 +221,9 @@ def changed(tmp_path, files, change=CHANGE):
     np.testing.assert_array_equal(
         mujoco.MjModel.from_xml_path(str(target)).opt.gravity, change.gravity
     )
-    np.testing.assert_array_equal(compile_model(target).mj_model.opt.gravity, change.gravity)
+    np.testing.assert_array_equal(
+        compile_model(target).mj_model.opt.gravity, change.gravity
+    )
     return target.read_text()
 
 
@@ -194,7 +240,10 @@ def with_options(*options):
             [f"  <option {WRITTEN}/>", "  <option timestep='0.001'/>"],
         ),
         (
-            ["  <option gravity='0 0 -9.7'/>", '  <option  gravity = "0 0 -9.8"></option>'],
+            [
+                "  <option gravity='0 0 -9.7'/>",
+                '  <option  gravity = "0 0 -9.8"></option>',
+            ],
             [
                 "  <option gravity='0 0 -9.7'/>",
                 f"  <option  {WRITTEN.replace('=', ' = ')}></option>",
@@ -221,7 +270,9 @@ def test_the_option_that_counts_is_changed(tmp_path, options, expected):
     ],
 )
 def test_a_urdf_states_it_in_the_part_that_mujoco_reads(tmp_path, part):
-    links = urdf.serial({"l1": urdf.inertial() + urdf.mesh("visual", "meshes/none.stl")})
+    links = urdf.serial(
+        {"l1": urdf.inertial() + urdf.mesh("visual", "meshes/none.stl")}
+    )
     source = write_files(tmp_path / "in", {"m.urdf": urdf.robot(part, links)})
     text = changed_model_text(source, CHANGE, tmp_path)
     written = tmp_path / "m.urdf"
@@ -231,7 +282,12 @@ def test_a_urdf_states_it_in_the_part_that_mujoco_reads(tmp_path, part):
     assert found.opt.timestep == (0.001 if "timestep" in part else 0.002)
     assert (b'balanceinertia="true"' in text) == ("balanceinertia" in part)
     for each in (text, changed_model_text(written, CHANGE, tmp_path)):
-        assert each.count(b"<mujoco") == each.count(b"<option") == each.count(b"System ID") == 1
+        assert (
+            each.count(b"<mujoco")
+            == each.count(b"<option")
+            == each.count(b"System ID")
+            == 1
+        )
 
 
 def test_gravity_that_is_switched_off_or_no_vector_is_refused(tmp_path):
@@ -239,7 +295,9 @@ def test_gravity_that_is_switched_off_or_no_vector_is_refused(tmp_path):
     with pytest.raises(ExportError, match="switches gravity off"):
         changed(tmp_path, {"m.xml": off})
     with pytest.raises(ExportError, match="no vector"):
-        changed(tmp_path, {"m.xml": ARM}, ModelChange((), 0.0, gravity=(np.nan, 0.0, -9.8)))
+        changed(
+            tmp_path, {"m.xml": ARM}, ModelChange((), 0.0, gravity=(np.nan, 0.0, -9.8))
+        )
 
 
 # A child body before the joint of its parent, frames, a free joint, joints elsewhere in the file.
@@ -288,7 +346,9 @@ def test_a_joint_is_found_by_its_number(tmp_path, joint):
 def test_nonlinear_damping_behind_the_linear_one_stays(tmp_path):
     text = MIXED.replace('name="last"', 'name="last" damping=".5 .3  .2"')
     document = read_document(write_files(tmp_path, {"m.xml": text}))
-    assert 'damping="2.5 .3 .2"' in with_joints(document, JointChange("last", damping=2.5))
+    assert 'damping="2.5 .3 .2"' in with_joints(
+        document, JointChange("last", damping=2.5)
+    )
 
 
 @pytest.mark.parametrize(
@@ -305,10 +365,14 @@ def test_a_joint_that_would_drive_itself_is_refused(tmp_path, change):
         with_joints(document, change)
 
 
-@pytest.mark.skipif(not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7")
+@pytest.mark.skipif(
+    not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7"
+)
 def test_nonlinear_damping_is_written_where_it_was_found(tmp_path):
     document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
-    text = with_joints(document, JointChange("last", damping=1.0, polynomial=(2.0, 3.0)))
+    text = with_joints(
+        document, JointChange("last", damping=1.0, polynomial=(2.0, 3.0))
+    )
     model = mujoco.MjModel.from_xml_string(text)
     dof = model.joint("last").dofadr[0]
     assert model.dof_damping[dof] == 1.0
@@ -339,8 +403,13 @@ def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
     model = mujoco.MjModel.from_xml_string(edits.text().decode())
     before = mujoco.MjModel.from_xml_string(SERVOS)
     assert model.actuator_gainprm[:, 0].tolist() == [1.0, 40.0, 50.0]
-    assert model.actuator_biasprm[1:, :3].tolist() == [[0.0, -40.0, -4.0], [0.0, -50.0, 0.0]]
+    assert model.actuator_biasprm[1:, :3].tolist() == [
+        [0.0, -40.0, -4.0],
+        [0.0, -50.0, 0.0],
+    ]
     np.testing.assert_array_equal(model.dof_damping, before.dof_damping)
     for number in (0, 3):
-        with pytest.raises(ExportError, match=f"actuator number {number} is not written out"):
+        with pytest.raises(
+            ExportError, match=f"actuator number {number} is not written out"
+        ):
             write_actuator(edits, ActuatorChange(number, 1.0, 1.0))

@@ -19,20 +19,28 @@ def arm(tmp_path, content, *more):
 
 
 def test_a_missing_collision_mesh_is_left_out_where_the_link_has_an_inertial(tmp_path):
-    text, notes = compilable_urdf(arm(tmp_path, urdf.inertial() + urdf.mesh("collision", "x.stl")))
+    text, notes = compilable_urdf(
+        arm(tmp_path, urdf.inertial() + urdf.mesh("collision", "x.stl"))
+    )
     assert b"<collision>" not in text
     assert len(notes) == 1 and "x.stl" in notes[0]
 
 
-@pytest.mark.parametrize("setting", ["", '<mujoco><compiler inertiafromgeom="true"/></mujoco>'])
+@pytest.mark.parametrize(
+    "setting", ["", '<mujoco><compiler inertiafromgeom="true"/></mujoco>']
+)
 def test_a_mesh_that_makes_the_inertia_must_be_there(tmp_path, setting):
     content = urdf.mesh("collision", "x.stl") + (urdf.inertial() if setting else "")
-    with pytest.raises(ModelError, match=r"collision mesh x.stl of link 'l1' is not found"):
+    with pytest.raises(
+        ModelError, match=r"collision mesh x.stl of link 'l1' is not found"
+    ):
         compilable_urdf(arm(tmp_path, content, setting))
 
 
 def test_what_is_only_drawn_is_left_out_in_silence(tmp_path):
-    text, notes = compilable_urdf(arm(tmp_path, urdf.inertial() + urdf.mesh("visual", "x.dae")))
+    text, notes = compilable_urdf(
+        arm(tmp_path, urdf.inertial() + urdf.mesh("visual", "x.dae"))
+    )
     assert b"<visual>" not in text and notes == ()
 
 
@@ -59,12 +67,16 @@ def test_a_link_whose_mass_is_welded_to_it_needs_no_minimum(tmp_path):
 
 
 def document(tmp_path, *parts, name="robots/arm.urdf"):
-    return read_document(write_files(tmp_path, {name: urdf.robot(*parts, urdf.link("base"))}))
+    return read_document(
+        write_files(tmp_path, {name: urdf.robot(*parts, urdf.link("base"))})
+    )
 
 
 def mesh_found(tmp_path, name, mesh_dir=None):
     """The file that a mesh of this name is."""
-    (mesh,) = find_assets(document(tmp_path, urdf.link("l1", urdf.mesh("visual", name))), mesh_dir)
+    (mesh,) = find_assets(
+        document(tmp_path, urdf.link("l1", urdf.mesh("visual", name))), mesh_dir
+    )
     return mesh.path
 
 
@@ -96,13 +108,19 @@ def test_what_is_missing_or_unreadable_is_not_usable(tmp_path):
     write_files(tmp_path, {"robots/a.dae": "", "robots/b.STL": ""})
     shapes = [urdf.mesh("visual", name) for name in ("a.dae", "b.STL", "c.stl", "")]
     text, _ = compilable_urdf(document(tmp_path, urdf.link("l", "".join(shapes))))
-    assert text.count(b"<visual>") == 1 and str(tmp_path / "robots/b.STL").encode() in text
+    assert (
+        text.count(b"<visual>") == 1 and str(tmp_path / "robots/b.STL").encode() in text
+    )
 
 
 def test_names_are_rewritten_where_the_file_exists_and_kept_elsewhere(tmp_path):
     write_files(tmp_path, {"pack/a.stl": ""})
-    shapes = urdf.mesh("visual", "package://pack/a.stl") + urdf.mesh("visual", "gone.dae")
-    text = relocated_text(Edits(document(tmp_path, urdf.link("l", shapes))), tmp_path / "out")
+    shapes = urdf.mesh("visual", "package://pack/a.stl") + urdf.mesh(
+        "visual", "gone.dae"
+    )
+    text = relocated_text(
+        Edits(document(tmp_path, urdf.link("l", shapes))), tmp_path / "out"
+    )
     assert b'filename="../pack/a.stl"' in text and b'filename="gone.dae"' in text
     assert b'<mujoco><compiler strippath="false"/></mujoco>' in text
 

@@ -41,7 +41,11 @@ def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
     plan = plan_write_back(tool + finger + noise, bodies)
     np.testing.assert_allclose(plan.theta, tool + noise, rtol=0, atol=1e-14)
     assert [b.name for b in plan.lumped] == ["b4"]
-    assert plan.note is not None and "'b3'" in plan.note and "'b4' weigh nothing" in plan.note
+    assert (
+        plan.note is not None
+        and "'b3'" in plan.note
+        and "'b4' weigh nothing" in plan.note
+    )
     heavier = plan_write_back(tool + finger + load, bodies)
     assert heavier.lumped == () and spatial.is_consistent(heavier.theta)
 
@@ -50,7 +54,12 @@ def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
 def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     rng = np.random.default_rng(seed)
     link, tool, finger, thumb = (random_theta(rng, m) for m in (0.2, 0.3, 2.0, 1.0))
-    bodies = [body(3, link), body(4, tool), body(5, finger, False), body(6, thumb, False)]
+    bodies = [
+        body(3, link),
+        body(4, tool),
+        body(5, finger, False),
+        body(6, thumb, False),
+    ]
     composite = link + tool + 0.1 * (finger + thumb)
     plan = plan_write_back(composite, bodies)
     assert 0.1 <= plan.scale < 1.0 and [b.name for b in plan.scaled] == ["b5", "b6"]
@@ -58,8 +67,14 @@ def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     rest = composite - plan.scale * (finger + thumb)
     np.testing.assert_allclose(plan.theta, rest, rtol=0, atol=1e-9)
     assert possible_body(plan.theta, 1.0) is not None
-    assert possible_body(composite - 1.0001 * plan.scale * (finger + thumb), 1.0) is None
-    assert plan.note is not None and "'b4' weigh nothing" in plan.note and "\n" not in plan.note
+    assert (
+        possible_body(composite - 1.0001 * plan.scale * (finger + thumb), 1.0) is None
+    )
+    assert (
+        plan.note is not None
+        and "'b4' weigh nothing" in plan.note
+        and "\n" not in plan.note
+    )
     assert "'b5', 'b6' on joints of their own below body 'b3'" in plan.note
     assert f"inertia are {plan.scale:.4g} of the model's" in plan.note
 
@@ -67,7 +82,9 @@ def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
 def test_no_scale_makes_an_impossible_link_possible():
     finger = random_theta(np.random.default_rng(0), 1.0)
     with pytest.raises(ExportError, match="'b1' are not a possible rigid body") as e:
-        plan_write_back(-0.9 * finger, [body(1, NOTHING), body(2, finger, welded=False)])
+        plan_write_back(
+            -0.9 * finger, [body(1, NOTHING), body(2, finger, welded=False)]
+        )
     assert "\n" not in str(e.value)
 
 
@@ -106,7 +123,9 @@ def rod(rng, mass=1.0):
 
 
 @given(seed=seeds, bound=st.floats(1e-9, 1e-4))
-def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_better(seed, bound):
+def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_better(
+    seed, bound
+):
     identified = rod(np.random.default_rng(seed))
     plan = plan_write_back(identified, [body(1, NOTHING)], bound, 2.0 * bound)
     smallest = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])[0]
@@ -124,5 +143,7 @@ def test_a_small_body_below_a_rod_is_kept_where_the_moments_allow(seed):
     frame = spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
     plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], 0.0, 1e-3)
     assert plan.lumped == () and spatial.is_consistent(plan.theta)
-    np.testing.assert_allclose(plan.theta + frame, plan.written(identified), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        plan.theta + frame, plan.written(identified), rtol=0, atol=1e-13
+    )
     assert 1e-7 < plan.inflated < 1e-3

@@ -78,9 +78,17 @@ WHEELS = "".join(
     [
         (serial_arm((Z,), tip=fingers('axis="1 0 0"')), "joint0"),
         (serial_arm((Z, Y, X), tip=HAND), "joint2"),
-        (world(link(hinge("waist", Z), HEAD + serial_bodies((Z, Y, Z, Y, X)), "torso")), "joint4"),
+        (
+            world(
+                link(hinge("waist", Z), HEAD + serial_bodies((Z, Y, Z, Y, X)), "torso")
+            ),
+            "joint4",
+        ),
         (world(WHEELS + serial_bodies((Z, Y, X, Z))), "joint3"),
-        (serial_arm((Z, Y, X)).replace('name="link2"', 'name="gripper_base_link"'), "joint2"),
+        (
+            serial_arm((Z, Y, X)).replace('name="link2"', 'name="gripper_base_link"'),
+            "joint2",
+        ),
     ],
 )
 def test_fingers_head_and_wheels_are_not_the_arm(xml, expected):
@@ -100,7 +108,12 @@ def test_an_arm_on_a_rail_keeps_the_rail_in_its_chain():
     rail = '<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>'
     model = compile_xml(world(link(rail, serial_bodies((Z, Y, X)), "carriage")))
     chain = module.chain_to(model, module.find_terminal_joint(model))
-    assert [module.joint_label(model, j) for j in chain] == ["rail", "joint0", "joint1", "joint2"]
+    assert [module.joint_label(model, j) for j in chain] == [
+        "rail",
+        "joint0",
+        "joint1",
+        "joint2",
+    ]
 
 
 @pytest.mark.parametrize(("body", "joint"), [("end", "Jaw"), ("moving_jaw", "m6")])
@@ -123,7 +136,8 @@ def test_a_last_joint_without_a_motor_behind_joints_with_motors_is_doubt():
     [
         '<tendon><fixed name="t"><joint joint="joint3" coef="1"/></fixed></tendon>'
         '<actuator><motor joint="joint0"/><motor tendon="t"/></actuator>',
-        '<equality><joint joint1="joint3" joint2="joint2"/></equality>' + motors("joint2"),
+        '<equality><joint joint1="joint3" joint2="joint2"/></equality>'
+        + motors("joint2"),
         motors("joint3"),
     ],
 )
@@ -173,7 +187,9 @@ def on_base(kinds_and_axes, attributes="", axes=(Z, Y, X, Y)):
 def test_a_mobile_base_is_held_and_named(order):
     robot = robot_of(on_base([PLANE[i] for i in order]))
     assert robot.joint_names == ("joint0", "joint1", "joint2", "joint3")
-    assert any("base0, base1, base2 drive a mobile base" in note for note in robot.notes)
+    assert any(
+        "base0, base1, base2 drive a mobile base" in note for note in robot.notes
+    )
 
 
 @pytest.mark.parametrize(
@@ -181,7 +197,11 @@ def test_a_mobile_base_is_held_and_named(order):
     [
         (PLANE, 'range="-1 1"', (Z, Y, X, Y)),  # a gantry: its travel ends somewhere
         (PLANE, "", (Z, Y)),  # too little of an arm remains
-        ((("slide", X), ("slide", Y), ("hinge", X)), "", (Z, Y, X, Y)),  # the turn is not planar
+        (
+            (("slide", X), ("slide", Y), ("hinge", X)),
+            "",
+            (Z, Y, X, Y),
+        ),  # the turn is not planar
         ((("slide", X), ("slide", Y), ("slide", Z)), "", (Z, Y, X, Y)),
         (PLANE[:2], "", (Z, Y, X, Y)),
     ],
@@ -219,7 +239,9 @@ def test_degrees_and_default_classes_arrive_in_radians():
         np.testing.assert_array_equal(limits_of(without).upper, np.inf)
 
 
-@pytest.mark.parametrize(("asked", "slide"), [(2.0, module.DEFAULT_SLIDE_VELOCITY), (0.1, 0.1)])
+@pytest.mark.parametrize(
+    ("asked", "slide"), [(2.0, module.DEFAULT_SLIDE_VELOCITY), (0.1, 0.1)]
+)
 def test_slides_have_a_speed_of_their_own_but_never_more_than_asked(asked, slide):
     limits = limits_of('type="slide" range="-1 1"', max_velocity=asked)
     np.testing.assert_array_equal(limits.velocity, [slide] * 3)
@@ -237,8 +259,14 @@ def test_slides_have_a_speed_of_their_own_but_never_more_than_asked(asked, slide
         ('<general joint="joint1" ctrlrange="-1 1" gainprm="12"/>', 12.0),
         ('<motor jointinparent="joint1" forcerange="-7 7"/>', 7.0),
         ('<position joint="joint1" kp="100" ctrlrange="-3 3"/>', np.inf),
-        ('<position joint="joint1" kp="100" ctrlrange="-3 3" forcerange="-87 87"/>', 87.0),
-        ('<motor joint="joint1" forcerange="-3 3"/><motor joint="joint1" forcerange="-4 4"/>', 7.0),
+        (
+            '<position joint="joint1" kp="100" ctrlrange="-3 3" forcerange="-87 87"/>',
+            87.0,
+        ),
+        (
+            '<motor joint="joint1" forcerange="-3 3"/><motor joint="joint1" forcerange="-4 4"/>',
+            7.0,
+        ),
         ('<motor joint="joint1" forcerange="-3 3"/><motor joint="joint1"/>', np.inf),
     ],
 )

@@ -16,10 +16,20 @@ from scipy.spatial.transform import Rotation
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import mjcf_inertial
-from robot_sysid.model.compilation import compile_model, meshes_not_kept, restore_exact_inertias
+from robot_sysid.model.compilation import (
+    compile_model,
+    meshes_not_kept,
+    restore_exact_inertias,
+)
 from robot_sysid.model.inertia import body_theta, inertia_about_com, subtree_bodies
 from tests.support import urdf
-from tests.support.model_files import ARM, INERTIAL, TETRAHEDRON, random_theta, write_files
+from tests.support.model_files import (
+    ARM,
+    INERTIAL,
+    TETRAHEDRON,
+    random_theta,
+    write_files,
+)
 
 BODY = "<body name='b'><joint/>{}</body>"
 MESH_MODEL = """<mujoco><compiler meshdir="d"/><asset><mesh name="m" file="m.obj"/></asset>
@@ -47,7 +57,10 @@ def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
         (world("\n<body foo='1'/>"), "unrecognized attribute: 'foo' .*line 2"),
         (world(f"<body pos='0 nan 0'>{INERTIAL}</body>"), "not a number .body_pos"),
         (MESH_MODEL, r"mesh file m.obj not found \(looked in .*d\); pass --mesh-dir"),
-        (urdf.robot(urdf.link("a"), urdf.joint("a", "gone")), "joint parent or child missing"),
+        (
+            urdf.robot(urdf.link("a"), urdf.joint("a", "gone")),
+            "joint parent or child missing",
+        ),
         (
             URDF.replace('ixx="0.01"', 'ixx="0.5"'),
             r"A \+ B >= C.*no body has such moments.*in a URDF, a <mujoco> in its <robot>",
@@ -80,7 +93,9 @@ def test_warnings_become_notes_and_leave_no_trace(tmp_path, capfd, monkeypatch):
 def test_the_mesh_folder_can_be_given(tmp_path):
     path = write_files(tmp_path, {"m.xml": MESH_MODEL, "mine/m.obj": TETRAHEDRON})
     assert compile_model(path, tmp_path / "mine").mj_model.nmesh == 1
-    with pytest.raises(ModelError, match="mesh folder .*gone does not exist; check --mesh-dir"):
+    with pytest.raises(
+        ModelError, match="mesh folder .*gone does not exist; check --mesh-dir"
+    ):
         compile_model(path, tmp_path / "gone")
 
 
@@ -112,7 +127,9 @@ def test_a_urdf_states_its_speed_limits(tmp_path):
 def compiled(theta):
     inertial = mjcf_inertial(theta, principal=True)
     body = f"<body name='b'><joint/>{inertial}</body>"
-    return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    )
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -128,7 +145,9 @@ def test_a_turned_inertia_is_restored_with_all_that_follows(seed):
     restore_exact_inertias(bad, {"b": spatial.com_from_theta(theta)})
     # A value of 4 has rounding steps of 9e-16, so the tolerance goes with the largest.
     largest = np.max(np.abs(theta))
-    np.testing.assert_allclose(body_theta(bad, 1) / largest, theta / largest, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        body_theta(bad, 1) / largest, theta / largest, rtol=0, atol=1e-15
+    )
     np.testing.assert_allclose(bad.dof_M0, good.dof_M0, rtol=1e-11)
 
 
@@ -137,19 +156,27 @@ def test_a_bounded_inertia_and_an_unknown_link_are_left_alone():
     model = compiled(theta)
     model.body_inertia[1] *= 2.0
     before = body_theta(model, 1)
-    restore_exact_inertias(model, {"b": spatial.com_from_theta(theta), "gone": (1, 0, np.eye(3))})
+    restore_exact_inertias(
+        model, {"b": spatial.com_from_theta(theta), "gone": (1, 0, np.eye(3))}
+    )
     np.testing.assert_array_equal(body_theta(model, 1), before)
 
 
-def test_a_decimal_comma_is_refused_before_meshes_are_read_wrongly(tmp_path, monkeypatch):
+def test_a_decimal_comma_is_refused_before_meshes_are_read_wrongly(
+    tmp_path, monkeypatch
+):
     """Where a locale writes 1,5, MuJoCo ends the numbers of an OBJ mesh at their points."""
     monkeypatch.setattr(locale, "localeconv", lambda: {"decimal_point": ","})
     path = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON})
-    with pytest.raises(ModelError, match=r"has ',' for a decimal point.*LC_NUMERIC, 'C'"):
+    with pytest.raises(
+        ModelError, match=r"has ',' for a decimal point.*LC_NUMERIC, 'C'"
+    ):
         compile_model(path)
 
 
-@pytest.mark.skipif(not hasattr(mujoco, "mj_getCache"), reason="this MuJoCo keeps no meshes")
+@pytest.mark.skipif(
+    not hasattr(mujoco, "mj_getCache"), reason="this MuJoCo keeps no meshes"
+)
 def test_nothing_of_meshes_is_kept_where_memory_matters(tmp_path):
     cache = mujoco.mj_getCache()
     path = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON})
@@ -170,4 +197,10 @@ def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():
     compiled = mujoco.MjModel.from_xml_string(ARM.replace(finger, finger + pad))
     bodies = subtree_bodies(compiled, compiled.qpos0, compiled.body("link2").id)
     welded = {b.name: b.welded for b in bodies}
-    assert welded == {"link2": True, "tool": True, "finger": False, "pad": False, "screw": False}
+    assert welded == {
+        "link2": True,
+        "tool": True,
+        "finger": False,
+        "pad": False,
+        "screw": False,
+    }

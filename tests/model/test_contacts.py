@@ -18,7 +18,9 @@ WALL = '<body name="wall" pos="0 .5 .5"><geom type="box" size=".5 .05 .5"/></bod
 def arm_with_tip(beside="", extra=""):
     """Two joints; the tip is a ball 0.4 m from a vertical axis."""
     tip = link(hinge("twist", Y), BALL, "tip", pos=".4 0 0")
-    return world(link(hinge("turn", Z), tip, "upper", pos="0 0 .5") + beside, extra=extra)
+    return world(
+        link(hinge("turn", Z), tip, "upper", pos="0 0 .5") + beside, extra=extra
+    )
 
 
 def sweep(angles):
@@ -81,7 +83,10 @@ def test_things_that_touch_each_other_beside_the_arm_are_no_news():
 def test_links_of_the_arm_touching_each_other_are_found():
     base = '<body name="base" pos=".2 0 .3"><geom size=".1"/></body>'
     folded = world(
-        base + link(hinge("bend", Y), link(hinge("end", Y), BALL, "tip"), "upper", pos="0 0 .5")
+        base
+        + link(
+            hinge("bend", Y), link(hinge("end", Y), BALL, "tip"), "upper", pos="0 0 .5"
+        )
     )
     (contact,) = contacts(folded, [0.0, 2.2])
     assert contact == "base and tip touch at 1.00 s"

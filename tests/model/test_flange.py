@@ -31,7 +31,9 @@ def world_pose(robot, kind, name):
     mujoco.mj_kinematics(robot.mj_model, data)
     place = getattr(data, kind)(name)
     axes = data.xmat[robot.body_id].reshape(3, 3)
-    return axes.T @ place.xmat.reshape(3, 3), axes.T @ (place.xpos - data.xpos[robot.body_id])
+    return axes.T @ place.xmat.reshape(3, 3), axes.T @ (
+        place.xpos - data.xpos[robot.body_id]
+    )
 
 
 @pytest.mark.parametrize(
@@ -42,7 +44,11 @@ def test_a_named_flange_is_where_mujoco_puts_it_whatever_the_joints_do(kind, nam
     rotation, translation = world_pose(ROBOT, kind, name)
     np.testing.assert_allclose(flange.rotation, rotation, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(flange.translation, translation, rtol=0.0, atol=1e-14)
-    assert (flange.name, flange.terminal, flange.note) == (f"{kind} '{name}'", "link2", None)
+    assert (flange.name, flange.terminal, flange.note) == (
+        f"{kind} '{name}'",
+        "link2",
+        None,
+    )
     carrier = "link2" if name == "attachment_site" else "hand"
     assert flange.carrier == ROBOT.mj_model.body(carrier).id
 
@@ -58,7 +64,9 @@ def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
     about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
     about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    np.testing.assert_allclose(flange.rotation, about_z @ about_y @ about_x, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        flange.rotation, about_z @ about_y @ about_x, rtol=0.0, atol=1e-14
+    )
     np.testing.assert_array_equal(flange.translation, place)
     assert flange.carrier == ROBOT.body_id
 
@@ -78,7 +86,11 @@ def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
 def test_what_is_called_like_a_flange_is_taken_and_said(site, taken):
     flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=f'<site name="{site}"/>')))
     assert flange.name == taken
-    words = "because of its name" if taken.startswith("site") else "others that can be named"
+    words = (
+        "because of its name"
+        if taken.startswith("site")
+        else "others that can be named"
+    )
     assert words in flange.note
 
 
@@ -86,19 +98,25 @@ def test_a_site_and_a_body_of_one_place_are_one_flange():
     twice = '<body name="flange" pos="0 0 .1"><site name="flange_site"/></body>'
     flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=twice)))
     assert flange.name == "site 'flange_site'"
-    np.testing.assert_allclose(flange.translation, [0.0, 0.0, 0.1], rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(
+        flange.translation, [0.0, 0.0, 0.1], rtol=0.0, atol=1e-15
+    )
 
 
 def test_two_places_that_could_be_the_flange_are_asked_for():
     tip = '<site name="a_flange"/><site name="b_flange" pos="0 0 .1"/>'
-    with pytest.raises(ModelError, match="site 'a_flange', site 'b_flange' could each be") as error:
+    with pytest.raises(
+        ModelError, match="site 'a_flange', site 'b_flange' could each be"
+    ) as error:
         find_flange(robot_of(serial_arm((Z, Y, X), tip=tip)))
     assert "by its name" in str(error.value)
 
 
 @pytest.mark.parametrize("name", ["jaw", "nail", "link1", "world"])
 def test_what_moves_against_the_terminal_body_is_refused(name):
-    with pytest.raises(ModelError, match=f"'{name}' moves against the terminal body") as error:
+    with pytest.raises(
+        ModelError, match=f"'{name}' moves against the terminal body"
+    ) as error:
         find_flange(ROBOT, name)
     assert "site 'palm'" in str(error.value) and "nail'," not in str(error.value)
 
@@ -106,11 +124,15 @@ def test_what_moves_against_the_terminal_body_is_refused(name):
 def test_an_unknown_name_lists_the_valid_ones():
     with pytest.raises(ModelError, match="flange tool7: no such site or body") as error:
         find_flange(ROBOT, "tool7")
-    listed = "site 'attachment_site', site 'pinch', site 'palm', body 'link2', body 'hand'"
+    listed = (
+        "site 'attachment_site', site 'pinch', site 'palm', body 'link2', body 'hand'"
+    )
     assert listed in str(error.value)
 
 
-@pytest.mark.parametrize("text", ["1,2", "0,0,0,0", "a,b,c", "0,0,nan", "0,0,inf", "0,,0", ","])
+@pytest.mark.parametrize(
+    "text", ["1,2", "0,0,0,0", "a,b,c", "0,0,nan", "0,0,inf", "0,,0", ","]
+)
 def test_numbers_that_are_none_say_what_is_wanted(text):
     with pytest.raises(ModelError, match="x,y,z in metres or x,y,z,roll,pitch,yaw"):
         find_flange(ROBOT, text)

@@ -87,7 +87,9 @@ def test_no_move_uses_up_more_slack_than_its_bound(seed):
 
 
 @pytest.mark.parametrize("offset, is_by_design", [(0.05, True), (0.18, False)])
-def test_links_that_overlap_whatever_the_joints_do_are_no_collision(offset, is_by_design):
+def test_links_that_overlap_whatever_the_joints_do_are_no_collision(
+    offset, is_by_design
+):
     """A ball wrist: the third link turns inside the first one, or swings out of it."""
     ball = f'<geom size=".1" pos="{offset} 0 0"/>'
     tip = link(hinge("roll", X, 'range="-3 3"'), ball, "tip", pos="0 0 0")
@@ -136,7 +138,9 @@ def test_what_only_grazes_at_rest_never_gets_deeper():
 def test_bodies_deep_inside_each_other_at_rest_are_a_collision():
     found = clearance_of(near_at_rest(-0.005))
     assert found.at_rest["deep"] == ["#1 and ball (5 mm deep)"]
-    assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(-KEEP - 0.005, abs=1e-6)
+    assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(
+        -KEEP - 0.005, abs=1e-6
+    )
 
 
 def test_a_gap_is_no_smaller_for_where_the_arm_merely_could_be():
@@ -177,7 +181,10 @@ def contacts(model, seed):
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
-    return {tuple(sorted((int(a), int(b)))) for a, b in zip(data.contact.geom1, data.contact.geom2)}
+    return {
+        tuple(sorted((int(a), int(b))))
+        for a, b in zip(data.contact.geom1, data.contact.geom2)
+    }
 
 
 @given(
@@ -207,7 +214,9 @@ def test_keeps_exactly_the_pairs_that_matter(filters, parts, seed):
 
 @pytest.mark.parametrize("name", ["geom_contype", "geom_conaffinity"])
 def test_bits_fit_into_mujocos_integers(name):
-    geoms = "".join(f'<geom size=".1" contype="{k}" conaffinity="1"/>' for k in range(1, 32))
+    geoms = "".join(
+        f'<geom size=".1" contype="{k}" conaffinity="1"/>' for k in range(1, 32)
+    )
     model = compile_xml(f"<mujoco><worldbody><body>{geoms}</body></worldbody></mujoco>")
     drop_pairs(model, np.zeros(2, dtype=int), np.zeros((2, 2), dtype=bool))
     assert np.all(getattr(model, name) >= 0)
@@ -217,7 +226,8 @@ def test_bounds_of_a_slide_hold_too():
     xml = world(
         link(
             '<joint name="lift" type="slide" axis="0 0 1" range="-1 1"/>',
-            '<geom size=".05"/>' + link(hinge("turn", Y), '<geom size=".05" pos="0 0 .3"/>'),
+            '<geom size=".05"/>'
+            + link(hinge("turn", Y), '<geom size=".05" pos="0 0 .3"/>'),
             pos="0 0 .5",
         )
         + '<geom type="plane" size="1 1 .1"/>'

@@ -51,10 +51,15 @@ def eliminated_by_hand(robot, motion, torques, sigma, own):
         beyond = 10 * sum(link >= joint for link in links)
         bodies[:, len(total) - beyond :] = rows[:, rows.shape[1] - beyond :]
         torque = bodies @ theta
-        lacking = [TERMS[name](qd[:, joint], qdd[:, joint], torque) for name in ("load", "sqrt")]
+        lacking = [
+            TERMS[name](qd[:, joint], qdd[:, joint], torque)
+            for name in ("load", "sqrt")
+        ]
         nuisance = np.column_stack((rows[:, 10:14], torque, *lacking))
         sure = np.isfinite(own)
-        nuisance = np.vstack((nuisance / s * np.where(sure, own, 1.0), np.diag(sure.astype(float))))
+        nuisance = np.vstack(
+            (nuisance / s * np.where(sure, own, 1.0), np.diag(sure.astype(float)))
+        )
         seen = np.vstack((bodies / s, np.zeros((len(OWN), len(total)))))
         left = seen - nuisance @ np.linalg.lstsq(nuisance, seen, rcond=None)[0]
         total += left.T @ left
@@ -97,7 +102,9 @@ def test_the_gradient_of_what_is_asked_for_equals_differences(asked, own):
     told = information.evaluate(*motion)
     gradient = told.vjp(aim.evaluate(told.information)[1])
     exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
-    assert slope(value, motion, direction, 1e-5) == pytest.approx(exact, rel=1e-4, abs=1e-6)
+    assert slope(value, motion, direction, 1e-5) == pytest.approx(
+        exact, rel=1e-4, abs=1e-6
+    )
 
 
 def test_what_is_asked_for_is_the_volume_of_its_posterior_covariance():
@@ -114,13 +121,19 @@ def test_what_is_asked_for_is_the_volume_of_its_posterior_covariance():
     expected = 0.05 * np.linalg.slogdet(scale @ whole[:10, :10] @ scale)[1]
     value = aim.evaluate(rows.T @ rows)[0]
     assert value == pytest.approx(expected, abs=1e-9)
-    np.testing.assert_allclose(aim.covariance(rows.T @ rows), whole[:10, :10], rtol=1e-8)
+    np.testing.assert_allclose(
+        aim.covariance(rows.T @ rows), whole[:10, :10], rtol=1e-8
+    )
     more = np.vstack((rows, rng.normal(size=(1, 30))))
     assert aim.evaluate(more.T @ more)[0] < value
     assert Criterion(seen, 0.5 * factor, "link").evaluate(rows.T @ rows)[0] < value
     every = Criterion(seen, factor, "arm").evaluate(rows.T @ rows)[0]
-    units = np.linalg.inv(np.block([[seen, np.zeros((10, 20))], [np.zeros((20, 10)), factor]]))
-    assert every == pytest.approx(np.linalg.slogdet(units @ whole @ units.T)[1] / 60.0, abs=1e-9)
+    units = np.linalg.inv(
+        np.block([[seen, np.zeros((10, 20))], [np.zeros((20, 10)), factor]])
+    )
+    assert every == pytest.approx(
+        np.linalg.slogdet(units @ whole @ units.T)[1] / 60.0, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0, np.nan])
@@ -157,7 +170,9 @@ def terminal_motion(robot, q, qd, qdd):
         linear, angular = np.zeros((2, 3, model.nv))
         mujoco.mj_jacBody(model, data, linear, angular, body)
         to_body = data.xmat[body].reshape(3, 3).T
-        jacobians[k] = np.vstack((to_body @ angular[:, dofs], to_body @ linear[:, dofs]))
+        jacobians[k] = np.vstack(
+            (to_body @ angular[:, dofs], to_body @ linear[:, dofs])
+        )
     twists = np.einsum("kij,kj->ki", jacobians, qd)
     # MuJoCo's linear acceleration is the classical one minus gravity.
     accelerations[:, 3:] -= np.cross(twists[:, :3], twists[:, 3:])

@@ -23,7 +23,12 @@ from robot_sysid.motion.limit_check import (
     keeps_limits,
     scaled_to_limits,
 )
-from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory, at_speed, straight_way
+from robot_sysid.motion.trajectories import (
+    FourierBasis,
+    FourierTrajectory,
+    at_speed,
+    straight_way,
+)
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
 from robot_sysid.simulator import ArmTorque
@@ -38,7 +43,9 @@ BRIEF = FourierBasis(0.4, 2.5, 3, 0.15)
 
 def plan_of(some, seed, size, basis=BRIEF):
     rng = np.random.default_rng(seed)
-    return FourierTrajectory(basis, some.rest, size * rng.normal(size=(some.n_joints, 7)))
+    return FourierTrajectory(
+        basis, some.rest, size * rng.normal(size=(some.n_joints, 7))
+    )
 
 
 @given(SEEDS, st.floats(0.02, 0.6))
@@ -64,7 +71,9 @@ def test_peaks_are_those_of_the_samples(seed, size):
 
 def test_a_torque_that_is_no_number_keeps_no_limit():
     some = problem(arms.THREE)
-    lost = dataclasses.replace(some, arm_torque=lambda motion: np.full_like(motion.q, np.nan))
+    lost = dataclasses.replace(
+        some, arm_torque=lambda motion: np.full_like(motion.q, np.nan)
+    )
     plan = plan_of(some, 0, 1e-3)
     assert keeps_limits(some, plan) and not keeps_limits(lost, plan)
     assert "torque limit of joint" in check_limits(lost, plan).failure
@@ -135,7 +144,9 @@ def test_finds_a_wall_that_samples_step_over():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_samples_that_are_looked_at_together_find_what_each_alone_does(seed, monkeypatch):
+def test_samples_that_are_looked_at_together_find_what_each_alone_does(
+    seed, monkeypatch
+):
     some = problem(TUBES_AND_POST)
     plan = plan_of(some, seed, 0.1)
     found = []
@@ -193,7 +204,9 @@ def test_one_period_and_both_ends_stand_for_all(seed, base, fade, speed):
     plan, found, whole = checked_twice(problem(arms.THREE), seed, base, fade, speed)
     assert checked_time(plan) < 0.6 * plan.duration
     for name in ("lowest", "highest", "largest"):
-        np.testing.assert_allclose(getattr(found, name), getattr(whole, name), rtol=1e-9)
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(whole, name), rtol=1e-9
+        )
     assert len(found.excesses) == len(whole.excesses)
 
 
@@ -201,12 +214,17 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
     some = problem(arms.THREE)
     slow = FourierBasis(8.0, 0.125, 3, 4.0)
     coefficients = np.zeros((3, 7))
-    assert check_limits(some, FourierTrajectory(slow, some.rest, coefficients)).failure is None
+    assert (
+        check_limits(some, FourierTrajectory(slow, some.rest, coefficients)).failure
+        is None
+    )
     coefficients[2, 0] = 1.05 * (some.limits.upper[2] - some.rest[2])
     one = check_limits(some, FourierTrajectory(slow, some.rest, coefficients))
     words = "this trajectory must not be run: it breaks the position limit of joint joint2 (5.0 % "
     assert one.failure.startswith(words)
-    several = check_limits(some, FourierTrajectory(BASIS, some.rest, coefficients + 3.0))
+    several = check_limits(
+        some, FourierTrajectory(BASIS, some.rest, coefficients + 3.0)
+    )
     count = len(several.excesses)
     worst = several.excesses[0]
     assert count > 1
@@ -215,7 +233,9 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
 
 @pytest.mark.slow
 @given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
-def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_theirs(seed, v, a):
+def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_theirs(
+    seed, v, a
+):
     """Without torque limits and obstacles nothing couples the joints."""
     some = problem(arms.THREE)
     free = np.full(3, np.inf)
@@ -223,18 +243,24 @@ def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_their
         some.limits, velocity=np.full(3, v), acceleration=np.full(3, a), torque=free
     )
     some = dataclasses.replace(some, limits=limits)
-    plan, _ = generate_excitation_trajectory(robot(arms.THREE), np.random.default_rng(seed), 1.0)
+    plan, _ = generate_excitation_trajectory(
+        robot(arms.THREE), np.random.default_rng(seed), 1.0
+    )
     smaller, factors = scaled_to_limits(some, plan, 0.0)
     before = check_limits(some, plan)
     after = check_limits(some, smaller)
     share = np.maximum(before.joints[1] / v, before.joints[2] / a)
-    np.testing.assert_allclose(factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9)
+    np.testing.assert_allclose(
+        factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9
+    )
     kept = np.maximum(after.joints[1] / v, after.joints[2] / a)
     np.testing.assert_allclose(kept, np.minimum(1.0 - RESERVE, share), rtol=1e-9)
     assert keeps_limits(some, smaller)
 
 
-@pytest.mark.parametrize(("missed", "kept"), [(2e-9, True), (1e-7, True), (5e-6, False)])
+@pytest.mark.parametrize(
+    ("missed", "kept"), [(2e-9, True), (1e-7, True), (5e-6, False)]
+)
 def test_a_clearance_may_be_missed_by_rounding_and_by_no_more(missed, kept):
     """On the way to a pose that is so much beyond what it has to keep [m]."""
     some = problem(TUBES_AND_POST)
@@ -261,10 +287,14 @@ LINK = """
 def pair(tmp_path_factory):
     """Two arms side by side along x, 0.5 m apart, that can reach each other."""
     path = tmp_path_factory.mktemp("arms") / "two.xml"
-    bodies = "".join(LINK.format(side=side, y=y) for side, y in (("left", 0.25), ("right", -0.25)))
+    bodies = "".join(
+        LINK.format(side=side, y=y) for side, y in (("left", 0.25), ("right", -0.25))
+    )
     head = "<mujoco><compiler angle='radian'/><worldbody>"
     path.write_text(f"{head}{bodies}</worldbody></mujoco>")
-    return tuple(load_robot_model(path, joint=f"{side}_b") for side in ("left", "right"))
+    return tuple(
+        load_robot_model(path, joint=f"{side}_b") for side in ("left", "right")
+    )
 
 
 def test_two_arms_as_one_need_the_torques_of_each(pair):
@@ -278,7 +308,9 @@ def test_two_arms_as_one_need_the_torques_of_each(pair):
         np.testing.assert_allclose(torque[:, own], alone, atol=1e-12)
 
 
-@pytest.mark.parametrize("end", [[-0.6, 0.0, 0.6, 0.0], [-1.2, 0.5, 0.0, 0.0], [0.9, 1, -0.9, -1]])
+@pytest.mark.parametrize(
+    "end", [[-0.6, 0.0, 0.6, 0.0], [-1.2, 0.5, 0.0, 0.0], [0.9, 1, -0.9, -1]]
+)
 def test_the_first_touch_is_that_of_a_dense_look(pair, end):
     between = BetweenArms(*pair)
     way = straight_way(np.zeros(4), np.array(end))

@@ -19,16 +19,44 @@ from robot_sysid.motion.options import (
 @pytest.mark.parametrize(
     ("record", "changes", "words"),
     [
-        (ExcitationOptions, {"kind": "best"}, "--excitation 'best': choose one of sines, optimal"),
-        (ExcitationOptions, {"time_budget": 0.0}, "--excitation-time-budget must be positive"),
-        (LimitOptions, {"max_velocity": np.nan}, "--max-velocity must be positive (got nan)"),
-        (LimitOptions, {"max_acceleration": -1.0}, "--max-acceleration must be positive"),
-        (LimitOptions, {"max_torque": (5.0, -1.0)}, "--max-torque must be positive (got -1)"),
-        (LimitOptions, {"clearance": -0.01}, "--clearance must be a number that is not negative"),
+        (
+            ExcitationOptions,
+            {"kind": "best"},
+            "--excitation 'best': choose one of sines, optimal",
+        ),
+        (
+            ExcitationOptions,
+            {"time_budget": 0.0},
+            "--excitation-time-budget must be positive",
+        ),
+        (
+            LimitOptions,
+            {"max_velocity": np.nan},
+            "--max-velocity must be positive (got nan)",
+        ),
+        (
+            LimitOptions,
+            {"max_acceleration": -1.0},
+            "--max-acceleration must be positive",
+        ),
+        (
+            LimitOptions,
+            {"max_torque": (5.0, -1.0)},
+            "--max-torque must be positive (got -1)",
+        ),
+        (
+            LimitOptions,
+            {"clearance": -0.01},
+            "--clearance must be a number that is not negative",
+        ),
         (LimitOptions, {"workspace": (1, 2, 3)}, "six numbers"),
         (LimitOptions, {"workspace": (1.0, -1.0, 0.0, 1.0, 0.0, 1.0)}, "empty along x"),
         (LimitOptions, {"keep_out": ((1, 2, 3),)}, "four numbers"),
-        (LimitOptions, {"keep_out": ((0.0, 0.0, 0.0, 1.0),)}, "normal that is not zero"),
+        (
+            LimitOptions,
+            {"keep_out": ((0.0, 0.0, 0.0, 1.0),)},
+            "normal that is not zero",
+        ),
         (LimitOptions, {"keep_out": ((0, 0, 1, np.inf),)}, "normal that is not zero"),
     ],
 )
@@ -53,9 +81,15 @@ def test_the_band_ends_at_the_top_frequency(duration):
 def test_a_long_budget_is_worth_as_many_workers_as_there_are(monkeypatch):
     for allowed, used in ((1, 1), (2, 2), (8, 2)):
         mine = set(range(allowed))
-        monkeypatch.setattr("os.sched_getaffinity", lambda _, mine=mine: mine, raising=False)
+        monkeypatch.setattr(
+            "os.sched_getaffinity", lambda _, mine=mine: mine, raising=False
+        )
         assert ExcitationOptions(time_budget=60.0).n_workers == used
-    assert ExcitationOptions(time_budget=1.0).n_workers == ExcitationOptions().n_workers == 1
+    assert (
+        ExcitationOptions(time_budget=1.0).n_workers
+        == ExcitationOptions().n_workers
+        == 1
+    )
 
 
 def test_the_workspace_and_the_planes_are_made_of_the_numbers():

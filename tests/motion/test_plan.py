@@ -27,9 +27,13 @@ class Listener(Progress):
 
 
 def requested(trajectory=None, limits=None, excitation=None, played=False):
-    motion = TrajectoryOptions(**{"duration": 4.0, "sample_rate": 200.0, **(trajectory or {})})
+    motion = TrajectoryOptions(
+        **{"duration": 4.0, "sample_rate": 200.0, **(trajectory or {})}
+    )
     limit = LimitOptions(**(limits or {}))
-    return MotionRequest(motion, excitation or ExcitationOptions(), limit, played=played)
+    return MotionRequest(
+        motion, excitation or ExcitationOptions(), limit, played=played
+    )
 
 
 def planned(xml, seed=1, listener=None, **request):
@@ -65,7 +69,9 @@ def test_what_is_played_kept_or_bound_by_a_limit_is_checked():
 @pytest.mark.parametrize("kind", ["sines", "optimal"])
 @pytest.mark.parametrize("purpose", ["link", "weight"])
 @pytest.mark.parametrize("load", [0.0, 0.5])
-def test_a_planned_motion_leaves_torque_for_what_its_links_may_be_off(kind, purpose, load):
+def test_a_planned_motion_leaves_torque_for_what_its_links_may_be_off(
+    kind, purpose, load
+):
     """Two standard deviations of what errors of the links make, drawn: 2000 arms know them to 2 %.
 
     Weighing uses half of the limits, and goes slowly.
@@ -73,9 +79,13 @@ def test_a_planned_motion_leaves_torque_for_what_its_links_may_be_off(kind, purp
     limit = 7.0
     arm = robot(arms.THREE)
     request = requested(
-        {"plan_only": True}, {"max_torque": limit, "payload_reserve": load}, options(kind=kind)
+        {"plan_only": True},
+        {"max_torque": limit, "payload_reserve": load},
+        options(kind=kind),
     )
-    request = replace(request, poses=PoseOptions(purpose=purpose), link_uncertainty=10.0)
+    request = replace(
+        request, poses=PoseOptions(purpose=purpose), link_uncertainty=10.0
+    )
     made = make_plan(request, arm, 1, Listener())
     assert made.check.holds
     some = made.problem
@@ -83,7 +93,9 @@ def test_a_planned_motion_leaves_torque_for_what_its_links_may_be_off(kind, purp
     links = some.dynamics.motion(motion.q, motion.qd, motion.qdd)
     rng = np.random.default_rng(0)
     torques = []
-    for errors in rng.normal(size=(2000, some.link_errors.shape[1])) @ some.link_errors.T:
+    for errors in (
+        rng.normal(size=(2000, some.link_errors.shape[1])) @ some.link_errors.T
+    ):
         thetas = np.zeros((some.n_joints, 10))
         thetas[list(some.links)] = errors.reshape(-1, 10)
         torques.append(links.torque(thetas))
@@ -112,11 +124,15 @@ def excess_over(limits, arm, plan):
         "max_velocity": lambda limit: np.max(found.velocity) - limit,
         "max_acceleration": lambda limit: np.max(found.acceleration) - limit,
         "max_torque": lambda limit: np.max(found.torque) - limit,
-        "max_tool_speed": lambda limit: witness.fastest_point(arm, plan, "link3", 200.0) - limit,
+        "max_tool_speed": lambda limit: (
+            witness.fastest_point(arm, plan, "link3", 200.0) - limit
+        ),
         "workspace": lambda box: max(
             -away(plane=side, first_body="link3") for side in planes_of(box)
         ),
-        "keep_out": lambda planes: max(-away(plane=side, first_body="link0") for side in planes),
+        "keep_out": lambda planes: max(
+            -away(plane=side, first_body="link0") for side in planes
+        ),
     }
     return {name: measures[name](value) for name, value in limits.items()}
 
@@ -163,12 +179,19 @@ def test_a_trajectory_made_elsewhere_does_not_hit_what_stands_in_the_model(tmp_p
     path = tmp_path / "plan.json"
     plan = free().scaled((8.0, 4.0, 1.0, 1.0))
     save_trajectory(path, plan, robot(TUBES).joint_names)
-    assert planned(TUBES, trajectory={"file": path}, limits={"max_velocity": 1e3}).failure is None
-    post = planned(TUBES_AND_POST, trajectory={"file": path}, limits={"max_velocity": 1e3})
+    assert (
+        planned(TUBES, trajectory={"file": path}, limits={"max_velocity": 1e3}).failure
+        is None
+    )
+    post = planned(
+        TUBES_AND_POST, trajectory={"file": path}, limits={"max_velocity": 1e3}
+    )
     assert "post" in post.failure
 
 
-def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted(tmp_path):
+def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted(
+    tmp_path,
+):
     path = tmp_path / "plan.json"
     plan = free()
     arm = robot(TUBES)
@@ -176,15 +199,22 @@ def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted
         listener = Listener()
         save_trajectory(path, plan, arm.joint_names, sha256)
         planned(TUBES, listener=listener, trajectory={"file": path})
-        assert any("was made for another model file" in n for n in listener.notes) == noted
+        assert (
+            any("was made for another model file" in n for n in listener.notes) == noted
+        )
     renamed = TUBES.replace('name="joint3"', 'name="wrist"')
-    with pytest.raises(InputError, match="this arm has the 4 joints joint0, joint1, joint2, wr"):
+    with pytest.raises(
+        InputError, match="this arm has the 4 joints joint0, joint1, joint2, wr"
+    ):
         planned(renamed, trajectory={"file": path})
 
 
 @pytest.mark.parametrize(
     ("duration", "words"),
-    [(1e12, "more than the 1e[+]09 a run can take"), (float("inf"), "finite duration above 0")],
+    [
+        (1e12, "more than the 1e[+]09 a run can take"),
+        (float("inf"), "finite duration above 0"),
+    ],
 )
 def test_a_file_that_never_ends_is_refused(tmp_path, duration, words):
     path = tmp_path / "plan.json"

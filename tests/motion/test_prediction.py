@@ -10,14 +10,26 @@ import pytest
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.motion.design.search import draw_trajectories
-from robot_sysid.motion.information import criterion, known_arm, predicted_information, spread_of
+from robot_sysid.motion.information import (
+    criterion,
+    known_arm,
+    predicted_information,
+    spread_of,
+)
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.prediction import motion_lines
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms, witness
 from tests.support.arms import X, Y, Z
-from tests.support.excitation_arms import TUBES, TUBES_ON_FLOOR, design, problem, robot, tube_arm
+from tests.support.excitation_arms import (
+    TUBES,
+    TUBES_ON_FLOOR,
+    design,
+    problem,
+    robot,
+    tube_arm,
+)
 from tests.support.releases import since
 
 FULL_FRICTION = FrictionModel(("coulomb", "viscous", "offset", "armature"))
@@ -78,7 +90,9 @@ def report(some, plan):
 
 
 def sines(xml, seed=0):
-    return generate_excitation_trajectory(robot(xml), np.random.default_rng(seed), 2.0)[0]
+    return generate_excitation_trajectory(robot(xml), np.random.default_rng(seed), 2.0)[
+        0
+    ]
 
 
 def the(lines, start):
@@ -101,12 +115,16 @@ def test_the_speed_of_the_tools_fastest_point_is_that_of_its_last_tube():
 def test_the_stated_clearance_is_the_smallest_distance_not_the_tightest_slack():
     """At rest the last tube is 4 mm from a stud, so it may come as near as 2 mm."""
     stud = '<body name="stud" pos="0 .064 1.1"><geom size=".03"/></body>'
-    near = tube_arm((Z, Y, X, Y), stud + '<body name="post" pos=".8 0 .7"><geom size=".4"/></body>')
+    near = tube_arm(
+        (Z, Y, X, Y), stud + '<body name="post" pos=".8 0 .7"><geom size=".4"/></body>'
+    )
     some = problem(near)
     plan = sines(near)
     lines = report(some, plan)
     real = witness.nearest(robot(near), plan)
-    stated = float(re.match(r"Clearance: (-?[\d.]+) mm", the(lines, "Clearance: ")).group(1))
+    stated = float(
+        re.match(r"Clearance: (-?[\d.]+) mm", the(lines, "Clearance: ")).group(1)
+    )
     assert 1e3 * real - 0.25 <= stated <= 1e3 * real
 
 

@@ -22,7 +22,9 @@ from tests.support.excitation_arms import TUBES, problem, robot, slope
 
 
 def limits(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf, joints=3):
-    return JointLimits(*(np.full(joints, float(v)) for v in (lower, upper, velocity, torque)))
+    return JointLimits(
+        *(np.full(joints, float(v)) for v in (lower, upper, velocity, torque))
+    )
 
 
 def built(arm, *arguments, **changes):
@@ -30,7 +32,9 @@ def built(arm, *arguments, **changes):
 
 
 def test_limits_are_those_of_the_model_less_margins():
-    some = built(replace(robot_of(arms.THREE), limits=limits(torque=100.0)), "chain", 0.3, 0.5)
+    some = built(
+        replace(robot_of(arms.THREE), limits=limits(torque=100.0)), "chain", 0.3, 0.5
+    )
     assert np.allclose(some.limits.lower, -2.0 + 0.02 * 4.0)
     assert np.allclose(some.limits.upper, 2.0 - 0.02 * 4.0)
     assert np.allclose(some.limits.velocity, 1.0)
@@ -45,11 +49,17 @@ def test_asked_limits_tighten_those_of_the_model():
     assert np.allclose(some.limits.torque, [47.5, 57.0, 95.0])
 
 
-@pytest.mark.parametrize("changes", [{"lower": -np.inf, "upper": np.inf}, {"upper": np.inf}])
+@pytest.mark.parametrize(
+    "changes", [{"lower": -np.inf, "upper": np.inf}, {"upper": np.inf}]
+)
 def test_a_joint_without_a_limit_gets_an_assumed_range(changes):
     some = built(replace(robot_of(arms.THREE), limits=limits(**changes)))
-    assert np.all(np.isfinite(some.limits.upper)) and np.all(some.limits.upper > some.rest)
-    assert np.all(np.isfinite(some.limits.lower)) and np.all(some.limits.lower < some.rest)
+    assert np.all(np.isfinite(some.limits.upper)) and np.all(
+        some.limits.upper > some.rest
+    )
+    assert np.all(np.isfinite(some.limits.lower)) and np.all(
+        some.limits.lower < some.rest
+    )
 
 
 def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
@@ -65,7 +75,10 @@ def test_without_a_band_only_an_asked_limit_binds_accelerations():
     assert np.array_equal(asked, np.where(arm.is_slide, np.inf, 3.0))
 
 
-SOME = Tool(np.random.default_rng(0).normal(size=(7, 3)), np.array([0.0, 0.0, 0.3, 0, 0.1, 0, 0]))
+SOME = Tool(
+    np.random.default_rng(0).normal(size=(7, 3)),
+    np.array([0.0, 0.0, 0.3, 0, 0.1, 0, 0]),
+)
 
 
 def twists(seed, count=5):
@@ -82,7 +95,9 @@ def test_no_point_of_the_tool_is_faster(seed):
     away *= SOME.radius[:, None] / np.linalg.norm(away, axis=2, keepdims=True)
     inside = np.einsum("sp,spi->si", share, SOME.points + away)
     for w, v, fastest in zip(twist[:3].T, twist[3:].T, SOME.speed(twist)):
-        assert np.max(np.linalg.norm(v + np.cross(w, inside), axis=1)) <= fastest + 1e-12
+        assert (
+            np.max(np.linalg.norm(v + np.cross(w, inside), axis=1)) <= fastest + 1e-12
+        )
 
 
 @given(SEEDS)
@@ -91,7 +106,9 @@ def test_the_gradient_of_the_speed_equals_differences(seed):
     direction = twists(seed + 1)
     weight = np.arange(5.0)
     second, fastest = np.sort(SOME._speeds(twist)[0], axis=0)[-2:]
-    assume(np.all(fastest - second > 1e-3))  # where two corners are as fast there is none
+    assume(
+        np.all(fastest - second > 1e-3)
+    )  # where two corners are as fast there is none
     exact = np.sum(SOME.speed_vjp(twist, weight) * direction)
     found = slope(lambda at: np.sum(weight * SOME.speed(at)), twist, direction)
     assert found == pytest.approx(exact, rel=1e-5, abs=1e-5)
@@ -135,7 +152,9 @@ def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, share):
     some = problem(arms.SEVEN)
     motion = moving(7, seed)
     loaded = some.torque(motion) + share * some.torque_per_kilogram(motion)
-    assert np.all(np.abs(loaded) <= np.abs(replace(some, reserve=3.0).torque(motion)) + 1e-12)
+    assert np.all(
+        np.abs(loaded) <= np.abs(replace(some, reserve=3.0).torque(motion)) + 1e-12
+    )
 
 
 def limited(some, torque):
@@ -159,7 +178,9 @@ def test_without_limits_any_load_is_carried_and_beyond_them_none():
     some = problem(arms.SEVEN)
     motion = moving(7, 0)
     assert limited(some, np.full(7, np.inf)).load_left(motion)[0] == np.inf
-    relieved = replace(some, arm_torque=lambda m: -2.0 * np.sign(some.torque_per_kilogram(m)))
+    relieved = replace(
+        some, arm_torque=lambda m: -2.0 * np.sign(some.torque_per_kilogram(m))
+    )
     assert limited(relieved, np.full(7, 3.0)).load_left(motion)[0] > 0.0
     assert limited(relieved, np.full(7, 1.0)).load_left(motion)[0] < 0.0
 
@@ -172,7 +193,9 @@ def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
 
 def test_a_workspace_the_link_leaves_already_at_rest_is_refused():
     box = (-1.0, 1.0, -1.0, 1.0, 0.0, 1.0)
-    with pytest.raises(InputError, match=r"body link3 is 230 mm beyond the workspace's zmax = 1 m"):
+    with pytest.raises(
+        InputError, match=r"body link3 is 230 mm beyond the workspace's zmax = 1 m"
+    ):
         problem(TUBES, workspace=box)
 
 
@@ -203,7 +226,9 @@ FLOOR = '<geom type="plane" size="2 2 .1" pos="0 0 -.5"/>'
 def test_parts_stay_above_what_carries_the_arm_unless_it_hangs(model, limits, lowest):
     some = robot(model)
     found = _above_base(some, LimitOptions(**limits), some.reference)
-    assert [each.offset for each in found] == ([] if lowest is None else [pytest.approx(lowest)])
+    assert [each.offset for each in found] == (
+        [] if lowest is None else [pytest.approx(lowest)]
+    )
     assert all(len(each.bodies) == some.n_joints for each in found)
 
 
@@ -219,7 +244,9 @@ def torque_variance(some, motion):
 
 
 @given(SEEDS, st.floats(1.0, 20.0))
-def test_two_deviations_of_the_links_errors_are_left_where_torque_is_limited(seed, uncertainty):
+def test_two_deviations_of_the_links_errors_are_left_where_torque_is_limited(
+    seed, uncertainty
+):
     arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
     arm.limits.torque[1] = np.inf
     some = build_problem(arm, LimitOptions(), link_uncertainty=uncertainty)
@@ -227,12 +254,16 @@ def test_two_deviations_of_the_links_errors_are_left_where_torque_is_limited(see
     motion = Motion(np.arange(5.0), q, qd, qdd)
     reserve = 2.0 * np.sqrt(torque_variance(some, motion)) * [1.0, 0.0, 1.0]
     assert np.allclose(some.torque_reserve(motion), reserve)
-    assert np.allclose(np.abs(some.torque(motion)), np.abs(some.arm_torque(motion)) + reserve)
+    assert np.allclose(
+        np.abs(some.torque(motion)), np.abs(some.arm_torque(motion)) + reserve
+    )
 
 
 def test_links_that_are_known_and_torques_without_limits_need_no_reserve():
     motion = Motion(np.zeros(1), *np.zeros((3, 1, 3)))
-    known = build_problem(replace(robot_of(arms.THREE), limits=limits(torque=9.0)), LimitOptions())
+    known = build_problem(
+        replace(robot_of(arms.THREE), limits=limits(torque=9.0)), LimitOptions()
+    )
     free = build_problem(robot_of(arms.THREE), LimitOptions(), link_uncertainty=5.0)
     for some in (known, free):
         assert not some.has_torque_reserve

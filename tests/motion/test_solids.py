@@ -10,7 +10,13 @@ import pytest
 from hypothesis import given
 
 from robot_sysid.motion.options import LimitOptions
-from robot_sysid.motion.solids import HalfSpaces, Solid, outermost_points, solids_of, swept_space
+from robot_sysid.motion.solids import (
+    HalfSpaces,
+    Solid,
+    outermost_points,
+    solids_of,
+    swept_space,
+)
 from tests.support.arms import SEEDS, X, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import TUBES, robot
 
@@ -46,7 +52,9 @@ def all_kinds():
 
 
 @given(SEEDS)
-def test_no_point_of_a_shape_is_farther_than_its_farthest_point_which_belongs_to_it(seed):
+def test_no_point_of_a_shape_is_farther_than_its_farthest_point_which_belongs_to_it(
+    seed,
+):
     data, solids = all_kinds()
     rng = np.random.default_rng(seed)
     direction = rng.normal(size=(1, 3))
@@ -57,7 +65,9 @@ def test_no_point_of_a_shape_is_farther_than_its_farthest_point_which_belongs_to
         points = place + inside(kind, rng.uniform(-1.0, 1.0, size=(400, 3))) @ turn.T
         (found,) = solid.farthest(direction)
         assert np.max(points @ direction[0]) <= direction[0] @ found + 1e-12
-        assert np.max(np.linalg.norm(points - solid.center, axis=1)) <= solid.bound + 1e-12
+        assert (
+            np.max(np.linalg.norm(points - solid.center, axis=1)) <= solid.bound + 1e-12
+        )
         balls = solid.points @ direction[0] + solid.radius
         assert direction[0] @ found <= np.max(balls) + 1e-12
         x, y, z = (found - place) @ turn
@@ -81,7 +91,9 @@ def test_a_body_is_its_collision_geoms_else_its_visuals_else_its_origin():
     solids = solids_of(model, range(1, 6))
     assert [solid.body for solid in solids] == [1, 2, 3, 5]
     reach = [np.diag(solid.farthest(np.eye(3))) for solid in solids]
-    np.testing.assert_allclose(reach[:3], np.outer([0.1, 0.3, 0.0], np.ones(3)), atol=1e-12)
+    np.testing.assert_allclose(
+        reach[:3], np.outer([0.1, 0.3, 0.0], np.ones(3)), atol=1e-12
+    )
     np.testing.assert_allclose(reach[3], (0.2, 0.3, 0.4), atol=1e-7)
 
 
@@ -127,7 +139,12 @@ def test_the_box_is_that_of_all_capsules_in_all_postures(seed):
 
 def test_the_outermost_points_are_in_the_last_bodys_frame_with_all_it_carries():
     tool = '<body name="tool" pos="0 0 .1" quat="1 0 1 0"><geom type="box" size=".1 .2 .3"/></body>'
-    tip = link(hinge("roll", X), '<geom size=".05" pos="0 0 -.1"/>' + tool, "tip", quat="0 1 1 0")
+    tip = link(
+        hinge("roll", X),
+        '<geom size=".05" pos="0 0 -.1"/>' + tool,
+        "tip",
+        quat="0 1 1 0",
+    )
     points, radius = outermost_points(robot(world(link(hinge("yaw", Z), tip, "base"))))
     assert sorted(radius) == pytest.approx([0.0] * 8 + [0.05])
     np.testing.assert_allclose(points[radius > 0.0], [[0.0, 0.0, -0.1]], atol=1e-12)

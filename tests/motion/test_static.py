@@ -51,12 +51,18 @@ def test_a_motion_starts_where_nothing_collides():
     found = static.startable(some)
     (note,) = set(found.notes) - set(some.notes)
     assert "at rest the model is in a collision: link3 and shelf (10 mm deep)" in note
-    assert some.obstacles.slack_at(some.rest)[0] < 0.0 <= found.obstacles.slack_at(found.rest)[0]
+    assert (
+        some.obstacles.slack_at(some.rest)[0]
+        < 0.0
+        <= found.obstacles.slack_at(found.rest)[0]
+    )
 
 
 def test_where_every_pose_collides_the_bodies_are_named():
     room = '<body name="block"><geom type="box" size="2 2 .5" pos="0 0 .75"/></body>'
-    with pytest.raises(InputError, match=r"in a collision: link0 and block.*touches nothing; ch"):
+    with pytest.raises(
+        InputError, match=r"in a collision: link0 and block.*touches nothing; ch"
+    ):
         static.startable(problem(tube_arm((Z, Y, X, Y), room)))
 
 
@@ -92,14 +98,20 @@ def test_dry_friction_counts_where_the_arm_moves_off():
     some = weakened(built(arm(stiff)), 1.01)
     (note,) = set(static.startable(some).notes) - set(some.notes)
     assert "moving off against gravity and dry friction takes" in note
-    assert held(static.startable(some), static.startable(some).rest) < held(some, some.rest)
+    assert held(static.startable(some), static.startable(some).rest) < held(
+        some, some.rest
+    )
 
 
 def test_where_no_pose_can_be_held_the_joint_is_named():
     """The second joint lies level and the ones after it cannot fold far: there is no way up."""
     stiff = TUBES.replace('range="-2.5 2.5"', 'range="-.2 .2"')
-    flat = stiff.replace('pos="0 0 .25" quat="1 0 0 0"', 'pos="0 0 .25" quat=".7 0 .7 0"', 1)
-    with pytest.raises(InputError, match="at joint joint1, more than 95 % of its torque limit of"):
+    flat = stiff.replace(
+        'pos="0 0 .25" quat="1 0 0 0"', 'pos="0 0 .25" quat=".7 0 .7 0"', 1
+    )
+    with pytest.raises(
+        InputError, match="at joint joint1, more than 95 % of its torque limit of"
+    ):
         static.startable(built(robot_of(flat), max_torque=0.5))
 
 
@@ -135,7 +147,9 @@ def test_each_pose_is_approached_from_both_sides(poses):
     assert len(rests) == 12
     for first, second in rests.reshape(-1, 2):
         np.testing.assert_array_equal(poses.points[first], poses.points[second])
-        np.testing.assert_allclose(poses.points[first] - poses.points[first - 1], static.APPROACH)
+        np.testing.assert_allclose(
+            poses.points[first] - poses.points[first - 1], static.APPROACH
+        )
         np.testing.assert_allclose(
             poses.points[second] - poses.points[second - 1], -static.APPROACH
         )

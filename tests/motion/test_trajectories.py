@@ -32,7 +32,9 @@ NAMES = ("base", "elbow", "wrist")
 def sines(seed):
     rng = np.random.default_rng(seed)
     amplitude, frequency, phase = rng.normal(size=(3, 3, 4))
-    return SineTrajectory(rng.normal(size=3), amplitude, np.abs(frequency), phase, 7.3, 1.1)
+    return SineTrajectory(
+        rng.normal(size=3), amplitude, np.abs(frequency), phase, 7.3, 1.1
+    )
 
 
 def fourier(seed):
@@ -41,7 +43,9 @@ def fourier(seed):
     harmonics = int(rng.integers(3, 12))
     fade = rng.uniform(0.05, 0.5) * duration
     basis = FourierBasis(duration, rng.uniform(0.02, 1.0), harmonics, fade)
-    return FourierTrajectory(basis, rng.normal(size=3), rng.normal(size=(3, basis.size)))
+    return FourierTrajectory(
+        basis, rng.normal(size=3), rng.normal(size=(3, basis.size))
+    )
 
 
 def poses(seed):
@@ -91,7 +95,9 @@ def test_what_holds_of_every_kind(tmp_path_factory, make, seed, speed):
     ahead, behind, here = (plan.evaluate(time + s) for s in (1e-5, -1e-5, 0.0))
     error = 1e-4 * (1.0 + np.max(np.abs(here.qdd)))
     np.testing.assert_allclose((ahead.q - behind.q) / 2e-5, here.qd, atol=error)
-    np.testing.assert_allclose((ahead.qd - behind.qd) / 2e-5, here.qdd, atol=200.0 * error)
+    np.testing.assert_allclose(
+        (ahead.qd - behind.qd) / 2e-5, here.qdd, atol=200.0 * error
+    )
 
 
 @given(SEEDS)
@@ -124,16 +130,29 @@ def test_peaks_of_the_step():
         (lambda: FourierBasis(10.0, float("inf"), 5, 1.0), "positive"),
         (lambda: FourierBasis(10.0, 0.1, 5, 6.0), "twice"),
         (
-            lambda: FourierTrajectory(FourierBasis(9.0, 0.1, 4, 1.0), np.zeros(2), np.ones((2, 8))),
+            lambda: FourierTrajectory(
+                FourierBasis(9.0, 0.1, 4, 1.0), np.zeros(2), np.ones((2, 8))
+            ),
             "coefficients has shape",
         ),
-        (lambda: LineTrajectory(np.zeros((2, 1)), np.zeros(1), np.zeros(2)), "take time"),
+        (
+            lambda: LineTrajectory(np.zeros((2, 1)), np.zeros(1), np.zeros(2)),
+            "take time",
+        ),
         *(
-            (lambda r=r: LineTrajectory(np.zeros((2, 1)), np.ones(1), np.zeros(2), [r]), "ramps f")
+            (
+                lambda r=r: LineTrajectory(
+                    np.zeros((2, 1)), np.ones(1), np.zeros(2), [r]
+                ),
+                "ramps f",
+            )
             for r in (0.0, 0.6)
         ),
         (lambda: at_speed(sines(0), 1.2), "--speed must be above 0 and at most 1"),
-        (lambda: at_speed(sines(0), float("nan")), "--speed must be above 0 and at most 1"),
+        (
+            lambda: at_speed(sines(0), float("nan")),
+            "--speed must be above 0 and at most 1",
+        ),
     ],
 )
 def test_refuses_what_cannot_be(make, words):
@@ -158,13 +177,17 @@ EARLIER = {
 def changed(**changes):
     """Text of a saved trajectory with some entries changed; None removes one."""
     content = {**EARLIER, **changes}
-    return json.dumps({key: value for key, value in content.items() if value is not None})
+    return json.dumps(
+        {key: value for key, value in content.items() if value is not None}
+    )
 
 
 def test_files_of_earlier_versions_are_read(tmp_path):
     """Slowed in the file, with the marks of an editor; or a series that ends at rest by itself."""
     path = tmp_path / "plan.json"
-    path.write_bytes(b"\xef\xbb\xbf" + changed(speed=0.5).replace(", ", ",\r\n").encode())
+    path.write_bytes(
+        b"\xef\xbb\xbf" + changed(speed=0.5).replace(", ", ",\r\n").encode()
+    )
     plan = load_trajectory(path).plan
     assert plan.duration == 10.0
     rising = 0.1 * np.sin(2.0 * np.pi * 0.05 * 4.0)
@@ -189,12 +212,18 @@ def test_files_of_earlier_versions_are_read(tmp_path):
     [
         ("time,q1\n0,0\n", "takes the .json file"),
         (changed(version=9), "has version 9 of the format"),
-        (changed(kind="splines"), "unknown kind of trajectory 'splines'; valid: sines, fourier"),
+        (
+            changed(kind="splines"),
+            "unknown kind of trajectory 'splines'; valid: sines, fourier",
+        ),
         (changed(phase=None), "lacks the entry 'phase'"),
         (changed(phase=[[0.0]]), "phase has shape"),
         (changed(center=["x", 0, 0]), "not a usable trajectory"),
         (changed(speed=3.0), "--speed must be above 0"),
-        (changed(joints=["base", "elbow"]), "a trajectory of 3 joints names 2: base, elbow"),
+        (
+            changed(joints=["base", "elbow"]),
+            "a trajectory of 3 joints names 2: base, elbow",
+        ),
         (changed(center=[0.0, float("nan"), 0.0]), "center"),
         ("[" * 100_000, "is not JSON"),
         (changed(duration=10**400), "finite"),
@@ -227,5 +256,7 @@ def test_an_arm_with_other_joints_or_another_order_is_refused(tmp_path):
     saved = load_trajectory(tmp_path / "plan.json")
     saved.require_fits(NAMES)
     for others in (("elbow", "base", "wrist"), NAMES[:2], (*NAMES, "hand")):
-        with pytest.raises(InputError, match="made for the 3 joints base, elbow, wrist"):
+        with pytest.raises(
+            InputError, match="made for the 3 joints base, elbow, wrist"
+        ):
             saved.require_fits(others)

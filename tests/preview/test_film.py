@@ -17,7 +17,16 @@ from robot_sysid.preview.film import shown_log, shown_plan
 from robot_sysid.records import JointLimits, Measurement
 from tests.support import arms, measured_logs
 
-RUN = ("--duration", "2", "--sample-rate", "100", "--seed", "1", "--excitation", "sines")
+RUN = (
+    "--duration",
+    "2",
+    "--sample-rate",
+    "100",
+    "--seed",
+    "1",
+    "--excitation",
+    "sines",
+)
 drawing = pytest.mark.skipif(
     importlib.util.find_spec("imageio") is None or studio.backend() is None,
     reason="neither EGL nor OSMesa here",
@@ -35,12 +44,17 @@ def test_a_film_has_a_name_that_players_know():
         film_path("a.avi")
 
 
-def test_without_a_display_there_is_one_line_before_the_search(command, arm, monkeypatch):
+def test_without_a_display_there_is_one_line_before_the_search(
+    command, arm, monkeypatch
+):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(film.sys, "platform", "linux")
     printed = command.run("plan", arm, *RUN, "--view", code=2)
-    assert "--video FILE.mp4 renders without one" in printed.err and "Loading" not in printed.out
+    assert (
+        "--video FILE.mp4 renders without one" in printed.err
+        and "Loading" not in printed.out
+    )
 
 
 def test_a_log_needs_its_model_to_be_shown(command, arm):
@@ -72,7 +86,9 @@ def test_a_motion_becomes_a_film(command, arm, suffix):
         pictures = [np.asarray(each)[..., :3] for each in reader]
     assert len(pictures) == pytest.approx(41 if suffix == "mp4" else 21, abs=1)
     assert pictures[0].shape == (480, 1040, 3)
-    moved = np.abs(pictures[0][:, :640].astype(int) - pictures[len(pictures) // 2][:, :640])
+    moved = np.abs(
+        pictures[0][:, :640].astype(int) - pictures[len(pictures) // 2][:, :640]
+    )
     assert np.max(moved) > 50  # the arm has moved, and is in the picture
 
 
@@ -130,10 +146,14 @@ def test_shares_are_those_of_the_worst_joint(problem, plan):
 
 def test_a_log_alone_has_the_limits_of_its_model(robot, plan):
     limits = robot.limits
-    torque = JointLimits(limits.lower, limits.upper, limits.velocity, np.array([4.0, 2.0, 8.0]))
+    torque = JointLimits(
+        limits.lower, limits.upper, limits.velocity, np.array([4.0, 2.0, 8.0])
+    )
     shown = shown_log(replace(robot, limits=torque), log_of(plan))
     np.testing.assert_allclose(shown.strips[2].values, 50.0)
-    assert shown.time[0] == 0.0 and shown.time[-1] == pytest.approx(plan.duration + LATE, abs=0.02)
+    assert shown.time[0] == 0.0 and shown.time[-1] == pytest.approx(
+        plan.duration + LATE, abs=0.02
+    )
 
 
 def test_a_joint_without_limits_is_no_share(plan):

@@ -67,22 +67,31 @@ def instants(old_set, monkeypatch):
     with monkeypatch.context() as patch:
         seen = watch(lambda _: assert_whole(old_set), patch.setattr)
         write_set(old_set, "new")
-    assert everything_in(old_set) == dict.fromkeys(NAMES, "new") and seen[0] >= 2 * len(NAMES)
+    assert everything_in(old_set) == dict.fromkeys(NAMES, "new") and seen[0] >= 2 * len(
+        NAMES
+    )
     write_set(old_set, "old")
     return range(1, seen[0] + 1)
 
 
 def assert_whole(folder):
     """Every file is there, old or new, and the first one only where all are of its set."""
-    found = {name: (folder / name).read_text() for name in NAMES if (folder / name).exists()}
-    assert set(found.values()) <= {"old", "new"} and set(NAMES) - set(found) <= {NAMES[0]}
+    found = {
+        name: (folder / name).read_text() for name in NAMES if (folder / name).exists()
+    }
+    assert set(found.values()) <= {"old", "new"} and set(NAMES) - set(found) <= {
+        NAMES[0]
+    }
     assert NAMES[0] not in found or len(set(found.values())) == 1
 
 
 def test_an_error_at_any_instant_leaves_whole_files_and_nothing_else(
     old_set, instants, monkeypatch
 ):
-    for problem in (KeyboardInterrupt, OSError(errno.ENOSPC, "No space left on device")):
+    for problem in (
+        KeyboardInterrupt,
+        OSError(errno.ENOSPC, "No space left on device"),
+    ):
         for instant in instants:
 
             def interrupt(count, instant=instant, problem=problem):
@@ -99,7 +108,9 @@ def test_an_error_at_any_instant_leaves_whole_files_and_nothing_else(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals cannot be held back")
-def test_a_signal_at_any_instant_waits_for_the_whole_new_set(old_set, instants, monkeypatch):
+def test_a_signal_at_any_instant_waits_for_the_whole_new_set(
+    old_set, instants, monkeypatch
+):
     for instant in instants:
 
         def send(count, instant=instant):
@@ -127,7 +138,9 @@ def test_a_process_that_is_killed_leaves_whole_files_and_keeps_no_folder(old_set
     assert_whole(old_set)
     with only_run_in(old_set):
         write_set(old_set, "new")
-    assert {name: everything_in(old_set)[name] for name in NAMES} == dict.fromkeys(NAMES, "new")
+    assert {name: everything_in(old_set)[name] for name in NAMES} == dict.fromkeys(
+        NAMES, "new"
+    )
 
 
 def test_one_file_appears_when_the_block_ends_without_an_error(tmp_path):
@@ -147,7 +160,11 @@ def test_a_failed_group_leaves_nothing_not_even_its_folder(tmp_path):
         outputs.write(tmp_path / "b.txt", b"b")
         raise KeyboardInterrupt
     full = pytest.raises(InputError, match="cannot write .*: No space left on device")
-    with full, whole_files() as outputs, outputs.open(tmp_path / "new" / "a.csv") as file:
+    with (
+        full,
+        whole_files() as outputs,
+        outputs.open(tmp_path / "new" / "a.csv") as file,
+    ):
         file.write("begun")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert list(tmp_path.iterdir()) == []
@@ -163,7 +180,9 @@ def test_a_draft_can_be_read_before_and_withdrawn(tmp_path):
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_what_is_to_go_goes_last_and_only_where_nothing_fails(tmp_path, monkeypatch, fails):
+def test_what_is_to_go_goes_last_and_only_where_nothing_fails(
+    tmp_path, monkeypatch, fails
+):
     before = {"a": "old", "gone": "old"}
     for name, text in before.items():
         (tmp_path / name).write_text(text)
@@ -199,7 +218,10 @@ def test_only_one_run_at_a_time_has_a_folder(tmp_path):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
     with only_run_in(folder):
-        with pytest.raises(InputError, match="another run is writing to"), only_run_in(folder):
+        with (
+            pytest.raises(InputError, match="another run is writing to"),
+            only_run_in(folder),
+        ):
             raise AssertionError("two at once")
         (folder / "result").write_text("")
     assert everything_in(folder) == {"result": ""}
@@ -207,7 +229,9 @@ def test_only_one_run_at_a_time_has_a_folder(tmp_path):
         pass
 
 
-def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(tmp_path, monkeypatch):
+def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(
+    tmp_path, monkeypatch
+):
     take = files._has_lock
     taken = []
 

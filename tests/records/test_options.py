@@ -39,11 +39,16 @@ class Oven(OptionRecord):
     mode: str = option("top", "where from", choices=("top", "bottom"))
     gas: bool = option(False, "burn gas")
     levels: PerJoint = option(1.0, "of each joint")
-    walls: tuple[tuple[float, ...], ...] = option((), "planes", metavar=("X", "Y"), repeats=True)
+    walls: tuple[tuple[float, ...], ...] = option(
+        (), "planes", metavar=("X", "Y"), repeats=True
+    )
 
 
 def test_a_record_is_made_from_keys_and_text_becomes_what_the_annotation_names():
-    parsers = [options_of(Oven)[name].parse for name in ("heat", "fan_speed", "trays", "recipe")]
+    parsers = [
+        options_of(Oven)[name].parse
+        for name in ("heat", "fan_speed", "trays", "recipe")
+    ]
     assert parsers == [float, int, float, Path]
     made = record_from(Oven, {"fan": "3", "heat": 90.0, "trays": 0.2, "unrelated": 1})
     assert made == Oven(heat=90.0, fan_speed=3, trays=(0.2,))
@@ -61,7 +66,9 @@ def test_a_record_is_made_from_keys_and_text_becomes_what_the_annotation_names()
         ({"mode": "side"}, "--mode 'side': choose one of top, bottom"),
     ],
 )
-def test_a_value_that_cannot_be_used_is_refused_in_the_name_of_its_option(values, message):
+def test_a_value_that_cannot_be_used_is_refused_in_the_name_of_its_option(
+    values, message
+):
     with pytest.raises(InputError) as caught:
         Oven(**values)
     assert str(caught.value) == message
@@ -78,8 +85,14 @@ def test_a_value_that_cannot_be_used_is_refused_in_the_name_of_its_option(values
         ({"trays": [0.1, "x"]}, "--trays must be a number (got [0.1, 'x'])"),
         ({"recipe": 3}, "--recipe must be a path (got 3)"),
         ({"gas": "no"}, "--gas must be True or False (got 'no')"),
-        ({"levels": "a,b"}, "--levels: 'a,b' is neither a number nor a list like 0.1,0.1,0.05"),
-        ({"levels": {1: 2}}, "--levels must be a number, or one per joint (got {1: 2})"),
+        (
+            {"levels": "a,b"},
+            "--levels: 'a,b' is neither a number nor a list like 0.1,0.1,0.05",
+        ),
+        (
+            {"levels": {1: 2}},
+            "--levels must be a number, or one per joint (got {1: 2})",
+        ),
     ],
 )
 def test_a_value_of_another_kind_is_refused(values, message):
@@ -89,11 +102,20 @@ def test_a_value_of_another_kind_is_refused(values, message):
 
 
 def test_numbers_of_numpy_lists_and_text_are_what_they_say():
-    values = {"heat": np.float32(2.0), "fan": None, "trays": np.array([1.0, 2.0]), "gas": np.True_}
+    values = {
+        "heat": np.float32(2.0),
+        "fan": None,
+        "trays": np.array([1.0, 2.0]),
+        "gas": np.True_,
+    }
     values |= {"levels": [1, 2.5], "recipe": "a.txt", "walls": [0.0, 1.0]}
     made = record_from(Oven, values)
     assert made.trays == (1.0, 2.0) and made.gas is True and made.fan_speed is None
-    assert (made.levels, made.recipe, made.walls) == ((1, 2.5), Path("a.txt"), ((0.0, 1.0),))
+    assert (made.levels, made.recipe, made.walls) == (
+        (1, 2.5),
+        Path("a.txt"),
+        ((0.0, 1.0),),
+    )
 
 
 NUMBERS = st.one_of(st.floats(), st.sampled_from([0.0, 1.0, -1.0, np.inf, np.nan]))
@@ -107,7 +129,9 @@ def test_checks_accept_exactly_their_range(value):
     assert (speed_factor(value) is None) == (0.0 < value <= 1.0)
 
 
-@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=7))
+@given(
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=7)
+)
 def test_levels_read_what_was_written(numbers):
     written: PerJoint = levels(",".join(map(repr, numbers)))
     assert written == (numbers[0] if len(numbers) == 1 else tuple(numbers))
@@ -118,5 +142,7 @@ def test_one_number_serves_all_joints():
     assert per_joint((0.3,), 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
     assert per_joint((1.0, 2.0), 2, "--noise-torque").tolist() == [1.0, 2.0]
     for wrong in ((1.0, 2.0), ()):
-        with pytest.raises(InputError, match="--noise-torque takes one number, or one for each of"):
+        with pytest.raises(
+            InputError, match="--noise-torque takes one number, or one for each of"
+        ):
             per_joint(wrong, 3, "--noise-torque")

@@ -7,7 +7,11 @@ from pathlib import Path
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.plan_settings import command_after_weighing, read_toml, settings_of
+from robot_sysid.records.plan_settings import (
+    command_after_weighing,
+    read_toml,
+    settings_of,
+)
 
 
 @pytest.mark.parametrize(

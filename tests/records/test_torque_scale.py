@@ -25,7 +25,11 @@ SIZE = st.floats(1e-6, 1e6)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.dictionaries(st.text('a_ é"\\\n関', min_size=1), st.tuples(SIZE, SIZE), max_size=8))
+@given(
+    st.dictionaries(
+        st.text('a_ é"\\\n関', min_size=1), st.tuples(SIZE, SIZE), max_size=8
+    )
+)
 def test_a_written_scale_reads_back_to_the_last_bit(tmp_path, scale):
     path = tmp_path / "scale.json"
     write_torque_scale(path, scale)
@@ -49,7 +53,9 @@ def test_a_file_is_read_by_joint_names(tmp_path):
     )
     with pytest.raises(InputError, match="holds no torque_scale"):
         joint_factors(path, JOINTS, SCALE)
-    with pytest.raises(InputError, match="no torque_constants of joint hand; it lists wrist"):
+    with pytest.raises(
+        InputError, match="no torque_constants of joint hand; it lists wrist"
+    ):
         joint_factors(path, ("hand",), CONSTANTS)
 
 
@@ -57,11 +63,17 @@ def test_a_file_is_read_by_joint_names(tmp_path):
     ("text", "said"),
     [
         ("{", "cannot read"),
-        ('{"version": 1, "torque_scale": {"a": 1' + "0" * 400 + "}}", "joint a must be positive"),
+        (
+            '{"version": 1, "torque_scale": {"a": 1' + "0" * 400 + "}}",
+            "joint a must be positive",
+        ),
         ("[]", "holds no torque_scale"),
         ('{"torque_scale": {"a": 1}}', "version None"),
         ('{"version": 2, "torque_scale": {"a": 1}}', "joint a must be positive"),
-        ('{"version": 2, "torque_scale": {"a": {"value": 1}}}', "joint a must be positive"),
+        (
+            '{"version": 2, "torque_scale": {"a": {"value": 1}}}',
+            "joint a must be positive",
+        ),
         ('{"version": 1, "torque_scale": {"a": 0}}', "joint a must be positive"),
         ('{"version": 1, "torque_scale": {"a": NaN}}', "joint a must be positive"),
         ('{"version": 1, "torque_scale": {"a": "x"}}', "joint a must be positive"),
@@ -77,6 +89,8 @@ def test_a_broken_file_says_what_is_wrong(tmp_path, text, said):
 def test_wrong_words_are_refused():
     with pytest.raises(InputError, match="neither a number"):
         factors_in("nofile.json")
-    with pytest.raises(InputError, match="--torque-scale takes one number, or one for each of"):
+    with pytest.raises(
+        InputError, match="--torque-scale takes one number, or one for each of"
+    ):
         joint_factors((1.0, 2.0), JOINTS, SCALE)
     assert usable_factor(-1.0) and usable_factor(0.0) and not usable_factor(1.3)

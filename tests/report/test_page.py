@@ -44,7 +44,9 @@ def text(page):
 def test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere(text):
     tags = Tags(text)
     assert tags.faults == [] and tags.opened == []
-    assert not any(tag in ("script", "iframe", "object", "link") for tag, _ in tags.seen)
+    assert not any(
+        tag in ("script", "iframe", "object", "link") for tag, _ in tags.seen
+    )
     assert not any(name.startswith("on") for _, attrs in tags.seen for name in attrs)
     assert "&lt;script&gt;alert(1)" in text and "$x^{1}&amp;" in text and "関節" in text
     for _, attrs in tags.seen:
@@ -60,14 +62,21 @@ def test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere
     assert {a["xlink:href"][1:] for tag, a in tags.seen if tag == "use"} <= every
 
 
-def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbers(text):
+def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbers(
+    text,
+):
     for words in (
         *(
             "torque error 27\u00a0% → 0.25\u00a0%",
             "Before and after",
             "Identified, kept, not visible",
         ),
-        *("Measured and predicted torque", "What is left over", "Excitation", "Friction"),
+        *(
+            "Measured and predicted torque",
+            "What is left over",
+            "Excitation",
+            "Friction",
+        ),
         *("Prediction errors", "truth", "Inertia on the arm", "fifths of arm.csv"),
     ):
         assert words in text, words
@@ -81,7 +90,11 @@ def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbe
 
 def test_the_first_screen_is_the_verdict_with_one_figure_and_the_rest_is_folded(text):
     first, *rest = text.partition("<main>")[2].split('<details class="fold"')
-    assert first.count("<figure") == 1 and 'class="headline"' in first and "Next: " in first
+    assert (
+        first.count("<figure") == 1
+        and 'class="headline"' in first
+        and "Next: " in first
+    )
     assert len(rest) > 7 and not any(part.startswith(" open") for part in rest)
 
 

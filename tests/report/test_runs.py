@@ -50,7 +50,9 @@ def traces(count=500, joints=2):
     names = tuple(f"j{k}" for k in range(joints))
     time = np.arange(count) * 0.01
     slides = (False,) * joints
-    return Traces(names, slides, time, table, table, measured, 0.9 * table, table, table, limits)
+    return Traces(
+        names, slides, time, table, table, measured, 0.9 * table, table, table, limits
+    )
 
 
 def test_what_is_written_is_read(tmp_path):
@@ -96,7 +98,9 @@ def test_logs_follow_one_another():
 )
 def test_a_file_that_is_not_ours_is_refused(tmp_path, changes, words):
     good = dict(np.load(io.BytesIO(data_bytes(report_data(traces())))))
-    spoiled = {name: each for name, each in {**good, **changes}.items() if each is not None}
+    spoiled = {
+        name: each for name, each in {**good, **changes}.items() if each is not None
+    }
     np.savez(tmp_path / DATA_NAME, **spoiled)
     with pytest.raises(InputError, match=f"{words}.*identify again"):
         load_data(tmp_path / DATA_NAME)
@@ -116,7 +120,9 @@ def test_every_sample_in_use_is_counted_once(seed, count, missing):
     residual = rng.standard_t(2.0, (count, 2))
     residual[rng.random((count, 2)) < missing] = np.nan
     edges, counts = histogram(residual).values()
-    np.testing.assert_array_equal(np.sum(counts, axis=1), np.sum(np.isfinite(residual), axis=0))
+    np.testing.assert_array_equal(
+        np.sum(counts, axis=1), np.sum(np.isfinite(residual), axis=0)
+    )
     assert np.all(np.diff(edges, axis=1) > 0.0)
 
 
@@ -166,9 +172,13 @@ def test_a_run_is_read_as_it_was_written(link_run):
     body, *others = run.bodies
     assert run.content["valid"]["trustworthy"] and run.missing == ()
     assert body.after[0] == written["mass"]
-    assert [each.title for each in others] == ["link5"] and body.title == written["body_name"]
+    assert [each.title for each in others] == ["link5"] and body.title == written[
+        "body_name"
+    ]
     thetas = body.thetas
-    assert thetas["truth"][0] == thetas["before"][0] == pytest.approx(0.5 * body.after[0])
+    assert (
+        thetas["truth"][0] == thetas["before"][0] == pytest.approx(0.5 * body.after[0])
+    )
     assert thetas["in the file"][0] == pytest.approx(0.9 * body.after[0])
     assert body.errors[0] == written["standard_errors"]["m"]
     assert {"noise", "links"} == set(body.budget) and body.kept[8] and not body.kept[0]
@@ -181,7 +191,10 @@ def test_a_run_is_read_as_it_was_written(link_run):
 def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
     run = load_run(folder)
     first = verdict(run)
-    assert first.sentences == run.content["verdict"] and "27 % -> 0.25 %" in first.sentences[0]
+    assert (
+        first.sentences == run.content["verdict"]
+        and "27 % -> 0.25 %" in first.sentences[0]
+    )
     assert first.headline == "torque error 27 % → 0.25 %" and len(first.figures) == 1
     (figure,) = errors(run).figures
     told = {row[0]: row[2] for row in figure.table.rows}
@@ -194,7 +207,9 @@ def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
     assert table.rows[0][table.header.index("j5")] == "0.2 -> 0.02"
     file = json.loads((folder / "params.json").read_text())["file"]
     file["torque_error"]["after"] = file["after"] = None
-    assert verdict(changed(folder, file=file)).headline == "torque error 27 % → not known"
+    assert (
+        verdict(changed(folder, file=file)).headline == "torque error 27 % → not known"
+    )
     held_out = replace(run, content={**run.content, "rmse_per_joint": {}})
     assert errors(held_out).sentences == ()
     nothing = changed(folder, file=None, validation=[])
@@ -203,7 +218,12 @@ def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
 
 
 def test_a_model_of_its_own_simulation_has_one_body(folder):
-    own = {"source": "simulation of the model itself", "links": [], "file": None, "joints": {}}
+    own = {
+        "source": "simulation of the model itself",
+        "links": [],
+        "file": None,
+        "joints": {},
+    }
     run = changed(folder, **own, standard_errors=None, validation=[], rollout=None)
     (body,) = run.bodies
     first, *_ = sections_of([run])
@@ -232,7 +252,9 @@ def test_torques_of_another_run_are_not_drawn(folder):
 
 @pytest.mark.parametrize("version", [3, None, "x" * 1000])
 def test_a_file_of_another_version_is_one_line(folder, version):
-    with pytest.raises(InputError, match="this program reads 4; identify again") as caught:
+    with pytest.raises(
+        InputError, match="this program reads 4; identify again"
+    ) as caught:
         changed(folder, schema_version=version)
     assert len(str(caught.value)) < 300 and "\n" not in str(caught.value)
 
@@ -246,7 +268,11 @@ def test_an_odd_entry_is_one_line(folder, odd):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        *(("{", "cannot read"), ("[]", "no result of this program"), ("{}", "schema_version None")),
+        *(
+            ("{", "cannot read"),
+            ("[]", "no result of this program"),
+            ("{}", "schema_version None"),
+        ),
         ('{"schema_version": 4}', "damaged"),
         ('{"schema_version": 4, "mass": 1, "center_of_mass_moment": [1]}', "damaged"),
     ],
@@ -258,7 +284,9 @@ def test_a_damaged_file_is_one_line(tmp_path, text, words):
 
 
 def test_a_folder_without_a_result_says_what_to_give(tmp_path):
-    with pytest.raises(InputError, match="holds no result: there is no params.json; give"):
+    with pytest.raises(
+        InputError, match="holds no result: there is no params.json; give"
+    ):
         load_run(tmp_path / "nowhere")
 
 

@@ -30,7 +30,16 @@ from tests.support.arms import SEEDS, random_rotation
 
 FLANGE = Flange("site 'tool'", np.eye(3), np.array([0.0, 0.0, 0.107]), "link7")
 COVARIANCE = np.diag(np.square([0.0153, *[2e-4] * 3, *[1e-4] * 6]))
-KINDS = ("any", "nearly round", "nearly a disc", "round", "rod", "point", "tiny", "heavy")
+KINDS = (
+    "any",
+    "nearly round",
+    "nearly a disc",
+    "round",
+    "rod",
+    "point",
+    "tiny",
+    "heavy",
+)
 
 
 def random_body(rng, kind):
@@ -56,7 +65,9 @@ def symmetric(xx, yy, zz, xy, xz, yz):
 
 
 def floats(text):
-    return [float(word) for word in re.findall(r"(?<![\w.])-?\d+\.?\d*(?:e[+-]?\d+)?", text)]
+    return [
+        float(word) for word in re.findall(r"(?<![\w.])-?\d+\.?\d*(?:e[+-]?\d+)?", text)
+    ]
 
 
 def turned(rotation, moments):
@@ -86,7 +97,9 @@ def read_kuka(text):
         "{M #, CM {X #, Y #, Z #, A #, B #, C #}, J {X #, Y #, Z #}}"
     )
     mass, x, y, z, a, b, c, *moments = floats(text)
-    turn = Rotation.from_euler("ZYX", [a, b, c], degrees=True)  # each about the axes so far
+    turn = Rotation.from_euler(
+        "ZYX", [a, b, c], degrees=True
+    )  # each about the axes so far
     return mass, 1e-3 * np.array([x, y, z]), turned(turn, moments)
 
 
@@ -145,7 +158,11 @@ def cards_of(mass, com, inertia, flange=FLANGE, seen=10):
 def test_every_card_gives_the_body_back(seed, kind):
     mass, com, inertia = random_body(np.random.default_rng(seed), kind)
     cards = cards_of(mass, com, inertia)
-    assert list(cards) == ["payload", *(form.name for form in FORMS)] == ["payload", *READERS]
+    assert (
+        list(cards)
+        == ["payload", *(form.name for form in FORMS)]
+        == ["payload", *READERS]
+    )
     # An inertia about a distant origin knows the one about the centre of mass to its own rounding.
     rounding = 1e-14 * mass * (com @ com)
     for name, read in READERS.items():
@@ -178,16 +195,27 @@ def test_the_values_are_the_numbers_of_the_text_which_has_no_exponents(seed, kin
 
 
 def test_a_whole_card_says_what_it_has_to():
-    flange = Flange("site 'tool'", np.eye(3), FLANGE.translation, "link7", note="found by name")
-    cards = cards_of(1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3]), flange)
+    flange = Flange(
+        "site 'tool'", np.eye(3), FLANGE.translation, "link7", note="found by name"
+    )
+    cards = cards_of(
+        1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3]), flange
+    )
     text = card_text(list(cards.values()), "A heading.")
     assert text.startswith("A heading.\n\n== Payload ==\n") and text.endswith("\n")
     for said in (
-        *("site 'tool': origin at 0.0, 0.0, 0.107 m", "of body 'link7'", "# found by name"),
+        *(
+            "site 'tool': origin at 0.0, 0.0, 0.107 m",
+            "of body 'link7'",
+            "# found by name",
+        ),
         "mass            1.517 kg",
         "Standard errors: mass 0.015 kg; centre of mass 0.13, 0.24, 0.48 mm.",
         "set_target_payload(1.517, [0.001, -0.02, 0.0453], [0.002, 0.0025, 0.001, 0.0, 0.0, 0.0])",
-        *("SetPayload(1.517, 1.0, -20.0, 45.3)", "arm.set_tcp_load(1.517, [1.0, -20.0, 45.3])"),
+        *(
+            "SetPayload(1.517, 1.0, -20.0, 45.3)",
+            "arm.set_tcp_load(1.517, [1.0, -20.0, 45.3])",
+        ),
     ):
         assert said in text, said
     assert max(len(line) for line in text.splitlines() if line.startswith("#")) <= 100
@@ -204,10 +232,15 @@ def test_a_round_body_is_not_turned():
 def test_every_card_states_how_far_each_of_its_numbers_may_be_off():
     """... or that it is not known; two take no inertia."""
     body = 1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3])
-    for seen, inertia in ((10, "xx 0.00011, xy 0.0001, xz 0.0001, yy 0.00011, yz"), (4, NOT_KNOWN)):
+    for seen, inertia in (
+        (10, "xx 0.00011, xy 0.0001, xz 0.0001, yy 0.00011, yz"),
+        (4, NOT_KNOWN),
+    ):
         for name, card in cards_of(*body, seen=seen).items():
             note = " ".join(card.notes)
-            assert note.startswith("Standard errors: mass 0.015 kg; centre of mass "), name
+            assert note.startswith("Standard errors: mass 0.015 kg; centre of mass "), (
+                name
+            )
             takes_none = name in ("xarm_set_tcp_load", "mecademic_set_payload")
             turned = name in ("kuka_load", "abb_loaddata") and seen == 10
             axes = "turn about the axes X, Y, Z 3.9, 5.8, 11 degrees; moments 0.00011, 0.00011, 0"
@@ -230,7 +263,9 @@ def test_what_a_ur_controller_refuses_is_said(largest, is_refused):
     [(0.0, (1, 1, 1)), (-1.0, (1, 1, 1)), (1.0, (1, 1, 2.1)), (1.0, (1, 1, -0.1))],
 )
 def test_no_controller_gets_an_impossible_body(mass, moments):
-    with pytest.raises(ExportError, match="not a possible rigid body, so there is no card"):
+    with pytest.raises(
+        ExportError, match="not a possible rigid body, so there is no card"
+    ):
         cards_of(mass, [0.1, 0.0, 0.0], np.diag(np.array(moments, dtype=float)))
 
 
@@ -273,7 +308,9 @@ def test_intervals_of_a_centre_of_mass_hold_where_the_mass_is_hardly_known(mass_
         first_moment = com + errors[1:4] * rng.standard_normal(3)
         if mass > 0.0:
             body = body_of(mass, first_moment / mass, inertia, np.diag(errors**2))
-            is_held.append(np.abs(body.inertial.com - com) < 1.96 * load_errors(body)[1:4])
+            is_held.append(
+                np.abs(body.inertial.com - com) < 1.96 * load_errors(body)[1:4]
+            )
     assert 0.93 <= np.mean(is_held) <= 0.98
 
 
@@ -288,7 +325,9 @@ def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
     def outcome(theta):
         """Moments, and by how much each axis leans to the next one."""
         own, now = np.linalg.eigh(spatial.com_from_theta(theta)[2])
-        lean = np.cross(axes[:, order].T, (now * np.sign(np.sum(now * axes, axis=0)))[:, order].T)
+        lean = np.cross(
+            axes[:, order].T, (now * np.sign(np.sum(now * axes, axis=0)))[:, order].T
+        )
         about = np.stack([lean[(k + 1) % 3] @ axes[:, order[k]] for k in range(3)])
         return np.array([*own[order], *np.degrees(about)])
 
@@ -302,11 +341,18 @@ def test_errors_of_moments_and_axes_are_those_of_the_turned_matrix(seed):
         ((1e-3, 1e-3, 1e-3), 0.39e-3, 10, True),
         ((1e-3, 1e-3, 1e-3), 0.41e-3, 10, False),
         ((1e-9, 1e-3, 1e-3), 0.39e-3, 10, True),  # a rod
-        ((1e-9, 1e-3, 1e-3), 1.2e-3, 10, False),  # what only the bound of a possible body holds up
+        (
+            (1e-9, 1e-3, 1e-3),
+            1.2e-3,
+            10,
+            False,
+        ),  # what only the bound of a possible body holds up
         ((1e-3, 1e-3, 1e-3), 1e-9, 4, False),
     ],
 )
-def test_inertia_is_known_where_one_moment_is_told_from_zero(moments, error, seen, is_known):
+def test_inertia_is_known_where_one_moment_is_told_from_zero(
+    moments, error, seen, is_known
+):
     covariance = np.diag([0.0] * 4 + [error**2] * 6)
     body = body_of(1.0, np.zeros(3), np.diag(moments), covariance, seen)
     assert inertia_is_known(body) == is_known

@@ -48,15 +48,28 @@ def test_what_stands_under_it_of_measured_data():
     heading = ["Before", "->", "after", "model", "identified", "±", "unit", "change"]
     assert table[0].split() == heading
     assert line(table, "  mass").split()[1:5] == ["1.0000", "2.0000", "0.0020", "kg"]
-    names = ("mass", *(f"centre of mass {axis}" for axis in "xyz"), "Coulomb fri", "viscous fri")
-    assert [text[2 : 2 + len(name)] for text, name in zip(table[1:], names)] == list(names)
+    names = (
+        "mass",
+        *(f"centre of mass {axis}" for axis in "xyz"),
+        "Coulomb fri",
+        "viscous fri",
+    )
+    assert [text[2 : 2 + len(name)] for text, name in zip(table[1:], names)] == list(
+        names
+    )
     assert table[7] == "Validation on other.csv: 0.0500 N·m (2 %)"
     limit = "  Limit: torques of other.csv are predicted 1.7 times worse than the fitted ones: the "
     assert table[8:] == [f"{limit}model misses something that motion shows"]
-    assert line(lines, "  CoM moment x").split()[3:] == ["0", "0", "0.000010", "kg·m", "none"]
-    assert lines[lines.index("Error of the mass by cause, kg: links 0.0016, noise 0.0012") + 1 :][
-        :3
-    ] == [
+    assert line(lines, "  CoM moment x").split()[3:] == [
+        "0",
+        "0",
+        "0.000010",
+        "kg·m",
+        "none",
+    ]
+    assert lines[
+        lines.index("Error of the mass by cause, kg: links 0.0016, noise 0.0012") + 1 :
+    ][:3] == [
         "Friction of the joints (coulomb-viscous), model -> identified ± error:",
         "  j5: coulomb 0.3 -> 0.50000 ± 0.00050 N·m, viscous 0.1 -> 0.20000 ± 0.00020 N·m·s/rad",
         "  j6: coulomb 0.2 -> 0.40000 ± 0.00040 N·m, viscous 0 -> 0.10000 ± 0.00010 N·m·s/rad",
@@ -66,7 +79,8 @@ def test_what_stands_under_it_of_measured_data():
 def test_the_models_own_simulation_has_a_block_alone():
     assert shown(more_lines(made.itself())) == []
     assert not any(
-        "inf" in text or "±" in text for text in more_lines(made.itself(made.without_mass()))
+        "inf" in text or "±" in text
+        for text in more_lines(made.itself(made.without_mass()))
     )
 
 
@@ -92,7 +106,9 @@ def test_what_the_data_does_not_see_has_no_error_but_a_reason():
     assert line(lines, "  mass").endswith("  not seen")
     assert not any("inf" in text for text in lines)
     lines = more_lines(made.found(made.with_value("coulomb[j5]", 0.0, np.inf)))
-    assert line(lines, "  j5:").startswith("  j5: coulomb not visible, viscous 0.1 -> 0.2")
+    assert line(lines, "  j5:").startswith(
+        "  j5: coulomb not visible, viscous 0.1 -> 0.2"
+    )
 
 
 def part(name, mass, welded=True):
@@ -105,12 +121,24 @@ def made_of(bodies):
 
 def test_a_link_of_several_bodies_says_what_its_mass_is_the_mass_of():
     start = "The mass is that"
-    parts = (part("link7", 0.7), part("hand", 0.3), part("finger", 0.2, False), part("eye", 0.0))
+    parts = (
+        part("link7", 0.7),
+        part("hand", 0.3),
+        part("finger", 0.2, False),
+        part("eye", 0.0),
+    )
     told = line(more_lines(made.found(robot=made_of(parts))), start)
-    assert told == f"{start} of link7 + hand + finger; link7 alone, as written in the file: 1.5 kg"
+    assert (
+        told
+        == f"{start} of link7 + hand + finger; link7 alone, as written in the file: 1.5 kg"
+    )
     # The file's own terminal link weighs 1.8 kg.
-    assert line(more_lines(made.whole(robot=made_of(parts))), start).endswith("in the file: 1.3 kg")
-    assert not any(start in text for text in more_lines(made.found(robot=made_of(parts[:1]))))
+    assert line(more_lines(made.whole(robot=made_of(parts))), start).endswith(
+        "in the file: 1.3 kg"
+    )
+    assert not any(
+        start in text for text in more_lines(made.found(robot=made_of(parts[:1])))
+    )
     many = (*parts, *(part(f"pad{k}", 0.01) for k in range(6)))
     told = line(more_lines(made.found(robot=made_of(many))), start)
     assert "link7 + hand + finger + 6 more; link7" in told
@@ -126,7 +154,9 @@ def test_a_payloads_block():
     assert table[2][:2] == ["centre of mass x", "0.03000"] and table[2][3] == "m"
     assert table[5][:2] == ["inertia xx about it", "0.00600"] and table[5][3] == "kg·m²"
     assert "Error of the mass by cause, kg: torque scale 0.008, noise 0.006" in lines
-    without = line(lines, "Terminal link without it: 0.800 ± 0.010 kg, centre of mass [")
+    without = line(
+        lines, "Terminal link without it: 0.800 ± 0.010 kg, centre of mass ["
+    )
     assert without.endswith("[0.0300 ± 0.0013, -0.0200 ± 0.0013, 0.0800 ± 0.0016] m")
     assert line(lines, "Terminal link with it: 2.000 ± 0.010 kg")
     assert "  b.csv (loaded): 1.190 ± 0.010 kg" in lines
@@ -139,7 +169,9 @@ def row(before, after, error=0.01, share=1.0):
 NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)
 
 
-@given(st.lists(st.tuples(NUMBERS, NUMBERS, st.floats(1e-9, 1e3)), min_size=1, max_size=5))
+@given(
+    st.lists(st.tuples(NUMBERS, NUMBERS, st.floats(1e-9, 1e3)), min_size=1, max_size=5)
+)
 def test_no_number_that_is_not_zero_prints_as_zero(rows):
     lines = console.table_lines([row(*numbers) for numbers in rows])
     for line in lines[1:]:
@@ -150,14 +182,23 @@ def test_no_number_that_is_not_zero_prints_as_zero(rows):
 def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
     rows = {each.name: each for each in asked_rows(made.found())}
     assert len(rows) == 15
-    assert (rows["mass"].before, rows["mass"].after, rows["mass"].unit) == (1.0, 2.0, "kg")
+    assert (rows["mass"].before, rows["mass"].after, rows["mass"].unit) == (
+        1.0,
+        2.0,
+        "kg",
+    )
     place = rows["centre of mass z"]
     assert (place.after, place.unit) == (pytest.approx(0.1), "m")
     assert place.error == load_errors(made.terminal(made.estimate()))[3]
-    assert (rows["Coulomb friction"].before, rows["Coulomb friction"].after) == (0.2, 0.4)
+    assert (rows["Coulomb friction"].before, rows["Coulomb friction"].after) == (
+        0.2,
+        0.4,
+    )
     assert rows["Coulomb friction"].error == pytest.approx(4e-4)
     slider = replace(made.ARM, is_slide=np.array([False, True]))
-    slide = {each.name: each for each in asked_rows(made.found(robot=slider, joints={}))}
+    slide = {
+        each.name: each for each in asked_rows(made.found(robot=slider, joints={}))
+    }
     assert slide["viscous friction"].unit == "N·s/m"
     own = asked_rows(made.itself())  # a simulation of the model itself states no errors
     assert len(own) == 15 and all(each.error is None for each in own)
@@ -168,7 +209,10 @@ def test_a_payload_has_mass_place_and_inertia_about_it():
     assert len(rows) == 10 and all(each.before is None for each in rows)
     assert (rows[0].after, rows[0].error) == (1.2, pytest.approx(0.01))
     assert (rows[1].name, rows[1].after) == ("centre of mass x", pytest.approx(0.03))
-    assert (rows[4].name, rows[4].after) == ("inertia xx about it", pytest.approx(0.006))
+    assert (rows[4].name, rows[4].after) == (
+        "inertia xx about it",
+        pytest.approx(0.006),
+    )
     assert [each.error for each in rows[4:]] == load_errors(made.body())[4:].tolist()
     assert len(asked_rows(made.payload(made.body(shown=False)))) == 4
     assert len(asked_rows(made.payload(made.body(-1.0)))) == 1

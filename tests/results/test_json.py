@@ -18,11 +18,25 @@ from robot_sysid.results.json import FORMULAS, export_params_json, params_json_t
 from robot_sysid.results.record import Figure, JointEstimate, Verdict
 from tests.support import results as made
 from tests.support.model_files import random_theta
-from tests.support.results import FRICTION, VALUES, estimate, found, itself, payload, theta_in
+from tests.support.results import (
+    FRICTION,
+    VALUES,
+    estimate,
+    found,
+    itself,
+    payload,
+    theta_in,
+)
 from tests.support.schemas import schema
 
 SPECIFIED = [
-    *("joint_name", "mass", "center_of_mass_moment", "inertia_tensor", "coulomb_friction"),
+    *(
+        "joint_name",
+        "mass",
+        "center_of_mass_moment",
+        "inertia_tensor",
+        "coulomb_friction",
+    ),
     *("viscous_friction", "rmse", "condition_number", "n_base_params"),
 ]
 
@@ -40,7 +54,10 @@ def test_one_schema_holds_the_answer_to_every_question(result):
     assert list(content)[: len(SPECIFIED) + 1] == ["schema_version", *SPECIFIED]
     assert list(content) == schema("params")["required"]
     validator = jsonschema.Draft202012Validator(schema("params"))
-    for wrong in ({**content, "weight": 1.0}, {k: v for k, v in content.items() if k != "links"}):
+    for wrong in (
+        {**content, "weight": 1.0},
+        {k: v for k, v in content.items() if k != "links"},
+    ):
         assert not validator.is_valid(wrong)
 
 
@@ -64,16 +81,27 @@ def test_reading_back_gives_the_same_bits(tmp_path_factory, seed):
 
 def test_the_specified_keys_hold_the_terminal_link_and_the_others_what_the_run_was():
     content = content_of(found())
-    figures = [content[key] for key in ("mass", "coulomb_friction", "viscous_friction", "rmse")]
+    figures = [
+        content[key] for key in ("mass", "coulomb_friction", "viscous_friction", "rmse")
+    ]
     assert figures == [2.0, 0.4, 0.1, 0.03]
     assert (content["condition_number"], content["n_base_params"]) == (50.0, 12)
     assert content["known_to"] == pytest.approx(1e-3) and content["question"] == "link"
-    content = content_of(found(made.without_mass(), reasons=("why",), verdict=Verdict.TOO_WEAK))
-    assert content["parameter_source"]["m"] == content["links"][0]["source"]["m"] == "from_model"
+    content = content_of(
+        found(made.without_mass(), reasons=("why",), verdict=Verdict.TOO_WEAK)
+    )
+    assert (
+        content["parameter_source"]["m"]
+        == content["links"][0]["source"]["m"]
+        == "from_model"
+    )
     assert content["parameter_source"]["viscous[j6]"] == "identified"
     assert list(content["valid"].values()) == [True, False, False]
     assert (content["status"], content["reasons"]) == ("TOO_WEAK", ["why"])
-    assert content["unidentifiable_combinations"] == ["mass"] and content["known_to"] is None
+    assert (
+        content["unidentifiable_combinations"] == ["mass"]
+        and content["known_to"] is None
+    )
     bare = estimate(names=(*spatial.PARAMETER_NAMES, *(f"{n}x" for n in FRICTION)))
     assert content_of(found(bare, joints={}))["viscous_friction"] is None
     content = content_of(itself())
@@ -111,15 +139,27 @@ def test_links_joints_and_the_file_stand_beside_the_models():
     joint = content["joints"]["j5"]
     low, high = joint["terms"]["coulomb"]["interval"]
     assert (low, high) == pytest.approx((0.5 - 1.96 * 5e-4, 0.5 + 1.96 * 5e-4))
-    assert [joint["two_ways"][way]["value"] for way in ("forward", "backward")] == [0.6, 0.4]
+    assert [joint["two_ways"][way]["value"] for way in ("forward", "backward")] == [
+        0.6,
+        0.4,
+    ]
     assert joint["in_the_file"]["viscous"]["value"] == 0.25
     assert joint["another_day"]["coulomb"]["standard_error"] == 0.08
     assert [log["coulomb"]["value"] for log in joint["logs"].values()] == [0.45, 0.55]
     assert content["couplings"]["j5+j6"]["terms"]["viscous"]["value"] == 0.05
-    assert list(content["base_parameters"][1].values()) == ["hx(link6)", 0.02, 0.03, False]
+    assert list(content["base_parameters"][1].values()) == [
+        "hx(link6)",
+        0.02,
+        0.03,
+        False,
+    ]
     massless = made.model_file(thetas=np.array([np.zeros(10), made.THETA]), after=None)
     content = content_of(made.whole(file=massless))
-    assert content["links"][0]["in_the_file"] is content["file"]["torque_error"]["after"] is None
+    assert (
+        content["links"][0]["in_the_file"]
+        is content["file"]["torque_error"]["after"]
+        is None
+    )
 
 
 # What BAM's models m1 to m4 have, beside kt and R of an actuator.
@@ -145,17 +185,30 @@ def bam_of(values):
 
 @pytest.mark.parametrize(
     ("number", "more"),
-    [("m1", {}), ("m2", STRIBECK), ("m3", {"load": 0.06}), ("m4", {**STRIBECK, "load": 0.06})],
+    [
+        ("m1", {}),
+        ("m2", STRIBECK),
+        ("m3", {"load": 0.06}),
+        ("m4", {**STRIBECK, "load": 0.06}),
+    ],
 )
 def test_bam_gets_its_own_model_and_names(number, more):
     bam = bam_of({**BASIC, **more})
     assert bam["model"] == number
     assert set(bam) - {"model"} == IN_BAM["m1"] | IN_BAM[number]
-    assert (bam["friction_base"], bam["friction_viscous"], bam["armature"]) == (1.3, 0.7, 0.2)
+    assert (bam["friction_base"], bam["friction_viscous"], bam["armature"]) == (
+        1.3,
+        0.7,
+        0.2,
+    )
     assert bam.get("load_friction_base", 0.03) == pytest.approx(0.03)
     # A curve that BAM has not is that of the file.
     bam = bam_of({**BASIC, "sqrt": 0.4})
-    assert (bam["model"], bam["friction_base"], bam["friction_viscous"]) == ("m1", 0.45, 0.25)
+    assert (bam["model"], bam["friction_base"], bam["friction_viscous"]) == (
+        "m1",
+        0.45,
+        0.25,
+    )
 
 
 def test_every_formula_is_the_column_of_its_term():
@@ -163,10 +216,14 @@ def test_every_formula_is_the_column_of_its_term():
     qd = np.linspace(-1.0, 1.0, 9)
     load = np.linspace(-3.0, 5.0, 9)
     known = {f"{term}_speed": bent.usual for term, bent in BENT.items()}
-    functions = {name: getattr(np, name) for name in ("sign", "sqrt", "abs", "exp", "tanh")}
+    functions = {
+        name: getattr(np, name) for name in ("sign", "sqrt", "abs", "exp", "tanh")
+    }
     for term, formula in FORMULAS.items():
         value = eval(formula, {**functions, **known, "qd": qd, "load": load})
-        np.testing.assert_allclose(value * np.ones(9), TERMS[term](qd, qd, load), rtol=1e-12)
+        np.testing.assert_allclose(
+            value * np.ones(9), TERMS[term](qd, qd, load), rtol=1e-12
+        )
 
 
 def test_a_payload_stands_between_the_link_without_and_with_it():
@@ -175,7 +232,10 @@ def test_a_payload_stands_between_the_link_without_and_with_it():
     told = content["payload"]
     assert (content["question"], content["mass"]) == ("payload", 2.0)
     assert [told[key]["mass"] for key in ("body", "link", "total")] == [1.2, 0.8, 2.0]
-    assert (told["flange"]["name"], told["flange"]["in_body"]) == ("site 'flange'", "link6")
+    assert (told["flange"]["name"], told["flange"]["in_body"]) == (
+        "site 'flange'",
+        "link6",
+    )
     assert told["recordings"] == {"empty": ["a.csv"], "loaded": ["b.csv", "c.csv"]}
     assert told["scatter"][0]["mass"] == 1.19 and len(told["cards"]) > 5
     assert content["known_to"] == pytest.approx(0.01 / 1.2)
@@ -185,10 +245,15 @@ def test_a_payload_stands_between_the_link_without_and_with_it():
     assert of_body["standard_errors"]["m"] == pytest.approx(0.01)
     assert of_body["standard_errors_noise"]["m"] == pytest.approx(0.006)
     assert of_body["error_budget"]["torque scale"]["m"] == pytest.approx(0.008)
-    assert of_body["standard_errors"]["com_z"] == pytest.approx(load_errors(made.body())[3])
+    assert of_body["standard_errors"]["com_z"] == pytest.approx(
+        load_errors(made.body())[3]
+    )
     content = content_of(payload(made.body(shown=False)))
     assert content["payload"]["body"]["standard_errors"]["Ixx"] is None
     assert content["payload"]["body"]["source"]["Ixx"] == "from_model"
     assert not content["valid"]["all_identified"]
     impossible = content_of(payload(made.body(-1.0)))
-    assert not impossible["valid"]["physically_consistent"] and impossible["known_to"] is None
+    assert (
+        not impossible["valid"]["physically_consistent"]
+        and impossible["known_to"] is None
+    )

@@ -27,7 +27,12 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records.atomic_files import whole_files
 from robot_sysid.results import model as model_module
 from robot_sysid.results import record, verification
-from robot_sysid.results.model import ModelTarget, most_inflated, write_bundle, write_model
+from robot_sysid.results.model import (
+    ModelTarget,
+    most_inflated,
+    write_bundle,
+    write_model,
+)
 from robot_sysid.results.verification import require_same_model
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms, urdf
@@ -80,14 +85,18 @@ def body_estimate(theta, errors=None):
     errors = np.full(10, 1e-4) if errors is None else errors
     inertial = records.InertialParameters(theta)
     covariance = np.diag(np.square(errors))
-    return record.BodyEstimate("b", inertial, covariance, np.ones(10, bool), 0.5 * errors)
+    return record.BodyEstimate(
+        "b", inertial, covariance, np.ones(10, bool), 0.5 * errors
+    )
 
 
 def file_of(robot, thetas=None, joints=None, gravity=None):
     """What a written model should hold."""
     thetas = robot.thetas if thetas is None else thetas
     errors = np.full(thetas.shape, np.inf)
-    return made.model_file(thetas=thetas, errors=errors, joints=joints or {}, gravity=gravity)
+    return made.model_file(
+        thetas=thetas, errors=errors, joints=joints or {}, gravity=gravity
+    )
 
 
 def payload_of(robot, theta, place=None, link=None):
@@ -96,7 +105,9 @@ def payload_of(robot, theta, place=None, link=None):
     link = robot.prior.theta if link is None else link
     total = body_estimate(link + flange.from_flange(theta))
     names = {"empty": ("a",), "loaded": ("b", "c")}
-    return record.Payload(flange, body_estimate(theta), body_estimate(link), total, names)
+    return record.Payload(
+        flange, body_estimate(theta), body_estimate(link), total, names
+    )
 
 
 def result_of(robot, theta=None, file=None, payload=None, **changes):
@@ -132,7 +143,9 @@ def whole(mj_model, robot):
 
 
 def assert_same_theta(found, expected, rtol=1e-11):
-    scale = spatial.parameter_scale(expected[0], spatial.characteristic_length(expected))
+    scale = spatial.parameter_scale(
+        expected[0], spatial.characteristic_length(expected)
+    )
     assert np.max(np.abs(found - expected) / scale) < rtol
 
 
@@ -152,13 +165,18 @@ def test_without_a_file_the_terminal_link_alone_is_written(robots, suffix):
 @pytest.mark.parametrize(
     ("suffix", "place"),
     # Where roll and yaw turn about one axis, or nearly so, a URDF can state a flange all the same.
-    [("xml", None), *(("urdf", p) for p in (None, "0,0,0.1,90,90,0", "0,0,0.1,90,89.99979,7"))],
+    [
+        ("xml", None),
+        *(("urdf", p) for p in (None, "0,0,0.1,90,90,0", "0,0,0.1,90,89.99979,7")),
+    ],
 )
 def test_a_payload_becomes_a_body_of_its_own(robots, suffix, place):
     robot = robots[suffix]
     theta = some_payload(np.random.default_rng(1))
     payload = payload_of(robot, theta, place)
-    found, notes = written(robot, result_of(robot, payload=payload), as_body="load & co")
+    found, notes = written(
+        robot, result_of(robot, payload=payload), as_body="load & co"
+    )
     assert notes == ()
     new = found.body("load & co")
     assert_same_theta(body_theta(found, new.id), theta)
@@ -168,13 +186,17 @@ def test_a_payload_becomes_a_body_of_its_own(robots, suffix, place):
     assert_same_theta(whole(found, robot), payload.total.inertial.theta)
     # Everything else is as it was: the terminal link alone weighs what the model says.
     terminal = found.body(robot.body_name).id
-    assert_same_theta(body_theta(found, terminal), body_theta(robot.mj_model, robot.body_id))
+    assert_same_theta(
+        body_theta(found, terminal), body_theta(robot.mj_model, robot.body_id)
+    )
 
 
 @SUFFIXES
 @pytest.mark.parametrize("name", [None, "load"])
 @pytest.mark.parametrize("with_file", [False, True])
-def test_a_payload_goes_onto_the_links_of_the_file_or_model(robots, suffix, name, with_file):
+def test_a_payload_goes_onto_the_links_of_the_file_or_model(
+    robots, suffix, name, with_file
+):
     robot = robots[suffix]
     rng = np.random.default_rng(3)
     link = robot.prior.theta + random_theta(rng, 0.4)
@@ -184,11 +206,15 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(robots, suffix, name
     if with_file:  # what it says of the terminal link counts, not what the payload does
         thetas[0] += random_theta(rng, 0.3)
         thetas[-1] = link = link + random_theta(rng, 0.1)
-        joints = {joint: {"coulomb": record.Figure(0.25, 0.01)} for joint in robot.joint_names}
+        joints = {
+            joint: {"coulomb": record.Figure(0.25, 0.01)} for joint in robot.joint_names
+        }
         file = file_of(robot, thetas, joints, TURNED)
     result = result_of(robot, file=file, payload=payload)
     found, notes = written(robot, result, as_body=name)
-    beneath = link if with_file else robot.prior.theta  # without a file the model's own stays
+    beneath = (
+        link if with_file else robot.prior.theta
+    )  # without a file the model's own stays
     expected = beneath + payload.flange.from_flange(payload.body.inertial.theta)
     assert_same_theta(whole(found, robot), expected)
     if name is not None and with_file:
@@ -207,7 +233,9 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(robots, suffix, name
 def test_a_name_that_is_taken_is_refused_and_leaves_nothing(robots, suffix, name):
     robot = robots[suffix]
     folder = robot.path.parent / "refused"
-    result = result_of(robot, payload=payload_of(robot, some_payload(np.random.default_rng(0))))
+    result = result_of(
+        robot, payload=payload_of(robot, some_payload(np.random.default_rng(0)))
+    )
     with pytest.raises(ExportError, match="cannot be called") as error:
         written(robot, result, folder, as_body=name)
     assert "tool" in str(error.value) and not folder.exists()
@@ -236,7 +264,8 @@ def new_links(robot, rng):
 def new_joints(robot, rng, terms=tuple(TERMS)):
     return {
         joint: {
-            term: record.Figure(value, 0.01) for term, value in zip(terms, rng.uniform(0.1, 2.0, 3))
+            term: record.Figure(value, 0.01)
+            for term, value in zip(terms, rng.uniform(0.1, 2.0, 3))
         }
         for joint in robot.joint_names
     }
@@ -261,9 +290,13 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
     np.testing.assert_array_equal(again.mj_model.opt.gravity, TURNED)
     assert "System ID: gravity identified with" in text
     if all(name[0] != "#" for name in robot.joint_names):
-        assert text.count("System ID: body") == sum(link.has_mass for link in robot.links)
+        assert text.count("System ID: body") == sum(
+            link.has_mass for link in robot.links
+        )
         last = joints[robot.terminal_joint]["coulomb"].value
-        assert f"frictionloss {last:.4g} ± 0.01 of joint '{robot.terminal_joint}'" in text
+        assert (
+            f"frictionloss {last:.4g} ± 0.01 of joint '{robot.terminal_joint}'" in text
+        )
 
 
 def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_with_the_last(
@@ -273,7 +306,9 @@ def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_w
     rng = np.random.default_rng(2)
     thetas = robot.thetas
     thetas[-1] += random_theta(rng, 0.2)
-    joints = {name: {"coulomb": record.Figure(0.3, np.nan)} for name in robot.joint_names}
+    joints = {
+        name: {"coulomb": record.Figure(0.3, np.nan)} for name in robot.joint_names
+    }
     text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints)))
     assert text.count("System ID") == 1
     parts = (f"frictionloss 0.3 of joint '{name}'" for name in robot.joint_names)
@@ -291,7 +326,9 @@ def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
     assert len(notes) == 2 and "a URDF cannot hold rotor inertia" in notes[0]
     assert "other readers ignore" in notes[1]
     again = load_robot_model(robot.path.parent / "out" / "updated.urdf", joint="l1_l2")
-    values = {term: [joints[j][term].value for j in robot.joint_names] for term in TERMS}
+    values = {
+        term: [joints[j][term].value for j in robot.joint_names] for term in TERMS
+    }
     np.testing.assert_array_equal(again.friction.viscous, values["viscous"])
     np.testing.assert_array_equal(again.friction.coulomb, values["coulomb"])
     np.testing.assert_array_equal(found.opt.gravity, TURNED)
@@ -307,7 +344,10 @@ RATIOS = np.array([0.0, 1.0, -2.0])
 def with_motor(robot, rng):
     """What a file holds: every link, every joint, and a motor that turns two joints."""
     (motor,) = couplings_of_model(robot) or (coupling(robot, RATIOS),)
-    joints = {**new_joints(robot, rng), motor.name: dict(new_joints(robot, rng)["joint1"])}
+    joints = {
+        **new_joints(robot, rng),
+        motor.name: dict(new_joints(robot, rng)["joint1"]),
+    }
     return replace(file_of(robot, new_links(robot, rng), joints), motors=(motor,))
 
 
@@ -328,10 +368,19 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
 
     # What the file takes is the torque of what was identified.
     motion = checkpoints(robot)
-    expected = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).torque(file.thetas)
-    both = [motion.qd, motion.qd @ RATIOS[:, None]], [motion.qdd, motion.qdd @ RATIOS[:, None]]
-    for owners, speed, acceleration in zip((robot.joint_names, ["joint1-2*joint2"]), *both):
-        values = {term: [file.joints[owner][term].value for owner in owners] for term in TERMS}
+    expected = (
+        LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).torque(file.thetas)
+    )
+    both = (
+        [motion.qd, motion.qd @ RATIOS[:, None]],
+        [motion.qdd, motion.qdd @ RATIOS[:, None]],
+    )
+    for owners, speed, acceleration in zip(
+        (robot.joint_names, ["joint1-2*joint2"]), *both
+    ):
+        values = {
+            term: [file.joints[owner][term].value for owner in owners] for term in TERMS
+        }
         torque = values["coulomb"] * np.sign(speed) + values["viscous"] * speed
         torque += values["armature"] * acceleration
         expected += torque if len(owners) > 1 else torque * RATIOS
@@ -341,18 +390,24 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     file = with_motor(again, np.random.default_rng(8))
     written(again, result_of(again, file=file), tmp_path / "again")
     (motor,) = couplings_of_model(load_robot_model(tmp_path / "again" / "updated.xml"))
-    np.testing.assert_array_equal(motor.model[0], file.joints[motor.name]["coulomb"].value)
+    np.testing.assert_array_equal(
+        motor.model[0], file.joints[motor.name]["coulomb"].value
+    )
 
 
 @since(3, 3)
 def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
     links = {"l1": urdf.inertial(), "l2": HEAVY, "l3": LIGHT}
-    robot = load_robot_model(write_files(tmp_path, {"arm.urdf": urdf.robot(urdf.serial(links))}))
+    robot = load_robot_model(
+        write_files(tmp_path, {"arm.urdf": urdf.robot(urdf.serial(links))})
+    )
     motor = coupling(robot, np.array([1.0, 1.0]))
     terms = {"coulomb": record.Figure(0.5, 0.1), "armature": record.Figure(0.02, 0.01)}
     own = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
     file = replace(own, joints={motor.name: terms}, motors=(motor,))
-    result = result_of(robot, file=file, couplings={motor.name: record.JointEstimate("c", terms)})
+    result = result_of(
+        robot, file=file, couplings={motor.name: record.JointEstimate("c", terms)}
+    )
     assert result.model_kind == "mjcf"
     written(robot, result)
     again = load_robot_model(tmp_path / "out" / "updated.urdf")
@@ -362,7 +417,10 @@ def test_with_a_motor_that_turns_two_joints_a_urdf_becomes_an_mjcf(tmp_path):
         assert_same_theta(link.theta, theta)
 
     text = text_of(robot, replace(result, file=own))
-    assert f"without the motor that turns with {motor.name}, which no URDF can hold" in text
+    assert (
+        f"without the motor that turns with {motor.name}, which no URDF can hold"
+        in text
+    )
 
 
 @since(3, 3)
@@ -391,7 +449,10 @@ def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypa
         (result_of(robot, 2.0 * robot.prior.theta), {}),
         (result_of(robot, file=file_of(robot, new_links(robot, rng))), {}),
         (result_of(robot, file=file_of(robot, gravity=TURNED)), {}),
-        (result_of(robot, payload=payload_of(robot, some_payload(rng))), {"as_body": "load"}),
+        (
+            result_of(robot, payload=payload_of(robot, some_payload(rng))),
+            {"as_body": "load"},
+        ),
     ):
         with pytest.raises(ExportError):
             written(robot, result, folder, **options)
@@ -405,7 +466,9 @@ def lopsided(text):
 
 @pytest.mark.parametrize("also_welded", [False, True])
 def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_welded):
-    cover = '<body name="cover"><geom size=".02" mass=".3"/></body>' if also_welded else ""
+    cover = (
+        '<body name="cover"><geom size=".02" mass=".3"/></body>' if also_welded else ""
+    )
     text = lopsided(arms.serial_arm(("0 0 1", "0 1 0"), tip=cover + arms.fingers()))
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}), joint="joint1")
     # In truth the fingers weigh 0.1 kg each, and the gripper as much as the model says.
@@ -418,9 +481,13 @@ def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_
     found, notes = written(robot, result_of(robot, theta))
     assert_same_theta(whole(found, robot), theta, 1e-9)
     shares = [found.body(name).mass[0] / 0.6 for name in fingers]
-    assert 1.0 / 6.0 < shares[0] < 1.0 and shares[0] == pytest.approx(shares[1], rel=1e-12)
+    assert 1.0 / 6.0 < shares[0] < 1.0 and shares[0] == pytest.approx(
+        shares[1], rel=1e-12
+    )
     for name in fingers:
-        of_model, there = (body_theta(m, m.body(name).id) for m in (robot.mj_model, found))
+        of_model, there = (
+            body_theta(m, m.body(name).id) for m in (robot.mj_model, found)
+        )
         assert_same_theta(there, shares[0] * of_model)
     assert "'left_finger', 'right_finger' on joints of their own" in notes[0]
     assert f"{shares[0]:.4g} of the model's" in notes[0]
@@ -433,7 +500,9 @@ def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_
 
 
 @pytest.mark.slow
-@given(arms.random_chain(), arms.SEEDS, st.sampled_from(["links", "merged", "own body"]))
+@given(
+    arms.random_chain(), arms.SEEDS, st.sampled_from(["links", "merged", "own body"])
+)
 def test_any_arm_takes_any_links_and_any_payload(tmp_path_factory, xml, seed, what):
     """Several joints to a body, slides, fingers, any frame: every written model is compiled,
     compared and moved by the writing itself."""
@@ -444,7 +513,9 @@ def test_any_arm_takes_any_links_and_any_payload(tmp_path_factory, xml, seed, wh
     last = max(k for k, name in enumerate(carried) if not name.endswith("finger"))
     robot = load_robot_model(path, joint=f"#{last}")
     place = ", ".join(str(value) for value in (*rng.uniform(-1.0, 1.0, 3), 10, 20, 30))
-    file = file_of(robot, new_links(robot, rng), new_joints(robot, rng), 9.8 * rng.normal(size=3))
+    file = file_of(
+        robot, new_links(robot, rng), new_joints(robot, rng), 9.8 * rng.normal(size=3)
+    )
     payload = None if what == "links" else payload_of(robot, some_payload(rng), place)
     result = result_of(robot, file=file, payload=payload)
     written(robot, result, as_body="load" if what == "own body" else None)
@@ -466,7 +537,9 @@ def test_the_errors_of_what_is_written_count(tmp_path):
     thin = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1e-2, 1e-2, 1e-4]))
     with pytest.raises(ExportError, match="boundinertia"):
         written(robot, result_of(robot, thin))
-    estimate = replace(result_of(robot, thin).estimate, standard_errors=np.full(10, 1e-3))
+    estimate = replace(
+        result_of(robot, thin).estimate, standard_errors=np.full(10, 1e-3)
+    )
     found, notes = written(robot, result_of(robot, estimate=estimate))
     assert "larger; that is less than their standard errors" in notes[0]
     np.testing.assert_allclose(whole(found, robot)[[4, 9]], [1.01e-2, 2e-4], rtol=1e-9)
@@ -514,7 +587,9 @@ def test_a_second_bundle_replaces_the_first_even_where_that_is_a_link(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "file").touch()
     (tmp_path / "bundle").symlink_to(tmp_path / "mine")
-    write_bundle(write_files(tmp_path, {"first.xml": "<mujoco><worldbody/></mujoco>"}), tmp_path)
+    write_bundle(
+        write_files(tmp_path, {"first.xml": "<mujoco><worldbody/></mujoco>"}), tmp_path
+    )
     assert (tmp_path / "mine" / "file").is_file()
     bundle = write_bundle(GUESS, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"bundle", "first.xml", "mine"}
@@ -538,14 +613,20 @@ def test_a_urdf_takes_its_meshes_along(tmp_path):
     meshes = tmp_path / "thing" / "meshes"
     meshes.mkdir(parents=True)
     shutil.copy(STL, meshes / "part.stl")
-    bundle = write_bundle(write_files(tmp_path, {"thing/updated_model.urdf": text}), tmp_path)
+    bundle = write_bundle(
+        write_files(tmp_path, {"thing/updated_model.urdf": text}), tmp_path
+    )
     shutil.rmtree(tmp_path / "thing")
     assert moved(bundle, tmp_path).nmesh >= 1
 
 
 def test_a_model_that_attaches_others_is_refused_and_leaves_nothing(tmp_path):
-    (tmp_path / "other.xml").write_text("<mujoco><worldbody><body name='b'/></worldbody></mujoco>")
-    text = "<mujoco><asset><model name='o' file='other.xml'/></asset><worldbody/></mujoco>"
+    (tmp_path / "other.xml").write_text(
+        "<mujoco><worldbody><body name='b'/></worldbody></mujoco>"
+    )
+    text = (
+        "<mujoco><asset><model name='o' file='other.xml'/></asset><worldbody/></mujoco>"
+    )
     model = write_files(tmp_path, {"updated_model.xml": text})
     with pytest.raises(ExportError, match="attaches other model files"):
         write_bundle(model, tmp_path)

@@ -34,7 +34,9 @@ def test_the_model_that_is_the_arm_wins_whichever_comes_first():
     truth = arm()
     wrong = arm(0.5)
     pieces = [recording(truth)]
-    good, bad = (compare(*pair, pieces, "a piece") for pair in ((wrong, truth), (truth, wrong)))
+    good, bad = (
+        compare(*pair, pieces, "a piece") for pair in ((wrong, truth), (truth, wrong))
+    )
     assert good.is_better and refusal(good, ()) is None
     assert not bad.is_better and "not better" in refusal(bad, ())
     assert good.score == pytest.approx(1.0 / bad.score)
@@ -49,7 +51,9 @@ def signals():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(test_playback, "SECONDS", 8.0)
         piece = recording(arm())
-    return process(Measurement(piece.time, piece.q, None, piece.tau), arm().joint_names, 20.0)
+    return process(
+        Measurement(piece.time, piece.q, None, piece.tau), arm().joint_names, 20.0
+    )
 
 
 def writes(xml):
@@ -59,7 +63,11 @@ def writes(xml):
 def test_what_is_played_was_not_fitted_for_it(signals):
     """The written file is played, on the end of the log."""
     test = play(arm(0.5), [signals], writes(TRUTH), None, split_time, LAST_FIFTH)
-    assert test.is_better and {error.horizon for error in test.errors} == {0.1, 0.3, 1.0}
+    assert test.is_better and {error.horizon for error in test.errors} == {
+        0.1,
+        0.3,
+        1.0,
+    }
     rows = fitted_rows(signals)
     time = signals.decimated_time()
     reach = signals.low_pass.half_width / signals.rate
@@ -90,7 +98,8 @@ OFFSETS = np.array([3.0, -2.0, 0.5])
 
 def a_motion(joints=3, samples=40):
     return Motion(
-        np.arange(samples), *arms.random_motion(np.random.default_rng(0), joints, samples)
+        np.arange(samples),
+        *arms.random_motion(np.random.default_rng(0), joints, samples),
     )
 
 
@@ -149,7 +158,8 @@ def test_a_perfect_file_is_off_by_its_sensors_offsets_alone(tmp_path, xml):
 
 
 @pytest.mark.parametrize(
-    "attribute", ['damping="2.1"', 'frictionloss="1.6"', 'armature=".01"', 'stiffness="1"']
+    "attribute",
+    ['damping="2.1"', 'frictionloss="1.6"', 'armature=".01"', 'stiffness="1"'],
 )
 def test_each_number_of_a_joint_counts(attribute):
     motion = a_motion()
@@ -158,8 +168,14 @@ def test_each_number_of_a_joint_counts(attribute):
     name = attribute.split("=")[0]
     text = arms.DRY_FRICTION
     old = {"damping": 'damping="2"', "frictionloss": 'frictionloss="1.5"'}.get(name)
-    text = text.replace(old, attribute) if old else text.replace("<joint ", f"<joint {attribute} ")
-    found = error_on(arms.compile_xml(text), robot, motion, tau, np.ones(tau.shape, bool))
+    text = (
+        text.replace(old, attribute)
+        if old
+        else text.replace("<joint ", f"<joint {attribute} ")
+    )
+    found = error_on(
+        arms.compile_xml(text), robot, motion, tau, np.ones(tau.shape, bool)
+    )
     added = {
         "damping": 0.1 * motion.qd,
         "frictionloss": 0.1 * np.sign(motion.qd),
@@ -169,11 +185,15 @@ def test_each_number_of_a_joint_counts(attribute):
     errors = added - added.mean(axis=0)
     np.testing.assert_allclose(found.rmse, np.sqrt(np.mean(errors**2)), rtol=1e-9)
     sizes = np.linalg.norm(tau, axis=0)
-    np.testing.assert_allclose(found.relative_error, np.linalg.norm(errors) / np.linalg.norm(sizes))
+    np.testing.assert_allclose(
+        found.relative_error, np.linalg.norm(errors) / np.linalg.norm(sizes)
+    )
     for k, joint in enumerate(robot.joint_names):
         error = np.linalg.norm(errors[:, k])
         assert found.relative_error_per_joint[joint] == pytest.approx(error / sizes[k])
-        assert found.rmse_per_joint[joint] == pytest.approx(error / np.sqrt(len(errors)))
+        assert found.rmse_per_joint[joint] == pytest.approx(
+            error / np.sqrt(len(errors))
+        )
 
 
 def test_what_is_not_usable_does_not_count():

@@ -10,7 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
+from robot_sysid.dynamics.spatial import (
+    PARAMETER_NAMES,
+    characteristic_length,
+    parameter_scale,
+)
 from robot_sysid.records import PriorConflict
 from robot_sysid.records.atomic_files import DAMIAO_NAME
 from robot_sysid.records.figures import percent
@@ -64,7 +68,11 @@ BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
             "Usable (not seen, so kept from the model: mass): the mass alone is not known",
             TEST,
         ),
-        (made.payload(), "Usable: the mass is known to 0.83 %, limited by torque scale", CARD),
+        (
+            made.payload(),
+            "Usable: the mass is known to 0.83 %, limited by torque scale",
+            CARD,
+        ),
         (
             made.payload(made.body(0.3)),
             "Usable: the mass is known to 3.3 %, limited by torque scale",
@@ -91,7 +99,9 @@ def test_it_says_whether_to_use_it_what_limits_it_and_what_next(result, said, th
 def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
     result = made.found(verdict=Verdict.TORQUES_ONLY, reasons=("because",))
     use, then = verdict_lines(result)
-    assert use.startswith("Only for torques of motions like the log's, not for its numbers: ")
+    assert use.startswith(
+        "Only for torques of motions like the log's, not for its numbers: "
+    )
     assert then.startswith("Next: ") and result.failure is None
 
 
@@ -103,18 +113,28 @@ def test_what_is_not_usable_says_so_why_and_nothing_else(verdict):
     ):
         (said,) = verdict_lines(result)
         assert said.startswith("Not usable: no model ") and verdict.value in said
-    assert verdict_lines(made.found(), "the disk is gone") == ("Not usable: the disk is gone",)
+    assert verdict_lines(made.found(), "the disk is gone") == (
+        "Not usable: the disk is gone",
+    )
 
 
 def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
     after = {p: plan_verdict(["an arm.xml"], (), None, p)[1] for p in PURPOSES}
-    assert after.pop("payload").startswith("Next: robot-sysid payload 'an arm.xml' --empty LOG ")
-    assert after.pop("arm").startswith("Next: robot-sysid identify 'an arm.xml' LOG --links ")
+    assert after.pop("payload").startswith(
+        "Next: robot-sysid payload 'an arm.xml' --empty LOG "
+    )
+    assert after.pop("arm").startswith(
+        "Next: robot-sysid identify 'an arm.xml' LOG --links "
+    )
     (then,) = set(after.values())
     assert then.startswith("Next: robot-sysid identify 'an arm.xml' LOG (")
     keep = ["--keep-out", "0", "0", "1", "0"]
-    check = plan_verdict(["m.xml", "--joint", "j"], [Path(DAMIAO_NAME)], None, "link", keep)[1]
-    words = f"{DAMIAO_NAME} --channel CHANNEL --model m.xml --joint j --keep-out 0 0 1 0"
+    check = plan_verdict(
+        ["m.xml", "--joint", "j"], [Path(DAMIAO_NAME)], None, "link", keep
+    )[1]
+    words = (
+        f"{DAMIAO_NAME} --channel CHANNEL --model m.xml --joint j --keep-out 0 0 1 0"
+    )
     assert check == f"Next: robot-sysid motors check {words}"
 
 
@@ -122,7 +142,11 @@ def test_a_planned_motion_is_followed_by_what_it_was_planned_for():
     ("share", "contact", "phrases"),
     [
         (0.6, None, ["the mass of link6 is known to 60 % only"]),
-        (0.6, "link0 and link5", ["60 % only", "not free, by the clearance of link0 and link5"]),
+        (
+            0.6,
+            "link0 and link5",
+            ["60 % only", "not free, by the clearance of link0 and link5"],
+        ),
         (0.1, "link0 and link5", ["bring the arm to the start another way first"]),
         (0.4, None, []),
         (np.inf, None, []),
@@ -133,8 +157,12 @@ def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, contact, phr
     shortfalls = shortfalls_of_plan("link6", share, contact)
     assert len(shortfalls) == len(phrases)
     assert all(phrase in sentence for phrase, sentence in zip(phrases, shortfalls))
-    remedy = "robot-sysid plan --config a/trajectory.toml --duration 60 --output-dir a/again"
-    use, then = plan_verdict(["m.xml"], (), None, "link", (), shortfalls, remedy if phrases else "")
+    remedy = (
+        "robot-sysid plan --config a/trajectory.toml --duration 60 --output-dir a/again"
+    )
+    use, then = plan_verdict(
+        ["m.xml"], (), None, "link", (), shortfalls, remedy if phrases else ""
+    )
     assert use.startswith("Not ready: ") is bool(phrases)
     assert use.startswith("Usable: play it") is not bool(phrases)
     assert (then == f"Next: {remedy}") is bool(phrases)
@@ -186,12 +214,16 @@ def test_a_prior_that_outweighs_the_data_is_told():
 
 def test_a_torque_before_its_motion_is_told_where_it_is_sure():
     sensors = {"delay": Figure(-0.003, 0.001)}
-    assert "come 3 ms before the motion" in only(made.found(delay=-0.003, sensors=sensors))
+    assert "come 3 ms before the motion" in only(
+        made.found(delay=-0.003, sensors=sensors)
+    )
     assert limitations(made.found(delay=-0.0019, sensors=sensors)) == ()
     assert limitations(made.found(delay=0.003, sensors=sensors)) == ()
 
 
-@given(st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0))
+@given(
+    st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0)
+)
 def test_friction_that_drives_is_told_where_it_is_sure(term, value, error):
     said = limitations(made.found(made.with_value(f"{term}[j5]", value, error)))
     assert bool(said) == (value < -SURE * error)
@@ -209,10 +241,15 @@ def test_slow_residuals_are_told(share):
 @given(st.floats(0.5, 5.0))
 def test_a_prediction_worse_than_the_fit_is_told(factor):
     said = limitations(
-        made.found(validation=(made.validation_of(0.03), made.validation_of(0.03 * factor)))
+        made.found(
+            validation=(made.validation_of(0.03), made.validation_of(0.03 * factor))
+        )
     )
     assert bool(said) == (0.03 * factor > WORSE * 0.03)
-    assert not said or f"torques of other.csv are predicted {factor:.1f} times worse" in said[0]
+    assert (
+        not said
+        or f"torques of other.csv are predicted {factor:.1f} times worse" in said[0]
+    )
 
 
 @given(st.floats(1.0, 1e6))

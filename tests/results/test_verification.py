@@ -48,7 +48,8 @@ EXTRAS = f"""<option gravity="0 0 -9.7"/><visual><global azimuth="30"/></visual>
 <actuator><position joint="j2" kp="10" {RATIO}/><motor tendon="t"/></actuator>
 <keyframe><key qpos="0.1 0.2 0"/></keyframe></mujoco>"""
 FULL = ARM.replace("</mujoco>", EXTRAS).replace(
-    '<joint name="j2"', '<camera mode="trackcom"/><light mode="trackcom"/><joint name="j2"'
+    '<joint name="j2"',
+    '<camera mode="trackcom"/><light mode="trackcom"/><joint name="j2"',
 )
 
 
@@ -59,7 +60,9 @@ def model(text=FULL):
 def compare(before: str, after: str):
     original = model()
     other = model(FULL.replace(before, after))
-    require_same_model(original, other, dict.fromkeys(BODY_FIELDS, {original.body("link2").id}))
+    require_same_model(
+        original, other, dict.fromkeys(BODY_FIELDS, {original.body("link2").id})
+    )
 
 
 def with_servo(bias):
@@ -71,7 +74,9 @@ def with_servo(bias):
 @pytest.mark.parametrize("bias", ["1 -10 0", "0 -11 0"])
 def test_an_actuators_own_force_and_stiffness_may_not_change(bias):
     require_same_model(with_servo("0 -10 0"), with_servo("0 -10 0"), {})
-    with pytest.raises(ExportError, match="differs from the original in actuator_biasprm"):
+    with pytest.raises(
+        ExportError, match="differs from the original in actuator_biasprm"
+    ):
         require_same_model(with_servo("0 -10 0"), with_servo(bias), {})
 
 
@@ -80,11 +85,16 @@ def test_an_actuators_own_force_and_stiffness_may_not_change(bias):
     [
         ('pos="0 0 0.1" quat="0.9 0.1 0.2 0.3"', 'pos="0.3 0 0.1"'),
         ('mass="1.5"', 'mass="2.5"'),
-        ('diaginertia="2e-3 3e-3 4e-3"/>\n          <geom', 'diaginertia="9 9 9"/>\n<geom'),
+        (
+            'diaginertia="2e-3 3e-3 4e-3"/>\n          <geom',
+            'diaginertia="9 9 9"/>\n<geom',
+        ),
         ('quat="0.9 0.1 0.2 0.3" mass="1.5"', 'mass="1.5"'),
     ],
 )
-def test_the_inertia_of_the_terminal_body_may_differ_with_all_that_follows(before, after):
+def test_the_inertia_of_the_terminal_body_may_differ_with_all_that_follows(
+    before, after
+):
     compare(before, after)
 
 
@@ -106,7 +116,9 @@ def test_the_inertia_of_the_terminal_body_may_differ_with_all_that_follows(befor
 )
 def test_every_other_difference_is_named(before, after, field):
     assert before in FULL
-    with pytest.raises(ExportError, match=f"differs from the original in {field}") as caught:
+    with pytest.raises(
+        ExportError, match=f"differs from the original in {field}"
+    ) as caught:
         compare(before, after)
     assert "\n" not in str(caught.value)
 
@@ -116,14 +128,19 @@ THETA = random_theta(np.random.default_rng(3), 1.5)
 
 def compiled(theta):
     inertial = mjcf_inertial(theta, principal=True)
-    return model(f"<mujoco><worldbody><body name='b'>{inertial}</body></worldbody></mujoco>")
+    return model(
+        f"<mujoco><worldbody><body name='b'>{inertial}</body></worldbody></mujoco>"
+    )
 
 
 @pytest.mark.parametrize("k", range(10))
 def test_a_parameter_that_is_off_by_more_than_a_billionth_is_found(k):
     require_theta(compiled(THETA), 1, THETA, THETA)
     off = THETA.copy()
-    off[k] += 3e-9 * spatial.parameter_scale(THETA[0], spatial.characteristic_length(THETA))[k]
+    off[k] += (
+        3e-9
+        * spatial.parameter_scale(THETA[0], spatial.characteristic_length(THETA))[k]
+    )
     with pytest.raises(ExportError, match=r"body 'b' has an inertia that is off by"):
         require_theta(compiled(THETA), 1, off, THETA)
 
@@ -143,7 +160,9 @@ def test_a_file_that_does_not_load_or_was_tampered_with_is_refused(tmp_path):
     with pytest.raises(ExportError, match="'link2' has an inertia that is off"):
         verify_written_model(original, source, change)
     source.write_text(FULL.replace('axis="1 0 0"', 'axis="0 0 0"'))
-    with pytest.raises(ExportError, match="the written model cannot be loaded: MuJoCo cannot"):
+    with pytest.raises(
+        ExportError, match="the written model cannot be loaded: MuJoCo cannot"
+    ):
         verify_written_model(original, source, change)
 
 
@@ -157,16 +176,30 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
     ):
         with pytest.raises(ExportError, match=words):
             verify_written_model(original, source, ModelChange((), 0.0, gravity=asked))
-    verify_written_model(original, source, ModelChange((), 0.0, gravity=(0.0, 0.0, -9.8)))
+    verify_written_model(
+        original, source, ModelChange((), 0.0, gravity=(0.0, 0.0, -9.8))
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (JointChange("j{1}", armature=0.7), "joint 'j{1}' has dof_armature 0.0 instead of 0.7"),
-        (JointChange("j{1}", damping=0.7), "joint 'j{1}' has dof_damping 0.0 instead of 0.7"),
-        (ActuatorChange(0, 5.0, 1.0), "number 0 has actuator_gainprm 10.0 instead of 5.0"),
-        (ActuatorChange(0, 10.0, 1.0), "number 0 has actuator_biasprm [0.0, -10.0, 0.0] instead"),
+        (
+            JointChange("j{1}", armature=0.7),
+            "joint 'j{1}' has dof_armature 0.0 instead of 0.7",
+        ),
+        (
+            JointChange("j{1}", damping=0.7),
+            "joint 'j{1}' has dof_damping 0.0 instead of 0.7",
+        ),
+        (
+            ActuatorChange(0, 5.0, 1.0),
+            "number 0 has actuator_gainprm 10.0 instead of 5.0",
+        ),
+        (
+            ActuatorChange(0, 10.0, 1.0),
+            "number 0 has actuator_biasprm [0.0, -10.0, 0.0] instead",
+        ),
     ],
 )
 def test_a_number_that_is_not_there_is_named(tmp_path, change, words):
@@ -175,7 +208,9 @@ def test_a_number_that_is_not_there_is_named(tmp_path, change, words):
     source = write_files(tmp_path, {"m.xml": text})
     kind = "actuators" if isinstance(change, ActuatorChange) else "joints"
     with pytest.raises(ExportError, match=re.escape(words)):
-        verify_written_model(model(text), source, ModelChange((), 0.0, **{kind: (change,)}))
+        verify_written_model(
+            model(text), source, ModelChange((), 0.0, **{kind: (change,)})
+        )
 
 
 def some_motion(seed: int, joints: int) -> Motion:
@@ -193,10 +228,14 @@ def arm(tmp_path_factory):
 
 @given(theta=arms.rigid_bodies(), seed=arms.SEEDS)
 def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta, seed):
-    plan = plan_write_back(theta, subtree_bodies(arm.mj_model, arm.reference_qpos, arm.body_id))
+    plan = plan_write_back(
+        theta, subtree_bodies(arm.mj_model, arm.reference_qpos, arm.body_id)
+    )
     gravity = tuple(9.8 * np.random.default_rng(seed).normal(size=3))
     bodies = (BodyChange(arm.body_name, arm.body_id, plan),)
-    change = ModelChange(bodies, 0.0, (JointChange("joint1", armature=0.3),), gravity=gravity)
+    change = ModelChange(
+        bodies, 0.0, (JointChange("joint1", armature=0.3),), gravity=gravity
+    )
     change = replace(change, principal=not reads_fullinertia_exactly(plan.theta))
     text = changed_model_text(arm.path, change, arm.path.parent)
     written = arm.path.with_name("written.xml")
@@ -213,7 +252,9 @@ def torque_refused(robot, mj_model, thetas=None, change=None):
     change = change or ModelChange((), 0.0)
     motion = some_motion(1, robot.n_joints)
     try:
-        require_reproduction(robot, thetas, change, mj_model, motion, Path("updated_model.xml"))
+        require_reproduction(
+            robot, thetas, change, mj_model, motion, Path("updated_model.xml")
+        )
     except ExportError as error:
         assert "does not reproduce the identified torques" in str(error)
         return True
@@ -275,7 +316,9 @@ PLACE = '<inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>'
 def with_load(new=NEW, before="", after=""):
     text = WITH_CUP.replace(PLACE, PLACE + new)
     assert before in text
-    return mujoco.MjModel.from_xml_string(text.replace(before, after, 1) if before else text)
+    return mujoco.MjModel.from_xml_string(
+        text.replace(before, after, 1) if before else text
+    )
 
 
 @pytest.mark.parametrize(
@@ -300,8 +343,14 @@ def test_everything_else_that_is_new_is_named(before, after, field):
         ("", "no body 'load'"),
         (NEW.replace('name="load"', 'name="other"'), "no body 'load'"),
         (NEW + '<body name="second"/>', "no body 'load'"),
-        (NEW.replace("0.1 0.2", "0.1 0.2001"), "not fixed to 'tool' where it should be"),
-        (NEW.replace('pos="0 0.1 0.2"', 'pos="0 0.1 0.2" quat="1 1e-5 0 0"'), "not fixed to"),
+        (
+            NEW.replace("0.1 0.2", "0.1 0.2001"),
+            "not fixed to 'tool' where it should be",
+        ),
+        (
+            NEW.replace('pos="0 0.1 0.2"', 'pos="0 0.1 0.2" quat="1 1e-5 0 0"'),
+            "not fixed to",
+        ),
         (NEW.replace(str(LOAD[0]), str(LOAD[0] + 1e-8)), "an inertia that is off"),
     ],
 )

@@ -40,21 +40,32 @@ def test_the_derivative_is_that_of_the_numbers(numbers):
     x = SCALE.unknowns(servos)
     step = 1e-6
     moved = SCALE.servos(x + step).vector() - SCALE.servos(x - step).vector()
-    np.testing.assert_allclose(moved / (2.0 * step), SCALE.derivative(servos), rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(
+        moved / (2.0 * step), SCALE.derivative(servos), rtol=1e-4, atol=1e-7
+    )
 
 
 def test_a_search_begins_at_the_models_numbers_or_at_usual_ones():
     start = SCALE.start
-    assert start.stiffness.tolist() == [100.0, 80.0] and start.damping.tolist() == [3.0, 2.0]
+    assert start.stiffness.tolist() == [100.0, 80.0] and start.damping.tolist() == [
+        3.0,
+        2.0,
+    ]
     bare = scale(XML.replace(SERVOS, ""))
     assert np.all(bare.start.stiffness > 0.0) and np.all(bare.start.vector() > 0.0)
 
 
 def test_errors_hold_what_the_links_masses_and_the_time_step_add():
-    exact = search.ServoFit(TRUTH, Servos.of(np.full(9, 1e-9)), np.ones(9, dtype=bool), np.ones(2))
-    errors = search.with_links_error(exact, np.array([0.5 * search.LEAST_SHARE, 1.0])).errors
+    exact = search.ServoFit(
+        TRUTH, Servos.of(np.full(9, 1e-9)), np.ones(9, dtype=bool), np.ones(2)
+    )
+    errors = search.with_links_error(
+        exact, np.array([0.5 * search.LEAST_SHARE, 1.0])
+    ).errors
     assert errors.stiffness[0] == pytest.approx(TRUTH.stiffness[0])
-    assert errors.stiffness[1] == pytest.approx(search.LINKS_WRONG * TRUTH.stiffness[1], rel=0.1)
+    assert errors.stiffness[1] == pytest.approx(
+        search.LINKS_WRONG * TRUTH.stiffness[1], rel=0.1
+    )
     assert errors.armature[1] >= search.STEP * TRUTH.damping[1]
     assert errors.delay == pytest.approx(0.5 * search.STEP)
     still = replace(exact, errors=Servos.of(np.zeros(9)))
@@ -97,7 +108,9 @@ def of_small(kp, friction, stated):
     log = Measurement(time, q, None, command - q, command=command)
     sought = search.first_servos(robot, q[::10], 0.02, np.array([True, True]))
     problem = search.problem_of(ServoRollouts(robot), [log])
-    return search.judged(search.Slopes(problem), sought, replace(own, frictionloss=stated))
+    return search.judged(
+        search.Slopes(problem), sought, replace(own, frictionloss=stated)
+    )
 
 
 def test_friction_behind_a_stiff_servo_is_not_seen_and_its_error_holds_what_could_be():
@@ -120,7 +133,9 @@ def test_a_row_counts_no_more_than_usual_and_rest_is_not_usual():
     share = search.usual_share(rows, moves)
     np.testing.assert_allclose(share[9:], usual[9:], rtol=0.05)
     assert np.max(np.abs(rows * share[:, None]) / [1.0, 1e-3]) < 2.0
-    rested = search.usual_share(np.concatenate((rows, 0.0 * rows)), np.append(moves, ~moves))
+    rested = search.usual_share(
+        np.concatenate((rows, 0.0 * rows)), np.append(moves, ~moves)
+    )
     np.testing.assert_array_equal(rested, np.append(share, np.ones(1000)))
 
 
@@ -174,7 +189,9 @@ def test_slopes_that_are_known_are_not_played_again():
     np.testing.assert_array_equal(slopes(SCALE, servos)[..., ::2], some)
     assert len(problem.played) == 2 * 9
     moved = Servos.of(1.1 * SCALE.size.vector())
-    np.testing.assert_array_equal(slopes(sought, moved), search.Slopes(problem)(sought, moved))
+    np.testing.assert_array_equal(
+        slopes(sought, moved), search.Slopes(problem)(sought, moved)
+    )
 
 
 def test_errors_hold_what_shorter_steps_would_change():

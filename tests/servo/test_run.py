@@ -78,7 +78,9 @@ def run(robot, folder, monkeypatch, old=0, **more):
     return told.notes
 
 
-def test_what_a_file_cannot_hold_is_told_and_stands_in_the_result(robots, tmp_path, monkeypatch):
+def test_what_a_file_cannot_hold_is_told_and_stands_in_the_result(
+    robots, tmp_path, monkeypatch
+):
     (note,) = run(robots["urdf"], tmp_path, monkeypatch)
     assert "a URDF cannot hold rotor inertia" in note
     assert run(robots["xml"], tmp_path / "xml", monkeypatch) == []
@@ -86,27 +88,40 @@ def test_what_a_file_cannot_hold_is_told_and_stands_in_the_result(robots, tmp_pa
 
 def test_what_the_model_does_not_have_has_no_before(robots):
     lines = [line for line in servo_lines(identified(robots["urdf"])) if "gain" in line]
-    assert all("gain 50" in line and "damping 0 -> 3" in line for line in lines) and lines
+    assert (
+        all("gain 50" in line and "damping 0 -> 3" in line for line in lines) and lines
+    )
     assert "gain 100 -> 50" in "".join(servo_lines(identified(robots["xml"])))
 
 
 def test_what_is_not_seen_is_said_to_be_the_models_and_its_error_is_stated(robots):
     found = identified(robots["xml"])
-    servos = replace(found.fit.servos, frictionloss=model_servos(robots["xml"]).frictionloss)
+    servos = replace(
+        found.fit.servos, frictionloss=model_servos(robots["xml"]).frictionloss
+    )
     assert not any("hides" in note for note in servo_notes(found, 0.02))
     seen = np.arange(9) // 2 != 2
     found = replace(found, fit=replace(found.fit, servos=servos, seen=seen))
-    assert all("frictionloss 0.3 ± 0.01 N·m (not seen" in line for line in servo_lines(found)[3:5])
-    assert sum("hides its frictionloss:" in note for note in servo_notes(found, 0.02)) == 2
+    assert all(
+        "frictionloss 0.3 ± 0.01 N·m (not seen" in line
+        for line in servo_lines(found)[3:5]
+    )
+    assert (
+        sum("hides its frictionloss:" in note for note in servo_notes(found, 0.02)) == 2
+    )
     sources = {name: own["source"] for name, own in found.numbers["joint1"].items()}
-    assert {name for name, source in sources.items() if source == "from_model"} == {"frictionloss"}
+    assert {name for name, source in sources.items() if source == "from_model"} == {
+        "frictionloss"
+    }
     bare = identified(robots["urdf"])
     nothing = replace(bare, fit=replace(bare.fit, seen=~bare.fit.seen))
     gains = [own["gain"]["source"] for own in nothing.numbers.values()]
     assert gains == ["identified", "identified"]  # The model has none to keep.
 
 
-def test_what_an_earlier_run_left_does_not_stay_beside_the_result(robots, tmp_path, monkeypatch):
+def test_what_an_earlier_run_left_does_not_stay_beside_the_result(
+    robots, tmp_path, monkeypatch
+):
     (tmp_path / "params.json").write_text("{}")
     config = tmp_path / "run.toml"
     config.write_text("# of the user's own")
@@ -119,7 +134,9 @@ def test_what_an_earlier_run_left_does_not_stay_beside_the_result(robots, tmp_pa
 
 
 TIME = np.arange(500) / 50.0
-COMMAND = 0.5 * np.sin(np.outer(TIME, [2.0, 3.0])) + 0.1 * np.sin(np.outer(TIME, [7.0, 8.0]))
+COMMAND = 0.5 * np.sin(np.outer(TIME, [2.0, 3.0])) + 0.1 * np.sin(
+    np.outer(TIME, [7.0, 8.0])
+)
 RNG = np.random.default_rng(0)
 
 
@@ -143,18 +160,32 @@ def test_commands_that_are_followed_are_taken():
     pieces = commanded_pieces([log(followed(), COMMAND)], ("base", "tip"))
     assert len(pieces) == 1 and moving(pieces).all()
     _, qd = smoothed(pieces[0])
-    assert qd[100] == pytest.approx(np.gradient(followed(), 0.02, axis=0)[100], abs=0.05)
+    assert qd[100] == pytest.approx(
+        np.gradient(followed(), 0.02, axis=0)[100], abs=0.05
+    )
 
 
 @pytest.mark.parametrize(
     ("q", "command", "words"),
     [
         (followed(), np.degrees(COMMAND), ("degrees", "--units", "0.01745")),
-        (followed(), COMMAND * 4096 / (2 * np.pi) + 2048, ("steps of 4096", "--columns")),
+        (
+            followed(),
+            COMMAND * 4096 / (2 * np.pi) + 2048,
+            ("steps of 4096", "--columns"),
+        ),
         (MEASURED, MEASURED, ("repeat the measured", "no real commands")),
-        (MEASURED, np.vstack((MEASURED[1:], MEASURED[-1:])), ("repeat", "no real commands")),
+        (
+            MEASURED,
+            np.vstack((MEASURED[1:], MEASURED[-1:])),
+            ("repeat", "no real commands"),
+        ),
         (late(COMMAND, 14), COMMAND, ("14 samples before", "10")),
-        (COMMAND + 1e-4 * RNG.normal(size=COMMAND.shape), late(COMMAND, 3), ("exchanged",)),
+        (
+            COMMAND + 1e-4 * RNG.normal(size=COMMAND.shape),
+            late(COMMAND, 3),
+            ("exchanged",),
+        ),
         (followed(), RNG.normal(size=COMMAND.shape), ("not followed",)),
         (followed(), -COMMAND, ("sign",)),
         (followed(), COMMAND + 1.0, ("same zero",)),
@@ -177,4 +208,7 @@ def test_a_joint_that_stands_still_is_no_fault():
     q = followed()
     command = COMMAND.copy()
     q[:, 1] = command[:, 1] = 0.3
-    assert moving(commanded_pieces([log(q, command)], ("base", "tip"))).tolist() == [True, False]
+    assert moving(commanded_pieces([log(q, command)], ("base", "tip"))).tolist() == [
+        True,
+        False,
+    ]

@@ -10,7 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.records import Measurement
-from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, noise_share, spectra_of
+from robot_sysid.signals.cutoff import (
+    choose_cutoff,
+    encoder_steps,
+    noise_share,
+    spectra_of,
+)
 from robot_sysid.signals.filters import design_low_pass, second_derivative
 from robot_sysid.signals.process import process
 from tests.support.swing import FREQUENCIES, Swing, seconds
@@ -21,7 +26,9 @@ def chosen(q, rate):
     return choose_cutoff(spectra_of(q, rate, encoder_steps(q)))[0]
 
 
-@pytest.mark.parametrize(("seed", "rate", "sigma"), [(0, 200.0, 1e-3), (1, 500.0, 3e-5)])
+@pytest.mark.parametrize(
+    ("seed", "rate", "sigma"), [(0, 200.0, 1e-3), (1, 500.0, 3e-5)]
+)
 def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, sigma):
     rng = np.random.default_rng(seed)
     q = Swing(seed).q(seconds(10.0, rate))
@@ -29,7 +36,9 @@ def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, sigma):
     spectra = spectra_of(q, rate, encoder_steps(q))
     # Over 1500 seeds it scatters by 1.31 / sqrt(N) and is 0.4 % too high; six of the former.
     tolerance = 0.005 + 6.0 * 1.31 / np.sqrt(len(q))
-    np.testing.assert_allclose(np.sqrt(spectra.level * rate / 2.0), sigma, rtol=tolerance)
+    np.testing.assert_allclose(
+        np.sqrt(spectra.level * rate / 2.0), sigma, rtol=tolerance
+    )
     assert 1.4 < choose_cutoff(spectra)[0] < 25.0
 
 
@@ -60,7 +69,12 @@ def read(q, resolution):
 
 @pytest.mark.parametrize(
     ("seed", "resolution", "scale"),
-    [(14107, 1e-3, SCALES[0]), (130, 1e-3, SCALES[0]), (1, 1e-5, SCALES[1]), (2, 1e-4, SCALES[3])],
+    [
+        (14107, 1e-3, SCALES[0]),
+        (130, 1e-3, SCALES[0]),
+        (1, 1e-5, SCALES[1]),
+        (2, 1e-4, SCALES[3]),
+    ],
 )
 def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution, scale):
     """A joint that creeps over few steps has a spectrum of its own, far above any motion."""
@@ -68,12 +82,16 @@ def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution, sc
     assert chosen(read(q, resolution), 1000.0) < HIGHEST
 
 
-@pytest.mark.parametrize(("seed", "scale", "jitter"), [(0, SCALES[0], 0.4), (1, SCALES[2], 0.1)])
+@pytest.mark.parametrize(
+    ("seed", "scale", "jitter"), [(0, SCALES[0], 0.4), (1, SCALES[2], 0.1)]
+)
 def test_interpolated_steps_are_not_taken_for_motion_either(seed, scale, jitter):
     """Splines through uneven samples round a staircase off, and it is still none."""
     even = seconds(15.0, 500.0)
     rate = 500.0
-    time = even + jitter * np.random.default_rng(seed).uniform(-1.0, 1.0, len(even)) / rate
+    time = (
+        even + jitter * np.random.default_rng(seed).uniform(-1.0, 1.0, len(even)) / rate
+    )
     log = Swing(seed).measured(time)
     signals = process(replace(log, q=read(log.q * scale, 1e-3)))
     assert "uneven time stamps" in signals.notes[0]
@@ -89,7 +107,9 @@ def test_a_reading_that_is_repeated_until_the_next_one_is_no_step():
     stamps = np.maximum.accumulate(drawn)
     slow = Swing(seed)
     fast = Swing(seed + 1, 8.0 * FREQUENCIES)
-    q = np.column_stack([(slow.q(s) + 1e-3 * fast.q(s))[:, j] for j, s in enumerate(stamps.T)])
+    q = np.column_stack(
+        [(slow.q(s) + 1e-3 * fast.q(s))[:, j] for j, s in enumerate(stamps.T)]
+    )
     log = Measurement(time, q, None, q + 1.0, joint_time=stamps)
     # The fastest motion that can be told from the stale readings has 0.59 Hz.
     assert 10.0 < process(log).cutoff < HIGHEST
@@ -101,7 +121,9 @@ def test_what_is_not_read_in_steps_has_none():
     time = seconds(15.0, 1000.0)
     q = Swing().q(time)
     assert not np.any(encoder_steps(q))
-    assert not np.any(encoder_steps(q + 1e-5 * np.random.default_rng(0).normal(size=q.shape)))
+    assert not np.any(
+        encoder_steps(q + 1e-5 * np.random.default_rng(0).normal(size=q.shape))
+    )
     assert not np.any(encoder_steps(read(q, 1e-8)))
     still = np.where(time[:, None] < 5.0, q[5000], q)
     paused = np.where(np.abs(time[:, None] - 7.0) < 1.0, q[6000], q)
@@ -134,6 +156,7 @@ def test_the_noise_that_a_cutoff_leaves_is_what_the_filter_leaves(seed, magnitud
     share = noise_share(spectra_of(motion + noise, rate, np.zeros_like(motion)), cutoff)
     low_pass = design_low_pass(cutoff, rate)
     left, moved = (
-        np.std(second_derivative(low_pass.filtered(part), rate)) for part in (noise, motion)
+        np.std(second_derivative(low_pass.filtered(part), rate))
+        for part in (noise, motion)
     )
     assert 0.5 < share / (left / moved) < 2.0

@@ -20,7 +20,11 @@ from robot_sysid.signals.filters import (
 from tests.support.swing import Swing, seconds
 
 
-@given(st.floats(1.0, 60.0), st.lists(st.integers(1, 90), min_size=1, max_size=12), st.integers(0))
+@given(
+    st.floats(1.0, 60.0),
+    st.lists(st.integers(1, 90), min_size=1, max_size=12),
+    st.integers(0),
+)
 def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed):
     low_pass = design_low_pass(cutoff, 200.0)
     values = np.random.default_rng(seed).normal(size=(sum(sizes) + 500, 2, 3))
@@ -33,7 +37,12 @@ def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed)
     assert len(low_pass.centres(len(values))) == len(every)
 
 
-@given(st.floats(90.0, 150.0), st.floats(2.0, 50.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
+@given(
+    st.floats(90.0, 150.0),
+    st.floats(2.0, 50.0),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 6.0),
+)
 def test_pass_band_and_stop_band_keep_their_promise(attenuation, cutoff, where, phase):
     low_pass = design_low_pass(cutoff, 200.0, attenuation)
     time = seconds(12.0, 200.0)
@@ -49,14 +58,18 @@ def test_pass_band_and_stop_band_keep_their_promise(attenuation, cutoff, where, 
         design_low_pass(60.0 + cutoff, 200.0)
 
 
-@given(st.sampled_from([REACH, FINE_REACH]), st.lists(st.floats(-1.0, 1.0), min_size=17))
+@given(
+    st.sampled_from([REACH, FINE_REACH]), st.lists(st.floats(-1.0, 1.0), min_size=17)
+)
 def test_derivatives_are_exact_for_polynomials_of_their_order(reach, coefficients):
     polynomial = np.polynomial.Polynomial(coefficients[: 2 * reach + 1])
     time = seconds(2.0, 20.0) - 1.0
     inner = time[reach:-reach]
     for function, order in ((first_derivative, 1), (second_derivative, 2)):
         expected = polynomial.deriv(order)(inner)
-        np.testing.assert_allclose(function(polynomial(time), 20.0, reach), expected, atol=5e-9)
+        np.testing.assert_allclose(
+            function(polynomial(time), 20.0, reach), expected, atol=5e-9
+        )
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -17,7 +17,11 @@ def log(time: np.ndarray) -> Measurement:
     return Measurement(time, q, None, 2.0 * q)
 
 
-@given(st.lists(st.tuples(st.floats(0.1, 12.0), st.floats(0.6, 5.0)), min_size=1, max_size=5))
+@given(
+    st.lists(
+        st.tuples(st.floats(0.1, 12.0), st.floats(0.6, 5.0)), min_size=1, max_size=5
+    )
+)
 def test_pieces_are_what_lies_between_gaps(parts):
     start = 0.0
     times = []
@@ -52,7 +56,9 @@ def test_of_hours_the_minutes_that_move_are_taken():
     assert 500.0 < sum(np.ptp(piece.time) for piece in found) < 800.0
     assert all(2900.0 < piece.time[0] < 3700.0 for piece in found)
     always = pieces_of(log(time))
-    assert sum(np.ptp(piece.time) for piece in always) == pytest.approx(pieces.MOST_TIME, rel=0.1)
+    assert sum(np.ptp(piece.time) for piece in always) == pytest.approx(
+        pieces.MOST_TIME, rel=0.1
+    )
     assert always[0].time[0] == 0.0 and always[-1].time[-1] == time[-1]
 
 
@@ -64,10 +70,15 @@ def test_thinning_does_not_depend_on_the_blocks(cuts):
     other = Thinning(8, 1e-3)
     blocks = np.split(rows, np.cumsum(cuts))
     np.testing.assert_allclose(
-        np.concatenate([other.push(block) for block in blocks]), whole, rtol=0, atol=1e-12
+        np.concatenate([other.push(block) for block in blocks]),
+        whole,
+        rtol=0,
+        atol=1e-12,
     )
     assert 440 < len(whole) < 500
-    np.testing.assert_allclose(whole[:, 2], np.sin(3.0 * whole[:, 1]), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(
+        whole[:, 2], np.sin(3.0 * whole[:, 1]), rtol=0, atol=1e-4
+    )
     assert np.allclose(np.diff(whole[:, 1]), 8e-3)
 
 

@@ -29,7 +29,9 @@ def test_motion_of_a_quantised_log_is_recovered(seed):
         true = swing.q(signals.time, order)
         got = (signals.q, signals.qd, signals.qdd)[order]
         assert root_mean_square(got - true) < limit * root_mean_square(true)
-    np.testing.assert_allclose(signals.tau, swing.tau(signals.time), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        signals.tau, swing.tau(signals.time), rtol=0.0, atol=1e-12
+    )
 
 
 def with_deadband(log, deadband):
@@ -61,7 +63,9 @@ def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadba
     st.integers(1, 999),
     st.booleans(),
 )
-def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(cutoff, rate, more, most, noisy):
+def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(
+    cutoff, rate, more, most, noisy
+):
     """Products of motion that passed the low-pass; of encoder noise too, whose rest above all
     cut-offs is less. However many at once, signs of speeds pass as they do in one piece.
     """
@@ -81,7 +85,9 @@ def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(cutoff, rate,
     assert signals.low_pass.step % signals.low_pass.stride == 0
     for few, full in zip(*(signals.passed(smooth, few, most) for few in (True, False))):
         assert few.shape == full.shape
-        assert root_mean_square(few - full) < (1e-5 if noisy else 1e-8) * root_mean_square(full)
+        assert root_mean_square(few - full) < (
+            1e-5 if noisy else 1e-8
+        ) * root_mean_square(full)
     (signs,) = signals.passed(lambda motion: (np.sign(motion.qd),), most=most)
     whole = signals.low_pass.decimated(np.sign(signals.qd))
     np.testing.assert_allclose(signs, whole, rtol=0.0, atol=1e-12)
@@ -89,7 +95,9 @@ def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(cutoff, rate,
 
 def test_the_deadband_is_a_part_of_the_peak_speed():
     usual = process(Swing().measured(seconds(10.0, 200.0)), cutoff=8.0)
-    np.testing.assert_array_equal(usual.deadband, 0.005 * np.max(np.abs(usual.qd), axis=0))
+    np.testing.assert_array_equal(
+        usual.deadband, 0.005 * np.max(np.abs(usual.qd), axis=0)
+    )
 
 
 def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
@@ -168,7 +176,9 @@ def test_a_second_pass_changes_what_the_first_one_did():
     first = true - once.q[rows]
     second = once.q[rows] - again.q
     assert np.max(np.abs(first)) > 1e-3
-    np.testing.assert_allclose(second, first, rtol=0.0, atol=0.1 * np.max(np.abs(first)))
+    np.testing.assert_allclose(
+        second, first, rtol=0.0, atol=0.1 * np.max(np.abs(first))
+    )
 
 
 def test_joints_that_hardly_move_both_ways_are_named():
@@ -178,8 +188,12 @@ def test_joints_that_hardly_move_both_ways_are_named():
     q = np.column_stack((swing, swing + time, swing - time))
     signals = with_deadband(Measurement(time, q, None, q + 1.0), 0.05)
     forwards, backwards = signals.one_way_joints(("a", "b", "c"))
-    assert forwards.startswith("b moves faster than 0.05 rad/s in 100 % of the samples forwards")
-    assert backwards.startswith("c moves faster than 0.05 rad/s in 0 % of the samples forwards")
+    assert forwards.startswith(
+        "b moves faster than 0.05 rad/s in 100 % of the samples forwards"
+    )
+    assert backwards.startswith(
+        "c moves faster than 0.05 rad/s in 0 % of the samples forwards"
+    )
 
 
 def test_a_joint_at_rest_is_masked_and_named():
@@ -207,8 +221,12 @@ def test_rows_over_a_long_hole_are_masked_and_short_holes_are_bridged():
     assert dropped.max() < hole[1] + reach + 0.1
     later = with_delay(signals, 0.02)
     masked = later.decimated_time()[~np.all(later.usable(), axis=1)]
-    np.testing.assert_allclose([masked[0], masked[-1]], [dropped[0], dropped[-1]], atol=0.1)
-    kept = np.repeat(np.all(signals.usable(), axis=1), signals.low_pass.step)[: len(signals)]
+    np.testing.assert_allclose(
+        [masked[0], masked[-1]], [dropped[0], dropped[-1]], atol=0.1
+    )
+    kept = np.repeat(np.all(signals.usable(), axis=1), signals.low_pass.step)[
+        : len(signals)
+    ]
     error = np.abs(signals.qdd - swing.q(signals.time, 2))[: len(kept)][kept]
     assert np.max(error) < 1e-2
 
@@ -242,7 +260,9 @@ def _remaining_delay(signals) -> float:
 
 
 def test_a_log_too_short_for_its_cutoff_says_how_long_it_must_be():
-    with pytest.raises(InputError, match=r"2 s are too short for a cut-off of 3 Hz, which needs"):
+    with pytest.raises(
+        InputError, match=r"2 s are too short for a cut-off of 3 Hz, which needs"
+    ):
         process(Swing().measured(seconds(2.0, 200.0)), cutoff=3.0)
     with pytest.raises(InputError, match="--cutoff HZ"):
         process(Swing().measured(seconds(0.1, 200.0)))

@@ -23,7 +23,9 @@ def motion(phase: float = 0.0, rate: float = 15.0) -> Motion:
     time = phase / rate + np.arange(COUNT) / rate
     frequency = np.array([1.3, 2.9])
     angle = frequency * time[:, None] + np.array([0.0, 1.0])
-    return Motion(time, np.sin(angle), frequency * np.cos(angle), -(frequency**2) * np.sin(angle))
+    return Motion(
+        time, np.sin(angle), frequency * np.cos(angle), -(frequency**2) * np.sin(angle)
+    )
 
 
 class Samples:
@@ -77,7 +79,9 @@ TRUTH = np.array([1.0, 2.0, 3.0])
 def parts_of(motions, samples):
     """A sample of each motion; the numbers of logs are any different ones."""
     left = np.split(samples.tau - samples.rows @ TRUTH, len(motions))
-    return [sampled(m, e[:, None], 7 + k) for k, (m, e) in enumerate(zip(motions, left))]
+    return [
+        sampled(m, e[:, None], 7 + k) for k, (m, e) in enumerate(zip(motions, left))
+    ]
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])
@@ -106,7 +110,11 @@ def test_a_part_of_very_many_rows_still_tells_repetition(seed, comes_again):
     one = rng.normal(size=150)
     noise = np.tile(one, count) if comes_again else rng.normal(size=150 * count)
     found = reduce(add, parts_of(*repeated(count, noise))).inflation()[0]
-    assert 0.75 * count < found < 1.25 * count if comes_again else 1.0 <= found < 0.1 * count
+    assert (
+        0.75 * count < found < 1.25 * count
+        if comes_again
+        else 1.0 <= found < 0.1 * count
+    )
 
 
 def test_the_same_log_twice_is_refused(monkeypatch):

@@ -95,8 +95,12 @@ def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolutio
     log = swing.measured(even[keep], resolution)
     uniform = resampled(log)
     assert len(uniform.q) == len(even) and abs(uniform.rate - 1000.0) < 1e-6
-    np.testing.assert_allclose(uniform.q, swing.q(even), rtol=0.0, atol=1e-7 + 2.0 * resolution)
-    np.testing.assert_allclose(uniform.gap, np.where(keep, 0.0, 1e-3 * (missing + 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        uniform.q, swing.q(even), rtol=0.0, atol=1e-7 + 2.0 * resolution
+    )
+    np.testing.assert_allclose(
+        uniform.gap, np.where(keep, 0.0, 1e-3 * (missing + 1)), atol=1e-9
+    )
     assert "resampled to a uniform 1000 Hz" in uniform.notes[0]
 
 

@@ -28,7 +28,9 @@ def forward(robot, period=PERIOD):
     return ForwardPlant(robot, period, robot.reference[None])
 
 
-@pytest.mark.parametrize("name", ["seven", "slide in chain", "coupled fingers", "dry friction"])
+@pytest.mark.parametrize(
+    "name", ["seven", "slide in chain", "coupled fingers", "dry friction"]
+)
 def test_torques_are_rigid_body_dynamics_plus_damping_plus_dry_friction(name):
     robot = robot_of(arms.MODELS[name])
     motion = random_motion(np.random.default_rng(1), robot.n_joints, 5)
@@ -36,7 +38,9 @@ def test_torques_are_rigid_body_dynamics_plus_damping_plus_dry_friction(name):
     expected = ArmDynamics(robot).torque(*motion) + robot.friction.viscous * motion[1]
     expected += ramp_torque(plant.ramp, motion[1], motion[2])
     scale = np.max(np.abs(expected))
-    np.testing.assert_allclose(plant.inverse(*motion), expected, rtol=0.0, atol=1e-9 * scale)
+    np.testing.assert_allclose(
+        plant.inverse(*motion), expected, rtol=0.0, atol=1e-9 * scale
+    )
 
 
 @given(random_chain(), SEEDS)
@@ -69,7 +73,9 @@ def test_actuators_and_contacts_of_the_model_do_not_act():
     np.testing.assert_array_equal(found[0], found[1])
 
 
-@pytest.mark.parametrize("name", ["coupled fingers", "free object beside", "home keyframe"])
+@pytest.mark.parametrize(
+    "name", ["coupled fingers", "free object beside", "home keyframe"]
+)
 def test_what_is_not_in_the_chain_stays_where_it_is(name):
     robot = robot_of(arms.MODELS[name])
     plant = forward(robot)
@@ -83,7 +89,9 @@ def test_what_is_not_in_the_chain_stays_where_it_is(name):
 
 @given(st.floats(1e-3, 100.0))
 def test_steps_are_short_enough_for_the_plants_damping(damping):
-    xml = arms.serial_arm((arms.Z,), joint=f'damping="{damping}"', option='gravity="0 0 0"')
+    xml = arms.serial_arm(
+        (arms.Z,), joint=f'damping="{damping}"', option='gravity="0 0 0"'
+    )
     robot = robot_of(xml)
     plant = forward(robot)
     plant.reset(np.zeros(1), np.ones(1))
@@ -97,7 +105,9 @@ def test_steps_are_short_enough_for_the_plants_damping(damping):
 def test_a_loaded_spring_is_not_taken_for_damping():
     joint = 'damping="0.5" stiffness="{}" springref="-90"'
     loaded, plain = (
-        forward(robot_of(arms.serial_arm((arms.Z, arms.Y), joint=joint.format(stiffness))))
+        forward(
+            robot_of(arms.serial_arm((arms.Z, arms.Y), joint=joint.format(stiffness)))
+        )
         for stiffness in (1000.0, 0.0)
     )
     assert loaded.substeps == plain.substeps
@@ -161,7 +171,9 @@ def inverse_error(robot, timestep, seconds=0.2):
         mean_motion = (q + arm.q) / 2, (arm.q - q) / timestep, (arm.qd - qd) / timestep
         rows.append((*mean_motion, acted, np.sign(qd)))
     q, qd, qdd, acted, direction = (np.array(x) for x in zip(*rows))
-    (inverse,) = simulate_inverse(robot, [Motion(timestep * np.arange(len(q)), q, qd, qdd)])
+    (inverse,) = simulate_inverse(
+        robot, [Motion(timestep * np.arange(len(q)), q, qd, qdd)]
+    )
     # Where a joint turns round, friction and acceleration jump within a step; where one sticks,
     # Coulomb's law does not tell the friction.
     before = direction[:-2]
@@ -226,7 +238,9 @@ def test_steps_of_any_length_add_up():
         whole.step(torque, damping)
         cut.step(torque, damping, 3e-4)
         cut.step(torque, damping, 7e-4)
-    np.testing.assert_allclose(cut.qd, whole.qd, rtol=0.0, atol=2e-3 * np.max(np.abs(whole.qd)))
+    np.testing.assert_allclose(
+        cut.qd, whole.qd, rtol=0.0, atol=2e-3 * np.max(np.abs(whole.qd))
+    )
 
 
 def test_dry_friction_holds_until_its_limit_and_then_resists_with_it():
@@ -251,7 +265,9 @@ def test_a_motor_that_turns_two_joints_holds_and_resists_both():
     not, because the motor then stands still.
     """
     robot = arms.robot_of(WRIST)
-    np.testing.assert_array_equal(robot.friction.torque(np.array([[2.0, -1.0]])), [[0.4, 0.4]])
+    np.testing.assert_array_equal(
+        robot.friction.torque(np.array([[2.0, -1.0]])), [[0.4, 0.4]]
+    )
     arm = ArmStepper(robot, timestep=1e-3)
     run(arm, 0.39, 0.5)
     np.testing.assert_array_equal(arm.qd, 0.0)

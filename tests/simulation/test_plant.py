@@ -18,7 +18,16 @@ from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms
 from tests.support import closed_loop_proof as proof
-from tests.support.arms import FREE_OBJECT_BESIDE, SEVEN, THREE, X, Y, Z, robot_of, serial_arm
+from tests.support.arms import (
+    FREE_OBJECT_BESIDE,
+    SEVEN,
+    THREE,
+    X,
+    Y,
+    Z,
+    robot_of,
+    serial_arm,
+)
 from tests.support.closed_loop import ClosedLoop, ForwardPlant
 
 
@@ -30,11 +39,18 @@ def swing(robot, speed=1.0, duration=4.0, frequency=0.5):
     amplitude[robot.is_slide] *= 0.1
     phase = np.arange(joints)[:, None] * 1.0
     return SineTrajectory(
-        robot.reference, amplitude, np.full(shape, frequency), phase, duration, 0.25 * duration
+        robot.reference,
+        amplitude,
+        np.full(shape, frequency),
+        phase,
+        duration,
+        0.25 * duration,
     )
 
 
-@pytest.mark.parametrize("name", ["seven", "slide in chain", "coupled fingers", "dry friction"])
+@pytest.mark.parametrize(
+    "name", ["seven", "slide in chain", "coupled fingers", "dry friction"]
+)
 def test_the_log_obeys_the_equations_of_motion_and_the_trajectory_is_followed(name):
     robot = robot_of(arms.MODELS[name])
     plan = swing(robot, duration=1.0)
@@ -42,7 +58,9 @@ def test_the_log_obeys_the_equations_of_motion_and_the_trajectory_is_followed(na
     log = proof.recorded(loop)
     ramp = ForwardPlant(robot, loop.period, robot.reference[None]).ramp
     expected = ArmDynamics(robot).torque(log.q, log.qd, log.qdd)
-    expected += robot.friction.viscous * log.qd + proof.ramp_torque(ramp, log.qd, log.qdd)
+    expected += robot.friction.viscous * log.qd + proof.ramp_torque(
+        ramp, log.qd, log.qdd
+    )
     scale = np.max(np.abs(expected))
     np.testing.assert_allclose(log.tau, expected, rtol=0.0, atol=1e-8 * scale)
     assert np.max(np.abs(log.q - plan.evaluate(log.time).q)) < 1e-3
@@ -52,7 +70,10 @@ def effective_torque_error(robot, sample_rate):
     """RMS of (reported torque - inverse dynamics of the differentiated positions) [N m]."""
     loop = ClosedLoop(robot, swing(robot, speed=2.0), sample_rate)
     log = proof.differentiated(proof.recorded(loop), sample_rate)
-    expected = ArmDynamics(robot).torque(log.q, log.qd, log.qdd) + robot.friction.viscous * log.qd
+    expected = (
+        ArmDynamics(robot).torque(log.q, log.qd, log.qdd)
+        + robot.friction.viscous * log.qd
+    )
     return float(np.sqrt(np.mean((log.tau - expected) ** 2)))
 
 
@@ -65,10 +86,16 @@ def test_reported_torque_is_the_effective_torque_to_second_order_in_the_period()
     assert fine < 1e-4
 
 
-@pytest.mark.parametrize(("rate", "period"), [(1000.0, 1e-3), (100.0, 2e-3), (300.0, 1.0 / 600.0)])
-def test_the_control_period_divides_the_sample_period_and_is_at_most_the_models_step(rate, period):
+@pytest.mark.parametrize(
+    ("rate", "period"), [(1000.0, 1e-3), (100.0, 2e-3), (300.0, 1.0 / 600.0)]
+)
+def test_the_control_period_divides_the_sample_period_and_is_at_most_the_models_step(
+    rate, period
+):
     robot = robot_of(arms.THREE)
-    assert ClosedLoop(robot, swing(robot), rate).period == pytest.approx(period, rel=1e-12)
+    assert ClosedLoop(robot, swing(robot), rate).period == pytest.approx(
+        period, rel=1e-12
+    )
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +164,8 @@ def test_reading_twice_gives_the_same_measurements(plant, plan):
 
 def test_noise_levels_and_trajectory_must_fit_the_plant(plant, plan):
     with pytest.raises(
-        InputError, match="--noise-torque takes one number, or one for each of the 3 joints"
+        InputError,
+        match="--noise-torque takes one number, or one for each of the 3 joints",
     ):
         run(plant, plan, noise_torque=(0.1, 0.2))
     other = robot_of(arms.SEVEN)
@@ -171,14 +199,22 @@ def test_a_plant_may_have_other_things_around_the_arm(robot, arm_file):
 @pytest.mark.parametrize(
     ("xml", "words"),
     [
-        (SEVEN.replace("joint2", "j2"), "has no joint joint2, the last joint of arm.xml.*j2"),
-        (THREE.replace("joint1", "roll"), "joint0, roll, joint2 instead of joint0, joint1, joint2"),
+        (
+            SEVEN.replace("joint2", "j2"),
+            "has no joint joint2, the last joint of arm.xml.*j2",
+        ),
+        (
+            THREE.replace("joint1", "roll"),
+            "joint0, roll, joint2 instead of joint0, joint1, joint2",
+        ),
         (
             THREE.replace('name="joint1"', 'name="joint1" type="slide"'),
             "joint1 is a slide instead of a hinge",
         ),
         (
-            THREE.replace("joint0", "t").replace("joint1", "joint0").replace('"t"', '"joint1"'),
+            THREE.replace("joint0", "t")
+            .replace("joint1", "joint0")
+            .replace('"t"', '"joint1"'),
             "joint1, joint0, joint2 instead of joint0, joint1, joint2",
         ),
     ],

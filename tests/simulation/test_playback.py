@@ -62,7 +62,9 @@ def inputs(robot, seed=0):
     rng = np.random.default_rng(seed)
     shape = (COUNT, robot.n_joints)
     torque = rng.normal(0.0, 5.0, (COUNT, STEPS, robot.n_joints))
-    return playback.Inputs(rng.uniform(-1.0, 1.0, shape), rng.normal(size=shape), torque)
+    return playback.Inputs(
+        rng.uniform(-1.0, 1.0, shape), rng.normal(size=shape), torque
+    )
 
 
 def test_rollouts_on_threads_are_the_same_as_single_steps(monkeypatch):
@@ -86,7 +88,9 @@ def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(monkeypatch):
     torque[1, 10:] = 1e15
     for has_threads in (playback._has_threads(), False):
         monkeypatch.setattr(playback, "_has_threads", lambda has=has_threads: has)
-        found = playback.Roller(robot, model)(playback.Inputs(usual.q, usual.qd, torque))
+        found = playback.Roller(robot, model)(
+            playback.Inputs(usual.q, usual.qd, torque)
+        )
         np.testing.assert_array_equal(found[[0, 2, 3]], whole[[0, 2, 3]])
         np.testing.assert_array_equal(found[1, :10], whole[1, :10])
         assert np.all(np.isnan(found[1, 13:]))

@@ -59,7 +59,10 @@ def test_a_delayed_torque_is_the_torque_that_much_earlier(delay):
 
 @pytest.mark.parametrize(
     ("spoil", "option"),
-    [({"noise_torque": -0.1}, "--noise-torque"), ({"torque_delay": 5.0}, "--torque-delay")],
+    [
+        ({"noise_torque": -0.1}, "--noise-torque"),
+        ({"torque_delay": 5.0}, "--torque-delay"),
+    ],
 )
 def test_impossible_sensors_are_refused_by_the_option_name(spoil, option):
     with pytest.raises(InputError, match=option):

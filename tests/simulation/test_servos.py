@@ -20,7 +20,9 @@ def window(seed=0):
 
 def played(robot, choice, start=None):
     """Positions of one choice of servos in one window."""
-    return next(servos.ServoRollouts(robot).played([choice], [start or window()], EDGES))[0]
+    return next(
+        servos.ServoRollouts(robot).played([choice], [start or window()], EDGES)
+    )[0]
 
 
 def test_the_models_own_servos_move_it_as_mujoco_does():
@@ -48,8 +50,12 @@ def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
     model = servos.servo_copy(robot, 0.002)
     servos.set_servos(model, robot, TRUTH)
     servos.set_servos(model, robot, changed)
-    np.testing.assert_allclose(model.dof_damping, factor * robot.mj_model.dof_damping, rtol=1e-12)
-    np.testing.assert_allclose(-model.actuator_biasprm[:, 2], factor * own.damping, rtol=1e-12)
+    np.testing.assert_allclose(
+        model.dof_damping, factor * robot.mj_model.dof_damping, rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        -model.actuator_biasprm[:, 2], factor * own.damping, rtol=1e-12
+    )
 
 
 def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
@@ -58,7 +64,8 @@ def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
     assert servos.actuators_of(bare).index.tolist() == [servos.NONE, servos.NONE]
     both = [servos.model_servos(whole), TRUTH]
     rollouts = [
-        servos.ServoRollouts(robot).played(both, [window()], EDGES) for robot in (whole, bare)
+        servos.ServoRollouts(robot).played(both, [window()], EDGES)
+        for robot in (whole, bare)
     ]
     found = [[*each][1] for each in rollouts]
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
@@ -68,7 +75,10 @@ def test_choices_played_together_do_not_disturb_each_other():
     robot = robot_of(XML)
     late = replace(TRUTH, delay=0.05)
     choices = [TRUTH, late, replace(late, armature=2.0 * late.armature), TRUTH]
-    together = [each[0] for each in servos.ServoRollouts(robot).played(choices, [window()], EDGES)]
+    together = [
+        each[0]
+        for each in servos.ServoRollouts(robot).played(choices, [window()], EDGES)
+    ]
     np.testing.assert_array_equal(together, [played(robot, each) for each in choices])
 
 
@@ -93,10 +103,14 @@ def test_commands_act_late_and_hold_until_the_next(delay):
 
 
 @pytest.mark.skipif(
-    not hasattr(mujoco.MjModel, "actuator_delay"), reason="actuators of this MuJoCo cannot act late"
+    not hasattr(mujoco.MjModel, "actuator_delay"),
+    reason="actuators of this MuJoCo cannot act late",
 )
 def test_a_delay_of_the_models_own_does_not_act_a_second_time():
     delayed = XML.replace(' kp="100"', ' kp="100" delay="0.04" nsample="50"')
     robots = [robot_of(each) for each in (XML, delayed)]
-    found = [played(robot, replace(servos.model_servos(robot), delay=0.04)) for robot in robots]
+    found = [
+        played(robot, replace(servos.model_servos(robot), delay=0.04))
+        for robot in robots
+    ]
     np.testing.assert_array_equal(*found)

@@ -16,7 +16,11 @@ from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
-from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory, together
+from robot_sysid.damiao.trajectory import (
+    export_damiao_trajectory,
+    read_damiao_trajectory,
+    together,
+)
 from robot_sysid.errors import SysidError
 from robot_sysid.motion.limit_check import as_one
 from robot_sysid.parser import load_robot_model
@@ -43,11 +47,15 @@ class PairRun:
     phases: list = field(default_factory=list)
 
 
-def play_openarms(folder: Path, cables_are_exchanged: bool, duration: float = 5.0) -> PairRun:
+def play_openarms(
+    folder: Path, cables_are_exchanged: bool, duration: float = 5.0
+) -> PairRun:
     """Play both OpenArms, each with its own motion, from a pose in which they mirror each other."""
     arm = ARMS["openarm"]
     sides = ("left", "right")
-    arms = [load_robot_model(arm.truth, joint=f"openarm_{side}_joint7") for side in sides]
+    arms = [
+        load_robot_model(arm.truth, joint=f"openarm_{side}_joint7") for side in sides
+    ]
     pair = as_one(*arms)
     n_joints = arms[0].n_joints
     pose = np.where(np.arange(pair.n_joints) % n_joints == ELBOW, BENT, 0.0)
@@ -61,17 +69,25 @@ def play_openarms(folder: Path, cables_are_exchanged: bool, duration: float = 5.
         export_damiao_trajectory([rows], arm.motor_types, path)
         file = read_damiao_trajectory(path)
         named = zip(file.joints, arms[bus].joint_names)
-        joints = [replace(j, bus=bus, channel=f"can{bus}", name=name) for j, name in named]
+        joints = [
+            replace(j, bus=bus, channel=f"can{bus}", name=name) for j, name in named
+        ]
         files.append(replace(file, joints=tuple(joints)))
     plan = Plan(
-        together(*files), PlaySettings(rate=250.0), BusTiming(), Permissions(directions=True)
+        together(*files),
+        PlaySettings(rate=250.0),
+        BusTiming(),
+        Permissions(directions=True),
     )
     joints = plan.trajectory.joints
     stepper = ArmStepper(pair, plan.trajectory.q[0], PHYSICS_STEP)
     cabled = [replace(j, bus=1 - j.bus) if cables_are_exchanged else j for j in joints]
     clock = SimulatedClock()
     wire = SimulatedLink(
-        clock, SimulatedArm(stepper, [simulated_motor(j) for j in cabled]), BusTiming(), echo=True
+        clock,
+        SimulatedArm(stepper, [simulated_motor(j) for j in cabled]),
+        BusTiming(),
+        echo=True,
     )
     link = GuardedLink(wire, clock, False, ("can0", "can1"))
     record = PairRun()

@@ -57,7 +57,9 @@ def serial_bodies(axes, tip="", joint='range="-2.5 2.5"', prefix="", tip_inertia
     return content
 
 
-def serial_arm(axes, tip="", option="", extra="", joint='range="-2.5 2.5"', tip_inertial=TIP):
+def serial_arm(
+    axes, tip="", option="", extra="", joint='range="-2.5 2.5"', tip_inertial=TIP
+):
     """A whole model with one serial arm."""
     return world(serial_bodies(axes, tip, joint, "", tip_inertial), option, extra)
 
@@ -78,7 +80,11 @@ SLIDE_IN_CHAIN = world(
         hinge("turn", Z),
         link(
             '<joint name="lift" type="slide" axis="0 .1 1" range="-.2 .4"/>',
-            link(hinge("bend", Y), link(hinge("roll", X), "", "tip", inertial=TIP), "forearm"),
+            link(
+                hinge("bend", Y),
+                link(hinge("roll", X), "", "tip", inertial=TIP),
+                "forearm",
+            ),
             "carriage",
         ),
         "column",
@@ -101,7 +107,9 @@ SHARED_BODIES = world(
     )
 )
 UNLIMITED = serial_arm((Z, Y, X), joint="")
-NAMELESS = world(link(hinge("", Z), link(hinge("", Y), link(hinge("", X), inertial=TIP))))
+NAMELESS = world(
+    link(hinge("", Z), link(hinge("", Y), link(hinge("", X), inertial=TIP)))
+)
 COUPLED_FINGERS = serial_arm(
     (Z, Y, Z, Y, X, Z),
     tip=fingers(),
@@ -133,8 +141,12 @@ TILTED_GRAVITY = serial_arm((Z, Y, X), option='gravity="3 -4 8"')
 NO_GRAVITY = THREE.replace("<option />", '<option><flag gravity="disable"/></option>')
 IN_WATER = serial_arm((Z, Y, X), option='density="1000" viscosity=".1" wind="1 2 0"')
 ARMATURE = serial_arm((Z, Y, X), joint='range="-2.5 2.5" armature=".3"')
-DRY_FRICTION = serial_arm((Z, Y, X), joint='range="-2 2" frictionloss="1.5" damping="2"')
-SPRINGS = serial_arm((Z, Y, X), joint='range="-2 2" stiffness="30" springref=".7" damping=".5"')
+DRY_FRICTION = serial_arm(
+    (Z, Y, X), joint='range="-2 2" frictionloss="1.5" damping="2"'
+)
+SPRINGS = serial_arm(
+    (Z, Y, X), joint='range="-2 2" stiffness="30" springref=".7" damping=".5"'
+)
 TENDON_SPRING = serial_arm(
     (Z, Y, X),
     extra='<tendon><fixed stiffness="25" springlength=".2" damping="3"><joint joint="joint1" '
@@ -178,7 +190,8 @@ MODELS = {
     "limits violated": serial_arm((Z, Y, X), joint='range=".5 .6"'),
     "home keyframe": HOME_KEYFRAME,
     "discrete inverse": THREE.replace(
-        "<option />", '<option integrator="implicitfast"><flag invdiscrete="enable"/></option>'
+        "<option />",
+        '<option integrator="implicitfast"><flag invdiscrete="enable"/></option>',
     ),
 }
 # Attributes that came with later releases of MuJoCo; older ones refuse these models.
@@ -190,7 +203,8 @@ NEWER_MODELS = {
     "tendon armature": TENDON_SPRING.replace("<fixed ", '<fixed armature=".2" '),
     "shared motor": SHARED_MOTOR,
     "actuator armature": serial_arm(
-        (Z, Y, X), extra='<actuator><motor joint="joint2" armature=".05" damping=".4"/></actuator>'
+        (Z, Y, X),
+        extra='<actuator><motor joint="joint2" armature=".05" damping=".4"/></actuator>',
     ),
 }
 
@@ -204,7 +218,9 @@ def robot_of(xml, joint=None, max_velocity=2.0, keyframe=None):
     """RobotModel of an XML string or a compiled model."""
     mj_model = compile_xml(xml) if isinstance(xml, str) else xml
     compiled = CompiledModel(mj_model, (), "", "mjcf")
-    return robot_from_compiled(compiled, Path("inline.xml"), joint, max_velocity, keyframe)
+    return robot_from_compiled(
+        compiled, Path("inline.xml"), joint, max_velocity, keyframe
+    )
 
 
 def write_body(mj_model, body, theta):
@@ -230,7 +246,9 @@ def random_motion(rng, joints, samples, speed=2.0):
 def rows_and_rest(robot, motion):
     """Rows (N, n, 10) of the terminal link and the torque (N, n) of the rest of the arm."""
     equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
-    each = np.stack([*equations.bodies(Motion(np.arange(len(motion[0])), *motion))], axis=1)
+    each = np.stack(
+        [*equations.bodies(Motion(np.arange(len(motion[0])), *motion))], axis=1
+    )
     return each[..., :-1], each[..., -1]
 
 
@@ -270,7 +288,9 @@ def _random_axis(rng, kind):
 def _random_joint(rng, kind, slide):
     axis = _vector(_random_axis(rng, kind))
     origin = _vector(0.2 * rng.normal(size=3) * rng.integers(0, 2))
-    return f'<joint type="{"slide" if slide else "hinge"}" axis="{axis}" pos="{origin}"/>'
+    return (
+        f'<joint type="{"slide" if slide else "hinge"}" axis="{axis}" pos="{origin}"/>'
+    )
 
 
 def _random_inertial(rng):
@@ -289,14 +309,24 @@ def random_chain(draw, axes=("any", "any", "parallel", "nearly parallel")):
     """XML of a serial arm: any axes, hinges and slides, several joints per body, any gravity."""
     rng = np.random.default_rng(draw(SEEDS))
     kind = draw(st.sampled_from(axes))
-    bodies = draw(st.lists(st.lists(st.booleans(), min_size=1, max_size=3), min_size=1, max_size=5))
-    content = draw(st.sampled_from(["", fingers(), "<body>" + _random_inertial(rng) + "</body>"]))
+    bodies = draw(
+        st.lists(
+            st.lists(st.booleans(), min_size=1, max_size=3), min_size=1, max_size=5
+        )
+    )
+    content = draw(
+        st.sampled_from(["", fingers(), "<body>" + _random_inertial(rng) + "</body>"])
+    )
     for joints in reversed(bodies):
         pos = _vector(0.3 * rng.normal(size=3))
         quat = _vector(rng.normal(size=4))
         inner = "".join(_random_joint(rng, kind, slide) for slide in joints) + content
-        content = f'<body pos="{pos}" quat="{quat}">{_random_inertial(rng)}{inner}</body>'
+        content = (
+            f'<body pos="{pos}" quat="{quat}">{_random_inertial(rng)}{inner}</body>'
+        )
     gravity = draw(
-        st.sampled_from([np.zeros(3), np.array([0, 0, -9.81]), 9.81 * rng.normal(size=3)])
+        st.sampled_from(
+            [np.zeros(3), np.array([0, 0, -9.81]), 9.81 * rng.normal(size=3)]
+        )
     )
     return world(content, f'gravity="{_vector(gravity)}"')

@@ -39,7 +39,9 @@ class ScriptedClock(SimulatedClock):
 @contextlib.contextmanager
 def heard_signals():
     """Signals that are not ignored, also where nohup or a shell's ``&`` started the tests."""
-    before = {number: signal.signal(number, signal.default_int_handler) for number in STOPPING}
+    before = {
+        number: signal.signal(number, signal.default_int_handler) for number in STOPPING
+    }
     try:
         yield
     finally:

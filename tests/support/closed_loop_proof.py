@@ -30,7 +30,9 @@ FIRST = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840.0
 SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040.0
 
 
-def plant_from(robot, armature=0.1, coulomb=0.4, viscous=0.1, payload=1.4, time_step=0.002):
+def plant_from(
+    robot, armature=0.1, coulomb=0.4, viscous=0.1, payload=1.4, time_step=0.002
+):
     """The robot with MuJoCo friction and armature in every joint and a heavier terminal link."""
     model = copy.copy(robot.mj_model)
     chain = robot.dof_index
@@ -80,9 +82,13 @@ def differentiated(log, sample_rate):
 def identified(robot, log, deadband, terms=TERMS):
     """Estimate of the terminal link and of every joint's friction; slow rows are left out."""
     equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
-    rows_of_joint = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    rows_of_joint = InformationAccumulator(
+        equations.names, equations.joints, equations.columns
+    )
     for index, (rows, tau) in enumerate(equations.rows(log)):
-        fast = np.abs(log.qd[:, index]) > np.broadcast_to(deadband, robot.n_joints)[index]
+        fast = (
+            np.abs(log.qd[:, index]) > np.broadcast_to(deadband, robot.n_joints)[index]
+        )
         rows_of_joint.add(index, rows[fast], tau[fast])
     return identify_parameters(rows_of_joint.result(), equations.prior)
 
@@ -107,7 +113,11 @@ def errors_of(estimate, plant):
         "armature": plant.mj_model.dof_armature[plant.dof_index],
     }
     worst = [
-        np.max(np.abs(np.array([estimate.value(f"{term}[{j}]") for j in joints]) / value - 1.0))
+        np.max(
+            np.abs(
+                np.array([estimate.value(f"{term}[{j}]") for j in joints]) / value - 1.0
+            )
+        )
         for term, value in truth.items()
     ]
     mass = abs(estimate.inertial.mass / plant.prior.mass - 1.0)

@@ -48,7 +48,9 @@ class CommandLine:
         before = files_in(self._folder)
         printed = self.run(*arguments, code=code)
         assert files_in(self._folder) == before
-        errors = [line for line in printed.err.splitlines() if not line.startswith("note: ")]
+        errors = [
+            line for line in printed.err.splitlines() if not line.startswith("note: ")
+        ]
         assert len(errors) == 1, printed.err
         assert errors[0].startswith("robot-sysid: error: ")
         return errors[0]

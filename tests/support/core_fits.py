@@ -21,7 +21,10 @@ from robot_sysid.signals.resampling import pieces_of
 from tests.support.measured_logs import CUTOFF
 
 BASIC = CANDIDATES[0]
-KNOWN = {f"{cause}_uncertainty": 0.0 for cause in ("link", "scale", "zero", "gravity", "friction")}
+KNOWN = {
+    f"{cause}_uncertainty": 0.0
+    for cause in ("link", "scale", "zero", "gravity", "friction")
+}
 """Noise is all that is not known."""
 SURE = EstimationOptions(zero_uncertainty=0.0, gravity_uncertainty=0.0)
 """Encoders and level are exact, so that nothing can turn a body."""

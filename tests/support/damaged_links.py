@@ -62,7 +62,9 @@ class Damage:
     joint: int
 
     def __str__(self):
-        unit = {"position": " rad", "velocity": " (bit)", "torque": " (bit)"}.get(self.field, "")
+        unit = {"position": " rad", "velocity": " (bit)", "torque": " (bit)"}.get(
+            self.field, ""
+        )
         size = "" if self.field == "text" else f" {self.size:g}{unit}"
         return f"{self.field}{size}"
 
@@ -137,7 +139,9 @@ class FaultyLink:
         if not frames.is_special(frame.data):
             limit = self._joints[joint_index].spec.limits[0]
             code = int.from_bytes(frame.data[:2], "big")
-            self.commands.append((now, joint_index, code / 0xFFFF * 2.0 * limit - limit))
+            self.commands.append(
+                (now, joint_index, code / 0xFFFF * 2.0 * limit - limit)
+            )
         elif frame.data[7] == frames.ENABLE and self.enabled_at is None:
             self.enabled_at = now
         elif frame.data[7] == frames.DISABLE and self.disabled_at is None:
@@ -179,7 +183,9 @@ class FaultyLink:
         """Return the times (N,) of a joint's commands and their positions (N,), for each joint."""
         paths = []
         for joint_index in range(n_joints):
-            rows = [(time, p) for time, index, p in self.commands if index == joint_index]
+            rows = [
+                (time, p) for time, index, p in self.commands if index == joint_index
+            ]
             paths.append(np.array(rows).reshape(-1, 2).T)
         return paths
 

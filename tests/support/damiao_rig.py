@@ -23,7 +23,10 @@ from robot_sysid.damiao.simulated import (
     SimulatedMotor,
     simulated_motor,
 )
-from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.damiao.trajectory import (
+    export_damiao_trajectory,
+    read_damiao_trajectory,
+)
 from tests.support.clocks import ScriptedClock
 from tests.support.links import RememberingLink, SlowAdapter
 from tests.support.recordings import read_recording
@@ -175,7 +178,9 @@ class Rig:
     ):
         trajectory = trajectory_file(folder, motion or swing(n_joints, duration=1.0))
         self.motors = [motor(joint, watchdog) for joint in trajectory.joints]
-        self.arm = SimulatedArm(Pendulums(n_joints, start), [*self.motors, *extra_motors])
+        self.arm = SimulatedArm(
+            Pendulums(n_joints, start), [*self.motors, *extra_motors]
+        )
         for cause in faults:
             cause(self)
         self.states_before = self.states()
@@ -205,7 +210,10 @@ class Rig:
     def mount(self, j, can_id=None, master_id=None, **how):
         """Mount a motor in another way, and let the plan know it."""
         joints = list(self.plan.trajectory.joints)
-        ids = {"can_id": can_id or joints[j].can_id, "master_id": master_id or joints[j].master_id}
+        ids = {
+            "can_id": can_id or joints[j].can_id,
+            "master_id": master_id or joints[j].master_id,
+        }
         self.motors[j].joint = joints[j] = replace(joints[j], **ids, **how)
         held = self.motors[j].registers
         held[frames.ESC_ID] = ids["can_id"]
@@ -254,7 +262,9 @@ class Rig:
         try:
             self.checks = bus_checks(self.plan, inspection)
             self.plan.recording.require_free()
-            self.report = run(self.link, self.plan, inspection, self.stop, *told, *self.how)
+            self.report = run(
+                self.link, self.plan, inspection, self.stop, *told, *self.how
+            )
         except Exception as error:
             self.error = error
         self.arm.advance(self.clock.now() + settle)
@@ -285,7 +295,9 @@ class Rig:
 
     def assert_harmless(self):
         """Nothing was sent that stores something in a motor or clears an error."""
-        special = [frame.data[7] for frame in self.wire.sent if frames.is_special(frame.data)]
+        special = [
+            frame.data[7] for frame in self.wire.sent if frames.is_special(frame.data)
+        ]
         assert set(special) <= {frames.ENABLE, frames.DISABLE}
 
     def assert_nothing_lost(self):
@@ -293,7 +305,11 @@ class Rig:
         recording = self.recording
         positions = recording.joint_values("pos")
         for j, joint in enumerate(self.plan.trajectory.joints):
-            arrived = [f for f in self.play_frames if f.id == joint.master_id and not f.error]
+            arrived = [
+                f for f in self.play_frames if f.id == joint.master_id and not f.error
+            ]
             kept = np.count_nonzero(np.isfinite(positions[:, j]))
-            assert kept + np.nansum(recording.joint_values("doubted")[:, j]) == len(arrived)
+            assert kept + np.nansum(recording.joint_values("doubted")[:, j]) == len(
+                arrived
+            )
         return recording

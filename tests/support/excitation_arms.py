@@ -32,9 +32,9 @@ TUBES = tube_arm((Z, Y, X, Y))
 TUBES_AND_POST = tube_arm((Z, Y, X, Y), POST)
 TUBES_ON_FLOOR = tube_arm((Z, Y, X, Y), FLOOR)
 # The last link lies in the second one at rest, as neighbouring links of public models do.
-TOUCHING_AT_REST = tube_arm((Z, Y, X, Y), POST, joint='range="-2.5 2.5"', pos="0 0 .25").replace(
-    _TUBE, '<geom type="capsule" size=".03" fromto="0 0 -.1 0 0 .3"/>'
-)
+TOUCHING_AT_REST = tube_arm(
+    (Z, Y, X, Y), POST, joint='range="-2.5 2.5"', pos="0 0 .25"
+).replace(_TUBE, '<geom type="capsule" size=".03" fromto="0 0 -.1 0 0 .3"/>')
 
 DURATION = 6.0
 SMALL = {"draws": 6, "starts": 1, "rounds": 1, "iterations": 8, "workers": 1}
@@ -54,7 +54,11 @@ def options(**changes):
 
 @cache
 def problem(
-    xml, torques="chain", noise_torque=DEFAULT_NOISE_TORQUE, top=TOP_FREQUENCY_HZ, **limits
+    xml,
+    torques="chain",
+    noise_torque=DEFAULT_NOISE_TORQUE,
+    top=TOP_FREQUENCY_HZ,
+    **limits,
 ):
     """ExcitationProblem of an XML string; further arguments are those of ``LimitOptions``."""
     return build_problem(robot(xml), LimitOptions(**limits), torques, noise_torque, top)
@@ -76,4 +80,6 @@ def random_x(some_design, seed, size=0.3):
 
 def slope(function, x, direction, step=1e-6):
     """Central difference of a function along a direction."""
-    return (function(x + step * direction) - function(x - step * direction)) / (2.0 * step)
+    return (function(x + step * direction) - function(x - step * direction)) / (
+        2.0 * step
+    )

@@ -30,7 +30,10 @@ from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import SimulatedLink
-from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.damiao.trajectory import (
+    export_damiao_trajectory,
+    read_damiao_trajectory,
+)
 from robot_sysid.dynamics.kinematics import analysis_copy
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
@@ -73,7 +76,15 @@ class Arm:
     guess: Path | None = None
 
 
-STRONG_SHOULDER = ("DM8009", "DM10010L", "DM8009", "DM8009", "DM4340", "DM4340", "DM4340")
+STRONG_SHOULDER = (
+    "DM8009",
+    "DM10010L",
+    "DM8009",
+    "DM8009",
+    "DM4340",
+    "DM4340",
+    "DM4340",
+)
 ARMS = {
     "kinova": Arm(TRUTH, STRONG_SHOULDER, (20.0, 33.0), guess=GUESS),
     "openarm": Arm(
@@ -87,7 +98,9 @@ ARMS = {
         ("DM10010L", "DM10010L", "DM8009", "DM4340", "DM4340", "DM4340"),
         (20.0, 35.0),
     ),
-    "xarm7": Arm(MODELS / "ufactory_xarm7" / "xarm7.xml", STRONG_SHOULDER, (20.0, 33.0)),
+    "xarm7": Arm(
+        MODELS / "ufactory_xarm7" / "xarm7.xml", STRONG_SHOULDER, (20.0, 33.0)
+    ),
 }
 
 
@@ -168,7 +181,9 @@ def loaded_poses(arm_name, count=5):
     least, most = ARMS[arm_name].shoulder_load
     lower = np.maximum(robot.limits.lower, -1.8) + 0.6
     upper = np.minimum(robot.limits.upper, 1.8) - 0.6
-    middle = 0.5 * (np.clip(robot.limits.lower, -9.0, 9.0) + np.clip(robot.limits.upper, -9.0, 9.0))
+    middle = 0.5 * (
+        np.clip(robot.limits.lower, -9.0, 9.0) + np.clip(robot.limits.upper, -9.0, 9.0)
+    )
     is_narrow = lower >= upper
     lower = np.where(is_narrow, middle, lower)
     upper = np.where(is_narrow, middle, upper)
@@ -228,7 +243,9 @@ def exported_trajectory(setup):
     tau = np.asarray(ArmTorque(robot)(Motion(time_, q, qd, qdd)))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "damiao_trajectory.csv"
-        export_damiao_trajectory([(time_, q, qd, tau)], ARMS[setup.arm].motor_types, path)
+        export_damiao_trajectory(
+            [(time_, q, qd, tau)], ARMS[setup.arm].motor_types, path
+        )
         return read_damiao_trajectory(path)
 
 
@@ -334,15 +351,21 @@ class BenchRun:
         self._branch_in("")
         record = self._record(self._played())
         if self._case_number is not None:
-            (self._folder / f"{self._case_number}.pickle").write_bytes(pickle.dumps(record))
+            (self._folder / f"{self._case_number}.pickle").write_bytes(
+                pickle.dumps(record)
+            )
             os._exit(0)
         while self._children:
             self._wait_for_one()
         return record, self._case_records()
 
     def _case_records(self):
-        paths = {number: self._folder / f"{number}.pickle" for number in self._begun_cases}
-        return {number: pickle.loads(path.read_bytes()) for number, path in paths.items()}
+        paths = {
+            number: self._folder / f"{number}.pickle" for number in self._begun_cases
+        }
+        return {
+            number: pickle.loads(path.read_bytes()) for number, path in paths.items()
+        }
 
     @property
     def _begun_cases(self):
@@ -444,7 +467,9 @@ def outcomes_of(cases, jobs=2):
             if number in records:
                 yield judged_outcome(case, records[number], clean)
             else:
-                print(f"{case.name}: phase {case.phase!r} never began, or the run crashed")
+                print(
+                    f"{case.name}: phase {case.phase!r} never began, or the run crashed"
+                )
 
 
 @cache
@@ -540,7 +565,9 @@ def _clean_span(record, clean, begin, end):
     phase itself has another length, all of it counts.
     """
     begun = [(moment, words) for moment, words in record.phases if moment <= begin]
-    phases = [(moment, words) for moment, words in begun if not words.startswith("stopping")]
+    phases = [
+        (moment, words) for moment, words in begun if not words.startswith("stopping")
+    ]
     if not phases:
         return begin, end
     phase_begin, words = phases[-1]
@@ -560,11 +587,17 @@ def _departures(record, clean, onset, until):
     departure = np.zeros(record.q.shape[1])
     step = 0.02
     for begin in np.arange(onset, min(stop_at, until), step):
-        inside = (record.time >= begin) & (record.time < min(begin + step, stop_at, until))
+        inside = (record.time >= begin) & (
+            record.time < min(begin + step, stop_at, until)
+        )
         if np.any(inside):
             clean_begin, clean_end = _clean_span(record, clean, begin, begin + step)
-            hull = _path_hull(clean, clean_begin - WINDOW_BEFORE, clean_end + WINDOW_BEFORE)
-            departure = np.maximum(departure, _beyond(record.q[inside], *hull).max(axis=0))
+            hull = _path_hull(
+                clean, clean_begin - WINDOW_BEFORE, clean_end + WINDOW_BEFORE
+            )
+            departure = np.maximum(
+                departure, _beyond(record.q[inside], *hull).max(axis=0)
+            )
     inside = (record.time >= stop_at) & (record.time <= until)
     if np.any(inside):
         clean_begin, clean_end = _clean_span(record, clean, stop_at, stop_at)

@@ -154,7 +154,9 @@ class FaultyArm(SimulatedArm):
         motors = self.motors[: self.mechanism.n_joints]
         states = [motor.status for motor in motors]
         if self._rows is None or states != self._states:
-            rows = [(*motor.command, motor.brake, motor.peak_torque) for motor in motors]
+            rows = [
+                (*motor.command, motor.brake, motor.peak_torque) for motor in motors
+            ]
             self._rows = np.array(rows).T
             self._states = states
             self._driving = np.array([motor.driving for motor in motors])

@@ -65,13 +65,17 @@ class ImperfectArm:
         self.off = off
         strong = np.arange(n) < n // 2 + 1
         self.size = np.where(strong, STRONG, WEAK)
-        self.thetas = np.array([_wrong(link.theta, off.links, rng) for link in robot.links])
+        self.thetas = np.array(
+            [_wrong(link.theta, off.links, rng) for link in robot.links]
+        )
         drawn = 1.0 + off.scale * rng.standard_normal(n)
         self.scale = drawn if scale is None else scale
         self.zero = off.zero * rng.standard_normal(n)
         direction = rng.uniform(0.0, 2.0 * np.pi)
         self.tilt = off.tilt * np.array([np.cos(direction), np.sin(direction)])
-        self.dynamics = LinkDynamics(with_gravity(robot, turned(gravity(robot), self.tilt)))
+        self.dynamics = LinkDynamics(
+            with_gravity(robot, turned(gravity(robot), self.tilt))
+        )
         self.coulomb = rng.uniform(0.5, 1.5, n) * self.size
         self.viscous = rng.uniform(0.3, 1.0, n) * self.size
         self.load = np.where(strong, off.load * rng.uniform(0.7, 1.3, n), 0.0)

@@ -79,7 +79,9 @@ def text() -> str:
         refused = refused_by(function)
         name = function.title().replace("_", "")
         named = [(each, n, o) for each in records for n, o in options_of(each).items()]
-        aliases.update((_alias(option), None) for _, _, option in named if _has_alias(option))
+        aliases.update(
+            (_alias(option), None) for _, _, option in named if _has_alias(option)
+        )
         lines = {
             f"    {option.key}: {type_of(option, default_of(record, attribute))}\n"
             for record, attribute, option in named
@@ -103,7 +105,9 @@ def text() -> str:
             parts.append(_class(f"_{''.join(names)}", ["TypedDict"], shared))
             for name in names:
                 bases[name].append(f"_{''.join(names)}")
-    every = ((f"{n}Keywords", bases[n] or ["TypedDict"], homes.get((n,), [])) for n in order)
+    every = (
+        (f"{n}Keywords", bases[n] or ["TypedDict"], homes.get((n,), [])) for n in order
+    )
     return "\n".join([*parts, *(_class(*each) for each in every)])
 
 

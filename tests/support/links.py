@@ -62,5 +62,7 @@ class SlowAdapter:
                 return frame
             if frame is not None:
                 last = self._held[-1].time if self._held else 0.0
-                self._held.append(frame._replace(time=max(frame.time + self.delay(), last)))
+                self._held.append(
+                    frame._replace(time=max(frame.time + self.delay(), last))
+                )
         return self._held.pop(0)

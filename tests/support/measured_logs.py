@@ -49,7 +49,9 @@ def log_of(plant, plan=None, seed=1, rate=RATE, **sensors):
     """What the sensors of an arm report along a trajectory."""
     options = SimulatedArmOptions(**sensors)
     rng = np.random.default_rng(seed)
-    return join_measurements(PlantSimulation(plant, plan or plan_of(plant), options, rate, rng))
+    return join_measurements(
+        PlantSimulation(plant, plan or plan_of(plant), options, rate, rng)
+    )
 
 
 def equations_of(robot, torques="chain"):

@@ -51,9 +51,13 @@ def write_files(folder: Path, files: dict[str, str]) -> Path:
     return folder / next(iter(files))
 
 
-def random_theta(rng: np.random.Generator, mass: float = 1.0, size: float = 0.1) -> np.ndarray:
+def random_theta(
+    rng: np.random.Generator, mass: float = 1.0, size: float = 0.1
+) -> np.ndarray:
     """theta of a random rigid body of this mass [kg] and size [m], anywhere near its origin."""
     factor = rng.normal(size=(4, 4))
     pseudo = factor @ factor.T + 0.02 * np.eye(4)
     scale = np.diag([size, size, size, 1.0])
-    return spatial.theta_from_pseudo_inertia(mass * scale @ pseudo @ scale / pseudo[3, 3])
+    return spatial.theta_from_pseudo_inertia(
+        mass * scale @ pseudo @ scale / pseudo[3, 3]
+    )

@@ -116,7 +116,9 @@ class SecondMaster:
         fields = (np.array([value]) for value in (target, 0.0, self.kp, 1.0, 0.0))
         scaling = codec.Scaling([joint.spec.limits])
         data = codec.encode_mit(codec.MitCommand(*fields), scaling)[0].tobytes()
-        run.link.send_foreign(frames.Frame(joint.can_id, data, bus=joint.bus), self.is_seen)
+        run.link.send_foreign(
+            frames.Frame(joint.can_id, data, bus=joint.bus), self.is_seen
+        )
         run.at(_FOREIGN_PERIOD, lambda: self._send(run, target))
 
 

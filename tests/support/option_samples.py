@@ -71,7 +71,9 @@ def _value(option: Option, default: Any) -> Any:
         return (choice,) if option.repeats else choice
     assert option.parse is not None, option.flag
     # A number that is a share, a speed, a time or a level, or a name.
-    text = "7" if option.parse("7") == 7 and isinstance(option.parse("7"), int) else "0.25"
+    text = (
+        "7" if option.parse("7") == 7 and isinstance(option.parse("7"), int) else "0.25"
+    )
     value = option.parse(text)
     return (value,) if option.repeats or option.several else value
 

@@ -29,7 +29,10 @@ GROUPS = run.QUESTIONS[""].groups
 MAIN = run.QUESTIONS[""].main
 TABLES: Mapping[str, Sequence[type]] = {
     **GROUPS,
-    "main": (*(record for records in GROUPS.values() for record in records), ConsoleOptions),
+    "main": (
+        *(record for records in GROUPS.values() for record in records),
+        ConsoleOptions,
+    ),
     "plan for a payload": (PoseOptions,),
     "preview": (PreviewOptions,),
     "console": (ConsoleOptions,),
@@ -58,8 +61,13 @@ def table(name: str) -> str:
         for field, option in options_of(record).items():
             if option.key in PYTHON_ONLY or (name == "main" and option.key not in MAIN):
                 continue
-            cells = (_typed(option, default_of(record, field)), _default(option, record, field))
-            rows.append(f"| {' | '.join((*cells, _meaning(option)))} |".replace("|  |", "| |"))
+            cells = (
+                _typed(option, default_of(record, field)),
+                _default(option, record, field),
+            )
+            rows.append(
+                f"| {' | '.join((*cells, _meaning(option)))} |".replace("|  |", "| |")
+            )
     return "\n".join(rows) + "\n"
 
 

@@ -24,8 +24,22 @@ from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, recorded
 from tests.support.places import ROOT
 
-PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), ROOT / "examples/kinova/README.md"])
-OTHERS = ["pip", "git", "cd", "conda", "sudo", "ros2", "pytest", "ruff", "python", "mkdocs", "nc"]
+PAGES = sorted(
+    [ROOT / "README.md", *ROOT.glob("docs/*.md"), ROOT / "examples/kinova/README.md"]
+)
+OTHERS = [
+    "pip",
+    "git",
+    "cd",
+    "conda",
+    "sudo",
+    "ros2",
+    "pytest",
+    "ruff",
+    "python",
+    "mkdocs",
+    "nc",
+]
 """Beginnings of lines that are not this tool's commands; scripts have tests of their own."""
 AXES = (arms.Z, arms.Y, arms.Y, arms.X)
 ARM = {
@@ -41,7 +55,9 @@ MODEL = {
 WEIGHT = "2.000"
 """Mass of the payload [kg], the one that docs/payload.md calls known."""
 _BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-_PRINTED = re.compile(r"^<!-- printed -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_PRINTED = re.compile(
+    r"^<!-- printed -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE
+)
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\w)")
 _SECONDS = "12"
 _RATE = "200"
@@ -49,7 +65,10 @@ _RATE = "200"
 
 def blocks(page: Path) -> list[tuple[str, str]]:
     """Return (language, text) of a page's blocks that can be run, in their order."""
-    return [(found[1], found[2]) for found in _BLOCK.finditer(page.read_text(encoding="utf-8"))]
+    return [
+        (found[1], found[2])
+        for found in _BLOCK.finditer(page.read_text(encoding="utf-8"))
+    ]
 
 
 def command_lines(block: str) -> list[list[str]]:
@@ -75,7 +94,9 @@ def is_said(line: str, said: str) -> bool:
 
 def _parts(line: str) -> tuple[list[str], list[float]]:
     """Return the words of a line with # in place of each number, and the numbers."""
-    return _NUMBER.sub("#", line).split(), [float(number) for number in _NUMBER.findall(line)]
+    return _NUMBER.sub("#", line).split(), [
+        float(number) for number in _NUMBER.findall(line)
+    ]
 
 
 def make_workshop(folder: Path) -> None:
@@ -91,14 +112,19 @@ def make_workshop(folder: Path) -> None:
     for path in (folder / "made").glob("damiao*.csv"):
         path.rename(folder / path.name)
     joints = read_damiao_trajectory(folder / "damiao_trajectory.csv").joints
-    named = [replace(each, name=f"joint{k}", verified="hand") for k, each in enumerate(joints)]
+    named = [
+        replace(each, name=f"joint{k}", verified="hand")
+        for k, each in enumerate(joints)
+    ]
     write_joint_map(folder / "joint_map.csv", named)
 
 
 def add_recordings(folder: Path) -> None:
     """Write log.csv again as the ROS bag that a page speaks of."""
     titles = [f"joint{k}" for k in range(len(AXES))]
-    time, *values = np.loadtxt(folder / "log.csv", delimiter=",", skiprows=1, unpack=True)
+    time, *values = np.loadtxt(
+        folder / "log.csv", delimiter=",", skiprows=1, unpack=True
+    )
     q = np.transpose(values[: len(AXES)])
     tau = np.transpose(values[len(AXES) :])
     data = Measurement(time, q, np.zeros_like(q), tau)
@@ -124,10 +150,20 @@ def make_models(folder: Path) -> None:
 
 def _basic(folder: Path) -> tuple[str, ...]:
     made = str(folder / "made")
-    return ("my_arm.xml", "--duration", _SECONDS, "--sample-rate", _RATE, "--output-dir", made)
+    return (
+        "my_arm.xml",
+        "--duration",
+        _SECONDS,
+        "--sample-rate",
+        _RATE,
+        "--output-dir",
+        made,
+    )
 
 
-def record(folder: Path, plant: str, log: str, seed: int = 1, duration: float = 12.0) -> None:
+def record(
+    folder: Path, plant: str, log: str, seed: int = 1, duration: float = 12.0
+) -> None:
     """Write what the sensors of an arm in the folder report along a motion for my_arm.xml [s]."""
     robot = load_robot_model(folder / "my_arm.xml")
     motion = TrajectoryOptions(duration, 200.0), ExcitationOptions(), LimitOptions()
@@ -142,9 +178,26 @@ def record(folder: Path, plant: str, log: str, seed: int = 1, duration: float = 
 def _recorded_poses(folder: Path) -> None:
     planned = "plan my_arm.xml --for payload --static --save-trajectory poses.json"
     _run(folder, *planned.split())
-    for plant, log in (("truth.xml", "poses_empty.csv"), ("loaded.xml", "poses_loaded.csv")):
-        sensors = ("--noise-torque", ".05", "--sample-rate", "50", "--output-dir", "made")
-        motion = ("--trajectory", "poses.json", "--plant-model", plant, "--save-measurements", log)
+    for plant, log in (
+        ("truth.xml", "poses_empty.csv"),
+        ("loaded.xml", "poses_loaded.csv"),
+    ):
+        sensors = (
+            "--noise-torque",
+            ".05",
+            "--sample-rate",
+            "50",
+            "--output-dir",
+            "made",
+        )
+        motion = (
+            "--trajectory",
+            "poses.json",
+            "--plant-model",
+            plant,
+            "--save-measurements",
+            log,
+        )
         _run(folder, "my_arm.xml", *motion, *sensors)
 
 

@@ -24,7 +24,9 @@ RATE = 50.0
 DURATION = 12.0
 CUTOFF = 5.0
 PAYLOAD = spatial.theta_from_com(
-    1.2, np.array([0.03, -0.02, 0.08]), np.array([[6, 1, 0.5], [1, 7, -0.4], [0.5, -0.4, 4]]) * 1e-3
+    1.2,
+    np.array([0.03, -0.02, 0.08]),
+    np.array([[6, 1, 0.5], [1, 7, -0.4], [0.5, -0.4, 4]]) * 1e-3,
 )
 _FREQUENCIES = np.array([0.23, 0.47, 0.71, 1.03])
 
@@ -44,7 +46,8 @@ def wide_motion(seed, joints=4, duration=DURATION, rate=RATE):
     omega = 2.0 * np.pi * _FREQUENCIES[:, None]
     angle = time[:, None, None] * omega + phase
     q, qd, qdd = (
-        np.sum(size * omega**k * np.sin(angle + k * np.pi / 2.0), axis=1) for k in range(3)
+        np.sum(size * omega**k * np.sin(angle + k * np.pi / 2.0), axis=1)
+        for k in range(3)
     )
     return Motion(time, q, qd, qdd)
 
@@ -56,7 +59,9 @@ class TrueArm:
         rng = np.random.default_rng(seed)
         self.robot = robot
         self.payload = payload
-        self.thetas = np.array([changed(link.theta, wrong, rng) for link in robot.links])
+        self.thetas = np.array(
+            [changed(link.theta, wrong, rng) for link in robot.links]
+        )
         self.coulomb, self.viscous = rng.uniform(0.1, 1.0, (2, robot.n_joints))
         self.offset, self.armature = rng.uniform(0.0, 0.3, (2, robot.n_joints))
         self.scale = np.ones(robot.n_joints) if scale is None else scale
@@ -87,7 +92,9 @@ class TrueArm:
     def abba(self, seed, drift=0.0, sigma=0.0, same=False):
         """Four recordings in the order empty, loaded, loaded, empty."""
         found = []
-        for number, (loaded, place) in enumerate(zip((0, 1, 1, 0), np.linspace(-1.0, 1.0, 4))):
+        for number, (loaded, place) in enumerate(
+            zip((0, 1, 1, 0), np.linspace(-1.0, 1.0, 4))
+        ):
             motion = wide_motion([seed, 0 if same else number], self.robot.n_joints)
             each = self.recording(motion, bool(loaded), place, f"log{number}", drift)
             found.append(noisy(each, sigma, [seed, number]) if sigma else each)
@@ -122,7 +129,9 @@ def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
 def noisy(recording, sigma, seed):
     """The same recording with white torque noise."""
     shape = recording.torque.shape
-    return with_torque(recording, sigma * np.random.default_rng(seed).standard_normal(shape))
+    return with_torque(
+        recording, sigma * np.random.default_rng(seed).standard_normal(shape)
+    )
 
 
 def with_torque(recording, more):

@@ -40,7 +40,9 @@ def header(types, time: float):
     whole, part = divmod(round(1e9 * time), 10**9)
     stamp = types["builtin_interfaces/msg/Time"](1_700_000_000 + whole, part)
     kind = types["std_msgs/msg/Header"]
-    return kind(0, stamp, "base") if "seq" in kind.__annotations__ else kind(stamp, "base")
+    return (
+        kind(0, stamp, "base") if "seq" in kind.__annotations__ else kind(stamp, "base")
+    )
 
 
 def joint_state(types, time, names, q, qd, tau):
@@ -91,7 +93,9 @@ def _written(path: Path, writer, topics, store, serialize) -> Path:
         for topic, kind, messages in topics:
             connection = writer.add_connection(topic, kind, typestore=store)
             for count, message in enumerate(messages):
-                writer.write(connection, 10**9 + count * 10**6, serialize(message, kind))
+                writer.write(
+                    connection, 10**9 + count * 10**6, serialize(message, kind)
+                )
     return path
 
 
@@ -120,15 +124,27 @@ def dynamic_joint_state(folder: Path, data: Measurement) -> Path:
 
     def messages():
         for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
-            rows = [{"position": a, "velocity": b, "effort": c} for a, b, c in zip(q, qd, tau)]
-            orders = [sorted(rows[0]), sorted(rows[0], reverse=True), ["effort", *sorted(rows[0])]]
+            rows = [
+                {"position": a, "velocity": b, "effort": c}
+                for a, b, c in zip(q, qd, tau)
+            ]
+            orders = [
+                sorted(rows[0]),
+                sorted(rows[0], reverse=True),
+                ["effort", *sorted(rows[0])],
+            ]
             values = [
-                value(list(dict.fromkeys(order)), np.array([row[k] for k in dict.fromkeys(order)]))
+                value(
+                    list(dict.fromkeys(order)),
+                    np.array([row[k] for k in dict.fromkeys(order)]),
+                )
                 for row, order in zip(rows, orders)
             ]
             yield store.types[DYNAMIC](header(store.types, time), list(JOINTS), values)
 
-    return write_bag2(folder / "bag", [("/dynamic_joint_states", DYNAMIC, messages())], store)
+    return write_bag2(
+        folder / "bag", [("/dynamic_joint_states", DYNAMIC, messages())], store
+    )
 
 
 def franka_state(folder: Path, data: Measurement) -> Path:
@@ -138,7 +154,9 @@ def franka_state(folder: Path, data: Measurement) -> Path:
 
     def messages():
         for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
-            measured = joint_state(types, time, [f"fr3_{j}" for j in JOINTS], q, qd, tau)
+            measured = joint_state(
+                types, time, [f"fr3_{j}" for j in JOINTS], q, qd, tau
+            )
             desired = joint_state(types, time, JOINTS, -q, -qd, -tau)
             yield types[FRANKA](header(types, time), measured, desired, time)
 
@@ -158,15 +176,23 @@ def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Pa
         (root / "data" / "chunk-000").mkdir(parents=True)
         names = [f"{j}.{end}" for j in JOINTS for end in ("pos", "vel", "torque")]
         angles = np.degrees(np.stack((data.q, data.qd), axis=2))
-        state = np.concatenate((angles, data.tau[:, :, None]), axis=2).reshape(len(data), -1)
+        state = np.concatenate((angles, data.tau[:, :, None]), axis=2).reshape(
+            len(data), -1
+        )
         feature = {"dtype": "float64", "shape": [len(names)], "names": names}
-        info = {"codebase_version": version, "fps": 200, "features": {"observation.state": feature}}
+        info = {
+            "codebase_version": version,
+            "fps": 200,
+            "features": {"observation.state": feature},
+        }
         (root / "meta" / "info.json").write_text(json.dumps(info))
 
         def frames(episode: int):
             return pa.table(
                 {
-                    "observation.state": pa.array(state.tolist(), pa.list_(pa.float64())),
+                    "observation.state": pa.array(
+                        state.tolist(), pa.list_(pa.float64())
+                    ),
                     "timestamp": data.time - data.time[0],
                     "episode_index": np.full(len(data), episode),
                     "frame_index": np.arange(len(data)),
@@ -175,7 +201,9 @@ def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Pa
 
         if version.startswith("v2"):
             for k in range(episodes):
-                pq.write_table(frames(k), root / f"data/chunk-000/episode_{k:06d}.parquet")
+                pq.write_table(
+                    frames(k), root / f"data/chunk-000/episode_{k:06d}.parquet"
+                )
         else:
             whole = pa.concat_tables([frames(k) for k in range(episodes)])
             pq.write_table(whole, root / "data/chunk-000/file-000.parquet")
@@ -186,7 +214,14 @@ def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Pa
 
 def npz(folder: Path, data: Measurement) -> Path:
     path = folder / "log.npz"
-    np.savez(path, time=data.time, q=data.q, qd=data.qd, tau=data.tau, note="text is no column")
+    np.savez(
+        path,
+        time=data.time,
+        q=data.q,
+        qd=data.qd,
+        tau=data.tau,
+        note="text is no column",
+    )
     return path
 
 
@@ -194,7 +229,9 @@ def arrow(data: Measurement):
     """A table of Arrow: time in dates, positions as lists, a column per torque, and text."""
     import pyarrow as pa
 
-    stamps = np.datetime64("2024-05-01T12:00:00", "ns") + np.round(1e9 * data.time).astype(int)
+    stamps = np.datetime64("2024-05-01T12:00:00", "ns") + np.round(
+        1e9 * data.time
+    ).astype(int)
     columns = {
         "time": stamps,
         "q": data.q.tolist(),
@@ -221,14 +258,25 @@ def feather(folder: Path, data: Measurement) -> Path:
 def libfranka(folder: Path, data: Measurement) -> Path:
     """The columns of logToCSV."""
     zero = np.zeros_like(data.q)
-    groups = {"state.q": data.q, "state.q_d": zero, "state.dq": data.qd, "state.dq_d": zero}
-    groups |= {"state.tau_J": data.tau, "state.tau_ext_hat_filtered": zero, "cmd.tau_J_d": zero}
+    groups = {
+        "state.q": data.q,
+        "state.q_d": zero,
+        "state.dq": data.qd,
+        "state.dq_d": zero,
+    }
+    groups |= {
+        "state.tau_J": data.tau,
+        "state.tau_ext_hat_filtered": zero,
+        "cmd.tau_J_d": zero,
+    }
     titles = ["time", "success_rate", *(f"{g}[{k}]" for g in groups for k in range(3))]
     rows = np.column_stack((1e3 * data.time, np.ones(len(data)), *groups.values()))
     return write(folder / "franka.csv", rows, titles)
 
 
-def rtde(folder: Path, data: Measurement, torque: str = "actual_current_as_torque") -> Path:
+def rtde(
+    folder: Path, data: Measurement, torque: str = "actual_current_as_torque"
+) -> Path:
     """What record.py writes: blanks between cells."""
     groups = ("actual_q", "actual_qd", torque, "target_moment")
     titles = ["timestamp", *(f"{g}_{k}" for g in groups for k in range(3))]

@@ -36,7 +36,9 @@ def read_recording(path):
     lines = Path(path).read_text(encoding="utf-8").splitlines()
     rows = [line for line in lines if line and not line.startswith("#")]
     head = [line[2:] for line in lines[: lines.index(rows[0])]]
-    ending = lines[-1][len("# end: ") :] if lines[-1].startswith("# end: ") else "cut short"
+    ending = (
+        lines[-1][len("# end: ") :] if lines[-1].startswith("# end: ") else "cut short"
+    )
     table = np.array([[float(c or "nan") for c in row.split(",")] for row in rows[1:]])
     titles = rows[0].split(",")
     assert titles[0] == "time"

@@ -28,13 +28,19 @@ class Arm:
 _OPENARM_MOTORS = ("DM8009",) * 2 + ("DM4340",) * 2 + ("DM4310",) * 2 + ("DM3507",)
 ARMS = {
     "openarm": Arm(
-        MODELS / "openarm_v2" / "openarm_bimanual.xml", "openarm_left_joint7", _OPENARM_MOTORS
+        MODELS / "openarm_v2" / "openarm_bimanual.xml",
+        "openarm_left_joint7",
+        _OPENARM_MOTORS,
     ),
     "kinova": Arm(
-        EXAMPLE / "model" / "kinova_fullinertia.xml", None, ("DM8009",) * 4 + ("DM4340",) * 3
+        EXAMPLE / "model" / "kinova_fullinertia.xml",
+        None,
+        ("DM8009",) * 4 + ("DM4340",) * 3,
     ),
     "wxai": Arm(
-        MODELS / "trossen" / "wxai" / "wxai_base.xml", "joint_5", ("DM4340",) * 3 + ("DM4310",) * 3
+        MODELS / "trossen" / "wxai" / "wxai_base.xml",
+        "joint_5",
+        ("DM4340",) * 3 + ("DM4310",) * 3,
     ),
 }
 
@@ -57,7 +63,16 @@ class Estimate:
 def plan(arm: Arm, folder: Path, duration: float) -> Path:
     """Return the exported trajectory that excites the whole arm."""
     types = [word for motor in arm.motors for word in ("--motor-type", motor)]
-    motion = "--for", "arm", "--excitation", "sines", "--duration", duration, "--seed", 0
+    motion = (
+        "--for",
+        "arm",
+        "--excitation",
+        "sines",
+        "--duration",
+        duration,
+        "--seed",
+        0,
+    )
     run("plan", *model(arm), *motion, "--export-damiao", *types, folder=folder)
     return folder / "damiao_trajectory.csv"
 
@@ -66,7 +81,17 @@ def rehearse(arm: Arm, trajectory: Path, rate: float, folder: Path) -> list[Esti
     """Play a trajectory at a rate [Hz], identify the arm, and return what was found."""
     record = folder / f"measured_{rate:g}.csv"
     path, *joint = model(arm)
-    played = trajectory, "--model", path, *joint, "--play", "--record", record, "--rate", rate
+    played = (
+        trajectory,
+        "--model",
+        path,
+        *joint,
+        "--play",
+        "--record",
+        record,
+        "--rate",
+        rate,
+    )
     run("motors", "simulate", *played, *["--fd"] * (rate > FAST))
     identified = folder / f"identified_{rate:g}"
     run("identify", path, record, *joint, folder=identified)
@@ -84,7 +109,9 @@ def estimates(result: dict) -> Iterator[Estimate]:
                 yield Estimate(f"{term} of {joint}", truth, *value)
     for link in result["links"]:
         error = link["standard_errors"]["m"]
-        yield Estimate(f"mass of {link['name']}", link["model"]["mass"], link["mass"], error)
+        yield Estimate(
+            f"mass of {link['name']}", link["model"]["mass"], link["mass"], error
+        )
 
 
 def model(arm: Arm) -> list[object]:

@@ -51,7 +51,9 @@ def payload_result(path, verdict=Verdict.OK):
     """A result about a payload on that arm."""
     scales = {"$x^{1}&": Figure(1.1, 0.01)}
     recordings = {"empty": ("a.csv",), "loaded": ("<s>b</s>.csv", "c.csv")}
-    return on_arm(made.payload(torque_scale=scales, recordings=recordings, verdict=verdict), path)
+    return on_arm(
+        made.payload(torque_scale=scales, recordings=recordings, verdict=verdict), path
+    )
 
 
 def traces(result):
@@ -68,7 +70,17 @@ def traces(result):
     measured[np.abs(qd) < 0.1] = np.nan
     full = np.full(len(names), 2.0)
     limits = JointLimits(-full, full, 3.0 * full, np.full(len(names), np.inf))
-    known = (time, q, qd, measured, predicted, 0.8 * predicted, friction, limits, made.ARM.prior)
+    known = (
+        time,
+        q,
+        qd,
+        measured,
+        predicted,
+        0.8 * predicted,
+        friction,
+        limits,
+        made.ARM.prior,
+    )
     return Traces(names, (False,) * len(names), *known)
 
 
@@ -79,7 +91,9 @@ def saved(folder, result):
     cards = ()
     if found is not None and result.verdict.is_trustworthy:
         cards = payload_cards(found.body, found.flange)
-    (folder / "params.json").write_text(params_json_text(result, cards), encoding="utf-8")
+    (folder / "params.json").write_text(
+        params_json_text(result, cards), encoding="utf-8"
+    )
     return folder
 
 

@@ -40,7 +40,9 @@ from robot_sysid.results.record import (
 )
 
 JOINTS = ("j5", "j6")
-FRICTION = tuple(f"{term}[{joint}]" for joint in JOINTS for term in ("coulomb", "viscous"))
+FRICTION = tuple(
+    f"{term}[{joint}]" for joint in JOINTS for term in ("coulomb", "viscous")
+)
 NAMES = (*PARAMETER_NAMES, *FRICTION)
 THETA = theta_from_com(2.0, np.array([0.0, 0.01, 0.1]), np.diag([0.01, 0.012, 0.005]))
 VALUES = np.array([*THETA, 0.5, 0.2, 0.4, 0.1])
@@ -123,17 +125,28 @@ def terminal(result: Estimate) -> BodyEstimate:
 
 def joint_of(result: Estimate, joint: str) -> JointEstimate:
     """The friction of a joint as an estimate has it."""
-    names = {name: name.split("[")[0] for name in result.names if name.endswith(f"[{joint}]")}
-    terms = {
-        term: Figure(result.value(name), result.error(name) or 0.0) for name, term in names.items()
+    names = {
+        name: name.split("[")[0] for name in result.names if name.endswith(f"[{joint}]")
     }
-    return JointEstimate("-".join(terms) or "none", terms, MODEL_FRICTION[joint], noise=0.03)
+    terms = {
+        term: Figure(result.value(name), result.error(name) or 0.0)
+        for name, term in names.items()
+    }
+    return JointEstimate(
+        "-".join(terms) or "none", terms, MODEL_FRICTION[joint], noise=0.03
+    )
 
 
 def itself(result: Estimate | None = None, **changes) -> Result:
     """The model's own simulation, of which most is not asked."""
     given = result or estimate()
-    known = given.names, given.values, given.identifiability, given.rmse, given.rmse_per_joint
+    known = (
+        given.names,
+        given.values,
+        given.identifiability,
+        given.rmse,
+        given.rmse_per_joint,
+    )
     fields = {
         "data": DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1),
         **{"verdict": Verdict.OK, "links": (), "joints": {}, "friction_model": None},
@@ -161,9 +174,13 @@ def without_mass() -> Estimate:
     return replace(with_value("m", 2.0, np.inf), identifiability=seen)
 
 
-def validation_of(rmse: float, source: str = "other.csv", relative: float = 0.02) -> Validation:
+def validation_of(
+    rmse: float, source: str = "other.csv", relative: float = 0.02
+) -> Validation:
     """A validation with this error."""
-    return Validation(source, 100, rmse, relative, {"j5": rmse, "j6": rmse}, {"j5": relative})
+    return Validation(
+        source, 100, rmse, relative, {"j5": rmse, "j6": rmse}, {"j5": relative}
+    )
 
 
 def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyEstimate:
@@ -174,10 +191,14 @@ def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyE
     errors = np.sqrt(np.diag(covariance))
     seen = np.array([True] * 4 + [shown] * 6)
     budget = {"torque scale": 0.8 * errors, "gravity": 1e-6 * errors}
-    return BodyEstimate(name, InertialParameters(theta), covariance, seen, 0.6 * errors, budget)
+    return BodyEstimate(
+        name, InertialParameters(theta), covariance, seen, 0.6 * errors, budget
+    )
 
 
-def payload(own: BodyEstimate | None = None, result: Estimate | None = None, **changes) -> Result:
+def payload(
+    own: BodyEstimate | None = None, result: Estimate | None = None, **changes
+) -> Result:
     """A payload of 1.2 kg; what is no field of the result is one of ``Payload``."""
     of_payload = {
         "flange": Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
@@ -189,7 +210,11 @@ def payload(own: BodyEstimate | None = None, result: Estimate | None = None, **c
     }
     extra = (*of_payload, "torque_scale", "known_mass")
     of_payload.update({name: changes.pop(name) for name in extra if name in changes})
-    fields = {"verdict": Verdict.OK, "question": PAYLOAD, "payload": Payload(**of_payload)}
+    fields = {
+        "verdict": Verdict.OK,
+        "question": PAYLOAD,
+        "payload": Payload(**of_payload),
+    }
     return found(result, **{**fields, **changes})
 
 
@@ -198,11 +223,15 @@ def model_file(**changes) -> ModelFile:
     fields = {
         "thetas": np.array([1.5 * THETA, 0.9 * THETA]),
         "errors": np.full((2, 10), 1e-3),
-        "joints": {"j5": {"coulomb": Figure(0.45, 0.01), "viscous": Figure(0.25, 0.02)}},
+        "joints": {
+            "j5": {"coulomb": Figure(0.45, 0.01), "viscous": Figure(0.25, 0.02)}
+        },
         "gravity": np.array([0.0, 0.1, -9.8]),
         "before": validation_of(1.5, "fifths of arm.csv", 0.27),
         "after": validation_of(0.02, "fifths of arm.csv", 0.0025),
-        "others": ((validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)),),
+        "others": (
+            (validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)),
+        ),
         "kept": ("rotor inertia",),
     }
     return ModelFile(**{**fields, **changes})
@@ -215,16 +244,23 @@ def whole(**changes) -> Result:
         joint_of(estimate(), "j5"),
         candidates={"coulomb-viscous": 0.03, "none": 0.4},
         two_ways=(Figure(0.6, 0.01), Figure(0.4, 0.02)),
-        logs={"a.csv": {"coulomb": Figure(0.45, 0.01)}, "b.csv": {"coulomb": Figure(0.55, 0.01)}},
+        logs={
+            "a.csv": {"coulomb": Figure(0.45, 0.01)},
+            "b.csv": {"coulomb": Figure(0.55, 0.01)},
+        },
         another_day={"coulomb": Figure(0.5, 0.08)},
     )
     bodies = (SubtreeBody(6, "link6", THETA, True),)
-    errors = RolloutError(OPEN, 0.2, 5, np.array([0.2, 0.1]), np.array([0.02, 0.11]), (1, 0))
+    errors = RolloutError(
+        OPEN, 0.2, 5, np.array([0.2, 0.1]), np.array([0.02, 0.11]), (1, 0)
+    )
     fields = {
         "robot": replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
         "links": (first, terminal(estimate())),
         "joints": {"j5": elbow, "j6": joint_of(estimate(), "j6")},
-        "couplings": {"j5+j6": JointEstimate("viscous", {"viscous": Figure(0.05, 0.002)})},
+        "couplings": {
+            "j5+j6": JointEstimate("viscous", {"viscous": Figure(0.05, 0.002)})
+        },
         "sensors": {
             "scale[j5]": Figure(1.01, 0.004),
             "zero[j6]": Figure(0.0, float("nan")),
@@ -254,7 +290,11 @@ def whole(**changes) -> Result:
         "reasons": ("because",),
         "notes": ("a note",),
         "rollout": RolloutTest(
-            JOINTS, "last fifths", CLOSED, (errors, replace(errors, loop=CLOSED)), ("one piece",)
+            JOINTS,
+            "last fifths",
+            CLOSED,
+            (errors, replace(errors, loop=CLOSED)),
+            ("one piece",),
         ),
     }
     return found(**{**fields, **changes})

@@ -14,7 +14,9 @@ SCHEMAS = ROOT / "robot_sysid" / "schemas"
 
 def schema(name: str) -> dict:
     """Return a schema: params or servo."""
-    found: dict = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
+    found: dict = json.loads(
+        (SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8")
+    )
     return found
 
 

@@ -19,7 +19,11 @@ XML = serial_arm((Z, Y), joint=JOINT, extra=SERVOS)
 
 
 TRUTH = Servos(
-    np.array([60.0, 110.0]), np.array([4.0, 5.0]), np.array([0.9, 0.6]), np.array([0.2, 0.1]), 0.03
+    np.array([60.0, 110.0]),
+    np.array([4.0, 5.0]),
+    np.array([0.9, 0.6]),
+    np.array([0.2, 0.1]),
+    0.03,
 )
 """What the arm behind the logs is like."""
 
@@ -28,8 +32,12 @@ def commanded(seconds=14.0, seed=0):
     """(time (N,), command (N, 2)) of sines and steps, on steps of 1 mrad."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * RATE)) / RATE
-    slow = 0.4 * np.sin(2.0 * np.pi * np.outer(time, [0.31, 0.43]) + rng.uniform(0.0, 6.0, 2))
-    steps = np.repeat(rng.uniform(-0.3, 0.3, (len(time) // 40 + 1, 2)), 40, axis=0)[: len(time)]
+    slow = 0.4 * np.sin(
+        2.0 * np.pi * np.outer(time, [0.31, 0.43]) + rng.uniform(0.0, 6.0, 2)
+    )
+    steps = np.repeat(rng.uniform(-0.3, 0.3, (len(time) // 40 + 1, 2)), 40, axis=0)[
+        : len(time)
+    ]
     return time, np.round(slow + steps, 3)
 
 
@@ -46,6 +54,11 @@ def write(path, time, q, command, title="action {}.pos"):
     names = [f"joint{k}" for k in range(q.shape[1])]
     titles = ["time", *(f"{n}.pos" for n in names), *(title.format(n) for n in names)]
     np.savetxt(
-        path, np.column_stack((time, q, command)), "%.9g", ",", header=",".join(titles), comments=""
+        path,
+        np.column_stack((time, q, command)),
+        "%.9g",
+        ",",
+        header=",".join(titles),
+        comments="",
     )
     return path

@@ -77,7 +77,8 @@ class SmoothArm:
 
     def torques(self, noise):
         return [
-            r @ self.truth[c] + noise[:, j] for j, (r, c) in enumerate(zip(self.rows, self.columns))
+            r @ self.truth[c] + noise[:, j]
+            for j, (r, c) in enumerate(zip(self.rows, self.columns))
         ]
 
 

@@ -55,7 +55,9 @@ def random_body(rng, spread=1.0):
     """theta of a random rigid body: J = L L^T; small ``spread`` brings it near the boundary."""
     factor = np.tril(rng.normal(size=(4, 4))) * np.array([[0.1], [0.1], [0.1], [1.0]])
     factor[:, 0] *= spread
-    return spatial.theta_from_pseudo_inertia(factor @ factor.T + 1e-6 * np.eye(4) * spread)
+    return spatial.theta_from_pseudo_inertia(
+        factor @ factor.T + 1e-6 * np.eye(4) * spread
+    )
 
 
 def arm_equations(rng, joints=3, count=60):
@@ -95,7 +97,9 @@ class Samples:
     def information(self, names):
         """What is left of them after one pass."""
         joints = [f"joint{j}" for j in range(len(self.equations))]
-        accumulator = InformationAccumulator(names, joints, [c for _, c in self.equations])
+        accumulator = InformationAccumulator(
+            names, joints, [c for _, c in self.equations]
+        )
         for index, rows, tau in self:
             keep = np.isfinite(tau)
             accumulator.add(index, rows[keep], tau[keep])
@@ -138,7 +142,9 @@ def sdp_least_squares(matrix, right):
     """Least ||A x - b||^2 with x[:10] a possible body, by cvxpy and clarabel, well scaled."""
     import cvxpy
 
-    triangle = np.linalg.qr(np.column_stack((matrix[:, 10:], matrix[:, :10], right)), mode="r")
+    triangle = np.linalg.qr(
+        np.column_stack((matrix[:, 10:], matrix[:, :10], right)), mode="r"
+    )
     inner = triangle[matrix.shape[1] - 10 :, matrix.shape[1] - 10 :]
     inverse = np.linalg.inv(inner[:10, :10])
     centre = spatial.pseudo_inertia(inverse @ inner[:10, 10])
@@ -146,8 +152,12 @@ def sdp_least_squares(matrix, right):
     columns = spatial.pseudo_inertia(inverse.T) / np.outer(units, units)
     step = 1.0 / np.linalg.norm(columns.reshape(10, -1), 2)
     y = cvxpy.Variable(10)
-    body = centre / np.outer(units, units) + sum(step * y[k] * columns[k] for k in range(10))
-    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(y)), [0.5 * (body + body.T) >> 0])
+    body = centre / np.outer(units, units) + sum(
+        step * y[k] * columns[k] for k in range(10)
+    )
+    problem = cvxpy.Problem(
+        cvxpy.Minimize(cvxpy.sum_squares(y)), [0.5 * (body + body.T) >> 0]
+    )
     for tolerance in (1e-12, 1e-10, 1e-9):
         if _solved(problem, tolerance):
             break

@@ -9,7 +9,9 @@ def link(name: str, content: str = "") -> str:
     return f'<link name="{name}">{content}</link>'
 
 
-def inertial(mass: float = 1.0, rpy: str = "0 0 0", inertia: str = "0.01 0.02 0.025") -> str:
+def inertial(
+    mass: float = 1.0, rpy: str = "0 0 0", inertia: str = "0.01 0.02 0.025"
+) -> str:
     x, y, z = inertia.split()
     return (
         f'<inertial><origin xyz="0.1 0 0" rpy="{rpy}"/><mass value="{mass}"/>'

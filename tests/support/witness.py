@@ -29,7 +29,9 @@ class Peaks:
 def peaks(robot, plan, rate=500.0):
     """Extremes of a plan, torques by MuJoCo's inverse dynamics with Coulomb's law on top."""
     motions = list(motion_chunks(plan, rate))
-    q, qd, qdd = (np.vstack([getattr(m, name) for m in motions]) for name in ("q", "qd", "qdd"))
+    q, qd, qdd = (
+        np.vstack([getattr(m, name) for m in motions]) for name in ("q", "qd", "qdd")
+    )
     torque = np.max([np.abs(one) for one in _torques(robot, q, qd, qdd)], axis=0)
     largest = (np.max(np.abs(value), axis=0) for value in (qd, qdd))
     return Peaks(np.min(q, axis=0), np.max(q, axis=0), *largest, torque)
@@ -51,7 +53,9 @@ def _torques(robot, q, qd, qdd):
             ):
                 target[index] = value
             mujoco.mj_inverse(model, data)
-            yield data.qfrc_inverse[robot.dof_index] + robot.friction.coulomb * np.sign(row[1])
+            yield data.qfrc_inverse[robot.dof_index] + robot.friction.coulomb * np.sign(
+                row[1]
+            )
     finally:
         model.opt.disableflags = flags
 
@@ -103,7 +107,9 @@ def fastest_point(robot, plan, body, rate=500.0):
         for b in np.linspace(0.0, np.pi, 13)
     ]
     radius, half = model.geom_size[geom, :2]
-    surface = np.vstack([radius * np.array(ball) + [0.0, 0.0, s * half] for s in (-1.0, 1.0)])
+    surface = np.vstack(
+        [radius * np.array(ball) + [0.0, 0.0, s * half] for s in (-1.0, 1.0)]
+    )
     before = None
     fastest = 0.0
     for motion in motion_chunks(plan, rate):
@@ -112,7 +118,9 @@ def fastest_point(robot, plan, body, rate=500.0):
             mujoco.mj_kinematics(model, data)
             here = data.geom_xpos[geom] + surface @ data.geom_xmat[geom].reshape(3, 3).T
             if before is not None:
-                fastest = max(fastest, rate * np.max(np.linalg.norm(here - before, axis=1)))
+                fastest = max(
+                    fastest, rate * np.max(np.linalg.norm(here - before, axis=1))
+                )
             before = here
     return float(fastest)
 
@@ -137,7 +145,9 @@ def nearest(robot, plan, rate=500.0):
         for q in motion.q:
             data.qpos[robot.qpos_index] = q
             mujoco.mj_kinematics(model, data)
-            apart = (mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a, b in pairs)
+            apart = (
+                mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a, b in pairs
+            )
             least = min(least, *apart)
     return float(least)
 
@@ -148,7 +158,9 @@ def _collide(model, a, b):
 
 
 def _joints_above(model, body):
-    return frozenset(j for j in range(model.njnt) if model.jnt_bodyid[j] in _ancestors(model, body))
+    return frozenset(
+        j for j in range(model.njnt) if model.jnt_bodyid[j] in _ancestors(model, body)
+    )
 
 
 def _capsules(model, body):

@@ -12,7 +12,13 @@ from typing import NamedTuple
 
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.motors import setup as motors_setup
-from robot_sysid.commands.motors.asked import Asked, check_lines, motor_table, run_lines, said_yes
+from robot_sysid.commands.motors.asked import (
+    Asked,
+    check_lines,
+    motor_table,
+    run_lines,
+    said_yes,
+)
 from robot_sysid.commands.motors.directions import DirectionChoices, verify
 from robot_sysid.commands.motors.setup import LifetimeOptions
 from robot_sysid.damiao import bus, preflight, simulated
@@ -29,7 +35,13 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
-from robot_sysid.records.options import OptionRecord, command_words, option, options_of, record_from
+from robot_sysid.records.options import (
+    OptionRecord,
+    command_words,
+    option,
+    options_of,
+    record_from,
+)
 from robot_sysid.records.plan_settings import settings_of
 
 INTERRUPTED = "interrupted; no motor is enabled"
@@ -55,8 +67,12 @@ class PlayChoices(OptionRecord):
 class SimulatedMotorOptions(LifetimeOptions):
     """What ``motors simulate`` puts on the bus, and for how long."""
 
-    play: bool = option(False, "play the trajectory at once, in simulated time, without a bus")
-    watchdog: float = option(simulated.DEFAULT_WATCHDOG, "of the simulated motors", "S [s] > 0")
+    play: bool = option(
+        False, "play the trajectory at once, in simulated time, without a bus"
+    )
+    watchdog: float = option(
+        simulated.DEFAULT_WATCHDOG, "of the simulated motors", "S [s] > 0"
+    )
 
 
 def check(asked: Asked) -> int:
@@ -75,7 +91,9 @@ def check(asked: Asked) -> int:
         console.stage(*check_lines(checks))
         asked.verdict = (f"Not usable: {motors_setup.SILENT}",)
         return 1
-    rate = record_from(PlaySettings, asked.values).rate or default_rate(motors, asked.timing)
+    rate = record_from(PlaySettings, asked.values).rate or default_rate(
+        motors, asked.timing
+    )
     if plan:
         checks += asked.met_checks(plan, inspection)
     else:
@@ -90,7 +108,8 @@ def check(asked: Asked) -> int:
         asked.conclude("Usable: ready to play", asked.play_words())
     else:
         asked.conclude(
-            "Usable: the motors are in order", asked.command("check", trajectory="TRAJECTORY")
+            "Usable: the motors are in order",
+            asked.command("check", trajectory="TRAJECTORY"),
         )
     return 1 if to_change else 0
 
@@ -102,11 +121,16 @@ def play(asked: Asked) -> int:
     checks = asked.checks(plan)
     if asked.address.channel:
         with asked.bus() as link:
-            if record_from(DirectionChoices, asked.values).verify and not choices.dry_run:
+            if (
+                record_from(DirectionChoices, asked.values).verify
+                and not choices.dry_run
+            ):
                 return verify(asked, link, plan)
             return _play_on(link, plan, checks, choices, asked, real=True)
     if not choices.dry_run:
-        raise InputError("play needs --channel, for instance --channel can0 (or --dry-run)")
+        raise InputError(
+            "play needs --channel, for instance --channel can0 (or --dry-run)"
+        )
     asked.console.stage(*check_lines(checks))
     return _rehearsed(checks, asked)
 
@@ -125,9 +149,13 @@ def simulate(asked: Asked) -> int:
     stop = StopRequest()
     with contextlib.closing(_simulated_end(asked)) as end, stop.on_signals():
         ends = system.now() + (options.lifetime or float("inf"))
-        service = serve(arm, end, system, lambda: not stop.count and system.now() < ends)
+        service = serve(
+            arm, end, system, lambda: not stop.count and system.now() < ends
+        )
     if service.left_out > 0.0:
-        asked.console.stage(f"this computer was too slow by {service.left_out:.1f} s in all")
+        asked.console.stage(
+            f"this computer was too slow by {service.left_out:.1f} s in all"
+        )
     if service.longest_delay > _WORTH_SAYING:
         late = f"{1e3 * service.longest_delay:.0f} ms"
         asked.console.stage(f"this computer kept commands waiting for up to {late}")
@@ -141,7 +169,9 @@ def hold(asked: Asked) -> int:
     with asked.bus() as link:
         plan = asked.hold_plan(inspect_bus(link))
         checks = asked.checks(plan)
-        return _play_on(link, lasting(plan, seconds), checks, choices, asked, holds=True)
+        return _play_on(
+            link, lasting(plan, seconds), checks, choices, asked, holds=True
+        )
 
 
 class _Command(NamedTuple):
@@ -153,7 +183,10 @@ class _Command(NamedTuple):
     groups: Mapping[str, Sequence[type]]
 
 
-_MOTION = {"motion and limits": (PlaySettings,), "what to allow": (preflight.Permissions,)}
+_MOTION = {
+    "motion and limits": (PlaySettings,),
+    "what to allow": (preflight.Permissions,),
+}
 _ASKING = {"asking": (PlayChoices,)}
 _PLAYED = {
     "check": _Command(
@@ -169,7 +202,11 @@ _PLAYED = {
         "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
         "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
         "it cannot fall.",
-        {**_MOTION, "recording": (RecordingOptions,), "asking": (PlayChoices, DirectionChoices)},
+        {
+            **_MOTION,
+            "recording": (RecordingOptions,),
+            "asking": (PlayChoices, DirectionChoices),
+        },
     ),
     "simulate": _Command(
         simulate,
@@ -177,7 +214,11 @@ _PLAYED = {
         "Simulate the arm of a model with Damiao motors. Without --play it sits behind a "
         "pseudo-terminal that acts as a serial CAN adapter, or on the bus of --interface and "
         "--channel; the line to give to 'play' is printed.",
-        {"simulated motors": (SimulatedMotorOptions,), **_MOTION, "recording": (RecordingOptions,)},
+        {
+            "simulated motors": (SimulatedMotorOptions,),
+            **_MOTION,
+            "recording": (RecordingOptions,),
+        },
     ),
 }
 COMMANDS: Mapping[str, _Command] = {
@@ -187,7 +228,12 @@ COMMANDS: Mapping[str, _Command] = {
         "--channel can0 --model arm.xml --park rest",
         "Hold the arm where it stands, stiff, its weight carried by torques of its model. Ctrl-C "
         "lowers it with --park rest, and lets go of it without. All checks of play are made.",
-        {"holding": (LifetimeOptions,), **_MOTION, "recording": (RecordingOptions,), **_ASKING},
+        {
+            "holding": (LifetimeOptions,),
+            **_MOTION,
+            "recording": (RecordingOptions,),
+            **_ASKING,
+        },
     ),
     "setup": _Command(
         motors_setup.setup,
@@ -231,7 +277,12 @@ _MAIN = (
 def build_parser(command: str, full: bool = True) -> Parser:
     """Return the parser of a subcommand; without ``full``, its help shows the main options only."""
     _, example, description, groups = COMMANDS[command]
-    own = (name for records in groups.values() for each in records for name in options_of(each))
+    own = (
+        name
+        for records in groups.values()
+        for each in records
+        for name in options_of(each)
+    )
     main = _MAIN if command in (*_PLAYED, "hold") else (*_MAIN[:3], *own)
     usage = f"{PROGRAM} motors {command} {example}"
     shown = None if full else main
@@ -239,7 +290,11 @@ def build_parser(command: str, full: bool = True) -> Parser:
     if command in _PLAYED:
         nargs = "?" if command == "check" else None
         parser.add_argument(
-            "trajectory", metavar="TRAJECTORY", type=Path, help="damiao_trajectory.csv", nargs=nargs
+            "trajectory",
+            metavar="TRAJECTORY",
+            type=Path,
+            help="damiao_trajectory.csv",
+            nargs=nargs,
         )
     if command in (*_PLAYED, "hold", "map"):
         arms = (ModelOptions,) if command == "map" else (ModelOptions, SecondArm)
@@ -247,11 +302,17 @@ def build_parser(command: str, full: bool = True) -> Parser:
         group = parser.add("arm", *arms, leave_out=none)
         help_model = "of the arm"
         if command != "map":
-            help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
-            help_map = "how each joint's motor is mounted (see: motors map), or LeRobot's file"
+            help_model = (
+                "MJCF or URDF of the arm; the trajectory is checked against its limits"
+            )
+            help_map = (
+                "how each joint's motor is mounted (see: motors map), or LeRobot's file"
+            )
             group.add_argument("--joint-map", metavar="FILE", type=Path, help=help_map)
         needed = command in ("simulate", "hold", "map")
-        group.add_argument("--model", metavar="MODEL", type=Path, required=needed, help=help_model)
+        group.add_argument(
+            "--model", metavar="MODEL", type=Path, required=needed, help=help_model
+        )
     parser.add("bus", BusAddress, BusTiming)
     for title, records in groups.items():
         parser.add(title, *records)
@@ -312,7 +373,9 @@ def _play_on(
     console = asked.console
     inspection = inspect_bus(link)
     checks = [*checks, *asked.met_checks(plan, inspection, real)]
-    console.stage(*motor_table(inspection, plan.trajectory.joints), *check_lines(checks))
+    console.stage(
+        *motor_table(inspection, plan.trajectory.joints), *check_lines(checks)
+    )
     if choices.dry_run:
         return _rehearsed(checks, asked)
     preflight.require_no_stop(checks, "not played")
@@ -322,7 +385,9 @@ def _play_on(
             raise InputError("not confirmed; nothing was moved")
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
-        preflight.require_no_stop(asked.met_checks(plan, inspection, real), "not played")
+        preflight.require_no_stop(
+            asked.met_checks(plan, inspection, real), "not played"
+        )
 
     stop = StopRequest()
 
@@ -331,7 +396,9 @@ def _play_on(
             console.advance("Playing", time, plan.duration, "")
 
     def say(phase: str) -> None:
-        console.stage("holding; Ctrl-C ends it" if holds and "playing" in phase else phase)
+        console.stage(
+            "holding; Ctrl-C ends it" if holds and "playing" in phase else phase
+        )
 
     try:
         console.stage(*run_lines(asked.play(link, plan, inspection, stop, say, tell)))
@@ -358,7 +425,9 @@ def _conclude(asked: Asked, plan: preflight.Plan, held: bool, real: bool) -> Non
         asked.conclude(done, _identify_command(asked, plan, record, real))
 
 
-def _identify_command(asked: Asked, plan: preflight.Plan, record: Path, real: bool) -> list[str]:
+def _identify_command(
+    asked: Asked, plan: preflight.Plan, record: Path, real: bool
+) -> list[str]:
     """Return the command that identifies the arm from a recording of a plan.
 
     Results go to the folder of the planned motion. The model of a simulated arm stands for the real
@@ -366,7 +435,9 @@ def _identify_command(asked: Asked, plan: preflight.Plan, record: Path, real: bo
     """
     arm = asked.values
     model = arm.get("model") or "MODEL"
-    settings = None if plan.trajectory.both else settings_of(plan.trajectory.path.parent)
+    settings = (
+        None if plan.trajectory.both else settings_of(plan.trajectory.path.parent)
+    )
     folder = () if settings is None else ("--output-dir", str(settings[0].parent))
     if settings is not None and not real:
         arm = settings[1]
@@ -388,7 +459,11 @@ def _simulated_end(asked: Asked) -> bus.Link:
         names = asked.channels
         ends = [slcan_terminal() for _ in names or ("",)]
         devices = [device for _, device in ends]
-        channels = tuple(map("=".join, zip(names, devices))) if len(names) > 1 else tuple(devices)
+        channels = (
+            tuple(map("=".join, zip(names, devices)))
+            if len(names) > 1
+            else tuple(devices)
+        )
         link = BusLink([terminal for terminal, _ in ends], asked.clock)
         interface = "slcan"
     # A simulated arm turns as its model does.
@@ -409,6 +484,7 @@ _WARNING = (
 def _rehearsed(checks: Sequence[preflight.Check], asked: Asked) -> int:
     preflight.require_no_stop(checks, "would not be played")
     asked.conclude(
-        "Usable: nothing speaks against playing (nothing was enabled)", asked.play_words()
+        "Usable: nothing speaks against playing (nothing was enabled)",
+        asked.play_words(),
     )
     return 0

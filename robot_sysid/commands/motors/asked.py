@@ -57,7 +57,13 @@ def _hanging(words: str, last: bool) -> None:
     """Say what hangs, and end the program: its main thread cannot any more."""
     # A terminal that takes nothing must not keep it from ending.
     aside = Aside(threaded=True)
-    aside(partial(print_line, f"robot-sysid: {'error' if last else 'note'}: {words}", sys.stderr))
+    aside(
+        partial(
+            print_line,
+            f"robot-sysid: {'error' if last else 'note'}: {words}",
+            sys.stderr,
+        )
+    )
     aside.finish(_PATIENCE)
     if last:
         os._exit(HardwareAbort.exit_code)
@@ -84,7 +90,9 @@ class Asked(MotorRun):
 
         Keys in ``leave_out`` are not given again, but some are ``more``.
         """
-        values = {key: value for key, value in self.values.items() if key not in leave_out} | more
+        values = {
+            key: value for key, value in self.values.items() if key not in leave_out
+        } | more
         words = [PROGRAM, "motors", name]
         files = ("model", "joint_map")
         words += [str(values[key]) for key in ("trajectory",) if values.get(key)]
@@ -92,12 +100,18 @@ class Asked(MotorRun):
         for key in (key for key in files if values.get(key)):
             words += [f"--{key.replace('_', '-')}", str(values[key])]
         limits = {key: values[key] for key in LIMITS if key in values}
-        return [*words, *command_words(values, *_HOW), *command_words(limits, LimitOptions)]
+        return [
+            *words,
+            *command_words(values, *_HOW),
+            *command_words(limits, LimitOptions),
+        ]
 
     def play_words(self) -> list[str]:
         """Return the words of the command that plays what was checked, slowly at first."""
         usual = {"channel": ("CHANNEL",), "speed": 0.3, "record": "slow.csv"}
-        return self.command("play", **{k: v for k, v in usual.items() if k not in self.values})
+        return self.command(
+            "play", **{k: v for k, v in usual.items() if k not in self.values}
+        )
 
 
 _HEADINGS: tuple[str, ...] = (
@@ -116,16 +130,24 @@ _HEADINGS: tuple[str, ...] = (
 _MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
 
 
-def motor_table(inspection: Inspection, joints: Sequence[DamiaoJoint] = ()) -> Iterator[str]:
+def motor_table(
+    inspection: Inspection, joints: Sequence[DamiaoJoint] = ()
+) -> Iterator[str]:
     """Yield a table of the motors found; ``joints`` names the types to compare with."""
     types = {joint.address: joint for joint in joints}
     found = sorted(inspection.motors.items())
-    yield from _columns([_HEADINGS, *(_row(motor, types.get(place)) for place, motor in found)])
+    yield from _columns(
+        [_HEADINGS, *(_row(motor, types.get(place)) for place, motor in found)]
+    )
 
 
-def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> Iterator[str]:
+def state_table(
+    states: Iterable[tuple[InspectedMotor, Feedback | None]],
+) -> Iterator[str]:
     """Yield a table of what motors measure."""
-    rows: list[tuple[str, ...]] = [("motor", "position", "velocity", "torque", "degC", "state")]
+    rows: list[tuple[str, ...]] = [
+        ("motor", "position", "velocity", "torque", "degC", "state")
+    ]
     for motor, state in states:
         if state is None:
             rows.append((motor.name, "?", "?", "?", "?", "does not tell"))
@@ -172,13 +194,17 @@ def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
     feedback = motor.feedback
     return (
         f"{motor.can_id}{' ' + motor.channel if motor.channel else ''}",
-        replies if len(motor.reply_ids) == 1 else f"{replies} (x{len(motor.reply_ids)})",
+        replies
+        if len(motor.reply_ids) == 1
+        else f"{replies} (x{len(motor.reply_ids)})",
         frames.MODES.get(mode, "?"),
         *(f"{value or np.nan:g}" for value in limits),
         _type_name(limits, joint),
         f"{1e3 * registers.get(frames.TIMEOUT, 0.0) * frames.TIMEOUT_UNIT:g} ms",
         f"{registers.get(frames.GR, np.nan):g}",
-        f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}" if feedback else "?",
+        f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}"
+        if feedback
+        else "?",
         frames.describe(int(feedback.status[0])) if feedback else "does not tell",
     )
 

@@ -44,7 +44,8 @@ _NUDGE = 0.1
 _PACE = (0.2, 2.0)
 
 _NO_ROOM = (
-    "not moved (where there is no room for 0.1 rad either way, bring the arm elsewhere by hand)"
+    "not moved (where there is no room for 0.1 rad either way, "
+    "bring the arm elsewhere by hand)"
 )
 
 
@@ -55,7 +56,9 @@ def verify(asked: Asked, link: GuardedLink, plan: Plan) -> int:
     nothing is written. HardwareAbort as for any run.
     """
     if asked.robot is None:
-        raise InputError("--verify needs --model, which says where each joint should go")
+        raise InputError(
+            "--verify needs --model, which says where each joint should go"
+        )
     path = Path(asked.values.get("joint_map") or "joint_map.csv")
     # LeRobot's own files are read and never written.
     kept = asked.values.get("joint_map") and path.suffix != ".json"
@@ -70,19 +73,31 @@ def verify(asked: Asked, link: GuardedLink, plan: Plan) -> int:
         return 0
     ways = _move_a_little(asked, link, plan, unseen)
     for joint, way in zip(unseen, ways):
-        if not said_yes(f"Did {joint.label}, and no other joint, turn so that {way}, and back?"):
+        if not said_yes(
+            f"Did {joint.label}, and no other joint, turn so that {way}, and back?"
+        ):
             raise InputError(
                 f"{joint.label} is not verified and nothing was written; a motor turns the other "
                 "way than its joint, or sits at another one: see robot-sysid motors map"
             )
     seen = {joint.address for joint in unseen}
     rows = asked.rows or plan.trajectory.joints
-    met = {(joint.can_id, joint.name) for joint in plan.trajectory.joints if joint.address in seen}
+    met = {
+        (joint.can_id, joint.name)
+        for joint in plan.trajectory.joints
+        if joint.address in seen
+    }
     write_joint_map(
-        path, [replace(r, verified=BY_MOTION) if (r.can_id, r.name) in met else r for r in rows]
+        path,
+        [
+            replace(r, verified=BY_MOTION) if (r.can_id, r.name) in met else r
+            for r in rows
+        ],
     )
     asked.values = {**asked.values, "joint_map": path}
-    asked.conclude(f"Done: kept in {path}, and all motors are disabled", asked.play_words())
+    asked.conclude(
+        f"Done: kept in {path}, and all motors are disabled", asked.play_words()
+    )
     return 0
 
 
@@ -100,13 +115,17 @@ def _move_a_little(
     room = asked.robot.limits
     signs = np.where(room.upper - here < here - room.lower, -1.0, 1.0)
     ways = positive_ways(asked.robot, here, signs)
-    little, mirrored = (_small_motion(asked, plan, here, numbers, s) for s in (signs, -signs))
+    little, mirrored = (
+        _small_motion(asked, plan, here, numbers, s) for s in (signs, -signs)
+    )
     for each in (little, mirrored):
         checks = [*asked.checks(each), *asked.met_checks(each, inspection, False)]
         require_no_stop(checks, _NO_ROOM)
     for joint, j in zip(unseen, numbers):
         console.stage(f"{joint.label} is to turn so that {ways[j]}, and back")
-    if not said_yes("They move one after the other, by 0.1 rad. Keep clear, and watch."):
+    if not said_yes(
+        "They move one after the other, by 0.1 rad. Keep clear, and watch."
+    ):
         raise InputError("not confirmed; nothing was moved")
     stop = StopRequest()
     waiting = list(unseen)
@@ -129,7 +148,9 @@ def _small_motion(
     pokes = here + np.diag(_NUDGE * signs)[list(numbers)]
     ends = (pair for poke in pokes for pair in ((here, poke), (poke, here)))
     ways = [way_rows(played, begin, end, _PACE) for begin, end in ends]
-    q, qd = (np.vstack([getattr(way, name)[1:] for way in ways]) for name in ("q", "qd"))
+    q, qd = (
+        np.vstack([getattr(way, name)[1:] for way in ways]) for name in ("q", "qd")
+    )
     tau = np.array([holding.torque(row) for row in q])
     time = (1.0 + np.arange(len(q))) / WAY_RATE
     rows: Any = {"line": np.arange(len(q)), "time": time, "q": q, "qd": qd, "tau": tau}
@@ -137,4 +158,6 @@ def _small_motion(
     park = plan.settings.park if plan.pose is None else "rest"
     settings = replace(plan.settings, speed=1.0, park=park)
     small = replace(played, both=False, **rows)
-    return replace(plan, trajectory=small, settings=settings, recording=RecordingOptions())
+    return replace(
+        plan, trajectory=small, settings=settings, recording=RecordingOptions()
+    )

@@ -19,12 +19,28 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.commands.console import Console
-from robot_sysid.commands.motors.asked import Asked, answer, motor_table, said_yes, state_table
+from robot_sysid.commands.motors.asked import (
+    Asked,
+    answer,
+    motor_table,
+    said_yes,
+    state_table,
+)
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.inspection import InspectedMotor, Inspection, RegisterClient, inspect_bus
+from robot_sysid.damiao.inspection import (
+    InspectedMotor,
+    Inspection,
+    RegisterClient,
+    inspect_bus,
+)
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import refuse_motion
-from robot_sysid.damiao.protocol.joints import BY_HAND, DamiaoJoint, id_problems, write_joint_map
+from robot_sysid.damiao.protocol.joints import (
+    BY_HAND,
+    DamiaoJoint,
+    id_problems,
+    write_joint_map,
+)
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.options import (
@@ -44,18 +60,26 @@ def _within(low: float, high: float, words: str) -> Callable[[float], str | None
 
 
 _BIT_RATES = f"must be one of {', '.join(map(str, frames.BIT_RATES))}"
-_ID: dict[str, Any] = {"metavar": "ID", "parse": whole_number, "check": _within(1, 15, "1 to 15")}
+_ID: dict[str, Any] = {
+    "metavar": "ID",
+    "parse": whole_number,
+    "check": _within(1, 15, "1 to 15"),
+}
 
 
 @dataclass(frozen=True)
 class SetupOptions(OptionRecord):
     """What ``motors setup`` changes in one motor; nothing lists the motors."""
 
-    scan: bool = option(False, "look for motors at every bit rate that the adapter can be set to")
+    scan: bool = option(
+        False, "look for motors at every bit rate that the adapter can be set to"
+    )
     motor: int | None = option(None, "CAN id of the motor to change", **_ID)
     new_id: int | None = option(None, "new CAN id", **_ID)
     new_master_id: int | None = option(
-        None, "new id it answers on", **{**_ID, "check": _within(0, 0x7FE, "0 to 0x7fe")}
+        None,
+        "new id it answers on",
+        **{**_ID, "check": _within(0, 0x7FE, "0 to 0x7fe")},
     )
     mit: bool = option(False, "set the control mode to MIT")
     watchdog: float | None = option(
@@ -98,7 +122,9 @@ class MotorSetup:
         if asked.mit:
             yield self._written(frames.CTRL_MODE, frames.MIT_MODE)
         if asked.watchdog is not None:
-            yield self._written(frames.TIMEOUT, float(round(asked.watchdog / frames.TIMEOUT_UNIT)))
+            yield self._written(
+                frames.TIMEOUT, float(round(asked.watchdog / frames.TIMEOUT_UNIT))
+            )
         if asked.set_zero:
             yield self._zeroed()
         if asked.new_master_id is not None:
@@ -111,7 +137,9 @@ class MotorSetup:
             self._send_off(frames.store_frame(self._address))
             yield f"{self._motor.name} keeps its values when the power goes off"
         if asked.motor_bitrate is not None:
-            yield self._written(frames.CAN_BR, frames.BIT_RATES[asked.motor_bitrate], heard=False)
+            yield self._written(
+                frames.CAN_BR, frames.BIT_RATES[asked.motor_bitrate], heard=False
+            )
             if asked.store:
                 yield "not stored: open the bus at the new bit rate and give --store again"
 
@@ -169,7 +197,9 @@ class MotorSetup:
     def _feedback(self) -> bytes:
         frame = self._client.refresh(self._address, self._master)
         if frame is None:
-            raise HardwareAbort(f"{self._motor.name} does not tell its state; nothing more is done")
+            raise HardwareAbort(
+                f"{self._motor.name} does not tell its state; nothing more is done"
+            )
         return frame.data
 
 
@@ -206,7 +236,9 @@ def positive_ways(
         vector = shift if seen else np.sign(probe[j, j]) * begin.axis(j)
         k = int(np.argmax(np.abs(vector)))
         start = (
-            "the end of the arm moves towards" if seen else "it turns counter-clockwise seen from"
+            "the end of the arm moves towards"
+            if seen
+            else "it turns counter-clockwise seen from"
         )
         words.append(f"{start} {_WAYS[k][int(vector[k] > 0.0)]}")
     return words
@@ -226,7 +258,9 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
         )
     for motor in by_address.values():
         if motor.feedback is None or motor.feedback.status[0] == frames.ENABLED:
-            raise HardwareAbort(f"{motor.name} is enabled or does not tell; the arm has to be limp")
+            raise HardwareAbort(
+                f"{motor.name} is enabled or does not tell; the arm has to be limp"
+            )
 
     def positions() -> Positions:
         states = [client.state_of(motor) for motor in by_address.values()]
@@ -237,10 +271,16 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
 
     found: dict[frames.Address, tuple[str, int]] = {}
     for name, way in zip(robot.joint_names, positive_ways(robot)):
-        address, direction = _moved_one(name, way, set(by_address) - set(found), positions)
+        address, direction = _moved_one(
+            name, way, set(by_address) - set(found), positions
+        )
         found[address] = name, direction
-    listed = ", ".join(f"{n} {q:.3f}" for n, q in zip(robot.joint_names, robot.reference))
-    answer(f"put the arm into the model's own pose ({listed} rad or m) and hold it there{_ENTER}")
+    listed = ", ".join(
+        f"{n} {q:.3f}" for n, q in zip(robot.joint_names, robot.reference)
+    )
+    answer(
+        f"put the arm into the model's own pose ({listed} rad or m) and hold it there{_ENTER}"
+    )
     here = positions()
     rows = []
     for (address, (name, direction)), q in zip(found.items(), robot.reference):
@@ -257,15 +297,23 @@ def _moved_one(
     again = ""
     for _ in range(_TRIES):
         before = positions()
-        answer(f"{again}move joint {name} alone, by 20 degrees or more, so that {way}{_ENTER}")
+        answer(
+            f"{again}move joint {name} alone, by 20 degrees or more, so that {way}{_ENTER}"
+        )
         after = positions()
         turns = {each: after[each] - before[each] for each in left}
         moved, *others = sorted(left, key=lambda each: -abs(turns[each]))
         most = abs(turns[moved])
         if most > _MOVED and (not others or most > _CLEARLY * abs(turns[others[0]])):
             return moved, 1 if turns[moved] > 0.0 else -1
-        again = "several motors turned; " if most > _MOVED else "no motor turned far enough; "
-    raise HardwareAbort(f"it cannot be told which motor drives {name}; nothing was written")
+        again = (
+            "several motors turned; "
+            if most > _MOVED
+            else "no motor turned far enough; "
+        )
+    raise HardwareAbort(
+        f"it cannot be told which motor drives {name}; nothing was written"
+    )
 
 
 @dataclass(frozen=True)
@@ -294,7 +342,9 @@ class MapOptions(OptionRecord):
 def setup(asked: Asked) -> int:
     """Find motors, and change one of them."""
     options = record_from(SetupOptions, asked.values)
-    changes = any(given.key not in ("scan", "motor") for given in given_options(options))
+    changes = any(
+        given.key not in ("scan", "motor") for given in given_options(options)
+    )
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     if options.scan:
@@ -316,7 +366,9 @@ def _found(asked: Asked, motors: int, changed: str = "") -> int:
     """Say how many motors there are and what to do next; return the exit code."""
     asked.verdict = (f"Not usable: {SILENT}",)
     if motors:
-        asked.conclude(f"Done: {changed or f'{motors} motors answer'}", asked.command("check"))
+        asked.conclude(
+            f"Done: {changed or f'{motors} motors answer'}", asked.command("check")
+        )
     return 0 if motors else 1
 
 
@@ -331,7 +383,9 @@ def _scan(asked: Asked) -> int:
     rates = [rate for rate in frames.BIT_RATES if rate <= 1_000_000]
     for rate in sorted(rates, reverse=True):
         try:
-            with asked.bus(refuse_motion, replace(asked.timing, bitrate=float(rate))) as link:
+            with asked.bus(
+                refuse_motion, replace(asked.timing, bitrate=float(rate))
+            ) as link:
                 inspection = inspect_bus(link)
         except InputError as error:
             refused.append(error)
@@ -361,7 +415,9 @@ def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
         )
     (motor,) = meant
     bus = meant[0].address.bus
-    others = [m for m in inspection.motors.values() if m is not motor and m.address.bus == bus]
+    others = [
+        m for m in inspection.motors.values() if m is not motor and m.address.bus == bus
+    ]
     if options.motor_bitrate is not None and others:
         raise InputError("a bit rate can only be changed with one motor on the bus")
     now = bus, motor.can_id, motor.master_id
@@ -370,7 +426,9 @@ def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
     for there in ((bus, other.can_id, other.master_id) for other in others):
         # What clashes already may be put right one motor after the other.
         before = set(id_problems([now, there]))
-        for problem in (each for each in id_problems([new, there]) if each not in before):
+        for problem in (
+            each for each in id_problems([new, there]) if each not in before
+        ):
             raise InputError(f"nothing was changed: {problem}")
     return motor
 
@@ -389,7 +447,10 @@ def monitor(asked: Asked) -> int:
 
 
 def _watch(
-    link: GuardedLink, motors: Sequence[InspectedMotor], options: MonitorOptions, console: Console
+    link: GuardedLink,
+    motors: Sequence[InspectedMotor],
+    options: MonitorOptions,
+    console: Console,
 ) -> None:
     client = RegisterClient(link)
     clock = link.clock

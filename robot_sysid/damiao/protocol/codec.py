@@ -47,7 +47,9 @@ class _Layout:
 
     def unpack(self, frames: Bytes) -> Codes:
         """Return the fields (..., n, F) of frames (..., n, 8)."""
-        words = np.ascontiguousarray(frames, dtype=np.uint8).view(">i8").astype(np.int64)
+        words = (
+            np.ascontiguousarray(frames, dtype=np.uint8).view(">i8").astype(np.int64)
+        )
         return np.asarray((words >> self._shifts) & self.full)
 
 
@@ -71,14 +73,18 @@ class Scaling:
         table = np.array(list(limits), dtype=float).reshape(-1, 3)
         for name, value in zip(("position", "velocity", "torque"), table.T):
             if not np.all(np.isfinite(value) & (value > 0.0)):
-                raise InputError(f"{name} scaling must be positive numbers, got {value.tolist()}")
+                raise InputError(
+                    f"{name} scaling must be positive numbers, got {value.tolist()}"
+                )
         high = np.insert(table, [2, 2], (KP_MAX, KD_MAX), axis=1)
         vars(self).update(limits=table, _low=high * _HAS_SIGN, _high=high)
 
     @property
     def steps(self) -> tuple[Array, Array, Array]:
         """One quantisation step (n,) of position [rad], velocity [rad/s] and torque [N m]."""
-        position, velocity, torque = ((self._high - self._low) / _COMMAND.full).T[_MEASURED]
+        position, velocity, torque = ((self._high - self._low) / _COMMAND.full).T[
+            _MEASURED
+        ]
         return position, velocity, torque
 
     def _codes(self, values: Array, offset: float, rows: Any = slice(None)) -> Codes:
@@ -99,7 +105,9 @@ class Scaling:
     def _refuse_outside(self, values: Array) -> None:
         room = _FLOAT32_SLACK * self._high
         # Written so that a NaN counts as outside.
-        beyond = np.moveaxis(~((values >= self._low - room) & (values <= self._high + room)), -1, 0)
+        beyond = np.moveaxis(
+            ~((values >= self._low - room) & (values <= self._high + room)), -1, 0
+        )
         for where in np.argwhere(beyond)[:1]:
             what = where[0]
             bad = np.moveaxis(values, -1, 0)[tuple(where)]
@@ -184,7 +192,9 @@ def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
     return _FEEDBACK.pack(_last_axis(feedback.status, feedback.can_id, *codes, *hot))
 
 
-def decode_feedback(frames: Bytes, scaling: Scaling, half_step: bool = False) -> Feedback:
+def decode_feedback(
+    frames: Bytes, scaling: Scaling, half_step: bool = False
+) -> Feedback:
     """Return what feedback frames (..., n, 8) say.
 
     The motor drops the fraction when it packs a value, so what arrives is on average half a

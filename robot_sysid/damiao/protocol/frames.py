@@ -63,7 +63,9 @@ set_zero_frame = partial(_special_frame, SET_ZERO)
 """Makes where a motor stands its zero, for good."""
 
 
-def _request(operation: int, motor: Address, register: int, value: bytes = bytes(4)) -> Frame:
+def _request(
+    operation: int, motor: Address, register: int, value: bytes = bytes(4)
+) -> Frame:
     head = bytes([motor.can_id & 0xFF, motor.can_id >> 8, operation, register])
     return Frame(REGISTER_ID, head + value, bus=motor.bus)
 
@@ -98,7 +100,9 @@ def refuse_harmful(frame: Frame) -> None:
 
 def refuse_motion(frame: Frame) -> None:
     """Raise SysidError for a frame that setting a motor up never sends: anything that drives it."""
-    if frame.id != REGISTER_ID and not (is_special(frame.data) and frame.data[7] != ENABLE):
+    if frame.id != REGISTER_ID and not (
+        is_special(frame.data) and frame.data[7] != ENABLE
+    ):
         raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
 
 
@@ -146,14 +150,22 @@ def value_from_bytes(number: int, raw: bytes) -> float:
 def bytes_from_value(number: int, value: float) -> bytes:
     """Return the four little-endian bytes of a register's value, or raise InputError."""
     try:
-        return struct.pack("<I", int(value)) if number in INTEGERS else struct.pack("<f", value)
+        return (
+            struct.pack("<I", int(value))
+            if number in INTEGERS
+            else struct.pack("<f", value)
+        )
     except (struct.error, OverflowError, ValueError):
-        raise InputError(f"{NAMES[number]} = {value:g} does not fit into its register") from None
+        raise InputError(
+            f"{NAMES[number]} = {value:g} does not fit into its register"
+        ) from None
 
 
 def text_of(number: int, value: float) -> str:
     """Return NAME=value as written into a recording's header."""
-    return f"{NAMES[number]}={int(value) if number in INTEGERS else format(value, '.9g')}"
+    return (
+        f"{NAMES[number]}={int(value) if number in INTEGERS else format(value, '.9g')}"
+    )
 
 
 DISABLED = 0
@@ -227,7 +239,9 @@ def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
 
 def default_rate(n_motors: int, timing: BusTiming) -> float:
     """Return the cycle rate to use [Hz]: 250 (classic) or 500 (FD), less where it does not fit."""
-    return suggested_rate(n_motors, timing, _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ)
+    return suggested_rate(
+        n_motors, timing, _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ
+    )
 
 
 def suggested_rate(n_motors: int, timing: BusTiming, most: float = math.inf) -> float:

@@ -89,7 +89,9 @@ class DamiaoJoint:
     def label(self) -> str:
         """How messages call it."""
         place = f" on {self.channel}" if self.channel else ""
-        return f"motor {self.can_id}{place}" + (f" (joint {self.name})" if self.name else "")
+        return f"motor {self.can_id}{place}" + (
+            f" (joint {self.name})" if self.name else ""
+        )
 
     @property
     def spec(self) -> MotorSpec:
@@ -117,7 +119,9 @@ def damiao_joints(
         )
     types = [motor_spec(name).name for name in motor_types]
     ids = list(range(1, n_joints + 1)) if not can_ids else list(can_ids)
-    replies = [i + MASTER_ID_OFFSET for i in ids] if not master_ids else list(master_ids)
+    replies = (
+        [i + MASTER_ID_OFFSET for i in ids] if not master_ids else list(master_ids)
+    )
     for option, values, how in (
         ("--motor-type", types, ", base to terminal"),
         ("--can-id", ids, " or not at all"),
@@ -172,15 +176,27 @@ class JointSpace:
         rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
         return cls(*np.array(rows, dtype=float).reshape(-1, 3).T)
 
-    def to_motors(self, position: Array, velocity: Array, torque: Array) -> tuple[Array, ...]:
+    def to_motors(
+        self, position: Array, velocity: Array, torque: Array
+    ) -> tuple[Array, ...]:
         """Return what motors are told, or tell, of their joints' (n,) [rad, rad/s, N m]."""
         sign = self.direction
-        return sign * position + self.offset, sign * velocity, sign * torque / self.ratio
+        return (
+            sign * position + self.offset,
+            sign * velocity,
+            sign * torque / self.ratio,
+        )
 
-    def to_joints(self, position: Array, velocity: Array, torque: Array) -> tuple[Array, ...]:
+    def to_joints(
+        self, position: Array, velocity: Array, torque: Array
+    ) -> tuple[Array, ...]:
         """Return what joints do of what their motors are told, or tell (n,) [rad, rad/s, N m]."""
         sign = self.direction
-        return sign * (position - self.offset), sign * velocity, sign * self.ratio * torque
+        return (
+            sign * (position - self.offset),
+            sign * velocity,
+            sign * self.ratio * torque,
+        )
 
     def command_to_motors(self, told: MitCommand) -> MitCommand:
         """Return a command for joints as one for motors."""
@@ -243,7 +259,9 @@ def _checked_map(path: Path, rows: tuple[DamiaoJoint, ...]) -> tuple[DamiaoJoint
     names = [row.name for row in rows]
     for name in (name for name in names if names.count(name) > 1):
         raise InputError(f"{path} names {name} twice")
-    for problem in id_problems([(row.channel, row.can_id, row.master_id) for row in rows]):
+    for problem in id_problems(
+        [(row.channel, row.can_id, row.master_id) for row in rows]
+    ):
         raise InputError(f"{path}: {problem}")
     return rows
 
@@ -252,8 +270,12 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
     """Write a joint map."""
     lines = [",".join(_COLUMNS)]
     for row in rows:
-        numbers = f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g},{row.verified}"
-        lines.append(f"{row.name},{row.channel},{row.can_id},{row.master_id:#x},{numbers}")
+        numbers = (
+            f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g},{row.verified}"
+        )
+        lines.append(
+            f"{row.name},{row.channel},{row.can_id},{row.master_id:#x},{numbers}"
+        )
     write_whole(path, "\n".join(lines) + "\n")
 
 
@@ -270,7 +292,9 @@ def map_joints(
     """
     by_name = {row.name: row for row in rows}
     for name in (name for name in names if name not in by_name):
-        raise InputError(f"the joint map has no line for {name}; it has {', '.join(by_name)}")
+        raise InputError(
+            f"the joint map has no line for {name}; it has {', '.join(by_name)}"
+        )
     chosen = [by_name[name] for name in names] if names else rows
     if len(chosen) != len(joints):
         raise InputError(
@@ -288,7 +312,9 @@ def map_joints(
             )
         bus = channels.index(where) if where in channels else 0
         channel = channels[bus] if len(channels) > 1 else ""
-        mounted.append(replace(row, motor_type=joint.motor_type, bus=bus, channel=channel))
+        mounted.append(
+            replace(row, motor_type=joint.motor_type, bus=bus, channel=channel)
+        )
     return tuple(mounted)
 
 
@@ -326,13 +352,19 @@ _SIDES = {f"{side}_arm_config": f"{side}_" for side in ("left", "right")}
 
 
 def _read_lerobot_map(path: Path, names: Sequence[str]) -> tuple[DamiaoJoint, ...]:
-    content = read_json(path, "give LeRobot's calibration, or a configuration with motor_config")
+    content = read_json(
+        path, "give LeRobot's calibration, or a configuration with motor_config"
+    )
     try:
         rows = tuple(_motors_in(content))
     except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
         said = f"{type(error).__name__}: {error}"
-        raise InputError(f"{path} is no calibration or configuration of LeRobot ({said})") from None
-    return _checked_map(path, tuple(replace(row, name=_known(row.name, names)) for row in rows))
+        raise InputError(
+            f"{path} is no calibration or configuration of LeRobot ({said})"
+        ) from None
+    return _checked_map(
+        path, tuple(replace(row, name=_known(row.name, names)) for row in rows)
+    )
 
 
 def _motors_in(content: Mapping[str, Any], prefix: str = "") -> Iterator[DamiaoJoint]:
@@ -343,14 +375,25 @@ def _motors_in(content: Mapping[str, Any], prefix: str = "") -> Iterator[DamiaoJ
         return
     if "motor_config" in content:
         for name, (can_id, master_id, *_) in content["motor_config"].items():
-            where = "", int(can_id), int(master_id), prefix + name, 0, str(content.get("port", ""))
+            where = (
+                "",
+                int(can_id),
+                int(master_id),
+                prefix + name,
+                0,
+                str(content.get("port", "")),
+            )
             yield DamiaoJoint(*where)
         return
     for name, entry in content.items():
         for key in ("drive_mode", "homing_offset"):
             if entry[key] != 0:
-                raise ValueError(f"{key} of {name} is {entry[key]}, 0 for Damiao motors")
-        yield DamiaoJoint("", int(entry["id"]), int(entry["id"]) + MASTER_ID_OFFSET, name)
+                raise ValueError(
+                    f"{key} of {name} is {entry[key]}, 0 for Damiao motors"
+                )
+        yield DamiaoJoint(
+            "", int(entry["id"]), int(entry["id"]) + MASTER_ID_OFFSET, name
+        )
 
 
 def _known(name: str, names: Sequence[str]) -> str:

@@ -77,7 +77,9 @@ def motor_spec(name: str) -> MotorSpec:
         return MOTORS[name]
     except KeyError:
         valid = ", ".join(MOTORS)
-        raise InputError(f"unknown Damiao motor type {name!r}; valid types: {valid}") from None
+        raise InputError(
+            f"unknown Damiao motor type {name!r}; valid types: {valid}"
+        ) from None
 
 
 def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
@@ -85,6 +87,8 @@ def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
     return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits))
 
 
-def limits_agree(expected: tuple[float, float, float], found: tuple[float, float, float]) -> bool:
+def limits_agree(
+    expected: tuple[float, float, float], found: tuple[float, float, float]
+) -> bool:
     """Tell whether two (PMAX, VMAX, TMAX) agree to a tenth of a percent."""
     return all(abs(a - b) <= _AGREEMENT * abs(a) for a, b in zip(expected, found))

@@ -73,10 +73,17 @@ class CommandBounds:
         current = self.command_range
         reach = current.speed * elapsed
         last = np.clip(last, current.lower, current.upper)
-        return np.maximum(current.lower, last - reach), np.minimum(current.upper, last + reach)
+        return np.maximum(current.lower, last - reach), np.minimum(
+            current.upper, last + reach
+        )
 
     def require(
-        self, labels: Sequence[str], command: MitCommand, last: Array, elapsed: Array, q: Array
+        self,
+        labels: Sequence[str],
+        command: MitCommand,
+        last: Array,
+        elapsed: Array,
+        q: Array,
     ) -> None:
         """Raise BeyondBounds for the first joint that a command asks too much of.
 
@@ -100,7 +107,9 @@ class CommandBounds:
                 f"{labels[j]} would be sent to {command.position[j]:.3f} rad; from the last "
                 f"command it may go from {lowest[j]:.3f} to {highest[j]:.3f}"
             )
-        too_fast = ~(np.abs(command.velocity) <= self.command_range.speed + self.velocity_step)
+        too_fast = ~(
+            np.abs(command.velocity) <= self.command_range.speed + self.velocity_step
+        )
         for j in np.flatnonzero(too_fast).tolist():
             limit = self.command_range.speed[j]
             told = f"would be told {command.velocity[j]:.2f} rad/s, limit {limit:.2f}"
@@ -116,7 +125,9 @@ class CommandBounds:
                 "something holds it back"
             )
 
-    def confine(self, command: MitCommand, last: Array, elapsed: Array, q: Array) -> MitCommand:
+    def confine(
+        self, command: MitCommand, last: Array, elapsed: Array, q: Array
+    ) -> MitCommand:
         """Return the nearest command within the bounds; for the arguments see ``require``."""
         lowest, highest = self._reach(last, elapsed)
         position = np.where(np.isfinite(command.position), command.position, last)
@@ -124,7 +135,9 @@ class CommandBounds:
         top_speed = self.command_range.speed
         velocity = np.clip(np.nan_to_num(command.velocity), -top_speed, top_speed)
         error = np.nan_to_num(position - q)
-        stiffness = np.minimum(command.kp, self.torque / np.maximum(np.abs(error), 1e-9))
+        stiffness = np.minimum(
+            command.kp, self.torque / np.maximum(np.abs(error), 1e-9)
+        )
         pull = stiffness * error
         fed = np.clip(np.nan_to_num(command.torque), -self.torque, self.torque)
         fed = np.clip(fed, -self.torque - pull, self.torque - pull)

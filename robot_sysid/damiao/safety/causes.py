@@ -81,14 +81,19 @@ def explain_change(
     others = [_unexplained_squares(cause, weighted, holding) for cause in changes]
     best_weak = min(weak, default=(np.inf, ""))
     best_other = min(others, default=(np.inf, ""))
-    unexplained, text = best_other if best_other[0] < _BETTER * best_weak[0] else best_weak
+    unexplained, text = (
+        best_other if best_other[0] < _BETTER * best_weak[0] else best_weak
+    )
     if unexplained > (1.0 - _EXPLAINED) * float(weighted @ weighted):
         return "something pushes it or holds it back, or it carries more than before"
     return text
 
 
 def _explain_passing_change(
-    change: EffortChange, needed: Array, holding: HoldingCheck, joints: Sequence[DamiaoJoint]
+    change: EffortChange,
+    needed: Array,
+    holding: HoldingCheck,
+    joints: Sequence[DamiaoJoint],
 ) -> str:
     """Return what explains a change of which nothing is left now that the arm stands."""
     sudden = (change.at_once - change.baseline)[: holding.n_joints]
@@ -131,14 +136,20 @@ def _load_and_zero_causes(
     load = holding.load(q)
     mass = _fit_coefficient(load, residual, holding.doubt)
     if mass > _LEAST_LOAD:
-        yield _Cause(f"the arm carries about {mass:.1f} kg more at its end than before", load)
+        yield _Cause(
+            f"the arm carries about {mass:.1f} kg more at its end than before", load
+        )
     for j, unit in enumerate(np.eye(len(q))[: len(residual)]):
         step = _DIFFERENCE * unit
-        slope = (holding.torque(q + step) - holding.torque(q - step)) / (2.0 * _DIFFERENCE)
+        slope = (holding.torque(q + step) - holding.torque(q - step)) / (
+            2.0 * _DIFFERENCE
+        )
         shift = _fit_coefficient(slope[: len(residual)], residual, holding.doubt)
         if _LEAST_SHIFT < abs(shift) < _MOST_SHIFT:
             moved = f"the zero of {joints[j].label} has moved by {abs(shift):.2f} rad"
-            yield _Cause(f"{moved}: its gear or its encoder slips", slope[: len(residual)])
+            yield _Cause(
+                f"{moved}: its gear or its encoder slips", slope[: len(residual)]
+            )
 
 
 def _fit_coefficient(shape: Array, residual: Array, doubt: Array) -> float:

@@ -27,7 +27,11 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.causes import EffortChange, explain_change
 from robot_sysid.damiao.safety.samples import NO_STATUS, Mask, Replies
-from robot_sysid.damiao.safety.scales import Slip, TorqueScalingCheck, VelocityScalingCheck
+from robot_sysid.damiao.safety.scales import (
+    Slip,
+    TorqueScalingCheck,
+    VelocityScalingCheck,
+)
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -135,7 +139,9 @@ class Observer:
         rated = np.array([j.spec.rated_torque * j.torque_ratio for j in joints])
         kp = np.maximum(settings.kp, 1e-9)
         self._sag = np.minimum(_SAG * rated / kp, settings.max_tracking_error)
-        effort = np.clip(_EFFORT_WAY * kp, _LEAST_EFFORT * peak_torque, _MOST_EFFORT * peak_torque)
+        effort = np.clip(
+            _EFFORT_WAY * kp, _LEAST_EFFORT * peak_torque, _MOST_EFFORT * peak_torque
+        )
         self._effort_limit = effort
         self._still_limit = np.maximum(_EFFORT_WAY * kp, _STILL_EFFORT * peak_torque)
         self._other_torque = _OTHER_TORQUE * peak_torque + 4.0 * torque_step
@@ -187,7 +193,9 @@ class Observer:
         is_double = is_faulty & (self._surplus > 1.0)
         self._surplus = np.where(is_double, np.inf, self._surplus)
         self.failed |= is_faulty & ~is_double
-        slip = self._velocity_check.add(replies.time, feedback.position, feedback.velocity)
+        slip = self._velocity_check.add(
+            replies.time, feedback.position, feedback.velocity
+        )
         self._slip = slip or self._slip
 
     def check(
@@ -261,7 +269,9 @@ class Observer:
                 "disturbed, its encoder is not sound, or another motor has its id"
             ),
         )
-        self._stop_where(silent, lambda j: f"did not answer in time for {self.silent[j]} cycles")
+        self._stop_where(
+            silent, lambda j: f"did not answer in time for {self.silent[j]} cycles"
+        )
         hot = np.maximum(feedback.temperature_mos, feedback.temperature_rotor)
         self._stop_where(
             replies.answered & (hot > settings.max_temperature),
@@ -271,7 +281,9 @@ class Observer:
     def _check_bus(self) -> None:
         self._stop_where(
             self._foreign > _FEW,
-            lambda j: "gets commands of another program: end it; one master moves an arm",
+            lambda j: (
+                "gets commands of another program: end it; one master moves an arm"
+            ),
         )
         self._stop_where(
             self._surplus > _FEW,
@@ -307,13 +319,17 @@ class Observer:
     def _words_for_torque(self, joint: int, differs: Mask) -> str:
         agreed_before = bool(self._has_agreed[joint])
         commanded_torque, reported = self._pairs[:, :, joint][:, differs[:, joint]]
-        shares = reported / np.where(np.abs(commanded_torque) > 1e-9, commanded_torque, 1e-9)
+        shares = reported / np.where(
+            np.abs(commanded_torque) > 1e-9, commanded_torque, 1e-9
+        )
         share = float(np.median(shares))
         is_steady = bool(np.all(np.abs(shares - share) < 0.2 * max(abs(share), 0.5)))
         weak = np.count_nonzero(differs, axis=0) >= _ENOUGH - 1
         if is_steady and abs(share + 1.0) < 0.2:
             return "reports -1 times the torque that it was commanded to make: its sign is reversed"
-        if is_steady and (0.0 <= share < 1.0 and agreed_before or abs(share) < _NO_SCALE):
+        if is_steady and (
+            0.0 <= share < 1.0 and agreed_before or abs(share) < _NO_SCALE
+        ):
             labels = [self._joints[j].label for j in np.flatnonzero(weak).tolist()]
             if len(labels) > 1:
                 return (
@@ -344,7 +360,9 @@ class Observer:
         if worst_velocity is not None:
             self._raise(worst_velocity[0], _VELOCITY_SCALE.format(worst_velocity[1]))
 
-    def _check_frozen(self, replies: Replies, acted: MitCommand, commanded: Array) -> None:
+    def _check_frozen(
+        self, replies: Replies, acted: MitCommand, commanded: Array
+    ) -> None:
         """Notice joints whose answers, or whose positions, do not change while they are led on.
 
         A motor with a frozen encoder cannot hold its joint: it is to be switched off at once, and
@@ -354,14 +372,18 @@ class Observer:
         now = np.stack([feedback.position, feedback.velocity, feedback.torque])
         same = replies.answered & (now[:2] == self._last[:2]).all(axis=0)
         begins = replies.answered & ~same
-        self._still_since = np.where(begins, [acted.position, commanded], self._still_since)
+        self._still_since = np.where(
+            begins, [acted.position, commanded], self._still_since
+        )
         self._still = np.where(begins, 0, self._still + same)
         identical = same & (now[2] == self._last[2])
         self._repeated = np.where(begins, 0, self._repeated + identical)
         self._last = np.where(replies.answered, now, self._last)
         led_by = np.abs(acted.position - self._still_since[0])
         turned_by = np.abs(commanded - self._still_since[1])
-        is_led = (led_by > _STILL_STEPS * self._position_step) & (self._still >= _STILL_CYCLES)
+        is_led = (led_by > _STILL_STEPS * self._position_step) & (
+            self._still >= _STILL_CYCLES
+        )
         does_not_follow = np.abs(commanded - feedback.torque) > 0.5 * self._other_torque
         repeats = is_led & (self._repeated == self._still) & does_not_follow
         self._stale |= repeats
@@ -393,10 +415,14 @@ class Observer:
         effort_limit = self._effort_limit + model_doubt
         # Without motion there is no friction that turns round.
         stands = np.abs(acted.velocity) <= self._velocity_step
-        effort_limit = np.where(stands, np.minimum(effort_limit, self._still_limit), effort_limit)
+        effort_limit = np.where(
+            stands, np.minimum(effort_limit, self._still_limit), effort_limit
+        )
         self._sudden = np.where(unusual > effort_limit, self._sudden + 1, 0)
         for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
-            self._raise_effort(j, f"suddenly needs {unusual[j]:.1f} N m beside what carried it")
+            self._raise_effort(
+                j, f"suddenly needs {unusual[j]:.1f} N m beside what carried it"
+            )
 
     def _check_opposite_load(self) -> None:
         """Notice a joint that is loaded the other way than the torque says that carries it."""
@@ -463,7 +489,9 @@ class Observer:
         lowest = np.minimum(acted.velocity, slowed)
         highest = np.maximum(acted.velocity, slowed)
         velocity = np.clip(feedback.velocity, lowest, highest)
-        off_path = np.where(replies.answered, np.abs(feedback.position - acted.position), 0.0)
+        off_path = np.where(
+            replies.answered, np.abs(feedback.position - acted.position), 0.0
+        )
         self.worst_tracking = np.maximum(self.worst_tracking, off_path)
         for quantity, value, target, limit in (
             ("rad off its path", feedback.position, acted.position, path_limit),
@@ -477,14 +505,17 @@ class Observer:
             self._was_beyond[quantity] = is_beyond
             counts = is_beyond if limit is path_limit else is_beyond & was_beyond
             for j in np.flatnonzero(counts)[:1].tolist():
-                self._raise_effort(j, f"is {error[j]:.3f} {quantity}, limit {limit[j]:g}")
+                self._raise_effort(
+                    j, f"is {error[j]:.3f} {quantity}, limit {limit[j]:g}"
+                )
 
     def _raise_effort(self, joint: int, description: str) -> None:
         blocked = self._blocked_joint()
         if blocked is not None:
             self.stuck[blocked] = True
             self._raise(
-                blocked, f"stands still while its path goes on: it is blocked ({description})"
+                blocked,
+                f"stands still while its path goes on: it is blocked ({description})",
             )
         self._change = EffortChange(joint, self._usual_added.value, self._added_now)
         self._raise(joint, description)
@@ -492,7 +523,9 @@ class Observer:
     def _blocked_joint(self) -> int | None:
         """Return the joint that came least of the way that it was led lately, if that is little."""
         led_by, came_by = np.abs(self._moments[0] - self._moments).transpose(1, 0, 2)
-        share = np.where(led_by > _LED_BY, came_by / np.maximum(led_by, _LED_BY), np.inf)
+        share = np.where(
+            led_by > _LED_BY, came_by / np.maximum(led_by, _LED_BY), np.inf
+        )
         joint = int(np.argmin(np.min(share, axis=0)))
         return joint if np.min(share[:, joint]) < _CAME_SHARE else None
 
@@ -509,7 +542,9 @@ class Observer:
             return HardwareAbort(f"{fault}: it {_words_for_slip(self._slip)}")
         if not np.all(np.isfinite(q + commanded)):
             return fault
-        cause = explain_change(self._change, self._holding, q, commanded, self.fed, self._joints)
+        cause = explain_change(
+            self._change, self._holding, q, commanded, self.fed, self._joints
+        )
         return HardwareAbort(f"{fault}: {cause}" if cause else str(fault))
 
     # ----------------------------------------------------------------------------------------------

@@ -32,7 +32,11 @@ def undisturbed(live: bool = True) -> Iterator[bool]:
     gc.disable()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
-        with _real_time_priority() if live else contextlib.nullcontext(False) as is_granted:
+        with (
+            _real_time_priority()
+            if live
+            else contextlib.nullcontext(False) as is_granted
+        ):
             yield is_granted
     finally:
         sys.setswitchinterval(switch_interval)

@@ -66,7 +66,12 @@ class Replies:
 
     def __post_init__(self) -> None:
         n_joints = len(self.answered)
-        for name, dtype in (("doubted", bool), ("jump", float), ("surplus", int), ("foreign", int)):
+        for name, dtype in (
+            ("doubted", bool),
+            ("jump", float),
+            ("surplus", int),
+            ("foreign", int),
+        ):
             if len(getattr(self, name)) != n_joints:
                 object.__setattr__(self, name, np.zeros(n_joints, dtype=dtype))
 
@@ -86,7 +91,9 @@ class _Samples:
         """Return these samples for the joints ``selected`` (n,), and others for the rest."""
         names = vars(self)
         pairs = {name: (getattr(self, name), getattr(other, name)) for name in names}
-        return _Samples(**{name: np.where(selected, *pair) for name, pair in pairs.items()})
+        return _Samples(
+            **{name: np.where(selected, *pair) for name, pair in pairs.items()}
+        )
 
 
 class _Change(NamedTuple):
@@ -130,7 +137,9 @@ class SampleFilter:
     def start(self, time: float, q: Array) -> None:
         """Begin with an arm that stands at q (n,) [rad]."""
         zero_speed = np.zeros_like(q)
-        self._last = replace(self._last, time=zero_speed + time, q=q.copy(), qd=zero_speed)
+        self._last = replace(
+            self._last, time=zero_speed + time, q=q.copy(), qd=zero_speed
+        )
 
     def believe(self, replies: Replies, acted: codec.MitCommand | None) -> Replies:
         """Return replies without the answers that are not believed.
@@ -143,7 +152,9 @@ class SampleFilter:
         tau = feedback.torque
         expected = tau if acted is None else acted.motor_torque(q, qd)
         error = tau - np.clip(expected, -self._peak, self._peak)
-        heat = np.maximum(feedback.temperature_mos, feedback.temperature_rotor).astype(float)
+        heat = np.maximum(feedback.temperature_mos, feedback.temperature_rotor).astype(
+            float
+        )
         now = _Samples(replies.time, q, qd, error, feedback.status == ENABLED, heat)
         came = replies.answered
         change = self._compare(self._last, now)
@@ -171,12 +182,17 @@ class SampleFilter:
         distance = np.abs(now.q - previous.q - expected_change)
         accelerated = _TOP_ACCELERATION * passed
         tolerance = (
-            _LEAST_JUMP + _SPEED_DOUBT * np.abs(expected_change) + 0.5 * accelerated * passed
+            _LEAST_JUMP
+            + _SPEED_DOUBT * np.abs(expected_change)
+            + 0.5 * accelerated * passed
         )
         jumps = distance > tolerance
         change = np.abs(now.qd - previous.qd)
         throws = change > _LEAST_SPEED_CHANGE + 4.0 * self._velocity_step + accelerated
-        bends = np.abs(now.torque_error - previous.torque_error) > _TORQUE_DOUBT * self._peak
+        bends = (
+            np.abs(now.torque_error - previous.torque_error)
+            > _TORQUE_DOUBT * self._peak
+        )
         heats = np.abs(now.heat - previous.heat) > _HEAT_CHANGE
         return _Change(jumps, bends, ~(jumps | throws | bends | heats))
 
@@ -191,4 +207,6 @@ def _hide_doubted(replies: Replies, doubted: Mask, jump: Array) -> Replies:
         torque=np.where(doubted, np.nan, feedback.torque),
     )
     answered = replies.answered & ~doubted
-    return replace(replies, answered=answered, feedback=hidden, doubted=doubted, jump=jump)
+    return replace(
+        replies, answered=answered, feedback=hidden, doubted=doubted, jump=jump
+    )

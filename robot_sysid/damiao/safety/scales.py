@@ -114,7 +114,9 @@ class VelocityScalingCheck:
         j = int(np.argmax(np.abs(mismatch) - tolerance))
         if abs(mismatch[j]) <= tolerance[j]:
             return None
-        return Slip(j, float(integral[j]), float(change[j]), float(mismatch[j] / _WINDOW))
+        return Slip(
+            j, float(integral[j]), float(change[j]), float(mismatch[j] / _WINDOW)
+        )
 
     def worst(self) -> tuple[int, float] | None:
         """Return (joint, slope) of a joint whose slope is surely off, or None.
@@ -134,11 +136,15 @@ class VelocityScalingCheck:
         error = 3.0 * np.sqrt(residual / variation)
         doubt = error + self._rounding / np.where(moved, spread, 1.0)
         unexplained = slope / np.clip(slope, 1.0, self.explained)
-        worst = _farthest_from_one(unexplained, np.where(moved, doubt, np.inf), _SLOPE_TOLERANCE)
+        worst = _farthest_from_one(
+            unexplained, np.where(moved, doubt, np.inf), _SLOPE_TOLERANCE
+        )
         return None if worst is None else (worst[0], float(slope[worst[0]]))
 
 
-def _farthest_from_one(ratio: Array, doubt: Array, tolerance: float) -> tuple[int, float] | None:
+def _farthest_from_one(
+    ratio: Array, doubt: Array, tolerance: float
+) -> tuple[int, float] | None:
     excess = np.abs(ratio - 1.0) - doubt
     j = int(np.argmax(excess))
     return (j, float(ratio[j])) if excess[j] > tolerance else None
@@ -175,7 +181,11 @@ class TorqueScalingCheck:
         Samples of a joint that moves fast are left out, because a velocity that is wrong or late
         would make ``commanded`` wrong.
         """
-        usable = np.isfinite(measured) & (np.abs(commanded) < self._peak) & (np.abs(qd) < _SLOW)
+        usable = (
+            np.isfinite(measured)
+            & (np.abs(commanded) < self._peak)
+            & (np.abs(qd) < _SLOW)
+        )
         x = np.where(usable, commanded, 0.0)
         y = np.where(usable, measured, 0.0)
         self._sums += np.stack([usable.astype(float), x * x, x * y])

@@ -88,7 +88,9 @@ class CarriedStop:
         led = start.reference.velocity
         speed = np.where(np.isfinite(start.qd), start.qd, led)
         self._velocity = np.clip(speed, np.minimum(led, 0.0), np.maximum(led, 0.0))
-        self.duration = float(np.max(np.abs(self._velocity), initial=0.0)) / deceleration
+        self.duration = (
+            float(np.max(np.abs(self._velocity), initial=0.0)) / deceleration
+        )
         self._offset = np.nan_to_num(start.reference.position - start.q)
         self._stiffening = _ADDED_STIFFNESS * start.kd / (_DELAY_CYCLES * period)
         self._relief = np.where(start.stuck, 1.0, 0.0)
@@ -134,7 +136,9 @@ class CarriedStop:
 
     def _damping_torque(self, velocity: Array) -> Array:
         """Return the torque (n,) against speeds other than that of the reference."""
-        return np.asarray(_ADDED_DAMPING * self._start.kd * np.nan_to_num(velocity - self.qd))
+        return np.asarray(
+            _ADDED_DAMPING * self._start.kd * np.nan_to_num(velocity - self.qd)
+        )
 
     def _displacement(self, goal: Array) -> Array:
         """Return how far joints (n,) are off the way that they have come and have to go [rad]."""

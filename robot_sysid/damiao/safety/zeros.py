@@ -137,7 +137,9 @@ class MovedZeroCheck:
         self._information = np.zeros((n_onsets, n_changes))
         self._end_information = np.zeros((n_onsets, _END_PARAMETERS, _END_PARAMETERS))
 
-    def __call__(self, time: float, q: Array, qd: Array, tau: Array) -> tuple[int, str] | None:
+    def __call__(
+        self, time: float, q: Array, qd: Array, tau: Array
+    ) -> tuple[int, str] | None:
         """Take in one cycle's motion and commanded torque (n,); return what is known by now.
 
         That is the number of a joint that is elsewhere than it says, and a sentence about it
@@ -159,7 +161,9 @@ class MovedZeroCheck:
             if np.max(np.abs(average.qd)) > _MOVING:
                 # What is left of the last window is lost where the computer has skipped cycles.
                 self._work = self._take_in(average)
-                self._parts_per_cycle = 1 + (self._robot.n_joints + _OTHER_PARTS) // len(window)
+                self._parts_per_cycle = 1 + (
+                    self._robot.n_joints + _OTHER_PARTS
+                ) // len(window)
         return self._finding
 
     def _take_in(self, window: _Window) -> Iterator[None]:
@@ -182,7 +186,9 @@ class MovedZeroCheck:
         yield
         twists = motion.joint_twists
         yield
-        torques = _joint_torques(twists, np.einsum("lnak,lk->lna", wrenches, robot.thetas))
+        torques = _joint_torques(
+            twists, np.einsum("lnak,lk->lna", wrenches, robot.thetas)
+        )
         slopes = (torques[1 : n + 1] - torques[n + 1 :]).T / (2.0 * _DIFFERENCE)
         beyond_links = self._beyond.torque(q[None], qd[None], qdd[None])[0]
         needed = torques[0] + beyond_links + robot.friction.torque(qd[None])[0]
@@ -205,9 +211,13 @@ class MovedZeroCheck:
         yield
         self._update_changes(time, changes, errors, innovation, covariance, gain)
         yield
-        self._finding = self._finding or self._judge(time, slopes / self._doubt[:, None])
+        self._finding = self._finding or self._judge(
+            time, slopes / self._doubt[:, None]
+        )
 
-    def _update(self, errors: Array, residual: Array, scatter: Array) -> tuple[Array, Array, Array]:
+    def _update(
+        self, errors: Array, residual: Array, scatter: Array
+    ) -> tuple[Array, Array, Array]:
         """Update the model's errors; return innovation (n,), its covariance and the gain."""
         scattered = (_SCATTER * scatter / self._doubt) ** 2
         noise = np.maximum(self._squares / self._weight, _LEAST_NOISE**2)
@@ -217,9 +227,13 @@ class MovedZeroCheck:
         covariance = predicted + np.diag(_ALIKE * noise + scattered)
         gain = np.linalg.solve(covariance, shared).T
         self._mean = self._mean + gain @ innovation
-        self._covariance = self._covariance - gain @ shared + _DRIFT * np.eye(len(self._mean))
+        self._covariance = (
+            self._covariance - gain @ shared + _DRIFT * np.eye(len(self._mean))
+        )
         unexplained = innovation**2 - np.diag(predicted) - scattered
-        self._squares = _REMEMBER * self._squares + np.clip(unexplained, 0.0, _OUTLIER * noise)
+        self._squares = _REMEMBER * self._squares + np.clip(
+            unexplained, 0.0, _OUTLIER * noise
+        )
         self._weight = _REMEMBER * self._weight + 1.0
         return innovation, covariance, gain
 
@@ -251,7 +265,9 @@ class MovedZeroCheck:
         self._score += innovation @ weighted
         self._information += np.sum(passed * weighted, axis=1)
         end = self._end
-        self._end_information += passed[:, :, end].transpose(0, 2, 1) @ weighted[:, :, end]
+        self._end_information += (
+            passed[:, :, end].transpose(0, 2, 1) @ weighted[:, :, end]
+        )
         self._state_shift += gain @ passed
 
     def _growth(self, time: float) -> Array:
@@ -268,7 +284,10 @@ class MovedZeroCheck:
         gains = 0.5 * self._score**2 / (1.0 + self._information)
         gains -= 0.5 * np.log1p(self._information)
         ends = gains[:, self._end]
-        for group in (slice(0, _LOAD_PARAMETERS), slice(_LOAD_PARAMETERS, _END_PARAMETERS)):
+        for group in (
+            slice(0, _LOAD_PARAMETERS),
+            slice(_LOAD_PARAMETERS, _END_PARAMETERS),
+        ):
             ends[:, group] = self._end_gains(group)[:, None]
         gains[1:][self._age[1:] < _LEAST_AGE, :n] = 0.0
         if self._has_changed:
@@ -297,7 +316,10 @@ class MovedZeroCheck:
         information = self._end_information[:, group, group]
         information = information + np.eye(information.shape[1])
         explained = np.linalg.solve(information, score[:, :, None])[:, :, 0]
-        return 0.5 * np.sum(score * explained, axis=1) - 0.5 * np.linalg.slogdet(information)[1]
+        return (
+            0.5 * np.sum(score * explained, axis=1)
+            - 0.5 * np.linalg.slogdet(information)[1]
+        )
 
 
 _SLIPS = (
@@ -337,7 +359,10 @@ def _average(samples: Sequence[tuple[float, Array]]) -> _Window:
 
 def _base_wrenches(motion: LinksMotion, to_links: Array) -> Array:
     """Return what each link's wrench in the base's frame is per parameter (n, N, 6, 10)."""
-    moves = (np.moveaxis(np.array(move), 1, -1) for move in (motion.velocity, motion.acceleration))
+    moves = (
+        np.moveaxis(np.array(move), 1, -1)
+        for move in (motion.velocity, motion.acceleration)
+    )
     velocity, acceleration = moves
     regressor = wrench_regressor(velocity.reshape(-1, 6), acceleration.reshape(-1, 6))
     wrenches = np.moveaxis(regressor, -1, 0).reshape(*velocity.shape, -1)

@@ -109,7 +109,10 @@ class JointResiduals:
             self,
             decay=self.decay[:kernels],
             sums=self.sums[: 1 + kernels],
-            **{name: getattr(self, name)[first] for name in ("lags", "products", "hats", "pairs")},
+            **{
+                name: getattr(self, name)[first]
+                for name in ("lags", "products", "hats", "pairs")
+            },
         )
 
     def absorbed_share(self, hat: Array) -> Array:
@@ -121,7 +124,9 @@ class JointResiduals:
             hat: (k, k) ``inside`` of w^2 C, weight times the estimate's inverse normal matrix.
         """
         twice = hat @ self.sums[0] @ hat
-        lost = 2.0 * np.tensordot(self.sums, hat, axes=2) - np.tensordot(self.sums, twice, axes=2)
+        lost = 2.0 * np.tensordot(self.sums, hat, axes=2) - np.tensordot(
+            self.sums, twice, axes=2
+        )
         return np.clip(lost / max(self.count, 1), 0.0, _MOST_ABSORBED)
 
     def fit(self, absorbed: Array, leaked: float) -> Array:
@@ -135,15 +140,21 @@ class JointResiduals:
             leaked: mean square of the errors due to the noise of other joints [N^2 m^2].
         """
         energy = float(self.products[0])
-        shape = self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(len(self.lags))
+        shape = (
+            self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(len(self.lags))
+        )
         products = self.products - min(leaked, 0.5 * energy) * shape
         if energy <= 0.0:
             return np.zeros(1 + len(self.decay))
-        kernels = np.column_stack((self.lags == 0, self.decay ** self.lags[:, None])).astype(float)
+        kernels = np.column_stack(
+            (self.lags == 0, self.decay ** self.lags[:, None])
+        ).astype(float)
         shapes = kernels - np.outer(shape, absorbed)
         # The first lag of each bin; bins widen in proportion to the lag.
         count = len(self.lags)
-        edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(np.int64)
+        edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(
+            np.int64
+        )
         bins = np.unique(np.clip(np.append(0, edges), 0, count - 1))
         kernel_shares = _simplest_fit(
             _sum_bins(shapes, bins), _sum_bins(products / energy, bins), self.count
@@ -154,7 +165,11 @@ class JointResiduals:
         """Return the equivalent number of independent samples, n gamma(0) / sum_l gamma(l)."""
         summed = np.concatenate(([1.0], (1.0 + self.decay) / (1.0 - self.decay)))
         spread = float(kernels @ summed)
-        return self.count * float(np.sum(kernels)) / spread if spread > 0.0 else float(self.count)
+        return (
+            self.count * float(np.sum(kernels)) / spread
+            if spread > 0.0
+            else float(self.count)
+        )
 
 
 def collect_residuals(
@@ -184,7 +199,11 @@ def collect_residuals(
 
 
 def joint_residuals(
-    columns: NDArray[np.int64], root: Array, rows: Array, residual: Array, to_add: bool = False
+    columns: NDArray[np.int64],
+    root: Array,
+    rows: Array,
+    residual: Array,
+    to_add: bool = False,
 ) -> JointResiduals:
     """Return one joint's sums over lags and kernels.
 
@@ -214,7 +233,11 @@ def joint_residuals(
         # A few channels at a time: all channels together would be as large as the log.
         roots = np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1)
         hats = np.sum(
-            [lagged_sums(np.where(is_used[:, None], rows @ r, 0.0), lags) for r in roots], axis=0
+            [
+                lagged_sums(np.where(is_used[:, None], rows @ r, 0.0), lags)
+                for r in roots
+            ],
+            axis=0,
         )
     return JointResiduals(
         columns=columns,
@@ -253,7 +276,9 @@ def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:
     state = np.zeros((len(decay), 1, width))
     normal = np.zeros((width, width))
     half = np.zeros((len(decay), width, width))
-    chunks = (np.array_split(array, len(rows) // _CHUNK + 1) for array in (rows, is_used))
+    chunks = (
+        np.array_split(array, len(rows) // _CHUNK + 1) for array in (rows, is_used)
+    )
     for block, mask in zip(*chunks):
         chunk = np.where(mask[:, None], block, 0.0)
         size = len(block)
@@ -297,7 +322,10 @@ def non_negative(matrix: Array, right_side: Array) -> tuple[Array, float]:
     x = np.zeros(size)
     workspace = np.zeros((size, size + 7))
     failed = (
-        mujoco.mju_boxQP(x, workspace, None, matrix.T @ matrix, -goal, np.zeros(size), None) < 0
+        mujoco.mju_boxQP(
+            x, workspace, None, matrix.T @ matrix, -goal, np.zeros(size), None
+        )
+        < 0
     )
     slope = goal - matrix.T @ (matrix @ x)
     uphill = np.max(np.where(x > 0.0, np.abs(slope), slope))
@@ -335,7 +363,9 @@ def concentration(residual: Array) -> float:
     squares = residual[np.isfinite(residual)] ** 2
     if len(squares) < 2 * _STRETCHES or not np.any(squares):
         return 1.0
-    energies = np.array([np.sum(stretch) for stretch in np.array_split(squares, _STRETCHES)])
+    energies = np.array(
+        [np.sum(stretch) for stretch in np.array_split(squares, _STRETCHES)]
+    )
     return float(_STRETCHES * np.sum(energies**2) / np.sum(energies) ** 2)
 
 

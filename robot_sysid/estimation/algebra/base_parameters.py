@@ -55,7 +55,8 @@ class BaseCombinations:
     def names(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return the combinations in words, with the parameters' names (p,)."""
         return tuple(
-            in_words(row, int(first), names) for row, first in zip(self.matrix, self.leading)
+            in_words(row, int(first), names)
+            for row, first in zip(self.matrix, self.leading)
         )
 
 
@@ -67,7 +68,9 @@ def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
     scale = scale * (1.0 - _ALIKE * np.arange(len(scale)))
     triangle, order = qr(regressor * scale, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(triangle))
-    rank = int(np.count_nonzero(diagonal > RELATIVE_CUT * np.max(diagonal, initial=0.0)))
+    rank = int(
+        np.count_nonzero(diagonal > RELATIVE_CUT * np.max(diagonal, initial=0.0))
+    )
     weights = solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
     weights[np.abs(weights) < _ROUNDING] = 0.0
     matrix = np.zeros((rank, len(order)))
@@ -100,7 +103,9 @@ def essential(base: Array, nuisance: Array, right_side: Array) -> NDArray[np.boo
         scaled = columns[:, is_essential] / np.where(length > 0.0, length, 1.0)
         inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
         values = inverse @ (scaled.T @ target)
-        relative = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / np.maximum(np.abs(values), 1e-300)
+        relative = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / np.maximum(
+            np.abs(values), 1e-300
+        )
         if np.max(relative) <= max(ESSENTIAL_RATIO * np.min(relative), WELL_KNOWN):
             break
         is_essential[np.flatnonzero(is_essential)[int(np.argmax(relative))]] = False

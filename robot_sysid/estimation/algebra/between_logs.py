@@ -66,7 +66,9 @@ class BetweenLogs:
         off = self.contrasts[:, numbers].ravel()
         noise = self.noise[:, numbers][:, :, :, numbers].reshape(len(off), len(off))
         squared = float(off @ np.linalg.solve(noise, off))
-        return is_no_chance(squared, float(len(off)), 1.0 - SURE_DIFFERENCE ** (1.0 / tests))
+        return is_no_chance(
+            squared, float(len(off)), 1.0 - SURE_DIFFERENCE ** (1.0 / tests)
+        )
 
 
 def compare_logs(
@@ -97,7 +99,8 @@ def compare_logs(
     # The errors of the contrasts are divided between the logs as the errors of each log alone.
     weak = np.diag((_UNSEEN * sizes) ** -2)
     variances = [
-        np.diag(np.linalg.inv(normal[np.ix_(indices, indices)] + weak)) for normal in normals
+        np.diag(np.linalg.inv(normal[np.ix_(indices, indices)] + weak))
+        for normal in normals
     ]
     total = np.einsum("ifif->f", noise) / (1.0 - 1.0 / count)
     errors = np.sqrt(np.array(variances) * total / np.sum(variances, axis=0))
@@ -105,7 +108,11 @@ def compare_logs(
 
 
 def _of_each_log(
-    normals: Sequence[Array], prior: Array, indices: NDArray[np.int64], center: Array, sizes: Array
+    normals: Sequence[Array],
+    prior: Array,
+    indices: NDArray[np.int64],
+    center: Array,
+    sizes: Array,
 ) -> tuple[Array, Array]:
     """Return values (L, f) according to each log, and their covariance (L, f, L, f)."""
     size = len(prior)
@@ -138,7 +145,9 @@ def _helmert(count: int) -> Array:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def _spread(contrasts: Array, noise: Array, sizes: Array, kinds: NDArray[np.int64]) -> Array:
+def _spread(
+    contrasts: Array, noise: Array, sizes: Array, kinds: NDArray[np.int64]
+) -> Array:
     """Return standard deviations (f,) from log to log, of contrasts (L - 1, f) of their noise."""
     # In axes of its own, the noise of a number's contrasts is independent.
     variances, axes = np.linalg.eigh(np.einsum("ifjf->fij", noise))

@@ -32,7 +32,9 @@ def _least(spread: Array) -> float:
     return max(SIGNIFICANT * sqrt(np.mean(spread)), LEAST_SCALE)
 
 
-def false_alarms(separate: tuple[Array, Array], common: tuple[Array, Array]) -> tuple[float, Array]:
+def false_alarms(
+    separate: tuple[Array, Array], common: tuple[Array, Array]
+) -> tuple[float, Array]:
     """Return the probability that right recordings call for a common scale, for arms drawn from the
     prior, and the mean products (joints, joints) of D x in that case.
 

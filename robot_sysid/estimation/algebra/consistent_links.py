@@ -104,7 +104,11 @@ class ConsistentLinks:
     """
 
     def __init__(
-        self, matrix: Array, right_side: Array, problem: LinksProblem, start: End | None = None
+        self,
+        matrix: Array,
+        right_side: Array,
+        problem: LinksProblem,
+        start: End | None = None,
     ) -> None:
         self._matrix = matrix
         self._right_side = right_side
@@ -134,9 +138,12 @@ class ConsistentLinks:
         count = len(self._others)
         scaled = self._matrix @ self._unit
         right_side = self._right_side - self._matrix @ self._origin
-        rows = np.column_stack((scaled[:, self._others], scaled[:, self._bodies], right_side))
+        rows = np.column_stack(
+            (scaled[:, self._others], scaled[:, self._bodies], right_side)
+        )
         ridge = np.pad(
-            _RIDGE * np.eye(count), ((0, len(self._bodies) + 1), (0, len(rows.T) - count))
+            _RIDGE * np.eye(count),
+            ((0, len(self._bodies) + 1), (0, len(rows.T) - count)),
         )
         triangle = np.asarray(np.linalg.qr(np.vstack((rows, ridge)), mode="r"))
         return triangle[:count], triangle[count:, count:]
@@ -167,7 +174,9 @@ class ConsistentLinks:
                 return firsts[-1]
         limit = self._squared_residuals(next(ends)) + HARDLY
         weaker = chain.from_iterable(solver.path(GAMMAS[1:]) for solver in solvers)
-        return next(x for x in chain(firsts, weaker) if self._squared_residuals(x) <= limit)
+        return next(
+            x for x in chain(firsts, weaker) if self._squared_residuals(x) <= limit
+        )
 
     def _hold_null_space(self) -> Iterator[ConsistentLinks]:
         """Yield the problem with the null space of A held at the usual bodies, if there is one."""
@@ -203,7 +212,11 @@ class ConsistentLinks:
     def _beginning(self) -> End:
         """Return the usual bodies, which minimise at a large gamma."""
         z = np.zeros(len(self._bodies))
-        return _EASY, z, np.repeat(np.sqrt(_EASY) * np.eye(4)[None], len(z) // 10, axis=0)
+        return (
+            _EASY,
+            z,
+            np.repeat(np.sqrt(_EASY) * np.eye(4)[None], len(z) // 10, axis=0),
+        )
 
     def _follow(self, t: float, z: Array, duals: Array, gamma: float) -> End:
         """Return the minimiser at gamma, starting from the one at t."""
@@ -217,7 +230,10 @@ class ConsistentLinks:
                 newton = _Newton(cone, self._singular, unexplained, self._turn)
                 bold = newton.step(gamma)
                 # Where the predictor is short but the last step was long, t decreases all the same.
-                factor = min((1.0 - min(1.0, newton.step_limit(bold))) ** 2, 1.0 - _EAGER * length)
+                factor = min(
+                    (1.0 - min(1.0, newton.step_limit(bold))) ** 2,
+                    1.0 - _EAGER * length,
+                )
                 t = max(gamma, factor * t)
                 step, length = newton.best(t, bold)
                 z = z + length * step.direction
@@ -246,10 +262,16 @@ class ScaledBodies:
 
     def __init__(self, z: Array, duals: Array) -> None:
         bodies = np.eye(4) + np.tensordot(z.reshape(-1, 10), _BASIS, 1)
-        left, self._diagonal, _ = np.linalg.svd(_transpose(duals) @ np.linalg.cholesky(bodies))
+        left, self._diagonal, _ = np.linalg.svd(
+            _transpose(duals) @ np.linalg.cholesky(bodies)
+        )
         # G^-1 with G^-1 K G^-T = G^T Z G = D.
-        self._inverse = _transpose(left / np.sqrt(self._diagonal)[:, None, :]) @ _transpose(duals)
-        self._basis = self._inverse[:, None] @ _BASIS @ _transpose(self._inverse)[:, None]
+        self._inverse = _transpose(
+            left / np.sqrt(self._diagonal)[:, None, :]
+        ) @ _transpose(duals)
+        self._basis = (
+            self._inverse[:, None] @ _BASIS @ _transpose(self._inverse)[:, None]
+        )
         self._here = self._diagonal[:, :, None] * np.eye(4)
 
     def rows(self) -> Array:
@@ -286,7 +308,9 @@ class ScaledBodies:
 
     def move_duals(self, change: Array) -> Array:
         """Return roots of the duals (links, 4, 4) after a scaled change."""
-        return np.asarray(_transpose(self._inverse) @ np.linalg.cholesky(self._here + change))
+        return np.asarray(
+            _transpose(self._inverse) @ np.linalg.cholesky(self._here + change)
+        )
 
 
 @dataclass(frozen=True)
@@ -319,7 +343,9 @@ class _Newton:
         self._turn = turn
         curvature = cone.rows() @ turn.reshape(-1, 10, len(turn))
         # Q as Householder vectors: to form it would take longer than all other steps.
-        packed = dgeqrf(np.vstack((np.diag(singular), curvature.reshape(turn.shape))))[:2]
+        packed = dgeqrf(np.vstack((np.diag(singular), curvature.reshape(turn.shape))))[
+            :2
+        ]
         self._turned = partial(dormqr, "L", "T", *packed)
         self._inverse, failed = dtrtri(np.triu(packed[0][: len(turn)]))
         if failed:
@@ -329,13 +355,17 @@ class _Newton:
         """Return the step towards t, with the second-order correction of a predictor step."""
         cone = self._cone
         goal = cone.aim(t)
-        correction = 0.0 * goal if bold is None else cone.second_order(bold.primal, bold.dual)
+        correction = (
+            0.0 * goal if bold is None else cone.second_order(bold.primal, bold.dual)
+        )
         slope = t * (self._turn.T @ np.tile(_TRACES, len(goal)))
         goal = np.append(self._unexplained, _components(goal - correction))
         turned = self._turned(goal[:, None], len(goal))[0][: len(slope), 0]
         scaled = turned - self._inverse.T @ slope
         direction = self._turn @ (self._inverse @ scaled)
-        return _Step(direction, *cone.changes(direction, t, correction), float(scaled @ scaled))
+        return _Step(
+            direction, *cone.changes(direction, t, correction), float(scaled @ scaled)
+        )
 
     def step_limit(self, step: _Step) -> float:
         """Return the largest factor of a step that stays inside the cone."""
@@ -355,7 +385,10 @@ class _Newton:
         """Return a step length that leaves no eigenvalue of K Z far behind the others."""
         length = min(1.0, _TO_THE_WALL * self.step_limit(step))
         for _ in range(_MOST_STEPS):
-            if self._cone.centrality(length * step.primal, length * step.dual) >= _CENTRALITY:
+            if (
+                self._cone.centrality(length * step.primal, length * step.dual)
+                >= _CENTRALITY
+            ):
                 break
             length *= 0.7
         return length

@@ -61,7 +61,9 @@ class VisibleSpace:
     @property
     def identified(self) -> tuple[bool, ...]:
         """Per parameter, whether no invisible direction contains it."""
-        return tuple(bool(h < _COMPONENT_TOLERANCE) for h in np.linalg.norm(self.null, axis=1))
+        return tuple(
+            bool(h < _COMPONENT_TOLERANCE) for h in np.linalg.norm(self.null, axis=1)
+        )
 
     def solve(self, right_hand_side: Array) -> Array:
         """Return the minimum-norm least-squares solution (p,) for a (M,) right-hand side."""
@@ -83,11 +85,20 @@ def visible_space(matrix: Array) -> VisibleSpace:
     scale, zero = column_scale(matrix)
     scaled = np.where(zero, 0.0, matrix * scale)
     missing = max(matrix.shape[1] - len(matrix), 0)
-    left_basis, singular, right_basis = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), False)
-    rank = int(np.count_nonzero(singular > RELATIVE_CUT * np.max(singular, initial=0.0)))
+    left_basis, singular, right_basis = np.linalg.svd(
+        np.pad(scaled, ((0, missing), (0, 0))), False
+    )
+    rank = int(
+        np.count_nonzero(singular > RELATIVE_CUT * np.max(singular, initial=0.0))
+    )
     left_basis = left_basis[: len(matrix), :rank]
     return VisibleSpace(
-        scale, left_basis, singular[:rank], right_basis[:rank].T, right_basis[rank:].T, zero
+        scale,
+        left_basis,
+        singular[:rank],
+        right_basis[:rank].T,
+        right_basis[rank:].T,
+        zero,
     )
 
 
@@ -135,7 +146,9 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     visible = np.where(space.zero, 0.0, matrix)
     length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
     singular = np.linalg.svd((visible * space.scale)[:, ~interest], compute_uv=False)
-    hidden = int(np.count_nonzero(singular > RELATIVE_CUT * np.max(space.singular, initial=0.0)))
+    hidden = int(
+        np.count_nonzero(singular > RELATIVE_CUT * np.max(space.singular, initial=0.0))
+    )
     return Identifiability(
         rank=space.rank - hidden,
         n_parameters=int(np.count_nonzero(interest)),
@@ -181,7 +194,9 @@ def describe(null: Array, scale: Array, names: Sequence[str]) -> tuple[str, ...]
     for row in (vector * scale for vector in readable_basis(null)):
         first = int(np.argmax(np.abs(row) > (1.0 - _SAME) * np.max(np.abs(row))))
         alone = np.count_nonzero(row) == 1
-        phrases.append(_single(names[first]) if alone else in_words(row / row[first], first, names))
+        phrases.append(
+            _single(names[first]) if alone else in_words(row / row[first], first, names)
+        )
     return tuple(phrases)
 
 
@@ -203,14 +218,18 @@ def readable_basis(null: Array) -> list[Array]:
     for group in (_FIRST_MOMENT, _INERTIA, range(10), range(size)):
         for candidate in _row_echelon(_within(null, group)):
             more = np.array([*basis, candidate])
-            if len(basis) < dimension and np.linalg.matrix_rank(more, _TOLERANCE) > len(basis):
+            if len(basis) < dimension and np.linalg.matrix_rank(more, _TOLERANCE) > len(
+                basis
+            ):
                 basis.append(candidate)
     return sorted(basis, key=lambda v: int(np.flatnonzero(v)[0]))
 
 
 def _within(null: Array, group: Sequence[int]) -> Array:
     """Return a basis (p, e) of the part of the null space that is zero outside ``group``."""
-    outside = [k for k in range(len(null)) if k not in group]  # setdiff1d imports numpy.ma
+    outside = [
+        k for k in range(len(null)) if k not in group
+    ]  # setdiff1d imports numpy.ma
     _, singular, directions = np.linalg.svd(null[outside])
     padded = np.zeros(null.shape[1])
     padded[: len(singular)] = singular
@@ -223,7 +242,9 @@ def _row_echelon(basis: Array) -> list[Array]:
     """Return the reduced row echelon form of the columns (p, e), largest pivots first."""
     rows = basis.T.copy()
     for k in range(len(rows)):
-        pivot_row, column = np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape)
+        pivot_row, column = np.unravel_index(
+            np.argmax(np.abs(rows[k:])), rows[k:].shape
+        )
         rows[[k, k + pivot_row]] = rows[[k + pivot_row, k]]
         if abs(rows[k, column]) >= _TOLERANCE:
             rows[k] /= rows[k, column]
@@ -235,5 +256,7 @@ def _row_echelon(basis: Array) -> list[Array]:
 
 def _single(name: str) -> str:
     term, _, joint = name.partition("[")
-    phrase = _SINGLE.get(term, f"inertia {name}" if name in spatial.PARAMETER_NAMES else term)
+    phrase = _SINGLE.get(
+        term, f"inertia {name}" if name in spatial.PARAMETER_NAMES else term
+    )
     return f"{phrase} of {joint.removesuffix(']')}" if joint else phrase

@@ -33,7 +33,10 @@ class InformationAccumulator:
     """
 
     def __init__(
-        self, names: Sequence[str], joints: Sequence[str], columns: Sequence[NDArray[np.int64]]
+        self,
+        names: Sequence[str],
+        joints: Sequence[str],
+        columns: Sequence[NDArray[np.int64]],
     ) -> None:
         self._names = tuple(names)
         self._joints = tuple(joints)
@@ -115,7 +118,9 @@ def sample_counts(information: SquareRootInformation) -> Array:
     return np.array([joint.n_samples for joint in information.joints], dtype=float)
 
 
-def residual_errors(information: SquareRootInformation, values: Array) -> dict[str, Any]:
+def residual_errors(
+    information: SquareRootInformation, values: Array
+) -> dict[str, Any]:
     """Return the fields of an ``Estimate`` about the residuals at values (p,)."""
     squared = information.squared_residuals(values)
     counts = sample_counts(information)
@@ -139,7 +144,9 @@ def combine(blocks: Sequence[SquareRootInformation]) -> SquareRootInformation:
         JointInformation(
             same[0].joint,
             same[0].columns,
-            update_triangle(same[0].triangle[:0], np.vstack([j.triangle for j in same])),
+            update_triangle(
+                same[0].triangle[:0], np.vstack([j.triangle for j in same])
+            ),
             sum(j.n_samples for j in same),
         )
         for same in zip(*(block.joints for block in blocks))
@@ -153,13 +160,20 @@ def parts_of(
     """Yield the blocks of which a total is the sum, with the rows that it contains unchanged as
     views of it, which halves the memory.
     """
-    counts = np.array([[len(joint.triangle) for joint in block.joints] for block in blocks])
+    counts = np.array(
+        [[len(joint.triangle) for joint in block.joints] for block in blocks]
+    )
     sizes = [joint.triangle.shape for joint in total.joints]
     # Rows were not made a triangle where they are fewer than the columns.
-    shared = [count == rows < width for count, (rows, width) in zip(np.sum(counts, axis=0), sizes)]
+    shared = [
+        count == rows < width
+        for count, (rows, width) in zip(np.sum(counts, axis=0), sizes)
+    ]
     for block, ends, sizes_of_block in zip(blocks, np.cumsum(counts, axis=0), counts):
         joints = tuple(
-            replace(joint, triangle=every.triangle[end - count : end]) if is_shared else joint
+            replace(joint, triangle=every.triangle[end - count : end])
+            if is_shared
+            else joint
             for joint, every, is_shared, end, count in zip(
                 block.joints, total.joints, shared, ends, sizes_of_block
             )
@@ -184,8 +198,12 @@ def restrict(
         free = is_free[joint.columns]
         triangle = joint.triangle[:, np.append(free, True)]
         if held is not None:
-            triangle[:, -1] -= joint.triangle[:, :-1][:, ~free] @ held[joint.columns[~free]]
+            triangle[:, -1] -= (
+                joint.triangle[:, :-1][:, ~free] @ held[joint.columns[~free]]
+            )
         columns = (np.cumsum(is_free) - 1)[joint.columns[free]]
         smaller = update_triangle(triangle[:0], triangle)
         joints.append(JointInformation(joint.joint, columns, smaller, joint.n_samples))
-    return SquareRootInformation(tuple(compress(information.names, is_free)), tuple(joints))
+    return SquareRootInformation(
+        tuple(compress(information.names, is_free)), tuple(joints)
+    )

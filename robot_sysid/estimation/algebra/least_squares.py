@@ -122,11 +122,15 @@ class _Normal:
         assert information.prior is not None
         size = len(information.names)
         # Columns of few joints come first, so that each joint's columns are contiguous.
-        has = np.array([np.isin(np.arange(size), j.columns) for j in information.joints])
+        has = np.array(
+            [np.isin(np.arange(size), j.columns) for j in information.joints]
+        )
         order = np.lexsort((np.argmax(has, axis=0), np.sum(has, axis=0)))
         self._indices = np.append(np.argsort(order), size)
         self._prior = prior[order]
-        blocks = [(self._indices[[*j.columns, -1]], j.triangle) for j in information.joints]
+        blocks = [
+            (self._indices[[*j.columns, -1]], j.triangle) for j in information.joints
+        ]
         self._blocks: list[Block] = [*blocks, (self._indices, information.prior)]
         ordered = ((np.sort(at), rows[:, np.argsort(at)]) for at, rows in self._blocks)
         self._squares = [(rows.T @ rows, stretches(at)) for at, rows in ordered]
@@ -144,7 +148,8 @@ class _Normal:
         values, root = solution
         spread = np.pad(root @ root.T, (0, 1))
         leverage = [
-            square * sum(np.einsum("ij,ij", gram[i], spread[target]) for i, target in runs)
+            square
+            * sum(np.einsum("ij,ij", gram[i], spread[target]) for i, target in runs)
             for (gram, runs), square in zip(self._squares, squares[:-1])
         ]
         return values[self._indices[:-1]], np.array(leverage)
@@ -200,13 +205,17 @@ def noise_floor(information: SquareRootInformation) -> float:
 
     With a prior it is 1e-4, the error of filtering, which nuisances would explain otherwise.
     """
-    squared = sum(float(np.sum(joint.triangle[:, -1] ** 2)) for joint in information.joints)
+    squared = sum(
+        float(np.sum(joint.triangle[:, -1] ** 2)) for joint in information.joints
+    )
     rms = np.sqrt(squared / max(information.n_samples, 1))
     share = _NOISE_FLOOR if information.prior is None else _NOISE_FLOOR_WITH_PRIOR
     return float(share * rms) or 1.0
 
 
-def lower_floor(information: SquareRootInformation, solve: Solve, noise: Array) -> Array:
+def lower_floor(
+    information: SquareRootInformation, solve: Solve, noise: Array
+) -> Array:
     """Return the noise (joints,) with a lower floor for joints at the usual one [N m].
 
     With the usual floor, the priors would weigh too much against exact data.
@@ -243,5 +252,7 @@ def _solve_by_decomposition(
     matrix, right_side = information.stacked(weights)
     values, root = solve_rows(np.column_stack((matrix, right_side - matrix @ prior)))
     pairs = zip(information.joints, weights)
-    leverage = [w**2 * np.sum((j.triangle[:, :-1] @ root[j.columns]) ** 2) for j, w in pairs]
+    leverage = [
+        w**2 * np.sum((j.triangle[:, :-1] @ root[j.columns]) ** 2) for j, w in pairs
+    ]
     return prior + values, np.array(leverage)

@@ -93,7 +93,9 @@ def link_evidence(
     curvature, pull = eliminate_others(normal, indices)
     pull = pull - curvature @ links.mean[stated]
     count = int(np.count_nonzero(is_stated))
-    return LinkEvidence(count, directions.T @ curvature @ directions, directions.T @ pull)
+    return LinkEvidence(
+        count, directions.T @ curvature @ directions, directions.T @ pull
+    )
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:

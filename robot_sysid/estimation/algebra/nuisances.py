@@ -104,11 +104,15 @@ class NuisanceGroup:
         """Return rows (k, p) whose squares are the part of an estimate's covariance that is due to
         the prior, from C (p, p).
         """
-        return np.asarray(np.linalg.solve(self.widened * self.factor, inverse[self.indices(names)]))
+        return np.asarray(
+            np.linalg.solve(self.widened * self.factor, inverse[self.indices(names)])
+        )
 
     def deviations(self, names: Sequence[str], values: Array) -> Array:
         """Return (k,) F^-1 (d - d0), the deviations in prior standard deviations, not widened."""
-        return np.asarray(np.linalg.solve(self.factor, values[self.indices(names)] - self.mean))
+        return np.asarray(
+            np.linalg.solve(self.factor, values[self.indices(names)] - self.mean)
+        )
 
 
 def with_prior(
@@ -122,7 +126,10 @@ def with_prior(
 
 
 def link_factor(
-    thetas: Sequence[Array], share: float, lengths: Sequence[float], scales: LinkScales = AS_STATED
+    thetas: Sequence[Array],
+    share: float,
+    lengths: Sequence[float],
+    scales: LinkScales = AS_STATED,
 ) -> Array:
     """Return F (10 L, 10 L) of L links whose parameters are known to a share.
 
@@ -156,7 +163,9 @@ def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> 
 
 
 @lru_cache(maxsize=8)
-def link_directions(thetas: tuple[tuple[float, ...], ...], lengths: tuple[float, ...]) -> Array:
+def link_directions(
+    thetas: tuple[tuple[float, ...], ...], lengths: tuple[float, ...]
+) -> Array:
     """Return independent errors (10 L, 10 L + 2) of L links for a share of one.
 
     Columns are each link's mass (1), centre of mass (3) and inertia (6), then the common errors:
@@ -173,7 +182,9 @@ def link_directions(thetas: tuple[tuple[float, ...], ...], lengths: tuple[float,
     return directions
 
 
-def link_aspects(thetas: Sequence[Array], lengths: Sequence[float]) -> tuple[Array, ...]:
+def link_aspects(
+    thetas: Sequence[Array], lengths: Sequence[float]
+) -> tuple[Array, ...]:
     """Return the rows that select masses, centres of mass and inertias of L links, (m, 10 L)."""
     selection = np.zeros((10 * len(thetas), 10 * len(thetas)))
     for index, (theta, length) in enumerate(zip(thetas, lengths)):
@@ -190,7 +201,9 @@ def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]
     moment = max(float(np.trace(inertia)) / 3.0, mass * (0.1 * size) ** 2)
     columns = []
     for step in share * size * np.eye(3):
-        ahead, behind = (spatial.theta_from_com(mass, com + s * step, inertia) for s in (1.0, -1.0))
+        ahead, behind = (
+            spatial.theta_from_com(mass, com + s * step, inertia) for s in (1.0, -1.0)
+        )
         columns.append(0.5 * (ahead - behind))
     turns = list(2.0 * share * moment * np.eye(10)[4:])
     return np.column_stack([share * theta, *columns, *turns]), np.column_stack(columns)
@@ -217,9 +230,13 @@ def widened_groups(
             replace(
                 group,
                 widened=max(
-                    _widening(group, np.eye(len(group.names)), problem.names, values, covariance)[
-                        0
-                    ],
+                    _widening(
+                        group,
+                        np.eye(len(group.names)),
+                        problem.names,
+                        values,
+                        covariance,
+                    )[0],
                     least,
                 ),
             )
@@ -227,7 +244,10 @@ def widened_groups(
             else group
             for group in previous
         )
-        if all(abs(a.widened / b.widened - 1.0) < _SETTLED for a, b in zip(widened, previous)):
+        if all(
+            abs(a.widened / b.widened - 1.0) < _SETTLED
+            for a, b in zip(widened, previous)
+        ):
             break
     return widened
 
@@ -243,12 +263,19 @@ class WithPriors:
 
     def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
         """Return (values (p,), covariance (p, p), misfit of data and priors)."""
-        prior = np.vstack((self._gram[:0], *(group.rows(self.names) for group in groups)))
+        prior = np.vstack(
+            (self._gram[:0], *(group.rows(self.names) for group in groups))
+        )
         size = len(self.names)
         squares = np.append(self._weights, 1.0) ** 2
-        blocks = [(np.append(joint.columns, size), joint.triangle) for joint in self._data.joints]
+        blocks = [
+            (np.append(joint.columns, size), joint.triangle)
+            for joint in self._data.joints
+        ]
         blocks.append((np.arange(size + 1), prior))
-        solution = solve_normal(self._gram + prior.T @ prior, blocks, squares, np.zeros(size))
+        solution = solve_normal(
+            self._gram + prior.T @ prior, blocks, squares, np.zeros(size)
+        )
         if solution is None:
             solution = solve_rows(np.vstack((*self._data.blocks(self._weights), prior)))
         values, root = solution
@@ -263,12 +290,18 @@ class WithPriors:
         exp(-misfit / 2) |C|^1/2 / |F| (MacKay 1992, eq. 7 and 8).
         """
         values, covariance, misfit = self.solve(groups)
-        prior = sum(np.linalg.slogdet(group.widened * group.factor)[1] for group in groups)
+        prior = sum(
+            np.linalg.slogdet(group.widened * group.factor)[1] for group in groups
+        )
         return values, float(0.5 * (np.linalg.slogdet(covariance)[1] - misfit) - prior)
 
 
 def _widening(
-    group: NuisanceGroup, aspect: Array, names: Sequence[str], values: Array, covariance: Array
+    group: NuisanceGroup,
+    aspect: Array,
+    names: Sequence[str],
+    values: Array,
+    covariance: Array,
 ) -> tuple[float, float]:
     """Return (alpha, gamma) of combinations (m, k) of a group; gamma is one at least."""
     root = np.linalg.cholesky(aspect @ group.factor @ group.factor.T @ aspect.T)
@@ -282,8 +315,12 @@ def _data_shares(
 ) -> Array:
     """Return (m,) the share of each combination that the data determines, between 0 and 1."""
     indices = group.indices(names)
-    root = group.widened * np.linalg.cholesky(aspect @ group.factor @ group.factor.T @ aspect.T)
-    left = np.linalg.solve(root, aspect @ covariance[np.ix_(indices, indices)] @ aspect.T)
+    root = group.widened * np.linalg.cholesky(
+        aspect @ group.factor @ group.factor.T @ aspect.T
+    )
+    left = np.linalg.solve(
+        root, aspect @ covariance[np.ix_(indices, indices)] @ aspect.T
+    )
     return np.clip(1.0 - np.diag(np.linalg.solve(root, left.T)), 0.0, 1.0)
 
 
@@ -309,7 +346,9 @@ def misfits(
         fixed = [*groups[:index], replace(group, widened=_FIXED), *groups[index + 1 :]]
         gained = problem.solve(fixed)[2] - with_all
         identity = np.eye(len(group.names))
-        freedom = max(float(np.sum(_data_shares(group, identity, problem.names, covariance))), 1.0)
+        freedom = max(
+            float(np.sum(_data_shares(group, identity, problem.names, covariance))), 1.0
+        )
         if is_no_chance(gained, freedom, 1.0 - SURE ** (1.0 / len(groups))):
             if not wide_groups:
                 wide_groups = widened_groups(information, noise, groups, _NARROWEST)
@@ -320,7 +359,9 @@ def misfits(
                 for aspect in (identity, *group.aspects())
             ]
             # Significant if the prior were right.
-            clear = [a for a, free in pairs if is_no_chance(a**2 * free, free, 1.0 - SURE)]
+            clear = [
+                a for a, free in pairs if is_no_chance(a**2 * free, free, 1.0 - SURE)
+            ]
             factor = max(clear, default=min(pairs[0][0], 1.0))
             conflicts.append(PriorConflict(group.cause, worst, factor, group.widened))
     return tuple(conflicts)

@@ -50,10 +50,14 @@ class EstimationOptions(OptionRecord):
         usual="from the data",
     )
     delay: str = option(
-        "off", "estimate how much the torque lags behind the position", choices=("off", "auto")
+        "off",
+        "estimate how much the torque lags behind the position",
+        choices=("off", "auto"),
     )
     tilt: str = option(
-        "off", "estimate how much the base is tilted against gravity", choices=("off", "auto")
+        "off",
+        "estimate how much the base is tilted against gravity",
+        choices=("off", "auto"),
     )
     link_uncertainty: float = _uncertainty(
         5.0,

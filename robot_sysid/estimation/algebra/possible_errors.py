@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
+from robot_sysid.estimation.algebra.consistent_links import (
+    ConsistentLinks,
+    LinksProblem,
+)
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty
 from robot_sysid.records import Array
 
@@ -56,7 +59,10 @@ def once_possible(
 
     by_cause = {cause: project(rows) for cause, rows in causes.items()}
     by_cause[BODIES] = residual @ along
-    covariance = project(project(uncertainty.covariance).T) + by_cause[BODIES].T @ by_cause[BODIES]
+    covariance = (
+        project(project(uncertainty.covariance).T)
+        + by_cause[BODIES].T @ by_cause[BODIES]
+    )
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     hidden = np.isinf(uncertainty.standard_errors)
     return replace(
@@ -76,7 +82,9 @@ def possible_covariance(theta: Array, covariance: Array) -> Array:
     return turn @ covariance @ turn.T + residual.T @ residual
 
 
-def _projected_errors(theta: Array, covariance: Array, center: Array) -> tuple[Array, Array] | None:
+def _projected_errors(
+    theta: Array, covariance: Array, center: Array
+) -> tuple[Array, Array] | None:
     """Return T (10, 10) of a body, and rows (m, 10) whose squares are R.
 
     None where all drawn bodies are consistent, or where one cannot be made so: the plain errors are
@@ -95,7 +103,9 @@ def _projected_errors(theta: Array, covariance: Array, center: Array) -> tuple[A
     start = None
     projected = errors.copy()
     problem = LinksProblem((np.arange(10),), center)
-    for k in [k for k, error in enumerate(errors) if not spatial.is_consistent(theta + error)]:
+    for k in [
+        k for k, error in enumerate(errors) if not spatial.is_consistent(theta + error)
+    ]:
         try:
             solver = ConsistentLinks(rows, rows @ (theta + errors[k]), problem, start)
             projected[k] = solver.best() - theta

@@ -21,7 +21,11 @@ from numpy.typing import NDArray
 
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, triangle_space
-from robot_sysid.estimation.algebra.information import sample_counts, stretches, update_triangle
+from robot_sysid.estimation.algebra.information import (
+    sample_counts,
+    stretches,
+    update_triangle,
+)
 from robot_sysid.records import Array, SquareRootInformation
 
 # Measured: a fourth round changes errors by less than 0.2 % (the third by 0.8 %).
@@ -52,8 +56,12 @@ class Uncertainty:
 
     def with_part(self, covariance: Array) -> Uncertainty:
         """Return the errors with one more cause of independent errors, of covariance (p, p)."""
-        spread = np.hypot(self.standard_errors, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-        return replace(self, covariance=self.covariance + covariance, standard_errors=spread)
+        spread = np.hypot(
+            self.standard_errors, np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        )
+        return replace(
+            self, covariance=self.covariance + covariance, standard_errors=spread
+        )
 
 
 def uncertainty(
@@ -79,18 +87,24 @@ def uncertainty(
     for _ in range(_ROUNDS if residuals else 0):
         kernels = list(_kernels(residuals, alone, inverse @ score @ inverse))
         omegas = (joint.score(c) for c, joint in zip(kernels, residuals))
-        score = _score([joint.columns for joint in residuals], omegas, weights, len(score))
+        score = _score(
+            [joint.columns for joint in residuals], omegas, weights, len(score)
+        )
         effective = [joint.effective_samples(c) for c, joint in zip(kernels, residuals)]
     if not residuals:
         rows = [joint.triangle[:, :-1] for joint in information.joints]
         white = (sigma**2 * block.T @ block for sigma, block in zip(noise, rows))
-        score = _score([j.columns for j in information.joints], white, weights, len(score))
+        score = _score(
+            [j.columns for j in information.joints], white, weights, len(score)
+        )
     of_noise = inverse @ score @ inverse
     prior = information.prior
     of_prior = np.zeros((0, len(score))) if prior is None else prior[:, :-1] @ inverse
     covariance = of_noise + of_prior.T @ of_prior
     covariance = 0.5 * (covariance + covariance.T)
-    errors = np.where(space.identified, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf)
+    errors = np.where(
+        space.identified, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf
+    )
     # The part of each parameter that lies in the visible directions.
     share = np.clip(1.0 - np.sum(space.null**2, axis=1), 0.0, 1.0)
     return Uncertainty(covariance, of_noise, errors, share, inverse, tuple(effective))
@@ -126,7 +140,10 @@ def triangle_of(blocks: Iterable[Array]) -> Array:
 
 
 def _score(
-    columns: Sequence[NDArray[np.int64]], omegas: Iterable[Array], weights: Array, size: int
+    columns: Sequence[NDArray[np.int64]],
+    omegas: Iterable[Array],
+    weights: Array,
+    size: int,
 ) -> Array:
     """Return sum_j w_j^4 Omega_j (p, p)."""
     score = np.zeros((size, size))
@@ -136,7 +153,9 @@ def _score(
     return score
 
 
-def _alone(joint: JointResiduals, weight: float, inverse: Array) -> tuple[Array, Array, float]:
+def _alone(
+    joint: JointResiduals, weight: float, inverse: Array
+) -> tuple[Array, Array, float]:
     """Return (``absorbed_share``, kernel coefficients without the noise of other joints, energy in
     the torque of the errors due to that noise) of a joint.
     """
@@ -148,7 +167,9 @@ def _alone(joint: JointResiduals, weight: float, inverse: Array) -> tuple[Array,
 
 
 def _kernels(
-    residuals: Sequence[JointResiduals], alone: Sequence[tuple[Array, Array, float]], spread: Array
+    residuals: Sequence[JointResiduals],
+    alone: Sequence[tuple[Array, Array, float]],
+    spread: Array,
 ) -> Iterator[Array]:
     """Yield each joint's kernel coefficients, with the covariance (p, p) of the last round."""
     for joint, (absorbed, kernels, energy) in zip(residuals, alone):

@@ -27,7 +27,15 @@ from robot_sysid.records import Array
 
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
-_ALOHA = ["waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper"]
+_ALOHA = [
+    "waist",
+    "shoulder",
+    "elbow",
+    "forearm_roll",
+    "wrist_angle",
+    "wrist_rotate",
+    "gripper",
+]
 
 _UNPACK = """
 import sys
@@ -84,13 +92,23 @@ def npz_arrays(path: Path) -> dict[str, Any]:
         with zipfile.ZipFile(stream) as packed:
             names = packed.namelist()
             size = path.stat().st_size
-            table.refuse_bomb(path, sum(i.file_size for i in packed.infolist()), size, len(names))
+            table.refuse_bomb(
+                path, sum(i.file_size for i in packed.infolist()), size, len(names)
+            )
             if not any(name.endswith(".npy") for name in names):
                 is_sheet = "[Content_Types].xml" in names
-                remedy = "export it as CSV" if is_sheet else "unpack it, and give the log in it"
+                remedy = (
+                    "export it as CSV"
+                    if is_sheet
+                    else "unpack it, and give the log in it"
+                )
                 inside = ", ".join(names[:3]) or "nothing"
-                raise InputError(f"{path} is no recording but an archive of {inside}; {remedy}")
-            table.refuse_bomb(path, sum(_stated_bytes(packed, each) for each in names), size)
+                raise InputError(
+                    f"{path} is no recording but an archive of {inside}; {remedy}"
+                )
+            table.refuse_bomb(
+                path, sum(_stated_bytes(packed, each) for each in names), size
+            )
         stream.seek(0)
         archive = np.load(stream, allow_pickle=False)
         return {name: archive[name] for name in archive.files}
@@ -156,8 +174,12 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
         if is_aloha:
             names = {n: f"observations/{n}" for n in ("qpos", "qvel", "effort")}
             names.update({"command": "action"} if asked.options.commanded else {})
-            members = {name: _member(h5py, file, place) for name, place in names.items()}
-            found.update({name: data for name, data in members.items() if data is not None})
+            members = {
+                name: _member(h5py, file, place) for name, place in names.items()
+            }
+            found.update(
+                {name: data for name, data in members.items() if data is not None}
+            )
         else:
             collect("", file)
             file.visititems(collect)
@@ -165,7 +187,9 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
         for name, data in columns.items():
             _require_own(path, name, data)
         # A chunk is unpacked whole, however little of it belongs to the array.
-        chunks = (math.prod(d.chunks or ()) * d.dtype.itemsize for d in columns.values())
+        chunks = (
+            math.prod(d.chunks or ()) * d.dtype.itemsize for d in columns.values()
+        )
         sizes = (max(d.nbytes, chunk) for d, chunk in zip(columns.values(), chunks))
         table.refuse_bomb(path, size := float(sum(sizes)), path.stat().st_size)
         with table.bounded_memory(size):
@@ -175,7 +199,9 @@ def hdf5_table(asked: table.Asked) -> table.LogTable:
         elsewhere = f"{'; '.join(links)}; {_COPY}" if links else ""
         if links and not arrays:
             raise InputError(f"{path}: {elsewhere}")
-        made = table.arrays_table(path, "; ".join(("HDF5", *links)), {**found, **arrays})
+        made = table.arrays_table(
+            path, "; ".join(("HDF5", *links)), {**found, **arrays}
+        )
         return replace(made, elsewhere=elsewhere)
 
 
@@ -212,15 +238,24 @@ def _require_own(path: Path, name: str, data: Any) -> None:
     others = [str(place[0]) for place in data.external or ()]
     others += [s.file_name for s in (data.virtual_sources() if data.is_virtual else ())]
     for other in (other for other in others if other != "."):
-        raise InputError(f"{path}: {name} has its numbers in another file, {other}; {_COPY}")
+        raise InputError(
+            f"{path}: {name} has its numbers in another file, {other}; {_COPY}"
+        )
 
 
 def _aloha(path: Path, arrays: Mapping[str, Any]) -> table.LogTable:
     if not {"effort", "command"} & {*arrays}:
-        raise InputError(f"{path} has no /observations/effort, no measured torque; record effort")
-    if len({values.shape for values in arrays.values()}) > 1 or arrays["qpos"].ndim != 2:
+        raise InputError(
+            f"{path} has no /observations/effort, no measured torque; record effort"
+        )
+    if (
+        len({values.shape for values in arrays.values()}) > 1
+        or arrays["qpos"].ndim != 2
+    ):
         shapes = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
-        raise InputError(f"{path} does not hold the same joints in {shapes}; record them together")
+        raise InputError(
+            f"{path} does not hold the same joints in {shapes}; record them together"
+        )
     width = arrays["qpos"].shape[1]
     both = [f"{side}/{joint}" for side in ("left", "right") for joint in _ALOHA]
     known = {len(_ALOHA): _ALOHA, len(both): both}
@@ -256,7 +291,10 @@ def feather_table(asked: table.Asked) -> table.LogTable:
     size = asked.path.stat().st_size
     feather = table.library("pyarrow.feather", "parquet", what)
     ipc = table.library("pyarrow.ipc", "parquet", what)
-    with table.as_input_errors(path, what), table.bounded_memory(table.most_bytes(size)):
+    with (
+        table.as_input_errors(path, what),
+        table.bounded_memory(table.most_bytes(size)),
+    ):
         with ipc.open_file(str(path)) as file:
             names = _numeric(file.schema)
         table.refuse_bomb(path, 0.0, size, len(names))
@@ -271,7 +309,9 @@ def _numeric(schema: Any) -> list[str]:
 
 def _arrow_table(path: Path, layout: str, columns: Any) -> table.LogTable:
     named = zip(columns.column_names, columns.columns)
-    return table.arrays_table(path, layout, {name: _array(name, column) for name, column in named})
+    return table.arrays_table(
+        path, layout, {name: _array(name, column) for name, column in named}
+    )
 
 
 LEROBOT = "a LeRobot data set"
@@ -289,7 +329,9 @@ def lerobot_table(asked: table.Asked) -> table.LogTable:
     path = asked.path
     joint_names = asked.joint_names
     commanded = asked.options.commanded
-    info = _mapping(read_json(path / "meta" / "info.json", "download the data set whole"))
+    info = _mapping(
+        read_json(path / "meta" / "info.json", "download the data set whole")
+    )
     features = _mapping(info.get("features"))
     read = (STATE, ACTION) if commanded else (STATE, *_FEATURES)
     titles = {name: _titles(features, name, joint_names) for name in read}
@@ -309,15 +351,21 @@ def lerobot_table(asked: table.Asked) -> table.LogTable:
         raise InputError(f"{path} holds no frames; download the data set whole")
     missing = sorted(set(wanted) - set(found))
     if missing:
-        raise InputError(f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}")
-    pieces = [[v[index == episode] for v in frames.values()] for episode in wanted or found]
+        raise InputError(
+            f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}"
+        )
+    pieces = [
+        [v[index == episode] for v in frames.values()] for episode in wanted or found
+    ]
     width = sum(values.reshape(len(values), -1).shape[1] for values in frames.values())
     version = info.get("codebase_version", "?")
     fps = info.get("fps", "unknown")
     layout = f"LeRobot data set {version} at {fps} Hz, {len(pieces)} episodes"
     flat = tuple(title for name in present for title in titles[name])
     if width != 1 + len(flat):
-        fault = f"names {len(flat)} numbers of a frame in meta/info.json, not {width - 1}"
+        fault = (
+            f"names {len(flat)} numbers of a frame in meta/info.json, not {width - 1}"
+        )
         raise InputError(f"{path} {fault}; download the data set whole")
     return table.pieces_table(path, layout, ("timestamp [s]", *flat), pieces)
 
@@ -326,16 +374,30 @@ def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _titles(features: Mapping[str, Any], name: str, joint_names: Sequence[str]) -> list[str]:
+def _titles(
+    features: Mapping[str, Any], name: str, joint_names: Sequence[str]
+) -> list[str]:
     names = _mapping(features.get(name)).get("names")
     if isinstance(names, dict):
-        names = [each for group in names.values() if isinstance(group, list) for each in group]
+        names = [
+            each
+            for group in names.values()
+            if isinstance(group, list)
+            for each in group
+        ]
     names = names if isinstance(names, list) else []
     pairs = [str(each).rpartition(".") for each in names]
-    stems = [stem if ending in _ENDINGS else str(n) for (stem, _, ending), n in zip(pairs, names)]
+    stems = [
+        stem if ending in _ENDINGS else str(n)
+        for (stem, _, ending), n in zip(pairs, names)
+    ]
     plain = _FEATURES.get(name, "position")
     ends = [_ENDINGS.get(ending, plain) for _, _, ending in pairs]
-    known = dict(zip(dict.fromkeys(stems), table.renamed(list(dict.fromkeys(stems)), joint_names)))
+    known = dict(
+        zip(
+            dict.fromkeys(stems), table.renamed(list(dict.fromkeys(stems)), joint_names)
+        )
+    )
     if name == ACTION:
         ends = [end.replace("position", "command") for end in ends]
     return [f"{known[stem]} {end}" for stem, end in zip(stems, ends)]
@@ -346,7 +408,9 @@ def _frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     parquet = table.library("pyarrow.parquet", "lerobot", LEROBOT)
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
-        raise InputError(f"{path} has no Parquet files in data/; download the data set whole")
+        raise InputError(
+            f"{path} has no Parquet files in data/; download the data set whole"
+        )
     parts: list[dict[str, Array]] = []
     unpacked = 0.0
     packed = sum(file.stat().st_size for file in files)
@@ -359,7 +423,9 @@ def _frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
             read = parquet.read_table(file, columns=list(columns))
             parts.append({name: _array(name, read.column(name)) for name in columns})
     with table.as_input_errors(path, LEROBOT):
-        return {name: np.concatenate([part[name] for part in parts]) for name in columns}
+        return {
+            name: np.concatenate([part[name] for part in parts]) for name in columns
+        }
 
 
 def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
@@ -369,8 +435,12 @@ def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
     for group in map(metadata.row_group, range(metadata.num_row_groups)):
         for chunk in map(group.column, range(group.num_columns)):
             # Of a list: its name, then such as ".list.element".
-            if any(f"{chunk.path_in_schema}.".startswith(f"{name}.") for name in columns):
-                size += max(16.0 * chunk.num_values, 2.0 * chunk.total_uncompressed_size)
+            if any(
+                f"{chunk.path_in_schema}.".startswith(f"{name}.") for name in columns
+            ):
+                size += max(
+                    16.0 * chunk.num_values, 2.0 * chunk.total_uncompressed_size
+                )
     return size
 
 
@@ -381,7 +451,9 @@ def _array(name: str, column: Any) -> Array:
         return _numbers(combined)
     there = combined.drop_null()
     fixed = not hasattr(there, "offsets")
-    widths = [there.type.list_size] if fixed else np.unique(np.diff(there.offsets)).tolist()
+    widths = (
+        [there.type.list_size] if fixed else np.unique(np.diff(there.offsets)).tolist()
+    )
     if len(widths) > 1:
         fault = f"column {name} holds lists of {widths[0]} to {widths[-1]} numbers"
         raise ValueError(f"{fault}; write as many in each row, or leave the column out")

@@ -34,7 +34,14 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.table import Asked, Block, LogTable, as_input_errors, library, renamed
+from robot_sysid.logs.formats.table import (
+    Asked,
+    Block,
+    LogTable,
+    as_input_errors,
+    library,
+    renamed,
+)
 from robot_sysid.special_files import refuse_special_file
 
 WHAT = "a ROS bag"
@@ -76,19 +83,29 @@ def bag_table(asked: Asked) -> LogTable:
     measured = [name for name in fitting if _has(found[name], joints, TORQUE)]
     if positions and not measured and len(fitting) == 1:
         fault = f"topic {fitting[0]} has no effort of joint {joints[-1]}"
-        raise InputError(f"{path}: {fault}; let the driver publish effort and record again")
+        raise InputError(
+            f"{path}: {fault}; let the driver publish effort and record again"
+        )
     chosen = measured or fitting
     if len(chosen) > 1:
         listed = ", ".join(f"{name} ({known[name]})" for name in chosen)
-        raise InputError(f"{path}: several topics could be the arm: {listed}; choose with --topic")
+        raise InputError(
+            f"{path}: several topics could be the arm: {listed}; choose with --topic"
+        )
     return found[chosen[0]]
 
 
-def _has(topic: LogTable, joint_names: Sequence[str], quantities: Sequence[str]) -> bool:
-    return any({f"{joint} {q}" for joint in joint_names} <= {*topic.titles} for q in quantities)
+def _has(
+    topic: LogTable, joint_names: Sequence[str], quantities: Sequence[str]
+) -> bool:
+    return any(
+        {f"{joint} {q}" for joint in joint_names} <= {*topic.titles} for q in quantities
+    )
 
 
-def _topic(path: Path, bag: Any, topic: str, joint_names: Sequence[str]) -> LogTable | None:
+def _topic(
+    path: Path, bag: Any, topic: str, joint_names: Sequence[str]
+) -> LogTable | None:
     """Return a topic with time and a column per joint and quantity in its first messages."""
     first = list(islice(_messages(bag, topic), _LOOKED_AT))
     seen = dict.fromkeys(key for _, sample in first for key in sample)
@@ -102,7 +119,9 @@ def _topic(path: Path, bag: Any, topic: str, joint_names: Sequence[str]) -> LogT
     late = ", headers without time: when it was recorded" if arm.clock else ""
     kind = next(c.msgtype for c in bag.connections if c.topic == topic)
     layout = f"ROS bag, topic {topic} ({kind}), joints by name{arm.said}{late}"
-    return LogTable(path, layout, titles, partial(_blocks, path, topic, keys, arm), word="message")
+    return LogTable(
+        path, layout, titles, partial(_blocks, path, topic, keys, arm), word="message"
+    )
 
 
 def _blocks(
@@ -141,7 +160,9 @@ def _joint_state(message: Any) -> Sample:
     for quantity in QUANTITIES[:3]:
         numbers = getattr(message, quantity)
         if len(numbers) == len(message.name):
-            values.update({(n, quantity): v for n, v in zip(message.name, numbers.tolist())})
+            values.update(
+                {(n, quantity): v for n, v in zip(message.name, numbers.tolist())}
+            )
     return values
 
 
@@ -162,7 +183,9 @@ def _opened(path: Path) -> Iterator[Any]:
     """Yield a bag that is open within a block; what goes wrong in it is an InputError."""
     typesys = library("rosbags.typesys", "rosbag", WHAT)
     library("rosbags.highlevel", "rosbag", WHAT)
-    single = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
+    single = (
+        path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
+    )
     for part in path.iterdir() if path.is_dir() else ():
         refuse_special_file(part, "give a bag whose parts are files")
     with as_input_errors(path, WHAT):
@@ -187,9 +210,13 @@ def bounded_reader() -> ModuleType:
     zstd = Bounded(vars(mcap).get("zstd") or vars(mcap)["zstandard"])
     unpackers = {"bz2": Bounded(bz2).decompress, "lz4": Bounded(lz4.frame).decompress}
     for module in (mcap, two, one):
-        names: dict[str, Any] = {f"{name}_decompress": unpackers[name] for name in unpackers}
+        names: dict[str, Any] = {
+            f"{name}_decompress": unpackers[name] for name in unpackers
+        }
         names.update(zstd=zstd, zstandard=zstd)
-        vars(module).update({n: bounded for n, bounded in names.items() if n in vars(module)})
+        vars(module).update(
+            {n: bounded for n, bounded in names.items() if n in vars(module)}
+        )
     mcap.DECOMPRESSORS.update(lz4=unpackers["lz4"], zstd=zstd.decompress)
     vars(one).get("decompressors", {}).update(unpackers)
     for each in vars(two).values():
@@ -292,9 +319,13 @@ class Arm:
             part = frozenset(joint for joint in joints if (joint, "position") in sample)
             stamps.setdefault(part, []).append(each[clock])
         stamps.pop(frozenset(), None)
-        is_split = len(stamps) > 1 and sorted(j for part in stamps for j in part) == sorted(joints)
+        is_split = len(stamps) > 1 and sorted(
+            j for part in stamps for j in part
+        ) == sorted(joints)
         parts = tuple(sorted(stamps, key=lambda p: -len(stamps[p]))) if is_split else ()
-        common = set.intersection(*(set(stamps[part]) for part in parts)) if parts else set()
+        common = (
+            set.intersection(*(set(stamps[part]) for part in parts)) if parts else set()
+        )
         own_time = is_split and 2 * len(common) < len(stamps[parts[-1]])
         return cls(parts, own_time, clock, min(each[clock] for each, _ in first))
 
@@ -307,8 +338,14 @@ class Arm:
     @property
     def said(self) -> str:
         """How its joints come, in words; "" for all in one message."""
-        how = "each at its own time" if self.own_time else "put together by their stamps"
-        return f", joints of {len(self.parts)} kinds of message {how}" if self.parts else ""
+        how = (
+            "each at its own time" if self.own_time else "put together by their stamps"
+        )
+        return (
+            f", joints of {len(self.parts)} kinds of message {how}"
+            if self.parts
+            else ""
+        )
 
     def samples(self, messages: Iterator[Stamped]) -> Iterator[tuple[float, Sample]]:
         """Yield time from the start [s] and sample of an arm's messages, in order."""
@@ -320,19 +357,32 @@ class Arm:
         for stamp, sample in stamped:
             yield 1e-9 * (stamp - self.start), sample
 
-    def _latest(self, stamped: Iterator[tuple[int, Sample]]) -> Iterator[tuple[int, Sample]]:
+    def _latest(
+        self, stamped: Iterator[tuple[int, Sample]]
+    ) -> Iterator[tuple[int, Sample]]:
         """Yield the newest of all joints at each message of the rarest part."""
         newest: dict[frozenset[str], tuple[int, Sample]] = {}
         for stamp, sample in stamped:
-            part = next((p for p in self.parts if all((j, "position") in sample for j in p)), None)
+            part = next(
+                (p for p in self.parts if all((j, "position") in sample for j in p)),
+                None,
+            )
             if part is None:
                 continue
             newest[part] = stamp, sample
-            fresh = all(stamp - newest.get(each, (0, {}))[0] <= _STALE for each in self.parts)
+            fresh = all(
+                stamp - newest.get(each, (0, {}))[0] <= _STALE for each in self.parts
+            )
             if part == self.parts[-1] and fresh:
-                row = {key: value for _, each in newest.values() for key, value in each.items()}
+                row = {
+                    key: value
+                    for _, each in newest.values()
+                    for key, value in each.items()
+                }
                 for each, (taken, _) in newest.items():
-                    row.update({(joint, "time"): 1e-9 * (taken - self.start) for joint in each})
+                    row.update(
+                        {(joint, "time"): 1e-9 * (taken - self.start) for joint in each}
+                    )
                 yield stamp, row
 
 
@@ -357,6 +407,11 @@ def in_order(messages: Iterator[Stamped]) -> Iterator[Stamped]:
     yield from messages
 
 
-def _of_one_stamp(stamped: Iterator[tuple[int, Sample]]) -> Iterator[tuple[int, Sample]]:
+def _of_one_stamp(
+    stamped: Iterator[tuple[int, Sample]],
+) -> Iterator[tuple[int, Sample]]:
     for stamp, group in groupby(stamped, key=lambda each: each[0]):
-        yield stamp, {key: value for _, sample in group for key, value in sample.items()}
+        yield (
+            stamp,
+            {key: value for _, sample in group for key, value in sample.items()},
+        )

@@ -135,10 +135,14 @@ def bounded_memory(most: float) -> Iterator[None]:
         return
     import resource
 
-    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    taken = (
+        int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    )
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     bound = taken + int(most + _BESIDE)
-    resource.setrlimit(resource.RLIMIT_AS, (bound if soft < 0 else min(bound, soft), hard))
+    resource.setrlimit(
+        resource.RLIMIT_AS, (bound if soft < 0 else min(bound, soft), hard)
+    )
     try:
         yield
     finally:
@@ -153,7 +157,9 @@ def pieces_table(
     choices: ColumnChoices | None = None,
 ) -> LogTable:
     """Return a recording in memory, in pieces of arrays (N,) or (N, k) that stand side by side."""
-    return LogTable(path, layout, tuple(titles), partial(_rows, pieces), choices or ColumnChoices())
+    return LogTable(
+        path, layout, tuple(titles), partial(_rows, pieces), choices or ColumnChoices()
+    )
 
 
 def _rows(pieces: Sequence[Sequence[Array]], columns: Sequence[int]) -> Iterator[Block]:
@@ -162,7 +168,9 @@ def _rows(pieces: Sequence[Sequence[Array]], columns: Sequence[int]) -> Iterator
     start = 0
     for number, (piece, length) in enumerate(zip(pieces, lengths)):
         for first in range(0, length, BLOCK):
-            parts = [np.asarray(part[first : first + BLOCK], dtype=float) for part in piece]
+            parts = [
+                np.asarray(part[first : first + BLOCK], dtype=float) for part in piece
+            ]
             cells = np.column_stack(parts)[:, list(columns)]
             start += len(cells)
             lines = np.arange(start - len(cells), start) + 1
@@ -184,10 +192,15 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     named = {end if often[end] == 1 else name: a for end, (name, a) in ends}
     sized = {n: a for n, a in named.items() if is_column(a)}
     # As many samples as times, else what most arrays have.
-    times = [max(a.shape) for name, a in sized.items() if read_title(name).kind == "time"]
+    times = [
+        max(a.shape) for name, a in sized.items() if read_title(name).kind == "time"
+    ]
     lengths = times or [max(a.shape) for a in sized.values()]
     if not lengths:
-        shapes = ", ".join(f"{name} {np.shape(a)}" for name, a in arrays.items()) or "nothing"
+        shapes = (
+            ", ".join(f"{name} {np.shape(a)}" for name, a in arrays.items())
+            or "nothing"
+        )
         raise InputError(f"{path} holds no arrays with a row per sample: {shapes}")
     rows = max(set(lengths), key=Counter(lengths).__getitem__)
     upright = {n: a if len(a) == rows else a.T for n, a in sized.items()}
@@ -222,7 +235,9 @@ def _seconds(array: Any) -> Any:
     first = array[0]
     with contextlib.suppress(ValueError, TypeError, AttributeError):
         if isinstance(first, str):
-            return np.array([1e-9 * (nanoseconds(each) - nanoseconds(first)) for each in array])
+            return np.array(
+                [1e-9 * (nanoseconds(each) - nanoseconds(first)) for each in array]
+            )
         return np.array([(each - first).total_seconds() for each in array])
     return array
 
@@ -241,7 +256,9 @@ def renamed(names: Sequence[str], joint_names: Sequence[str]) -> list[str]:
     """
     found = []
     for name in names:
-        owners = [] if name in joint_names else [j for j in joint_names if _alike(name, j)]
+        owners = (
+            [] if name in joint_names else [j for j in joint_names if _alike(name, j)]
+        )
         owner = owners[0] if len(owners) == 1 else name
         rivals = [n for n in names if n == owner or _alike(n, owner)]
         found.append(owner if len(rivals) == 1 else name)

@@ -66,22 +66,34 @@ class Dialect:
     def cells(self, line: str) -> list[str]:
         """Return the cells of a row, without an empty one behind a last separator."""
         cells = split_line(line, self.separator)
-        return cells[:-1] if len(cells) == len(self.titles) + 1 and not cells[-1] else cells
+        return (
+            cells[:-1]
+            if len(cells) == len(self.titles) + 1 and not cells[-1]
+            else cells
+        )
 
 
 def text_table(asked: Asked) -> LogTable:
     """Return a file as a table of text."""
     dialect = read_dialect(asked.path, asked.start)
-    layout = f"{len(dialect.titles)} columns separated by {_SEPARATORS[dialect.separator]}"
+    layout = (
+        f"{len(dialect.titles)} columns separated by {_SEPARATORS[dialect.separator]}"
+    )
     comma = any("," in cell and is_number(cell) for cell in dialect.first_row)
     layout += ", decimal comma" * comma
-    layout += ", titles in a comment line" * bool(dialect.header and not dialect.header_line)
-    layout += ", time in dates" * any(DATE.fullmatch(cell) for cell in dialect.first_row)
+    layout += ", titles in a comment line" * bool(
+        dialect.header and not dialect.header_line
+    )
+    layout += ", time in dates" * any(
+        DATE.fullmatch(cell) for cell in dialect.first_row
+    )
     is_franka = {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header)
     layout = "libfranka's logToCSV, time in ms, " * is_franka + layout
     choices = ColumnChoices(time_unit="ms" if is_franka else None)
     read = partial(_blocks, dialect)
-    return LogTable(asked.path, layout, dialect.titles, read, choices, "line", dialect.first_row)
+    return LogTable(
+        asked.path, layout, dialect.titles, read, choices, "line", dialect.first_row
+    )
 
 
 def read_dialect(path: Path, start: bytes) -> Dialect:
@@ -89,10 +101,14 @@ def read_dialect(path: Path, start: bytes) -> Dialect:
     encoding = "utf-16" if start[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     control = len(start) - len(start.translate(None, _CONTROL))
     if encoding != "utf-16" and control > _BINARY * len(start):
-        raise InputError(f"{path} is of no form that is known, and not a text file; export CSV")
+        raise InputError(
+            f"{path} is of no form that is known, and not a text file; export CSV"
+        )
     above, lines = _beginning(path, encoding)
     if not lines:
-        raise InputError(f"{path} holds no rows of a table; check that the recording was written")
+        raise InputError(
+            f"{path} holds no rows of a table; check that the recording was written"
+        )
     (number, first) = lines[0]
     last = lines[-1][1]
     separator = next((mark for mark in _SEPARATORS if mark in first), " ")
@@ -105,7 +121,9 @@ def read_dialect(path: Path, start: bytes) -> Dialect:
         row = header
         header = _commented_header(above, len(row))
     elif len(lines) < 2:
-        raise InputError(f"{path} has a header but no rows; check that the recording ran")
+        raise InputError(
+            f"{path} has a header but no rows; check that the recording ran"
+        )
     return Dialect(path, encoding, separator, header, number, row, '"' in last)
 
 
@@ -113,7 +131,9 @@ def split_line(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without quotes and surrounding blanks; nothing for no text."""
     single = " ".join(line.split()) if separator == " " else line
     try:
-        cells = next(csv.reader([single], delimiter=separator, skipinitialspace=True), [])
+        cells = next(
+            csv.reader([single], delimiter=separator, skipinitialspace=True), []
+        )
     except csv.Error:
         return []
     return [cell.strip() for cell in cells]
@@ -143,20 +163,27 @@ def _start(cell: str) -> int:
     return nanoseconds(cell) if DATE.fullmatch(cell) else 0
 
 
-def _pieces(path: Path, encoding: str, most: int) -> Iterator[tuple[int, list[str], float]]:
+def _pieces(
+    path: Path, encoding: str, most: int
+) -> Iterator[tuple[int, list[str], float]]:
     """Yield (number of the first line, lines, share of the file read by then), so many characters
     at a time, to the end of a line; of a line that no table has, the beginning.
     """
     size = max(1, path.stat().st_size)
     number = 1
     # Titles may hold a degree sign in any encoding; numbers never do, so replacing is harmless.
-    with path.open("rb") as binary, TextIOWrapper(binary, encoding, errors="replace") as stream:
+    with (
+        path.open("rb") as binary,
+        TextIOWrapper(binary, encoding, errors="replace") as stream,
+    ):
         while text := stream.read(most):
             rest = "" if text.endswith("\n") else stream.readline(_LONGEST_LINE)
             text += rest
             while len(rest) == _LONGEST_LINE and not rest.endswith("\n"):
                 rest = stream.readline(_LONGEST_LINE)
-            lines = [line[:_LONGEST_LINE] for line in text.removesuffix("\n").split("\n")]
+            lines = [
+                line[:_LONGEST_LINE] for line in text.removesuffix("\n").split("\n")
+            ]
             yield number, lines, binary.tell() / size
             number += len(lines)
 
@@ -166,7 +193,9 @@ def _beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
     above = ""
     rows = []
     pieces = _pieces(path, encoding, _LONGEST_LINE)
-    for number, text in (each for first, lines, _ in pieces for each in enumerate(lines, first)):
+    for number, text in (
+        each for first, lines, _ in pieces for each in enumerate(lines, first)
+    ):
         if not _is_comment(text) and _is_text(text):
             rows.append((number, text))
             if len(rows) == 2:
@@ -182,7 +211,10 @@ def _is_comment(line: str) -> bool:
 
 def _is_text(line: str) -> bool:
     """Return whether a line may be a row of a table; one without text is none."""
-    plain = not any(mark < " " and mark != "\t" for mark in line) and "\ufffd" not in line[80:]
+    plain = (
+        not any(mark < " " and mark != "\t" for mark in line)
+        and "\ufffd" not in line[80:]
+    )
     return len(line) < _LONGEST_LINE and plain and bool(line.strip())
 
 
@@ -190,7 +222,9 @@ def _commented_header(above: str, width: int) -> tuple[str, ...]:
     text = above.lstrip("#% ")
     marks = (next((mark for mark in _SEPARATORS if mark in text), " "), " ")
     rows = (_without_gap(split_line(text, mark)) for mark in marks)
-    return next((row for row in rows if len(row) == width and not _mostly_numbers(row)), ())
+    return next(
+        (row for row in rows if len(row) == width and not _mostly_numbers(row)), ()
+    )
 
 
 def _without_gap(cells: Sequence[str]) -> tuple[str, ...]:
@@ -208,11 +242,15 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
         numbers: Sequence[int] = range(first, first + len(lines))
         texts: Sequence[str] = lines
         # A look at the first characters tells of most pieces that every line is a row.
-        if dialect.header_line in numbers or not _NO_ROW.isdisjoint(line[:1] for line in lines):
+        if dialect.header_line in numbers or not _NO_ROW.isdisjoint(
+            line[:1] for line in lines
+        ):
             rows = [
                 (number, line)
                 for number, line in zip(numbers, lines)
-                if number != dialect.header_line and line.strip() and not _is_comment(line)
+                if number != dialect.header_line
+                and line.strip()
+                and not _is_comment(line)
             ]
             if not rows:
                 continue
@@ -227,7 +265,9 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
         yield Block(np.array(numbers), cells, complaint, done=done)
 
 
-def _fast(dialect: Dialect, columns: Sequence[int], texts: Sequence[str]) -> Array | None:
+def _fast(
+    dialect: Dialect, columns: Sequence[int], texts: Sequence[str]
+) -> Array | None:
     """Parse rows with numpy; None where a row needs a closer look."""
     if dialect.quoted:
         return None

@@ -48,7 +48,22 @@ MEMORY = 20
 """Gradient pairs L-BFGS keeps: the upper end of what Nocedal, Wright, section 7.2, recommend."""
 _TORQUE_STEP = 1e-6
 """Step of differences [rad and its rates]: torques round to 1e-13, so slopes to 1e-7."""
-REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
+REPAIRS = (
+    1.0,
+    0.999,
+    0.998,
+    0.996,
+    0.992,
+    0.985,
+    0.97,
+    0.94,
+    0.9,
+    0.8,
+    0.6,
+    0.4,
+    0.2,
+    0.1,
+)
 """Factors tried until a motion keeps all limits."""
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency; see docs/excitation.md for why."""
@@ -113,7 +128,9 @@ def first_candidate(design: Design, x: Array) -> Candidate:
     return _checked(design, Candidate(x, none))
 
 
-def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
+def improve(
+    design: Design, candidate: Candidate, deadline: float = np.inf
+) -> Candidate:
     """Return the candidate after one more round, or after as much of it as there was time for."""
     from scipy.optimize import minimize
 
@@ -135,17 +152,23 @@ def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> C
     options = {**most, "maxcor": MEMORY, "maxls": 30}
     start = (candidate.x / unit).ravel()
     with contextlib.suppress(TimeoutError):
-        minimize(function, start, jac=True, method="L-BFGS-B", callback=keep, options=options)
+        minimize(
+            function, start, jac=True, method="L-BFGS-B", callback=keep, options=options
+        )
     moved = replace(candidate, x=reached[-1])
     if not is_over(deadline):
         grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
         multipliers = objective(moved.x)[2]
         weight = grow * candidate.weight
-        moved = replace(moved, multipliers=multipliers, weight=weight, rounds=candidate.rounds + 1)
+        moved = replace(
+            moved, multipliers=multipliers, weight=weight, rounds=candidate.rounds + 1
+        )
     return _checked(design, moved, deadline)
 
 
-def _checked(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
+def _checked(
+    design: Design, candidate: Candidate, deadline: float = np.inf
+) -> Candidate:
     """Return the candidate with its feasible trajectory updated, if the present one is better."""
     candidate = replace(candidate, score=design.criterion_of(candidate.x))
     for factor in REPAIRS:
@@ -256,7 +279,10 @@ class Constraints(NamedTuple):
 
 
 def constraints_of(
-    problem: ExcitationProblem, motion: Series, share: float = 1.0, extra_slack: float = 0.0
+    problem: ExcitationProblem,
+    motion: Series,
+    share: float = 1.0,
+    extra_slack: float = 0.0,
 ) -> Constraints:
     """Return all constraints of a motion (q, qd, qdd), each (N, n).
 
@@ -270,7 +296,9 @@ def constraints_of(
     allowed = share * problem.limits.columns
     towards = (extra_slack - slack.value) / OBSTACLE_LENGTH
     value = np.column_stack((np.abs(signals) / allowed - 1.0, towards))
-    return Constraints(value, partial(_vjp, problem, motion, signals, allowed, slack.gradient))
+    return Constraints(
+        value, partial(_vjp, problem, motion, signals, allowed, slack.gradient)
+    )
 
 
 def _vjp(
@@ -285,20 +313,28 @@ def _vjp(
     adjoint = weight[:, :-1] * np.sign(signals) / allowed
     q, qd, qdd, torque, fastest = np.split(adjoint, ends, axis=1)
     q -= weight[:, -1:] * slack_gradient / OBSTACLE_LENGTH
-    _add_torque(problem, motion, np.split(signals, ends, axis=1)[3], torque, (q, qd, qdd))
+    _add_torque(
+        problem, motion, np.split(signals, ends, axis=1)[3], torque, (q, qd, qdd)
+    )
     used = np.flatnonzero(fastest)
     if len(used):
         q_used, *rates = (part[used] for part in motion)
         links = problem.dynamics.motion(q_used, *rates)
         none, along = np.zeros((2, 6, problem.n_joints, len(used)))
         along[:, -1] = problem.tool.speed_vjp(links.velocity[-1], fastest[used, 0])
-        for total, part in zip((q, qd, qdd), links.gradient(rates, none, (along, none), none)):
+        for total, part in zip(
+            (q, qd, qdd), links.gradient(rates, none, (along, none), none)
+        ):
             total[used] += part
     return q, qd, qdd
 
 
 def _add_torque(
-    problem: ExcitationProblem, motion: Series, torque: Array, adjoint: Array, totals: Gradient
+    problem: ExcitationProblem,
+    motion: Series,
+    torque: Array,
+    adjoint: Array,
+    totals: Gradient,
 ) -> None:
     """Add the gradient through the torque by one-sided differences, at active samples only."""
     active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))
@@ -318,7 +354,9 @@ def _add_torque(
         totals[which][active] += np.sum(change * adjoint[active], axis=2).T
 
 
-def penalised(design: Design, candidate: Candidate, x: Array) -> tuple[float, Array, Array]:
+def penalised(
+    design: Design, candidate: Candidate, x: Array
+) -> tuple[float, Array, Array]:
     """Return the objective of a round at free coefficients x (n, M), gradient and new multipliers.
 
     Multipliers and weight are those of the candidate; the new ones (N, 4 n + 2) are those after a

@@ -115,7 +115,9 @@ def design_excitation(
     interruption = None
     try:
         seed = int(rng.integers(2**62))
-        stopped = _search(design, seed, draws, candidates, progress or Progress(), before)
+        stopped = _search(
+            design, seed, draws, candidates, progress or Progress(), before
+        )
     except KeyboardInterrupt as error:
         stopped = "interrupted"
         interruption = error
@@ -158,8 +160,12 @@ def _search(
     def tell(done: int) -> None:
         best = _best(candidates)
         x = best.feasible_x if best else min(draws, key=lambda draw: draw.score).x
-        far = (optimise.clock() - began, budget) if options.time_budget else (done, most)
-        progress.advance("Designing the trajectory", min(far), far[1], design.promise(x))
+        far = (
+            (optimise.clock() - began, budget) if options.time_budget else (done, most)
+        )
+        progress.advance(
+            "Designing the trajectory", min(far), far[1], design.promise(x)
+        )
 
     with _workers(design, options.n_workers) as run:
         draw = partial(draw_trajectories, seed=seed, deadline=deadline)
@@ -204,11 +210,16 @@ def _improved(
         if is_over(deadline):
             break
         before = candidates[at].feasible_score
-        (candidates[at],) = run([partial(improve, candidate=candidates[at], deadline=deadline)])
+        (candidates[at],) = run(
+            [partial(improve, candidate=candidates[at], deadline=deadline)]
+        )
         yield len(own) + done
         after = candidates[at]
         # A round that only learns which limits matter makes nothing better; the next one does.
-        if before - after.feasible_score < FLAT and after.feasible_score - after.score < NEAR:
+        if (
+            before - after.feasible_score < FLAT
+            and after.feasible_score - after.score < NEAR
+        ):
             break
 
 
@@ -344,7 +355,9 @@ _received: Any = None
 
 
 @contextlib.contextmanager
-def _workers(shared: Any, count: int) -> Iterator[Callable[[Sequence[Job]], Iterator[Any]]]:
+def _workers(
+    shared: Any, count: int
+) -> Iterator[Callable[[Sequence[Job]], Iterator[Any]]]:
     """Give a function that yields the results of jobs, in order, from processes.
 
     They are started afresh ("spawn"), so nothing depends on what this process has loaded; each
@@ -368,7 +381,9 @@ def _workers(shared: Any, count: int) -> Iterator[Callable[[Sequence[Job]], Iter
                 process.terminate()
 
 
-def _run(shared: Any, pool: ProcessPoolExecutor | None, jobs: Sequence[Job]) -> Iterator[Any]:
+def _run(
+    shared: Any, pool: ProcessPoolExecutor | None, jobs: Sequence[Job]
+) -> Iterator[Any]:
     """Yield the results; what workers that died, or could not be started, left is done here."""
     done = 0
     with contextlib.suppress(BrokenProcessPool, OSError, RuntimeError):

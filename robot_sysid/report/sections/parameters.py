@@ -79,18 +79,30 @@ def _before_after(body: Body, name: str) -> Figure:
     numbers = ("parameter", *told, "± standard error"), rows
     against = " against the model's values before" if "before" in told else ""
     known = " and the truth of the simulated arm" if "truth" in told else ""
-    caption = f"{body.title}: identified parameters{against}{known}, ± one standard error."
+    caption = (
+        f"{body.title}: identified parameters{against}{known}, ± one standard error."
+    )
 
     def draw(canvas: Any) -> None:
-        axes = canvas.subplots(3, 1, height_ratios=[end - start + 0.6 for start, end, _ in _GROUPS])
+        axes = canvas.subplots(
+            3, 1, height_ratios=[end - start + 0.6 for start, end, _ in _GROUPS]
+        )
         errors = np.where(np.isfinite(body.errors), body.errors, 0.0)
         for (start, end, title), ax in zip(_GROUPS, axes):
             places = -np.arange(end - start, dtype=float)
             part = slice(start, end)
             for what, (shift, style) in _MARKS.items():
                 if what in told:
-                    ax.plot(told[what][part], places + shift, label=what, ls="none", **style)
-            bar: Any = {"fmt": "o", "color": AFTER, "ms": 5, "capsize": 3, "label": "after"}
+                    ax.plot(
+                        told[what][part], places + shift, label=what, ls="none", **style
+                    )
+            bar: Any = {
+                "fmt": "o",
+                "color": AFTER,
+                "ms": 5,
+                "capsize": 3,
+                "label": "after",
+            }
             ax.errorbar(body.after[part], places, xerr=errors[part], **bar)
             ax.set_yticks(places, PARAMETER_NAMES[part])
             ax.set(ylim=(places[-1] - 0.6, 0.6), xlabel=f"{title} [{THETA[start]}]")
@@ -131,7 +143,12 @@ def _causes(body: Body, name: str) -> Figure:
         for (cause, share), (colour, _), hatch in zip(
             shown.items(), drawing.SERIES, drawing.HATCHES
         ):
-            style = {"facecolor": colour, "edgecolor": drawing.INK, "alpha": 0.75, "hatch": hatch}
+            style = {
+                "facecolor": colour,
+                "edgecolor": drawing.INK,
+                "alpha": 0.75,
+                "hatch": hatch,
+            }
             ax.barh(places, 100.0 * share, left=left, label=cause, **style)
             left = left + 100.0 * share
         ax.set_yticks(places, PARAMETER_NAMES)
@@ -174,7 +191,9 @@ def visibility(run: Run) -> Section:
         hidden.insert(0, "the payload's inertia (its ± does not tell it from zero)")
         sentences.append(NOT_KNOWN)
     every = "All parameters that were asked for show in these torques."
-    sentences.append(f"These torques do not show: {'; '.join(hidden)}." if hidden else every)
+    sentences.append(
+        f"These torques do not show: {'; '.join(hidden)}." if hidden else every
+    )
     return Section("visible", "Identified, kept, not visible", sentences, tables)
 
 
@@ -183,7 +202,11 @@ def _source(body: Body, k: int, is_payload: bool) -> str:
         return "not known" if is_payload else "the model (not visible)"
     if np.isfinite(body.share[k]) and body.share[k] < PRIOR_SHARE:
         return "more model than data"
-    return "the data" if np.isfinite(body.errors[k]) or not body.budget else "partly the model"
+    return (
+        "the data"
+        if np.isfinite(body.errors[k]) or not body.budget
+        else "partly the model"
+    )
 
 
 def card(run: Run) -> Section | None:
@@ -191,7 +214,9 @@ def card(run: Run) -> Section | None:
     payload = run.content["payload"]
     if payload is None:
         return None
-    rows = [(joint, with_error(*each)) for joint, each in payload["torque_scale"].items()]
+    rows = [
+        (joint, with_error(*each)) for joint, each in payload["torque_scale"].items()
+    ]
     tables = [table(("joint", "torque scale"), rows)] if rows else []
     if not payload["cards"]:
         reason = "no card was written, because the payload is not to be used"
@@ -205,9 +230,13 @@ def card(run: Run) -> Section | None:
     )
     blocks = []
     for entry in payload["cards"].values():
-        comment = "\n".join(f"# {line}" for line in (entry["explanation"], *entry["notes"]) if line)
+        comment = "\n".join(
+            f"# {line}" for line in (entry["explanation"], *entry["notes"]) if line
+        )
         blocks.append((entry["title"], f"{comment}\n{entry['text']}"))
-    return Section("card", "Payload card", (words,), tables, blocks=blocks, is_open=True)
+    return Section(
+        "card", "Payload card", (words,), tables, blocks=blocks, is_open=True
+    )
 
 
 def scatter(run: Run) -> Section | None:
@@ -218,7 +247,9 @@ def scatter(run: Run) -> Section | None:
     header = ("recording", "kind", "mass [kg]", "± noise alone [kg]", "± all [kg]")
     rows = []
     for one in payload["scatter"]:
-        mass, noise, whole = (number(one[key]) for key in ("mass", "noise_error", "error"))
+        mass, noise, whole = (
+            number(one[key]) for key in ("mass", "noise_error", "error")
+        )
         pair = drawing.cells(mass, noise)
         kind = "loaded" if one["is_loaded"] else "empty"
         rows.append((one["name"], kind, *pair, drawing.plus_minus(whole)))
@@ -236,25 +267,33 @@ def verdicts(runs: Sequence[Run]) -> Section:
     told = []
     for name, run in names(runs).items():
         content = run.content
-        rows.append((name, content["question"], content["verdict"][0], content["model"]["path"]))
+        rows.append(
+            (name, content["question"], content["verdict"][0], content["model"]["path"])
+        )
         told += [f"{name}: {line}" for line in run.missing]
     header = ("run", "what", "verdict", "model")
     models = {run.content["model"]["sha256"] for run in runs}
     warned = ("The runs are of different model files.",) if len(models) > 1 else ()
     tables = (table(header, rows),)
     missing = tuple(told)
-    return Section("verdicts", "Verdicts", warned, tables, missing=missing, is_open=True)
+    return Section(
+        "verdicts", "Verdicts", warned, tables, missing=missing, is_open=True
+    )
 
 
 def names(runs: Sequence[Run]) -> dict[str, Run]:
     """Return the runs by the name of their folder, or its path where two are called the same."""
     short = [run.name for run in runs]
-    return {run.name if short.count(run.name) < 2 else str(run.folder): run for run in runs}
+    return {
+        run.name if short.count(run.name) < 2 else str(run.folder): run for run in runs
+    }
 
 
 def compared(runs: Sequence[Run]) -> Section:
     """Return the parameters of the bodies that all runs have, beside each other."""
-    bodies = {name: {b.title: b for b in run.bodies} for name, run in names(runs).items()}
+    bodies = {
+        name: {b.title: b for b in run.bodies} for name, run in names(runs).items()
+    }
     first, *others = bodies.values()
     both = [title for title in first if all(title in each for each in others)]
     words = "Values ± one standard error. Runs whose ranges do not meet contradict each other."
@@ -263,7 +302,9 @@ def compared(runs: Sequence[Run]) -> Section:
     tables = []
     for title in both:
         same = [each[title] for each in bodies.values()]
-        columns = [map(with_error, each.after, each.stated(each.errors)) for each in same]
+        columns = [
+            map(with_error, each.after, each.stated(each.errors)) for each in same
+        ]
         labels = (f"{label} [{unit}]" for label, unit in zip(PARAMETER_NAMES, THETA))
         tables.append(table((title, *bodies), list(zip(labels, *columns))))
     return Section("compared", "Parameters", (words,), tables, is_open=True)
@@ -287,7 +328,9 @@ def friction_beside(runs: Sequence[Run]) -> Section:
     }
     keys = dict.fromkeys(key for each in found.values() for key in each)
     rows = [(*key, *(each.get(key, "–") for each in found.values())) for key in keys]
-    return Section("friction", "Friction", tables=(table(("joint", "term", *found), rows),))
+    return Section(
+        "friction", "Friction", tables=(table(("joint", "term", *found), rows),)
+    )
 
 
 COMPARISON = verdicts, compared, friction_beside, predicted

@@ -20,7 +20,10 @@ from robot_sysid.report.runs import Body, Run
 from robot_sysid.report.sections.parameters import masses
 
 _SIZE = (800, 620)
-_COLOURS: dict[str, Colour] = {"before": (0.9, 0.45, 0.05, 0.3), "after": (0.05, 0.38, 0.75, 0.5)}
+_COLOURS: dict[str, Colour] = {
+    "before": (0.9, 0.45, 0.05, 0.3),
+    "after": (0.05, 0.38, 0.75, 0.5),
+}
 _ROOM = 6.0
 _FARTHER = 1.25
 _NEAREST = 3.0
@@ -34,10 +37,14 @@ def picture(run: Run, mesh_dir: Path | None = None) -> Section:
     path = Path(entry["path"])
     try:
         if not path.is_file():
-            raise SysidError(f"no pictures of the arm: its model is not at {path} any more")
+            raise SysidError(
+                f"no pictures of the arm: its model is not at {path} any more"
+            )
         robot = load_robot_model(path, mesh_dir, run.content["joint_name"])
         if robot.sha256 != entry["sha256"]:
-            raise SysidError(f"no pictures of the arm: {path} has changed since the run")
+            raise SysidError(
+                f"no pictures of the arm: {path} has changed since the run"
+            )
         return _drawn(robot, list(_bodies(robot, run)))
     except SysidError as error:
         return Section("picture", _TITLE, missing=(str(error),))
@@ -52,7 +59,10 @@ def _drawn(robot: RobotModel, bodies: Bodies) -> Section:
     last = [each for each in bodies if each[0] == robot.body_id]
     impossible: dict[str, None] = {}
     with Studio(robot, *_SIZE) as studio:
-        for name, on, shown in (("arm", "the whole arm", bodies), ("close", "the last link", last)):
+        for name, on, shown in (
+            ("arm", "the whole arm", bodies),
+            ("close", "the last link", last),
+        ):
             studio.look_at_arm(robot.reference[None])
             if name == "close":
                 _go_near(studio, robot, last[0][1])
@@ -68,7 +78,9 @@ def _drawn(robot: RobotModel, bodies: Bodies) -> Section:
             pixels = np.ascontiguousarray(studio.picture())
             buffer = io.BytesIO()
             imsave(buffer, pixels, format="png", metadata=facts)
-            figures.append(Figure(f"inertia-{name}", caption, numbers, png=buffer.getvalue()))
+            figures.append(
+                Figure(f"inertia-{name}", caption, numbers, png=buffer.getvalue())
+            )
     said = (
         "Each ellipsoid is the homogeneous body with the mass and inertia of a link; its dot is "
         "the centre of mass. Orange: before. Blue: after."
@@ -92,10 +104,18 @@ def _bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
     first, *others = run.bodies
     if run.is_payload:
         entry = run.content["payload"]["flange"]
-        flange = Flange("flange", np.array(entry["rotation"]), np.array(entry["translation"]))
-        yield robot.body_id, replace(first, thetas={"after": flange.from_flange(first.after)})
+        flange = Flange(
+            "flange", np.array(entry["rotation"]), np.array(entry["translation"])
+        )
+        yield (
+            robot.body_id,
+            replace(first, thetas={"after": flange.from_flange(first.after)}),
+        )
         thetas = {"before": others[0].after, "after": others[1].after}
-        yield robot.body_id, replace(others[1], title="link with payload", thetas=thetas)
+        yield (
+            robot.body_id,
+            replace(others[1], title="link with payload", thetas=thetas),
+        )
         return
     yield robot.body_id, first
     ids = {link.body_name: link.body_id for link in robot.links}

@@ -60,8 +60,13 @@ def _torque(data: ReportData, joint: int, before: str) -> Figure:
         f"({before} leaves {old:.3g} {unit})."
     )
     below: Curves = {f"residual [{unit}]": (left, {"color": drawing.INK, "lw": 0.7})}
-    panels = Panel(f"torque [{unit}]", above, height=2.5), Panel(f"residual [{unit}]", below)
-    return drawing.curves(f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6)
+    panels = (
+        Panel(f"torque [{unit}]", above, height=2.5),
+        Panel(f"residual [{unit}]", below),
+    )
+    return drawing.curves(
+        f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6
+    )
 
 
 def most_changed(run: Run) -> Figure:
@@ -80,7 +85,9 @@ def most_changed(run: Run) -> Figure:
         f"{old:.3g} {unit}, and is by {new:.3g} {unit} (root mean square)."
     )
     panel = Panel(f"torque [{unit}]", _before_after(data, joint))
-    return drawing.curves("before-after", caption, ("time [s]", data.time), (panel,), 3.0)
+    return drawing.curves(
+        "before-after", caption, ("time [s]", data.time), (panel,), 3.0
+    )
 
 
 def _before_after(data: ReportData, joint: int) -> Curves:
@@ -89,7 +96,10 @@ def _before_after(data: ReportData, joint: int) -> Curves:
         each[:, joint] for each in (data.measured, data.before, data.predicted)
     )
     return {
-        f"measured [{unit}]": (measured, {"color": drawing.MEASURED, "lw": 2.2, "alpha": 0.8}),
+        f"measured [{unit}]": (
+            measured,
+            {"color": drawing.MEASURED, "lw": 2.2, "alpha": 0.8},
+        ),
         f"before [{unit}]": (earlier, {"color": drawing.BEFORE, "ls": "--", "lw": 0.9}),
         f"after [{unit}]": (after, {"color": drawing.AFTER}),
     }
@@ -130,16 +140,25 @@ def _left_over(data: ReportData, joint: int) -> Figure:
     def draw(canvas: Any) -> None:
         grid = canvas.add_gridspec(2, 2)
         above = canvas.add_subplot(grid[0, :], xlabel=speed, ylabel=left)
-        drawing.dots(above, data.qd[:, joint], (data.measured - data.predicted)[:, joint])
-        above.errorbar(speeds, mean, spread, color=drawing.AFTER, fmt="o-", ms=3, lw=1.0, capsize=2)
+        drawing.dots(
+            above, data.qd[:, joint], (data.measured - data.predicted)[:, joint]
+        )
+        above.errorbar(
+            speeds, mean, spread, color=drawing.AFTER, fmt="o-", ms=3, lw=1.0, capsize=2
+        )
         shape = canvas.add_subplot(grid[1, 0], xlabel=left, ylabel="samples")
         _histogram(shape, data.edges[joint], data.counts[joint])
-        memory = canvas.add_subplot(grid[1, 1], xlabel="lag [s]", ylabel="autocorrelation")
+        memory = canvas.add_subplot(
+            grid[1, 1], xlabel="lag [s]", ylabel="autocorrelation"
+        )
         memory.axhspan(-band, band, color=drawing.MEASURED, alpha=0.35, lw=0)
         memory.plot(data.lags, memories, color=drawing.AFTER, marker=".", ms=3)
         memory.set_ylim(min(-0.3, float(np.min(memories)) - 0.05), 1.05)
 
-    numbers = (speed, f"mean {left}", f"spread of the {left}"), zip(speeds, mean, spread)
+    numbers = (
+        (speed, f"mean {left}", f"spread of the {left}"),
+        zip(speeds, mean, spread),
+    )
     return drawing.drawn(f"residual-{joint}", caption, numbers, 3.9, draw)
 
 
@@ -163,7 +182,9 @@ def friction(run: Run) -> Section:
         **run.friction_of_logs(),
         "joint in the written model": run.friction("in_the_file"),
     }
-    tables = tuple(_coefficients(what, found, slides) for what, found in kinds.items() if found)
+    tables = tuple(
+        _coefficients(what, found, slides) for what, found in kinds.items() if found
+    )
     words = (
         "Dots: what is left of the measured torque when all but friction is taken off. Circles: "
         "their mean in bins of speed. Blue: the identified friction in the same bins, with all its "
@@ -172,7 +193,9 @@ def friction(run: Run) -> Section:
     if not tables or data is None:
         words = "Curves need the torques." if tables else "No friction was estimated."
         return Section("friction", "Friction", (words,), tables)
-    moved = [joint for joint in range(len(data.joints)) if np.any(data.friction[:, joint])]
+    moved = [
+        joint for joint in range(len(data.joints)) if np.any(data.friction[:, joint])
+    ]
     figures = tuple(_curve(data, joint) for joint in moved)
     return Section("friction", "Friction", (words,), tables, figures)
 
@@ -185,9 +208,13 @@ def _coefficients(
     slide = any(slides.values())
     header = (title, *(f"{name} [{term_unit(name, slide) or '1'}]" for name in terms))
     cells = {key: with_error(*each) for key, each in found.items()}
-    rows = [(owner, *(cells.get((owner, name), "–") for name in terms)) for owner in owners]
+    rows = [
+        (owner, *(cells.get((owner, name), "–") for name in terms)) for owner in owners
+    ]
     mixed = slide and not all(slides.values())
-    note = "Units are those of slides; of hinges N·m for N and rad for m." if mixed else ""
+    note = (
+        "Units are those of slides; of hinges N·m for N and rad for m." if mixed else ""
+    )
     return drawing.table(header, rows, note)
 
 
@@ -198,7 +225,9 @@ def _curve(data: ReportData, joint: int) -> Figure:
     columns = (data.speed, data.friction_measured, data.friction_predicted)
     # Dry friction jumps where the speed changes its sign: no line is drawn across.
     turn = np.count_nonzero(data.speed[joint, known] < 0.0)
-    across, measured, identified = (np.insert(e[joint, known], turn, np.nan) for e in columns)
+    across, measured, identified = (
+        np.insert(e[joint, known], turn, np.nan) for e in columns
+    )
     caption = f"{data.joints[joint]}: friction torque [{unit}] against {speed}."
     lines: Curves = {
         f"measured [{unit}]": (
@@ -207,7 +236,10 @@ def _curve(data: ReportData, joint: int) -> Figure:
         ),
         f"identified [{unit}]": (identified, {"color": drawing.AFTER, "lw": 1.8}),
     }
-    cloud = data.qd[:, joint], (data.friction + data.measured - data.predicted)[:, joint]
+    cloud = (
+        data.qd[:, joint],
+        (data.friction + data.measured - data.predicted)[:, joint],
+    )
     panel = Panel(f"friction [{unit}]", lines, cloud=cloud)
     return drawing.curves(f"friction-{joint}", caption, (speed, across), (panel,), 3.0)
 
@@ -235,13 +267,19 @@ def _shares(data: ReportData) -> Table:
         for j, joint in enumerate(data.joints)
     ]
     note = "Over 100 % the recording went beyond what the model allows."
-    return drawing.table(("joint", *(f"{what} [% of limit]" for what in limits)), rows, note)
+    return drawing.table(
+        ("joint", *(f"{what} [% of limit]" for what in limits)), rows, note
+    )
 
 
 def _motion(data: ReportData, joint: int) -> Figure:
     unit = position(data.is_slide[joint])
     low, high, fast = (float(v[joint]) for v in (data.lower, data.upper, data.velocity))
-    limits = f"{low:.3g} to {high:.3g} {unit}" if np.isfinite(high - low) else "no position limit"
+    limits = (
+        f"{low:.3g} to {high:.3g} {unit}"
+        if np.isfinite(high - low)
+        else "no position limit"
+    )
     caption = (
         f"{data.joints[joint]}: position [{unit}] and speed [{unit}/s] as recorded; limits "
         f"(dashed where near): {limits}, ± {fast:.3g} {unit}/s."
@@ -254,7 +292,9 @@ def _motion(data: ReportData, joint: int) -> Figure:
         room = _NEAR * np.ptp(values)
         near = [x for x in both if np.min(values) - room <= x <= np.max(values) + room]
         panels.append(Panel(label, {label: (values, {"color": colour})}, near))
-    return drawing.curves(f"motion-{joint}", caption, ("time [s]", data.time), panels, 3.0)
+    return drawing.curves(
+        f"motion-{joint}", caption, ("time [s]", data.time), panels, 3.0
+    )
 
 
 FITTED = "fitted"
@@ -273,7 +313,9 @@ def errors(run: Run) -> Section:
     sets = list(error_sets(run))
     title = "Prediction errors"
     if not sets:
-        return Section("errors", title, missing=("the result file holds no errors per joint",))
+        return Section(
+            "errors", title, missing=("the result file holds no errors per joint",)
+        )
     caption = (
         "Root mean square error of the predicted torque of each joint [N·m, N for slides]: of the "
         "fit itself on what was fitted and what was not, and of the model and the written one, as "
@@ -289,14 +331,25 @@ def errors(run: Run) -> Section:
     height = 1.2 + 0.2 * len(series) + 0.12 * len(series) * len(joints)
     figures = (drawing.drawn("errors", caption, (header, rows), height, draw),)
     held_out = any(each.words != FITTED for each in sets)
-    told = () if held_out else ("Nothing was held out: other motion may be predicted worse.",)
+    told = (
+        ()
+        if held_out
+        else ("Nothing was held out: other motion may be predicted worse.",)
+    )
     return Section("errors", title, told, figures=figures)
 
 
-def error_numbers(sets: Sequence[ErrorSet]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+def error_numbers(
+    sets: Sequence[ErrorSet],
+) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
     """Return header and rows: data, error [N m], its share of the torque, error of each joint."""
     joints = dict.fromkeys(joint for each in sets for joint in each.test.rmse_per_joint)
-    header = ("data", "all joints [N·m]", "of the torque", *(f"{j} [N·m or N]" for j in joints))
+    header = (
+        "data",
+        "all joints [N·m]",
+        "of the torque",
+        *(f"{j} [N·m or N]" for j in joints),
+    )
     rows: list[tuple[Any, ...]] = []
     for words, test, _ in sets:
         share = "–" if test.relative_error is None else percent(test.relative_error)
@@ -339,12 +392,18 @@ def rollout(run: Run) -> Section | None:
     score = found["score"]
     if score is not None:
         better = "smaller" if score < 1.0 else "not smaller"
-        said.insert(1, f"Errors are {better} than before: {score:.3g} times, all together.")
+        said.insert(
+            1, f"Errors are {better} than before: {score:.3g} times, all together."
+        )
     rows = []
     for test in found["errors"]:
         both = [(test["overall"]), *test["joints"].values()]
-        cells = (f"{drawing.text(e['before'])} -> {drawing.text(e['after'])}" for e in both)
+        cells = (
+            f"{drawing.text(e['before'])} -> {drawing.text(e['after'])}" for e in both
+        )
         rows.append((f"{test['loop']}, {drawing.text(test['horizon'])} s", *cells))
     joints = found["errors"][0]["joints"] if rows else ()
     tables = (drawing.table(("played", "all", *joints), rows),) if rows else ()
-    return Section("rollout", "Played in the simulator", said, tables, (), found["notes"])
+    return Section(
+        "rollout", "Played in the simulator", said, tables, (), found["notes"]
+    )

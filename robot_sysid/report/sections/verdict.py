@@ -52,7 +52,9 @@ def _masses(run: Run) -> Iterator[str]:
     for body in run.bodies if run.is_payload else run.bodies[:1]:
         mass = float(body.after[0])
         error = float(body.errors[0])
-        relative = f" ({percent(error / mass)})" if np.isfinite(error) and mass > 0.0 else ""
+        relative = (
+            f" ({percent(error / mass)})" if np.isfinite(error) and mass > 0.0 else ""
+        )
         stated = body.stated(body.errors)[0]
         yield f"Mass of {body.title}: {with_error(mass, stated, 'kg')}{relative}."
 

@@ -12,7 +12,12 @@ from robot_sysid.damiao.protocol import codec
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
 from robot_sysid.damiao.protocol.frames import REGISTER_ID, Frame, is_special
 from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.safety.bounds import BeyondBounds, CommandBounds, CommandRange, Overload
+from robot_sysid.damiao.safety.bounds import (
+    BeyondBounds,
+    CommandBounds,
+    CommandRange,
+    Overload,
+)
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import SysidError
 from tests.support.clocks import ScriptedClock
@@ -41,7 +46,9 @@ class AbsurdLink:
         j = (frame.data[0] if frame.id == REGISTER_ID else frame.id) - 1
         if len(self.sent) <= 4 or is_special(frame.data) or not self.answers:
             status = 1 if frame.data[7:] == b"\xfc" else 0
-            payload = bytes([status << 4 | (j + 1), 0x80, 0x00, 0x80, 0x08, 0x00, 30, 30])
+            payload = bytes(
+                [status << 4 | (j + 1), 0x80, 0x00, 0x80, 0x08, 0x00, 30, 30]
+            )
         else:
             payload = self.answers.pop(0)
         if payload is not None:
@@ -68,7 +75,9 @@ PAYLOADS = (
     | st.none()
 )
 REQUESTS = st.lists(
-    st.tuples(PAIRS, PAIRS, PAIRS, st.booleans(), st.floats(0.0, 0.05)), min_size=1, max_size=25
+    st.tuples(PAIRS, PAIRS, PAIRS, st.booleans(), st.floats(0.0, 0.05)),
+    min_size=1,
+    max_size=25,
 )
 
 
@@ -120,7 +129,9 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
 
 
 BOUNDS = CommandBounds(
-    CommandRange(LOWER, UPPER, SPEED), np.array([27.0, 7.0]), *(np.full(2, 1e-4) for _ in range(3))
+    CommandRange(LOWER, UPPER, SPEED),
+    np.array([27.0, 7.0]),
+    *(np.full(2, 1e-4) for _ in range(3)),
 )
 
 
@@ -141,7 +152,11 @@ def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
         (command(position=0.03), BeyondBounds, "would be sent to 0.030 rad"),
         (command(position=float("nan")), BeyondBounds, "would be sent to nan"),
         (command(velocity=2.1), BeyondBounds, "would be told 2.10 rad/s, limit 2.00"),
-        (command(torque=7.2), Overload, "would be asked for 7.2 N m and makes 7.0 at most"),
+        (
+            command(torque=7.2),
+            Overload,
+            "would be asked for 7.2 N m and makes 7.0 at most",
+        ),
         (command(position=0.01, torque=6.5), Overload, "would be asked for 7.5 N m"),
     ],
 )
@@ -167,7 +182,9 @@ def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
     session.enable()
     n_sent = len(link.sent)
     clock.sleep_until(clock.now() + 0.1)
-    far = MitCommand(np.full(2, 90.0), np.full(2, 90.0), np.zeros(2), np.ones(2), np.zeros(2))
+    far = MitCommand(
+        np.full(2, 90.0), np.full(2, 90.0), np.zeros(2), np.ones(2), np.zeros(2)
+    )
     session.exchange(far, clock.now() + 0.004, braking=True)
     assert len(link.sent) == n_sent + 2
     np.testing.assert_array_equal(session.command_range.upper, SCALING.limits[:, 0])

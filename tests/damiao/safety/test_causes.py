@@ -19,13 +19,17 @@ Q = np.array([0.3, 0.4, -0.2, 0.1])
 def gravity(q):
     """What holds four links in a plane: each joint carries all links beyond it."""
     angles = np.cumsum(q)
-    return np.cumsum((ARMS - np.append(ARMS[1:], 0.0))[::-1] * np.cos(angles)[::-1])[::-1]
+    return np.cumsum((ARMS - np.append(ARMS[1:], 0.0))[::-1] * np.cos(angles)[::-1])[
+        ::-1
+    ]
 
 
 def load(q):
     """What a kilogram at the end takes."""
     angles = np.cumsum(q)
-    return np.cumsum((LEVERS - np.append(LEVERS[1:], 0.0))[::-1] * np.cos(angles)[::-1])[::-1]
+    return np.cumsum(
+        (LEVERS - np.append(LEVERS[1:], 0.0))[::-1] * np.cos(angles)[::-1]
+    )[::-1]
 
 
 MODEL = HoldingCheck(JOINTS, gravity, 0.0, "the model needs", load)

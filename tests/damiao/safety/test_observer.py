@@ -27,7 +27,9 @@ def gravity(q):
     return LOAD * np.cos(q)
 
 
-HOLDING = HoldingCheck(JOINTS, gravity, 0.0, "the model needs", load=lambda q: np.array([2.0, 1.0]))
+HOLDING = HoldingCheck(
+    JOINTS, gravity, 0.0, "the model needs", load=lambda q: np.array([2.0, 1.0])
+)
 
 
 def complete_settings(**settings):
@@ -47,7 +49,9 @@ def observer(**settings):
 def sample(time=0.0, q=0.0, qd=0.0, tau=0.0, status=1, mos=30, rotor=30, answered=True):
     """What two joints answer: the first as it should, the second these values."""
     two = [np.array([usual, odd]) for usual, odd in ((0, q), (0, qd), (0, tau))]
-    codes = [np.array([usual, odd]) for usual, odd in ((1, status), (30, mos), (30, rotor))]
+    codes = [
+        np.array([usual, odd]) for usual, odd in ((1, status), (30, mos), (30, rotor))
+    ]
     if not answered:
         for values in two:
             values[1] = np.nan
@@ -87,15 +91,39 @@ FADES = SETTINGS.period * SETTINGS.kp[1] / SETTINGS.kd[1]
 SLOWED = 2.0 * FADES / np.expm1(FADES)
 # Commanded values at which nothing but what is tested can be out of order.
 LIMITS = (
-    (lambda x: ([sample(q=0.2 * x)], (0.0, 0.0, 0.0)), "motor 2 is 0.200 rad off its path"),
-    (lambda x: ([sample(q=-0.2 * x)], (0.0, 0.0, 0.0)), "motor 2 is 0.200 rad off its path"),
+    (
+        lambda x: ([sample(q=0.2 * x)], (0.0, 0.0, 0.0)),
+        "motor 2 is 0.200 rad off its path",
+    ),
+    (
+        lambda x: ([sample(q=-0.2 * x)], (0.0, 0.0, 0.0)),
+        "motor 2 is 0.200 rad off its path",
+    ),
     # One rad/s and two steps of the velocity channel.
-    (lambda x: ([sample(qd=2.0 + 1.2 * x)], (0.0, 2.0, 0.0)), "1.200 rad/s off its speed"),
-    (lambda x: ([sample(qd=SLOWED - 1.2 * x)], (0.0, 2.0, 0.0)), "1.200 rad/s off its speed"),
-    (lambda x: ([sample(tau=3.0 + 7.0 * x)], (0.0, 0.0, 3.0)), "7.000 N m off its torque, limit 7"),
-    (lambda x: ([sample(mos=80 + (x > 1.0))], (0.0, 0.0, 0.0)), "is at 81 deg C, limit 80"),
-    (lambda x: ([sample(rotor=80 + (x > 1.0))], (0.0, 0.0, 0.0)), "is at 81 deg C, limit 80"),
-    (lambda x: ([sample(status=1 if x < 1.0 else 0)], (0.0, 0.0, 0.0)), "reports status 0"),
+    (
+        lambda x: ([sample(qd=2.0 + 1.2 * x)], (0.0, 2.0, 0.0)),
+        "1.200 rad/s off its speed",
+    ),
+    (
+        lambda x: ([sample(qd=SLOWED - 1.2 * x)], (0.0, 2.0, 0.0)),
+        "1.200 rad/s off its speed",
+    ),
+    (
+        lambda x: ([sample(tau=3.0 + 7.0 * x)], (0.0, 0.0, 3.0)),
+        "7.000 N m off its torque, limit 7",
+    ),
+    (
+        lambda x: ([sample(mos=80 + (x > 1.0))], (0.0, 0.0, 0.0)),
+        "is at 81 deg C, limit 80",
+    ),
+    (
+        lambda x: ([sample(rotor=80 + (x > 1.0))], (0.0, 0.0, 0.0)),
+        "is at 81 deg C, limit 80",
+    ),
+    (
+        lambda x: ([sample(status=1 if x < 1.0 else 0)], (0.0, 0.0, 0.0)),
+        "reports status 0",
+    ),
 )
 
 
@@ -112,7 +140,10 @@ def test_each_limit_holds_to_a_millionth(case, words):
 
 @pytest.mark.parametrize(
     ("asked", "cycles", "words"),
-    [(True, 3, "motor 2 did not answer in time for 3 cycles"), (False, 6, "in time for 6 cycles")],
+    [
+        (True, 3, "motor 2 did not answer in time for 3 cycles"),
+        (False, 6, "in time for 6 cycles"),
+    ],
 )
 def test_a_motor_may_be_silent_for_so_long_and_no_longer(asked, cycles, words):
     """Three commands without an answer, or six cycles where it was not commanded."""
@@ -126,12 +157,20 @@ def test_a_motor_may_be_silent_for_so_long_and_no_longer(asked, cycles, words):
 def test_what_a_run_was_like_is_counted():
     watched = observer()
     still = MitCommand(*[np.zeros(2)] * 5)
-    for replies in (sample(q=0.1), sample(1, 0.095), sample(answered=False), sample(status=0xA)):
+    for replies in (
+        sample(q=0.1),
+        sample(1, 0.095),
+        sample(answered=False),
+        sample(status=0xA),
+    ):
         watched.update(replies)
         if replies.feedback.status[1] != 0xA:
             watched.check(replies, still)
     np.testing.assert_allclose(watched.worst_tracking, [0.0, 0.1])
-    assert watched.total_missed.tolist() == [0, 1] and watched.failed.tolist() == [False, True]
+    assert watched.total_missed.tolist() == [0, 1] and watched.failed.tolist() == [
+        False,
+        True,
+    ]
 
 
 # --- signals that disagree -----------------------------------------------------------------------
@@ -149,7 +188,14 @@ def motion(cycles, change=lambda k, signals: None):
         time = k * CYCLE
         p = 0.3 * np.sin(2.0 * time)
         v = 0.6 * np.cos(2.0 * time)
-        signals = {"q": p, "qd": v, "p": p, "t": 3.0 * np.cos(p), "tau": None, "extra": {}}
+        signals = {
+            "q": p,
+            "qd": v,
+            "p": p,
+            "t": 3.0 * np.cos(p),
+            "tau": None,
+            "extra": {},
+        }
         change(k, signals)
         fed = np.array([8.0, signals["t"]])
         command = MitCommand(
@@ -159,7 +205,9 @@ def motion(cycles, change=lambda k, signals: None):
             np.full(2, 4.5),
             fed,
         )
-        made = command.motor_torque(np.array([0.0, signals["q"]]), np.array([0.0, signals["qd"]]))
+        made = command.motor_torque(
+            np.array([0.0, signals["q"]]), np.array([0.0, signals["qd"]])
+        )
         tau = made[1] if signals["tau"] is None else signals["tau"](made[1])
         replies = sample(time, signals["q"], signals["qd"], tau)
         replies.feedback.torque[0] = 8.0
@@ -209,7 +257,11 @@ def slip(speed):
 
 DISAGREE = (
     (after(tau=lambda k, s: lambda made: -made), "its sign is reversed", 5),
-    (after(tau=lambda k, s: lambda made: 0.4 * made, t=lambda k, s: 9.0), "makes 0.40 times", 5),
+    (
+        after(tau=lambda k, s: lambda made: 0.4 * made, t=lambda k, s: 9.0),
+        "makes 0.40 times",
+        5,
+    ),
     (
         after(tau=lambda k, s: lambda made: made + (-9.0) ** (k % 2)),
         "does not do what it is commanded",
@@ -218,19 +270,27 @@ DISAGREE = (
     (after(qd=lambda k, s: -s["qd"]), "moves against the velocity that it reports", 60),
     (slip(0.4), "rad/s beside the velocity", 80),
     (
-        after(q=lambda k, s: STILL, qd=lambda k, s: 0.1, tau=lambda k, s: lambda made: 2.0),
+        after(
+            q=lambda k, s: STILL, qd=lambda k, s: 0.1, tau=lambda k, s: lambda made: 2.0
+        ),
         "repeats the same answer",
         15,
     ),
     (after(q=lambda k, s: STILL, qd=lambda k, s: 0.0), "its encoder is frozen", 25),
     (after(extra=lambda k, s: {"surplus": one(1)}), "a second motor has its id", 3),
-    (after(extra=lambda k, s: {"foreign": one(1)}), "gets commands of another program", 3),
+    (
+        after(extra=lambda k, s: {"foreign": one(1)}),
+        "gets commands of another program",
+        3,
+    ),
     (after(extra=lambda k, s: {"jump": one(0.2)}), "jumped by 0.200 rad", 1),
     (after(q=lambda k, s: s["p"] - 0.01 * (k - BEGIN)), "suddenly needs", 8),
 )
 
 
-@pytest.mark.parametrize(("change", "words", "cycles"), DISAGREE, ids=[w for _, w, _ in DISAGREE])
+@pytest.mark.parametrize(
+    ("change", "words", "cycles"), DISAGREE, ids=[w for _, w, _ in DISAGREE]
+)
 def test_what_disagrees_stops_the_run_soon_and_names_the_joint(change, words, cycles):
     k, stopped, _ = stop_of(change)
     assert stopped is not None and words in str(stopped), stopped
@@ -260,7 +320,9 @@ def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
         signals["q"] += 2.0 * load / 180.0
 
     k, stopped, _ = stop_of(other_arm)
-    assert "cables of two arms exchanged" in str(stopped) and str(stopped).startswith("motor 2")
+    assert "cables of two arms exchanged" in str(stopped) and str(stopped).startswith(
+        "motor 2"
+    )
 
 
 def test_a_frozen_encoders_motor_is_to_be_switched_off():

@@ -48,7 +48,9 @@ def waiting_thread():
 
 
 @LINUX
-def test_the_loop_goes_before_the_other_threads_and_these_before_other_programs(monkeypatch):
+def test_the_loop_goes_before_the_other_threads_and_these_before_other_programs(
+    monkeypatch,
+):
     scheduler = Scheduler(monkeypatch)
     with waiting_thread() as other, undisturbed() as is_granted:
         assert is_granted
@@ -76,7 +78,9 @@ def test_priority_is_given_back_on_every_way_out(monkeypatch, error):
 
 
 @LINUX
-@pytest.mark.parametrize(("policy", "is_granted"), [("SCHED_RR", True), ("SCHED_BATCH", False)])
+@pytest.mark.parametrize(
+    ("policy", "is_granted"), [("SCHED_RR", True), ("SCHED_BATCH", False)]
+)
 def test_a_policy_that_somebody_has_chosen_stays(monkeypatch, policy, is_granted):
     scheduler = Scheduler(monkeypatch, policy=getattr(os, policy))
     with undisturbed() as has_priority:

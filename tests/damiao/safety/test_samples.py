@@ -111,7 +111,10 @@ def test_missing_answers_change_nothing():
 
 SAMPLES = st.lists(
     st.tuples(
-        st.floats(-12.5, 12.5), st.floats(-10.0, 10.0), st.floats(-28.0, 28.0), st.booleans()
+        st.floats(-12.5, 12.5),
+        st.floats(-10.0, 10.0),
+        st.floats(-28.0, 28.0),
+        st.booleans(),
     ),
     max_size=30,
 )
@@ -126,7 +129,9 @@ def test_no_history_moves_what_is_believed_farther_than_a_joint_can_go(samples):
     for k, (q, qd, tau, is_enabled) in enumerate(samples, 1):
         replies = judge.believe(*answer(k, q, qd, tau, int(is_enabled)))
         if replies.answered[0] and replies.jump[0] == 0.0:
-            assert abs(q - last) < 0.05 + 1.5 * 10.0 * CYCLE * k + 100.0 * (CYCLE * k) ** 2
+            assert (
+                abs(q - last) < 0.05 + 1.5 * 10.0 * CYCLE * k + 100.0 * (CYCLE * k) ** 2
+            )
             last = q
         elif replies.answered[0]:
             last = q

@@ -41,7 +41,9 @@ def test_a_right_one_or_one_that_is_too_coarse_to_judge_is_left_alone(options):
 
 @pytest.mark.parametrize("fades", [0.05, 0.2, 0.8, 1.5])
 @pytest.mark.parametrize("lag", [0.02, 0.1, 0.5, 3.0])
-def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_scale(fades, lag):
+def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_scale(
+    fades, lag
+):
     """One that is held to commands: dv/dt = (v_des + k (p_des - p) - v) / lag, seen at the end."""
     cycle = 0.01
     p = 0.0

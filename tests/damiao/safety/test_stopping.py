@@ -17,9 +17,13 @@ KD = 4.5
 PERIOD = 0.004
 
 
-def stop(position, velocity, torque, q, qd, fed=None, stuck=(False, False), command_range=FAR):
+def stop(
+    position, velocity, torque, q, qd, fed=None, stuck=(False, False), command_range=FAR
+):
     """A stop of two joints."""
-    reference = Reference(*(np.array(x, dtype=float) for x in (position, velocity, torque)))
+    reference = Reference(
+        *(np.array(x, dtype=float) for x in (position, velocity, torque))
+    )
     start = StopStart(
         reference,
         np.array(q, dtype=float),
@@ -61,7 +65,9 @@ def test_a_joint_that_was_slower_brakes_from_its_own_speed():
 
 def test_it_stays_within_the_range():
     near = CommandRange(np.full(2, -1.0), np.full(2, 1.0), np.full(2, 9.0))
-    path = stop((0.9, 0.0), (2.0, 0.0), (0.0, 0.0), (0.9, 0.0), (2.0, 0.0), command_range=near)
+    path = stop(
+        (0.9, 0.0), (2.0, 0.0), (0.0, 0.0), (0.9, 0.0), (2.0, 0.0), command_range=near
+    )
     assert path(path.duration).position[0] == 1.0
 
 
@@ -187,7 +193,9 @@ def thrown_energy(motor_inertia, link_inertia, spring, cycles_late, step=1e-4):
         for _ in range(round(PERIOD / step)):
             push = spring * (link_q - q)
             torque = KP * (command.position - q) + command.torque + push
-            qd = (qd + step / motor_inertia * torque) / (1.0 + step * KD / motor_inertia)
+            qd = (qd + step / motor_inertia * torque) / (
+                1.0 + step * KD / motor_inertia
+            )
             link_qd = link_qd - step / link_inertia * push
             q = q + step * qd
             link_q = link_q + step * link_qd

@@ -20,7 +20,9 @@ JOINTS = damiao_joints(["DM4340", "DM4340", "DM4310"], 3)
 PERIOD = 0.02
 
 
-def played(robot, seed, links=0.0, load=0.0, shift=0.0, slip=0.0, since=0.0, seconds=8.0):
+def played(
+    robot, seed, links=0.0, load=0.0, shift=0.0, slip=0.0, since=0.0, seconds=8.0
+):
     """What a run of an arm shows whose links are off by a share.
 
     The middle joint is off by an angle ``shift`` [rad]; from a moment [s] on it slips, with a speed
@@ -105,7 +107,9 @@ def test_a_short_run_says_nothing(arm):
 def test_an_arm_that_stands_says_nothing(arm):
     """Dry friction holds it, with any torque."""
     run = played(arm, 0, shift=0.5)
-    stands = Measurement(run.time, run.q[:1] + 0.0 * run.q, 0.0 * run.qd, run.tau[:1] + 0.0 * run.q)
+    stands = Measurement(
+        run.time, run.q[:1] + 0.0 * run.q, 0.0 * run.qd, run.tau[:1] + 0.0 * run.q
+    )
     assert finding(arm, stands) is None
 
 
@@ -140,7 +144,9 @@ LOGS = (
 
 @pytest.mark.skipif(not DATA.exists(), reason="logs of real arms are not here")
 @pytest.mark.parametrize(("log", "model", "peak"), LOGS)
-def test_a_real_arm_that_nothing_happens_to_is_left_alone(log, model, peak, monkeypatch):
+def test_a_real_arm_that_nothing_happens_to_is_left_alone(
+    log, model, peak, monkeypatch
+):
     """With friction and rotors that no model has, and with a table of links that is wrong."""
     monkeypatch.setattr(zeros, "torque_doubt", lambda joints: 0.06 * np.array(joints))
     table = np.loadtxt(DATA / log, delimiter=",", skiprows=1)

@@ -31,7 +31,9 @@ def test_kernel_sums_are_those_of_the_dense_kernels(seed):
     lag = np.abs(np.subtract.outer(np.arange(80), np.arange(80)))
     np.testing.assert_allclose(found.sums[0], rows.T @ rows, rtol=0.0, atol=1e-11)
     for decay, total in zip(found.decay, found.sums[1:]):
-        np.testing.assert_allclose(total, rows.T @ decay**lag @ rows, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(
+            total, rows.T @ decay**lag @ rows, rtol=0.0, atol=1e-10
+        )
 
 
 @given(SEEDS)
@@ -43,20 +45,30 @@ def test_sums_of_few_rows_tell_the_same_in_the_rows_themselves(seed):
     own = 1e-3 * own @ own.T
     residual[7] = np.nan
     few = collected(rows, residual)
-    all_of_them = joint_residuals(np.arange(40), 0.1 * np.eye(40), rows, residual, True).shorten()
+    all_of_them = joint_residuals(
+        np.arange(40), 0.1 * np.eye(40), rows, residual, True
+    ).shorten()
     kernels = rng.uniform(size=len(few.sums))
-    np.testing.assert_allclose(few.score(kernels), all_of_them.score(kernels), atol=1e-10)
+    np.testing.assert_allclose(
+        few.score(kernels), all_of_them.score(kernels), atol=1e-10
+    )
     shares = [each.absorbed_share(each.inside(own)) for each in (few, all_of_them)]
     np.testing.assert_allclose(*shares, atol=1e-12)
 
 
-@given(SEEDS, st.integers(1, 10), st.sampled_from(("any", "like kernels", "twice", "nothing")))
+@given(
+    SEEDS,
+    st.integers(1, 10),
+    st.sampled_from(("any", "like kernels", "twice", "nothing")),
+)
 def test_what_is_not_negative_fits_as_well_as_by_scipy(seed, size, kind):
     rng = np.random.default_rng(seed)
     matrix = rng.normal(size=(40, size))
     right = rng.normal(size=40)
     if kind == "like kernels":
-        matrix = np.exp(-np.arange(40)[:, None] / 2.0 ** np.arange(size)) + 1e-3 * matrix
+        matrix = (
+            np.exp(-np.arange(40)[:, None] / 2.0 ** np.arange(size)) + 1e-3 * matrix
+        )
         right = matrix @ np.maximum(rng.normal(size=size), 0.0) + 0.01 * right
     elif kind != "any":
         matrix[:, -1] = matrix[:, 0] if kind == "twice" else 0.0
@@ -93,7 +105,9 @@ def test_effective_samples_of_noise_with_a_known_memory(memory):
 
 def test_an_absorbed_share_is_that_of_the_dense_projection():
     rng = np.random.default_rng(2)
-    rows = np.column_stack((np.ones(70), np.linspace(-1.0, 1.0, 70), rng.normal(size=70)))
+    rows = np.column_stack(
+        (np.ones(70), np.linspace(-1.0, 1.0, 70), rng.normal(size=70))
+    )
     own = np.linalg.inv(rows.T @ rows)
     found = collected(rows, rng.normal(size=70))
     hat = rows @ own @ rows.T
@@ -101,7 +115,9 @@ def test_an_absorbed_share_is_that_of_the_dense_projection():
     kernels = [np.eye(70), *(decay**lag for decay in found.decay)]
     rest = np.eye(70) - hat
     expected = [1.0 - np.trace(rest @ kernel @ rest) / 70.0 for kernel in kernels]
-    np.testing.assert_allclose(found.absorbed_share(own), np.clip(expected, 0.0, 0.8), atol=1e-10)
+    np.testing.assert_allclose(
+        found.absorbed_share(own), np.clip(expected, 0.0, 0.8), atol=1e-10
+    )
 
 
 SUMS = ("count", "sums", "products", "hats", "pairs")
@@ -122,7 +138,9 @@ def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
     whole = (one + two) + three
     again = one + (two + three)
     for name in SUMS:
-        np.testing.assert_allclose(getattr(whole, name), getattr(again, name), atol=1e-11)
+        np.testing.assert_allclose(
+            getattr(whole, name), getattr(again, name), atol=1e-11
+        )
     total = sum(log.products * log.pairs for log in (one, two, three))
     np.testing.assert_allclose(whole.products * whole.pairs, total, atol=1e-10)
 

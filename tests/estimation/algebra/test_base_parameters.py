@@ -16,7 +16,9 @@ def test_the_leading_columns_times_the_combinations_are_the_regressor(seed, rank
     regressor = rng.normal(size=(30, rank)) @ rng.normal(size=(rank, 9))
     found = base_combinations(regressor, np.ones(9))
     assert found.rank == rank
-    assert regressor[:, found.leading] @ found.matrix == pytest.approx(regressor, abs=1e-3)
+    assert regressor[:, found.leading] @ found.matrix == pytest.approx(
+        regressor, abs=1e-3
+    )
 
 
 def test_combinations_are_named_after_their_first_parameter():
@@ -32,7 +34,9 @@ def test_rounding_does_not_choose_among_columns_that_are_alike(seed):
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(2, 20))
     regressor = np.column_stack((a, -a, b, a + b, b))
-    found = base_combinations(regressor * rng.normal(1.0, 1e-14, regressor.shape), np.ones(5))
+    found = base_combinations(
+        regressor * rng.normal(1.0, 1e-14, regressor.shape), np.ones(5)
+    )
     again = base_combinations(regressor, np.ones(5))
     assert found.leading.tolist() == again.leading.tolist()
     assert found.matrix == pytest.approx(again.matrix, abs=1e-9)
@@ -57,6 +61,8 @@ def test_what_is_known_well_stays_beside_what_is_known_far_better():
 def test_elimination_lets_nuisances_explain_what_they_can():
     rng = np.random.default_rng(4)
     shared = rng.normal(size=(200, 1))
-    base = np.column_stack((shared + 1e-4 * rng.normal(size=(200, 1)), rng.normal(size=200)))
+    base = np.column_stack(
+        (shared + 1e-4 * rng.normal(size=(200, 1)), rng.normal(size=200))
+    )
     right = shared[:, 0] + 2.0 * base[:, 1] + 0.01 * rng.normal(size=200)
     assert essential(base, shared, right).tolist() == [False, True]

@@ -32,7 +32,9 @@ def beliefs():
 
 
 def precision(groups):
-    rows = np.vstack([group.covariance_rows(NAMES, np.eye(len(NAMES))) for group in groups])
+    rows = np.vstack(
+        [group.covariance_rows(NAMES, np.eye(len(NAMES))) for group in groups]
+    )
     return rows.T @ rows
 
 
@@ -42,11 +44,17 @@ def test_the_share_is_that_of_drawn_arms(seed, monkeypatch):
     # Each joint feels its own scale, and both masses by its own arms.
     rows = np.hstack((rng.uniform(0.3, 1.0, (3, 2)), np.eye(3))) / 0.01
     before, after = beliefs()
-    spreads = [np.linalg.inv(rows.T @ rows + precision(each)) for each in (before, after)]
+    spreads = [
+        np.linalg.inv(rows.T @ rows + precision(each)) for each in (before, after)
+    ]
     monkeypatch.setattr(common_scale, "LEAST_SCALE", 0.05)
     known = [each[1].factor @ each[1].factor.T for each in (before, after)]
-    told, products = false_alarms(*((k, each[2:, 2:]) for k, each in zip(known, spreads)))
-    drawn = rng.multivariate_normal(np.zeros(5), np.linalg.inv(precision(before)), 20000)
+    told, products = false_alarms(
+        *((k, each[2:, 2:]) for k, each in zip(known, spreads))
+    )
+    drawn = rng.multivariate_normal(
+        np.zeros(5), np.linalg.inv(precision(before)), 20000
+    )
     seen = drawn @ rows.T + rng.normal(size=(20000, 3))
     scale = np.mean((seen @ rows @ spreads[1])[:, 2:], axis=1)
     plain = (seen @ rows @ spreads[0])[:, 2:]
@@ -74,7 +82,9 @@ def test_a_recording_that_tells_nothing_of_scales_is_never_doubted():
     ],
     ids=["link", "payload", "scales are known"],
 )
-def test_it_is_asked_where_links_tell_it_and_nobody_said(question, asked, found_unknowns):
+def test_it_is_asked_where_links_tell_it_and_nobody_said(
+    question, asked, found_unknowns
+):
     assert found_unknowns.may_be_scaled(question) is asked
     none = tuple(group for group in found_unknowns.groups if group.cause != LINKS)
     assert not replace(found_unknowns, groups=none).may_be_scaled(question)

@@ -50,7 +50,9 @@ def problem_of(prior):
 
 def scaled(rng, rows, prior):
     """A regressor whose columns all weigh about the same for links like these."""
-    sizes = [spatial.parameter_scale(t[0], spatial.characteristic_length(t)) for t in prior]
+    sizes = [
+        spatial.parameter_scale(t[0], spatial.characteristic_length(t)) for t in prior
+    ]
     units = np.concatenate((*sizes, np.ones(FRICTION)))
     return rng.normal(size=(rows, len(units))) / units
 
@@ -78,9 +80,13 @@ def test_noise_free_data_gives_the_truth_whatever_the_model(bodies, seed):
     rng = np.random.default_rng(seed)
     truth = np.concatenate((*bodies[2:], [0.3, 0.5, 0.1]))
     matrix = 1e4 * scaled(rng, 60, bodies[2:])
-    found = minimiser(ConsistentLinks(matrix, matrix @ truth, problem_of(bodies[:2])), 1e-3)
+    found = minimiser(
+        ConsistentLinks(matrix, matrix @ truth, problem_of(bodies[:2])), 1e-3
+    )
     lengths = [spatial.characteristic_length(theta) for theta in bodies[2:]]
-    sizes = [spatial.parameter_scale(t[0], length) for t, length in zip(bodies[2:], lengths)]
+    sizes = [
+        spatial.parameter_scale(t[0], length) for t, length in zip(bodies[2:], lengths)
+    ]
     assert np.max(np.abs(found - truth) / np.concatenate((*sizes, np.ones(3)))) < 1e-3
 
 
@@ -92,12 +98,16 @@ def test_links_are_possible_bodies_whatever_the_data(bodies, seed):
     right = 100.0 * rng.normal(size=len(matrix))
     solver = ConsistentLinks(matrix, right, problem_of(bodies))
     for found in solver.path((100.0, 1.0, 1e-3)):
-        assert all(spatial.is_consistent(found[10 * k : 10 * k + 10]) for k in range(LINKS))
+        assert all(
+            spatial.is_consistent(found[10 * k : 10 * k + 10]) for k in range(LINKS)
+        )
 
 
 def seen_by_the_last_joint(izz, error):
     """What its torque shows: hx and hy, Ixz and Iyz, Izz well and the rest of Ixx - Iyy weakly."""
-    body = spatial.theta_from_com(1.0, np.array([0.0, 0.02, 0.1]), np.diag([0.01, 0.01, 0.001]))
+    body = spatial.theta_from_com(
+        1.0, np.array([0.0, 0.02, 0.1]), np.diag([0.01, 0.01, 0.001])
+    )
     matrix = np.zeros((7, 10))
     matrix[range(6), (1, 2, 5, 6, 8, 9)] = 1e4, 1e4, error, 1e4, 1e4, 1e4
     matrix[6, [4, 7]] = 1e4, -1e4
@@ -158,7 +168,9 @@ def test_without_weight_the_objective_is_that_of_the_semidefinite_program(seed):
     assert np.sum((matrix @ found - right) ** 2) == pytest.approx(reference, rel=1e-8)
 
 
-@pytest.mark.parametrize("where", [(consistent_links, "_Newton"), (ScaledBodies, "move_duals")])
+@pytest.mark.parametrize(
+    "where", [(consistent_links, "_Newton"), (ScaledBodies, "move_duals")]
+)
 def test_what_rounding_leaves_unsolved_is_an_error_of_ours(monkeypatch, where):
     def singular(*_):
         raise np.linalg.LinAlgError("Singular matrix")

@@ -12,7 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
+from robot_sysid.dynamics.equations import (
+    TERMINAL_FRICTION,
+    Equations,
+    friction_per_joint,
+)
 from robot_sysid.estimation.algebra.identifiability import (
     analyse_identifiability,
     column_scale,
@@ -36,7 +40,9 @@ SEEDS = st.integers(0, 2**32 - 1)
 def terminal(seed, axis, offset=ORIGIN):
     rng = np.random.default_rng(seed)
     truth = np.append(random_body(rng), [0.4, 0.1])
-    return analyse_identifiability(terminal_information(rng, truth, np.asarray(axis), offset))
+    return analyse_identifiability(
+        terminal_information(rng, truth, np.asarray(axis), offset)
+    )
 
 
 def test_last_joint_alone_sees_seven_of_ten_and_its_friction():
@@ -76,7 +82,9 @@ def test_the_nuisances_ranks_do_not_make_up_for_what_the_link_hides():
     equations, names = arm_equations(rng, joints=4)
     for rows, _ in equations:
         rows[:, [0, 3, 6]] = 0.0
-    seen = analyse_identifiability(information_of(equations, names, rng.normal(size=18)))
+    seen = analyse_identifiability(
+        information_of(equations, names, rng.normal(size=18))
+    )
     assert (seen.rank, seen.n_parameters) == (9, 12)
     assert seen.unidentifiable == ("mass", "first moment along z", "inertia Ixz")
 
@@ -102,7 +110,9 @@ def test_condition_numbers_are_those_of_the_stacked_regressor_of_the_link_and_it
     """Friction of the other joints is no part of it, whether it is estimated or not."""
     rng = np.random.default_rng(4)
     equations, names = arm_equations(rng, joints=3)
-    seen = analyse_identifiability(information_of(equations, names, rng.normal(size=16)))
+    seen = analyse_identifiability(
+        information_of(equations, names, rng.normal(size=16))
+    )
     stacked = np.zeros((180, 16))
     for j, (rows, columns) in enumerate(equations):
         stacked[60 * j : 60 * (j + 1), columns] = rows
@@ -110,7 +120,9 @@ def test_condition_numbers_are_those_of_the_stacked_regressor_of_the_link_and_it
     assert names[14:] == ("coulomb[joint2]", "viscous[joint2]")
     scaled = stacked / np.linalg.norm(stacked, axis=0)
     assert seen.condition_number == pytest.approx(np.linalg.cond(stacked), rel=1e-9)
-    assert seen.scaled_condition_number == pytest.approx(np.linalg.cond(scaled), rel=1e-9)
+    assert seen.scaled_condition_number == pytest.approx(
+        np.linalg.cond(scaled), rel=1e-9
+    )
 
 
 @given(SEEDS, st.lists(st.floats(-4, 4), min_size=5, max_size=5))
@@ -125,12 +137,16 @@ def test_units_do_not_decide_what_is_visible(seed, exponents):
     before = visible_space(SquareRootInformation(names, (joint,)).stacked()[0])
     after = visible_space(SquareRootInformation(names, (scaled,)).stacked()[0])
     assert after.identified == before.identified
-    first, second = (space.singular[0] / space.singular[-1] for space in (before, after))
+    first, second = (
+        space.singular[0] / space.singular[-1] for space in (before, after)
+    )
     assert second == pytest.approx(first, rel=1e-6)
 
 
 @given(SEEDS, st.integers(-14, 14), st.permutations(range(16)), st.integers(0, 4))
-def test_the_unit_of_torque_does_not_decide_what_is_visible(seed, exponent, order, count):
+def test_the_unit_of_torque_does_not_decide_what_is_visible(
+    seed, exponent, order, count
+):
     """Also where some columns are nothing but rounding noise."""
     rng = np.random.default_rng(seed)
     equations, names = arm_equations(rng, joints=3)
@@ -142,14 +158,18 @@ def test_the_unit_of_torque_does_not_decide_what_is_visible(seed, exponent, orde
     again = analyse_identifiability(information_of(scaled, names, truth))
     assert (again.rank, again.identified) == (seen.rank, seen.identified)
     assert again.condition_number == pytest.approx(seen.condition_number, rel=1e-6)
-    assert again.scaled_condition_number == pytest.approx(seen.scaled_condition_number, rel=1e-6)
+    assert again.scaled_condition_number == pytest.approx(
+        seen.scaled_condition_number, rel=1e-6
+    )
 
 
 # --- the visible space --------------------------------------------------------------------------
 
 
 @given(SEEDS, st.integers(0, 30), st.booleans())
-def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(seed, count, hidden):
+def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(
+    seed, count, hidden
+):
     rng = np.random.default_rng(seed)
     matrix = rng.normal(size=(count, 12)) * 10.0 ** rng.uniform(-2.0, 2.0, 12)
     if hidden and count:
@@ -158,7 +178,11 @@ def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(seed,
     space = visible_space(matrix)
     scale, zero = column_scale(matrix)
     scaled = np.where(zero, 0.0, matrix * scale)
-    assert space.rank == np.linalg.matrix_rank(scaled, tol=1e-8) if count else space.rank == 0
+    assert (
+        space.rank == np.linalg.matrix_rank(scaled, tol=1e-8)
+        if count
+        else space.rank == 0
+    )
     again = space.left * space.singular @ space.right.T
     np.testing.assert_allclose(again, scaled, rtol=0.0, atol=1e-13)
     np.testing.assert_allclose(scaled @ space.null, 0.0, atol=1e-12)
@@ -182,7 +206,9 @@ def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(seed,
 NAMES = (*spatial.PARAMETER_NAMES, "coulomb[tool]", "viscous[tool]", "offset[X]")
 
 
-@given(SEEDS, st.permutations(range(len(NAMES))), st.lists(st.integers(1, 4), max_size=6))
+@given(
+    SEEDS, st.permutations(range(len(NAMES))), st.lists(st.integers(1, 4), max_size=6)
+)
 def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes):
     """Directions that share no parameter: of all bases of their space this one is the sparse."""
     rng = np.random.default_rng(seed)
@@ -190,7 +216,9 @@ def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes)
     for used in np.split(order, np.cumsum(sizes))[: len(sizes)]:
         if len(used):
             direction = np.zeros(len(NAMES))
-            direction[used] = rng.choice([-1.0, 1.0], len(used)) * rng.uniform(0.2, 1.0, len(used))
+            direction[used] = rng.choice([-1.0, 1.0], len(used)) * rng.uniform(
+                0.2, 1.0, len(used)
+            )
             known.append(direction / np.linalg.norm(direction))
     known = np.array(known).reshape(-1, len(NAMES))
     turned = known.T @ np.linalg.qr(rng.normal(size=(len(known), len(known))))[0]
@@ -243,7 +271,9 @@ def mujoco_columns(robot, q, qd, qdd):
     model = copy.copy(robot.mj_model)
     columns = np.zeros((*q.shape, 12))
     for k, step in enumerate(np.diag(STEPS)):
-        ahead, behind = (_torques(robot, model, BODY + s * step, q, qd, qdd) for s in (1.0, -1.0))
+        ahead, behind = (
+            _torques(robot, model, BODY + s * step, q, qd, qdd) for s in (1.0, -1.0)
+        )
         columns[:, :, k] = (ahead - behind) / (2.0 * STEPS[k])
     columns[:, -1, 10] = np.sign(qd[:, -1])
     columns[:, -1, 11] = qd[:, -1]
@@ -272,14 +302,18 @@ def oracle(columns):
     """What stacked columns (N, joints, 12) show."""
     matrix = columns.reshape(-1, 12)
     length = np.linalg.norm(matrix, axis=0)
-    scale = np.concatenate([np.full_like(length[unit], np.max(length[unit])) for unit in UNITS])
+    scale = np.concatenate(
+        [np.full_like(length[unit], np.max(length[unit])) for unit in UNITS]
+    )
     nothing = scale <= CUT * np.max(length, initial=0.0)
     scale = 1.0 / np.where(nothing, 1.0, scale)
     scaled = np.where(nothing, 0.0, matrix * scale)
     _, singular, right = np.linalg.svd(scaled)
     shares = np.zeros(12)
     shares[: len(singular)] = singular / max(np.max(singular, initial=0.0), 1e-300)
-    least, rank, most = (int(np.count_nonzero(shares > CUT * k)) for k in (10.0, 1.0, 0.1))
+    least, rank, most = (
+        int(np.count_nonzero(shares > CUT * k)) for k in (10.0, 1.0, 0.1)
+    )
     return Seen(scaled, scale, right[rank:].T, (least, most))
 
 
@@ -301,7 +335,9 @@ def rows_of(robot, torques, motion):
 
 def information_of_rows(equations, rows):
     """Square-root information of some rows of each joint."""
-    accumulator = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    accumulator = InformationAccumulator(
+        equations.names, equations.joints, equations.columns
+    )
     for index, block in enumerate(rows):
         accumulator.add(index, block, np.zeros(len(block)))
     return accumulator.result()
@@ -337,16 +373,24 @@ def small_arms(draw):
     rng = np.random.default_rng(draw(SEEDS))
     simple = draw(st.booleans())
     gravity = draw(st.sampled_from(["0 0 -9.81", "0 0 0", "9.81 0 0", "3 -4 8"]))
-    axes = draw(st.lists(st.sampled_from([arms.X, arms.Y, arms.Z, None]), min_size=1, max_size=5))
+    axes = draw(
+        st.lists(
+            st.sampled_from([arms.X, arms.Y, arms.Z, None]), min_size=1, max_size=5
+        )
+    )
     content = ""
     for index in reversed(range(len(axes))):
         slide = 'type="slide"' if rng.random() < 0.2 else ""
         place = "0 0 0" if simple else f"{_vector(rng)}"
-        joints = arms.hinge(f"joint{index}", axes[index] or _vector(rng), f'{slide} pos="{place}"')
+        joints = arms.hinge(
+            f"joint{index}", axes[index] or _vector(rng), f'{slide} pos="{place}"'
+        )
         turn = "1 0 0 0" if simple else _vector(rng, 4)
         tip = arms.TIP if index == len(axes) - 1 else arms.LINK
         content = arms.link(joints, content, "", ".1 .02 .25", turn, tip)
-    robot = arms.robot_of(arms.world(content, f'gravity="{gravity}"'), f"joint{len(axes) - 1}")
+    robot = arms.robot_of(
+        arms.world(content, f'gravity="{gravity}"'), f"joint{len(axes) - 1}"
+    )
     return robot, draw(st.sets(st.integers(0, len(axes) - 1)))
 
 

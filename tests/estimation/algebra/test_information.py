@@ -43,10 +43,14 @@ def test_rows_in_any_order_and_chunks_have_the_one_shot_triangle(rows, cuts, see
         triangle = update_triangle(triangle, part)
     once = update_triangle(np.zeros((COLUMNS, COLUMNS)), rows)
     size = np.max(np.abs(once))
-    np.testing.assert_allclose(triangle.T @ triangle, once.T @ once, rtol=0.0, atol=1e-13 * size**2)
+    np.testing.assert_allclose(
+        triangle.T @ triangle, once.T @ once, rtol=0.0, atol=1e-13 * size**2
+    )
     if len(rows) >= COLUMNS and np.linalg.cond(rows) < 1e6:
         np.testing.assert_allclose(
-            with_positive_diagonal(triangle), with_positive_diagonal(once), atol=1e-9 * size
+            with_positive_diagonal(triangle),
+            with_positive_diagonal(once),
+            atol=1e-9 * size,
         )
 
 
@@ -64,9 +68,13 @@ def test_triangle_gives_the_residual_of_all_rows(seed, chunks):
         expected += np.sum((rows @ values[columns] - tau) ** 2)
     information = accumulator.result()
     assert information.n_samples == 20 * chunks
-    np.testing.assert_allclose(information.squared_residuals(values), [expected], rtol=1e-12)
+    np.testing.assert_allclose(
+        information.squared_residuals(values), [expected], rtol=1e-12
+    )
     matrix, right = information.stacked()
-    np.testing.assert_allclose(np.sum((matrix @ values - right) ** 2), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        np.sum((matrix @ values - right) ** 2), expected, rtol=1e-12
+    )
 
 
 NAMES = tuple("abcdef")
@@ -104,7 +112,9 @@ def test_parts_together_are_the_information_of_all_rows(seed, count):
         assert (joint.joint, joint.n_samples) == (expected.joint, expected.n_samples)
         np.testing.assert_array_equal(joint.columns, expected.columns)
         normal, other = (t.T @ t for t in (joint.triangle, expected.triangle))
-        np.testing.assert_allclose(normal, other, rtol=0.0, atol=1e-12 * (1.0 + np.max(other)))
+        np.testing.assert_allclose(
+            normal, other, rtol=0.0, atol=1e-12 * (1.0 + np.max(other))
+        )
     assert combine([whole]).prior is None
 
 
@@ -119,7 +129,9 @@ def test_restricting_holds_the_other_parameters_at_zero(seed, order, count):
     values = np.zeros(6)
     values[kept] = rng.normal(size=count)
     np.testing.assert_allclose(
-        smaller.squared_residuals(values[kept]), information.squared_residuals(values), rtol=1e-11
+        smaller.squared_residuals(values[kept]),
+        information.squared_residuals(values),
+        rtol=1e-11,
     )
     for joint, before in zip(smaller.joints, information.joints):
         assert (joint.joint, joint.n_samples) == (before.joint, before.n_samples)

@@ -24,7 +24,10 @@ def test_wls_does_not_care_about_the_unit_of_one_joint(seed, power):
     samples, names, _, _ = noisy_samples(seed, (0.3, 0.1, 0.02))
     factor = 10.0**power
     rescaled = Samples(
-        [(factor * rows if j == 1 else rows, c) for j, (rows, c) in enumerate(samples.equations)],
+        [
+            (factor * rows if j == 1 else rows, c)
+            for j, (rows, c) in enumerate(samples.equations)
+        ],
         [factor * tau if j == 1 else tau for j, tau in enumerate(samples.torques)],
     )
     one = identified(samples.information(names), PRIOR, "wls")
@@ -70,7 +73,9 @@ def test_equations_with_a_prior_are_solved_to_rounding(seed):
     information = replace(information, prior=known)
     best = np.linalg.lstsq(*information.stacked(weights), rcond=None)[0]
     found, _ = solver(information, PRIOR)(weights)
-    np.testing.assert_allclose(found, best, rtol=0.0, atol=1e-11 * np.max(np.abs(truth)))
+    np.testing.assert_allclose(
+        found, best, rtol=0.0, atol=1e-11 * np.max(np.abs(truth))
+    )
 
 
 @given(SEEDS)
@@ -86,6 +91,8 @@ def test_what_exact_data_does_not_see_keeps_the_priors_value(seed):
         accumulator = InformationAccumulator(names, ["j"], [np.arange(16)])
         accumulator.add(0, rows, rows @ truth)
         known = np.pad(np.eye(6), ((0, 0), (10, 1)))
-        found, _ = solver(replace(accumulator.result(), prior=known), prior)(np.array([10.0]))
+        found, _ = solver(replace(accumulator.result(), prior=known), prior)(
+            np.array([10.0])
+        )
         moved = found - prior
         np.testing.assert_allclose(moved[[2, 5]], ratios * moved[[1, 4]], atol=1e-6)

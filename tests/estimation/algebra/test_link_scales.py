@@ -19,7 +19,11 @@ def evidence_of(seed, scales, noise=1e-3):
     rows = rng.standard_normal((3 * len(scale), len(scale)))
     seen = rows @ (scale * rng.standard_normal(len(scale)))
     seen += noise * rng.standard_normal(len(seen))
-    return LinkEvidence(N_LINKS, rows.T @ rows / noise**2, rows.T @ seen / noise**2), rows, seen
+    return (
+        LinkEvidence(N_LINKS, rows.T @ rows / noise**2, rows.T @ seen / noise**2),
+        rows,
+        seen,
+    )
 
 
 @given(arms.SEEDS)
@@ -34,7 +38,9 @@ def test_the_likelihood_is_that_of_the_data(seed):
         likely.append(evidence.log_likelihood(scale))
         covariance = noise**2 * np.eye(len(rows)) + (rows * scale**2) @ rows.T
         log_determinant = np.linalg.slogdet(covariance)[1]
-        dense.append(-0.5 * (seen @ np.linalg.solve(covariance, seen) + log_determinant))
+        dense.append(
+            -0.5 * (seen @ np.linalg.solve(covariance, seen) + log_determinant)
+        )
     assert abs((likely[1] - likely[0]) - (dense[1] - dense[0])) < 1e-6 * abs(dense[0])
 
 
@@ -49,6 +55,8 @@ def test_scales_that_are_seen_are_found(seed):
 
 def test_what_nothing_shows_keeps_what_is_usual():
     size = 10 * N_LINKS + 2
-    found = average_scales(LinkEvidence(N_LINKS, np.zeros((size, size)), np.zeros(size)))
+    found = average_scales(
+        LinkEvidence(N_LINKS, np.zeros((size, size)), np.zeros(size))
+    )
     assert 4.0 < found.mass < 6.0
     assert 1.5 < found.centre_of_mass < 3.0

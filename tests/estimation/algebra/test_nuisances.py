@@ -35,8 +35,12 @@ ROWS = 60
 def groups_of(rng, size=1.0):
     """Four nuisances of one cause that may widen, two of another that may not."""
     factor = size * (np.eye(4) + 0.3 * rng.normal(size=(4, 4)))
-    one = NuisanceGroup("links", NAMES[10:14], rng.normal(size=4), factor, tuple("aabb"), True)
-    other = NuisanceGroup("scale", NAMES[14:], np.zeros(2), size * np.eye(2), ("x", "y"))
+    one = NuisanceGroup(
+        "links", NAMES[10:14], rng.normal(size=4), factor, tuple("aabb"), True
+    )
+    other = NuisanceGroup(
+        "scale", NAMES[14:], np.zeros(2), size * np.eye(2), ("x", "y")
+    )
     return one, other
 
 
@@ -123,7 +127,9 @@ def test_priors_are_as_likely_as_the_data_is_under_them(seed):
         density = scipy.stats.multivariate_normal(own @ mean, covariance)
         expected.append(density.logpdf(apart @ right))
         found.append(WithPriors(information, np.array([0.1])).log_evidence(groups)[1])
-    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=1e-6, abs=1e-6)
+    assert found[1] - found[0] == pytest.approx(
+        expected[1] - expected[0], rel=1e-6, abs=1e-6
+    )
 
 
 @given(SEEDS)
@@ -173,7 +179,9 @@ def test_links_are_known_to_their_share(first, second, share):
     for theta, start in ((first, 0), (second, 10)):
         own = covariance[start : start + 10, start : start + 10]
         # By itself and with all other links: the root of twice the square.
-        assert np.sqrt(own[0, 0]) == pytest.approx(np.sqrt(2.0) * share * theta[0], rel=1e-6)
+        assert np.sqrt(own[0, 0]) == pytest.approx(
+            np.sqrt(2.0) * share * theta[0], rel=1e-6
+        )
         assert np.linalg.eigvalsh(own / np.outer(*[np.sqrt(np.diag(own))] * 2))[0] > 0.0
     together = covariance[0, 10] / np.sqrt(covariance[0, 0] * covariance[10, 10])
     assert together == pytest.approx(0.5, rel=1e-6)

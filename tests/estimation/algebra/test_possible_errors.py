@@ -7,7 +7,10 @@ import pytest
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
+from robot_sysid.estimation.algebra.consistent_links import (
+    ConsistentLinks,
+    LinksProblem,
+)
 from robot_sysid.estimation.algebra.possible_errors import (
     BODIES,
     once_possible,
@@ -21,14 +24,22 @@ PLACES = np.arange(10)
 
 def covariance(share, seed=0):
     """Of all ten, off by a share of a usual size, correlated."""
-    mixed = np.random.default_rng(seed).normal(size=(10, 10)) / np.sqrt(10.0) + np.eye(10)
+    mixed = np.random.default_rng(seed).normal(size=(10, 10)) / np.sqrt(10.0) + np.eye(
+        10
+    )
     root = share * spatial.parameter_scale(0.2, 0.1)[:, None] * mixed
     return root @ root.T
 
 
 def whole_of(spread, causes):
     size = len(spread)
-    given = np.zeros((size, size)), np.sqrt(np.diag(spread)), np.ones(size), np.eye(size), (1.0,)
+    given = (
+        np.zeros((size, size)),
+        np.sqrt(np.diag(spread)),
+        np.ones(size),
+        np.eye(size),
+        (1.0,),
+    )
     return Uncertainty(spread, *given), causes
 
 
@@ -72,8 +83,12 @@ def test_causes_still_add_up_and_what_hangs_on_the_body_follows_it():
     whole, parts = once_possible(*whole_of(spread, parts), PLACES, LIGHT, LIGHT)
     assert set(parts) == {"links", "noise", BODIES}
     rows = np.vstack([*parts.values()])
-    np.testing.assert_allclose(rows.T @ rows, whole.covariance, atol=1e-9 * spread.max())
-    np.testing.assert_allclose(whole.standard_errors**2, np.diag(whole.covariance), rtol=1e-9)
+    np.testing.assert_allclose(
+        rows.T @ rows, whole.covariance, atol=1e-9 * spread.max()
+    )
+    np.testing.assert_allclose(
+        whole.standard_errors**2, np.diag(whole.covariance), rtol=1e-9
+    )
     assert whole.covariance[10, 10] == pytest.approx(whole.covariance[0, 0] + own**2)
     assert whole.covariance[11, 11] == pytest.approx(own**2)
 

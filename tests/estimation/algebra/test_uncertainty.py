@@ -78,7 +78,9 @@ def test_intervals_cover_under_white_and_under_slow_noise(memory):
     for seed in range(30):
         rng = np.random.default_rng(seed)
         arm = SmoothArm(rng, rate=100.0)
-        samples = samples_of(arm, arm.torques(arm.noise(rng, rng.uniform(0.1, 0.5, 7), memory)))
+        samples = samples_of(
+            arm, arm.torques(arm.noise(rng, rng.uniform(0.1, 0.5, 7), memory))
+        )
         information = information_of_samples(arm, samples)
         aware = identified(information, np.zeros(31), "wls", samples=samples)
         white = identified(information, np.zeros(31), "wls")

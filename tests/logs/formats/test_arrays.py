@@ -26,7 +26,12 @@ from tests.support.log_files import JOINTS, motion, read_measurements
 DATA = motion()
 DAY = datetime(2024, 5, 1, tzinfo=timezone.utc)
 COLUMNS = {"t": DATA.time[:, None], "q": DATA.q, "qd": DATA.qd, "tau": DATA.tau}
-EXTRAS = {"gains": np.ones(7), "limits": np.ones((7, 2)), "name": "arm", "cells": [1, "a"]}
+EXTRAS = {
+    "gains": np.ones(7),
+    "limits": np.ones((7, 2)),
+    "name": "arm",
+    "cells": [1, "a"],
+}
 
 
 def hdf5(path, **arrays):
@@ -47,7 +52,11 @@ def lerobot(path, time, **states):
     (path / "meta" / "info.json").write_text(json.dumps(info))
     for name, values in states.items():
         flat = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), 3)
-        columns = {"timestamp": time, "episode_index": 0 * time, "observation.state": flat}
+        columns = {
+            "timestamp": time,
+            "episode_index": 0 * time,
+            "observation.state": flat,
+        }
         parquet.write_table(pa.table(columns), path / "data" / f"{name}.parquet")
 
 
@@ -57,7 +66,10 @@ def arrow(write):
     def written(path, **arrays):
         pa = pytest.importorskip("pyarrow")
         rows = pa.FixedSizeListArray.from_arrays
-        cells = {n: rows(pa.array(a.ravel()), 3) if a.ndim == 2 else a for n, a in arrays.items()}
+        cells = {
+            n: rows(pa.array(a.ravel()), 3) if a.ndim == 2 else a
+            for n, a in arrays.items()
+        }
         write(pa.table(cells), path)
 
     return written
@@ -68,17 +80,23 @@ def parquet(table, path):
 
 
 def feather(table, path):
-    pytest.importorskip("pyarrow.feather").write_feather(table, path, compression="zstd")
+    pytest.importorskip("pyarrow.feather").write_feather(
+        table, path, compression="zstd"
+    )
 
 
 @pytest.mark.parametrize("write", [parquet, feather])
-def test_lists_of_unequal_length_are_refused_and_missing_ones_are_missing(tmp_path, write):
+def test_lists_of_unequal_length_are_refused_and_missing_ones_are_missing(
+    tmp_path, write
+):
     """Their numbers are as many as those of equal lists, and would stand in wrong rows."""
     pa = pytest.importorskip("pyarrow")
     q = [[1.0, 2.0], [3.0], [4.0, 5.0, 6.0], [7.0, 8.0]]
     time = [0.0, 0.1, 0.2, 0.3]
     write(pa.table({"time": time, "q": q}), tmp_path / "log")
-    with pytest.raises(InputError, match="column q holds lists of 1 to 3 numbers; write as many"):
+    with pytest.raises(
+        InputError, match="column q holds lists of 1 to 3 numbers; write as many"
+    ):
         open_table(tmp_path / "log", JOINTS, LogOptions())
     for kind in (pa.list_(pa.float64()), pa.list_(pa.float64(), 2)):
         held = pa.array([q[0], None, None, q[3]], kind)
@@ -87,7 +105,9 @@ def test_lists_of_unequal_length_are_refused_and_missing_ones_are_missing(tmp_pa
         except pa.ArrowNotImplementedError:
             continue  # earlier releases write no Parquet of missing lists of a fixed length
         (block,) = open_table(tmp_path / "log", JOINTS, LogOptions()).blocks(range(3))
-        np.testing.assert_array_equal(block.cells[:, 1:], [q[0], [np.nan] * 2, [np.nan] * 2, q[3]])
+        np.testing.assert_array_equal(
+            block.cells[:, 1:], [q[0], [np.nan] * 2, [np.nan] * 2, q[3]]
+        )
 
 
 class Harmless:
@@ -138,7 +158,9 @@ def test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused(
     write(path, time=np.arange(200.0), **noise)
     assert content_lines(path, LogOptions(), Progress())
     write(path, time=np.zeros(rows), a=np.zeros((rows, 3)), b=np.zeros((rows, 3)))
-    with pytest.raises(InputError, match=r"unpacks to 0.00\d+ GB, more than the 0.001 GB .* size"):
+    with pytest.raises(
+        InputError, match=r"unpacks to 0.00\d+ GB, more than the 0.001 GB .* size"
+    ):
         content_lines(path, LogOptions(), Progress())
 
 
@@ -147,13 +169,18 @@ def test_no_more_arrays_are_read_than_a_log_has(tmp_path, monkeypatch):
     for write in (np.savez, hdf5):
         write(tmp_path / "log", **{f"a{k}": np.arange(9.0) for k in range(22)})
         path = next(tmp_path.iterdir())
-        with pytest.raises(InputError, match="more than the 20 of a log; save those of the arm"):
+        with pytest.raises(
+            InputError, match="more than the 20 of a log; save those of the arm"
+        ):
             content_lines(path, LogOptions(), Progress())
         path.unlink()
 
 
 def test_an_archive_of_something_else_says_what_it_holds(tmp_path):
-    for name, remedy in (("log.csv", "unpack it"), ("[Content_Types].xml", "export it as CSV")):
+    for name, remedy in (
+        ("log.csv", "unpack it"),
+        ("[Content_Types].xml", "export it as CSV"),
+    ):
         with zipfile.ZipFile(tmp_path / "log.zip", "w") as packed:
             packed.writestr(name, "time,q1\n")
         with pytest.raises(InputError) as caught:
@@ -161,8 +188,12 @@ def test_an_archive_of_something_else_says_what_it_holds(tmp_path):
         assert f"no recording but an archive of {name}; {remedy}" in str(caught.value)
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a bound on memory")
-def test_an_hdf5_chunk_that_unpacks_to_more_than_its_length_is_refused(tmp_path, monkeypatch):
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="needs a bound on memory"
+)
+def test_an_hdf5_chunk_that_unpacks_to_more_than_its_length_is_refused(
+    tmp_path, monkeypatch
+):
     """HDF5 unpacks it to its end: 3 GB of 3 MB."""
     import resource
 
@@ -177,7 +208,9 @@ def test_an_hdf5_chunk_that_unpacks_to_more_than_its_length_is_refused(tmp_path,
     assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
-@pytest.mark.parametrize("names", [("a/q", "a/tau"), ("observations/qpos", "observations/effort")])
+@pytest.mark.parametrize(
+    "names", [("a/q", "a/tau"), ("observations/qpos", "observations/effort")]
+)
 def test_hdf5_whose_arrays_are_too_much_together_is_refused(tmp_path, names):
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "log.hdf5"
@@ -237,7 +270,9 @@ def test_hdf5_does_not_follow_what_leads_to_another_file(tmp_path, monkeypatch, 
     with h5py.File("log.hdf5", "w") as file:
         file["time"] = np.arange(10.0)
         refer(file, h5py)
-    with pytest.raises(InputError, match="another file, other; copy what is in it into this one"):
+    with pytest.raises(
+        InputError, match="another file, other; copy what is in it into this one"
+    ):
         read_measurements("log.hdf5", JOINTS)
 
 
@@ -250,7 +285,9 @@ def test_hdf5_that_links_to_more_than_a_log_needs_is_read(tmp_path):
         file["images/camera"] = h5py.ExternalLink("film.hdf5", "/camera")
     assert_read(path)
     notes = read_measurements(path, JOINTS).notes
-    assert "log layout: HDF5; images/camera is a link to another file, film.hdf5" in notes
+    assert (
+        "log layout: HDF5; images/camera is a link to another file, film.hdf5" in notes
+    )
 
 
 def test_hdf5_links_within_the_file_are_followed(tmp_path):
@@ -289,13 +326,18 @@ def test_matlab_7_3_is_hdf5_whose_arrays_are_turned(tmp_path):
     assert_read(path)
 
 
-def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column(tmp_path):
+def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column(
+    tmp_path,
+):
     path = tmp_path / "log.npz"
     np.savez(path, **COLUMNS)
     with zipfile.ZipFile(path, "a") as packed:
         packed.writestr("notes.txt", "recorded on a Monday")
     assert_read(path)
-    np.savez(path, **{f"{part}/{n}": a for part in ("train", "test") for n, a in COLUMNS.items()})
+    np.savez(
+        path,
+        **{f"{part}/{n}": a for part in ("train", "test") for n, a in COLUMNS.items()},
+    )
     with pytest.raises(InputError, match=r"train/q\[0\], .*test/q\[0\]"):
         read_measurements(path, JOINTS)
 
@@ -303,13 +345,19 @@ def test_two_arrays_of_one_name_are_told_apart_and_what_is_no_array_is_no_column
 @pytest.mark.parametrize(
     "dated",
     [
-        lambda t: np.datetime64("2024-05-01", "ns") + (t * 1e9).round().astype("m8[ns]"),
+        lambda t: (
+            np.datetime64("2024-05-01", "ns") + (t * 1e9).round().astype("m8[ns]")
+        ),
         lambda t: np.array([f"2024-05-01T23:59:{each:06.3f}+02:00" for each in t]),
         lambda t: np.array([DAY + timedelta(seconds=each) for each in t]),
     ],
 )
 def test_dates_in_arrays_are_seconds_from_the_first(dated):
-    named = {**COLUMNS, "t": dated(DATA.time), "note": np.array(["x"] * len(DATA.time), object)}
+    named = {
+        **COLUMNS,
+        "t": dated(DATA.time),
+        "note": np.array(["x"] * len(DATA.time), object),
+    }
     made = table.arrays_table(Path("arrays"), "arrays", named)
     assert made.titles[0] == "t" and "note" not in made.titles
     (block,) = made.blocks([0])
@@ -325,19 +373,30 @@ def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch
         read_measurements(tmp_path / "log.mat", JOINTS)
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a bound on time")
-@pytest.mark.parametrize(
-    "fault", ["__import__('os').abort()", pytest.param("while 1: pass", marks=pytest.mark.slow)]
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="needs a bound on time"
 )
-def test_a_matlab_file_may_end_its_process_and_takes_bounded_time(tmp_path, monkeypatch, fault):
-    monkeypatch.setattr(arrays, "_UNPACK", arrays._UNPACK.replace("found = [", f"{fault}\n    ["))
+@pytest.mark.parametrize(
+    "fault",
+    ["__import__('os').abort()", pytest.param("while 1: pass", marks=pytest.mark.slow)],
+)
+def test_a_matlab_file_may_end_its_process_and_takes_bounded_time(
+    tmp_path, monkeypatch, fault
+):
+    monkeypatch.setattr(
+        arrays, "_UNPACK", arrays._UNPACK.replace("found = [", f"{fault}\n    [")
+    )
     monkeypatch.setattr(arrays, "_LEAST_TIME", 0.0)
     savemat(tmp_path / "log.mat", {"time": DATA.time})
-    with pytest.raises(InputError, match="takes longer than a recording does, or is damaged"):
+    with pytest.raises(
+        InputError, match="takes longer than a recording does, or is damaged"
+    ):
         read_measurements(tmp_path / "log.mat", JOINTS)
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a bound on memory")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="needs a bound on memory"
+)
 def test_a_matlab_files_empty_cells_are_not_unpacked(tmp_path):
     """Three million take 12 kB in the file, and 0.4 GB if they were made."""
     path = tmp_path / "log.mat"
@@ -345,9 +404,15 @@ def test_a_matlab_files_empty_cells_are_not_unpacked(tmp_path):
     savemat(path, {"time": DATA.time, "q": DATA.q, "tau": DATA.tau})
 
     def element(kind, content):
-        return struct.pack("<II", kind, len(content)) + content + b"\0" * (-len(content) % 8)
+        return (
+            struct.pack("<II", kind, len(content))
+            + content
+            + b"\0" * (-len(content) % 8)
+        )
 
-    head = element(6, struct.pack("<II", 1, 0)) + element(5, struct.pack("<ii", count, 1))
+    head = element(6, struct.pack("<II", 1, 0)) + element(
+        5, struct.pack("<ii", count, 1)
+    )
     cells = element(14, head + element(1, b"c") + struct.pack("<II", 14, 0) * count)
     with path.open("ab") as stream:
         packed = zlib.compress(cells)

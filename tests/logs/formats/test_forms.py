@@ -28,7 +28,9 @@ def test_every_form_reads_the_same_without_options(tmp_path, form):
 
 
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path):
-    with pytest.raises(InputError, match="folder of no known form; a log is a text table"):
+    with pytest.raises(
+        InputError, match="folder of no known form; a log is a text table"
+    ):
         read_measurements(tmp_path, JOINTS)
     with pytest.raises(InputError, match="cannot read the log .*too long"):
         read_measurements(tmp_path / ("a" * 5000), JOINTS)
@@ -55,23 +57,35 @@ def test_a_library_that_is_missing_is_named_with_the_command(tmp_path, monkeypat
 
 
 class TestRosBags:
-    def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(self, tmp_path):
+    def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(
+        self, tmp_path
+    ):
         store = recorded.typestore()
         types = store.types
-        fingers = [recorded.joint_state(types, t, ["f"], [0.0], [0.0], [0.0]) for t in DATA.time]
+        fingers = [
+            recorded.joint_state(types, t, ["f"], [0.0], [0.0], [0.0])
+            for t in DATA.time
+        ]
         wanted = [
-            recorded.joint_state(types, t, JOINTS, q, None, None) for t, q in zip(DATA.time, DATA.q)
+            recorded.joint_state(types, t, JOINTS, q, None, None)
+            for t, q in zip(DATA.time, DATA.q)
         ]
         topics = [
             ("/gripper", recorded.STATE, fingers),
             ("/desired", recorded.STATE, wanted),
-            ("/joint_states", recorded.STATE, list(recorded.shuffled_states(types, DATA))),
+            (
+                "/joint_states",
+                recorded.STATE,
+                list(recorded.shuffled_states(types, DATA)),
+            ),
         ]
         path = recorded.write_bag2(tmp_path / "bag", topics, store)
         assert "topic /joint_states" in read_measurements(path, JOINTS).notes[0]
         with pytest.raises(InputError, match="topic /desired has no effort"):
             read_measurements(path, JOINTS, topic="/desired")
-        with pytest.raises(InputError, match="no joint states in topic '/up'; its topics"):
+        with pytest.raises(
+            InputError, match="no joint states in topic '/up'; its topics"
+        ):
             read_measurements(path, JOINTS, topic="/up")
         both = [("/left", *topics[2][1:]), ("/right", *topics[2][1:])]
         path = recorded.write_bag2(tmp_path / "both", both, store)
@@ -83,10 +97,14 @@ class TestRosBags:
         store = recorded.typestore()
         names = [f"{side}_{joint}" for side in ("left", "right") for joint in JOINTS]
         wide = [
-            recorded.joint_state(store.types, t, names, *(np.tile(v, 2) for v in values))
+            recorded.joint_state(
+                store.types, t, names, *(np.tile(v, 2) for v in values)
+            )
             for t, *values in zip(DATA.time, DATA.q, DATA.qd, DATA.tau)
         ]
-        path = recorded.write_bag2(tmp_path / "bag", [("/js", recorded.STATE, wide)], store)
+        path = recorded.write_bag2(
+            tmp_path / "bag", [("/js", recorded.STATE, wide)], store
+        )
         with pytest.raises(InputError, match="one position column for each"):
             read_measurements(path, JOINTS)
         one = [f"left_{joint}" for joint in JOINTS]
@@ -116,12 +134,17 @@ class TestLeRobot:
         ("features", "said"),
         [
             ("none", "holds no torque"),
-            ({"observation.state": {"names": 3}}, "holds no torque.*use_velocity_and_torque"),
+            (
+                {"observation.state": {"names": 3}},
+                "holds no torque.*use_velocity_and_torque",
+            ),
             ({"observation.state": {"names": ["wrist.torque"]}}, "names 1 numbers"),
         ],
     )
     def test_an_odd_description_is_refused(self, tmp_path, features, said):
-        path = lerobot_without(recorded.FORMS["LeRobot"](tmp_path, DATA), {"features": features})
+        path = lerobot_without(
+            recorded.FORMS["LeRobot"](tmp_path, DATA), {"features": features}
+        )
         with pytest.raises(InputError, match=said):
             read_measurements(path, JOINTS)
 
@@ -140,7 +163,9 @@ class TestLeRobot:
         lerobot_without(path, {"features": {**state, "action": goal}})
         log = read_measurements(path, JOINTS, commanded=True)
         np.testing.assert_allclose(log.samples.q, DATA.q, atol=1e-9)
-        np.testing.assert_allclose(log.samples.command, np.roll(DATA.q, 3, axis=0), atol=1e-9)
+        np.testing.assert_allclose(
+            log.samples.command, np.roll(DATA.q, 3, axis=0), atol=1e-9
+        )
 
 
 def test_alohas_two_arms_are_told_apart_by_name_and_time_is_its_rate(tmp_path):
@@ -155,7 +180,9 @@ def test_alohas_two_arms_are_told_apart_by_name_and_time_is_its_rate(tmp_path):
     log = read_measurements(path, names)
     np.testing.assert_array_equal(log.samples.q, DATA.q)
     np.testing.assert_array_equal(log.samples.tau, DATA.tau)
-    np.testing.assert_allclose(log.samples.time, np.arange(len(DATA)) / 50.0, atol=1e-12)
+    np.testing.assert_allclose(
+        log.samples.time, np.arange(len(DATA)) / 50.0, atol=1e-12
+    )
     asked = read_measurements(path, names, commanded=True).samples.command
     np.testing.assert_array_equal(asked, np.roll(DATA.q, 2, axis=0))
     with pytest.raises(InputError, match="torque of joint left/waist is zero|at rest"):
@@ -167,4 +194,6 @@ def test_motor_currents_are_taken_with_torque_constants_only(tmp_path):
     with pytest.raises(InputError, match="motor currents: give --torque-constants"):
         read_measurements(path, JOINTS)
     log = read_measurements(path, JOINTS, torque_constants=(10.0, 20.0, 30.0))
-    np.testing.assert_allclose(log.samples.tau, DATA.tau * [10.0, 20.0, 30.0], rtol=1e-14)
+    np.testing.assert_allclose(
+        log.samples.tau, DATA.tau * [10.0, 20.0, 30.0], rtol=1e-14
+    )

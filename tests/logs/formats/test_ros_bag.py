@@ -19,16 +19,24 @@ DATA = motion(60)
 
 
 def message(stamp: int, *joints: str):
-    return (stamp, stamp), {(joint, "position"): float(stamp) for joint in joints or ("a",)}
+    return (stamp, stamp), {
+        (joint, "position"): float(stamp) for joint in joints or ("a",)
+    }
 
 
-@given(st.lists(st.integers(1, 99), min_size=1, max_size=5, unique=True), st.integers(1, 90))
+@given(
+    st.lists(st.integers(1, 99), min_size=1, max_size=5, unique=True),
+    st.integers(1, 90),
+)
 def test_single_messages_that_come_late_take_their_place(late, by):
     """Whichever of a hundred, by however many; never two in a row."""
     stamps = list(range(0, 1000, 10))
     for place in sorted(late):
         stamps.insert(min(place + by, len(stamps)), stamps.pop(place))
-    if all(b >= a or d >= c for a, b, c, d in zip(stamps, stamps[1:], stamps[2:], stamps[3:])):
+    if all(
+        b >= a or d >= c
+        for a, b, c, d in zip(stamps, stamps[1:], stamps[2:], stamps[3:])
+    ):
         ordered = [stamps for (stamps, _), _ in in_order(map(message, stamps))]
         assert ordered == sorted(stamps)
 
@@ -44,7 +52,9 @@ def bag(path, messages):
     pytest.importorskip("rosbags")
     store = recorded.typestore()
     made = [
-        recorded.joint_state(store.types, time, *(np.asarray(each)[which] for each in values))
+        recorded.joint_state(
+            store.types, time, *(np.asarray(each)[which] for each in values)
+        )
         for time, which, *values in messages
     ]
     return recorded.write_bag2(path, [("/joint_states", recorded.STATE, made)], store)
@@ -53,7 +63,10 @@ def bag(path, messages):
 def rows(times, which=(0, 1, 2)):
     """Messages with some joints of the motion at some of its rows."""
     wanted = list(which)
-    return [(DATA.time[k], wanted, JOINTS, DATA.q[k], DATA.qd[k], DATA.tau[k]) for k in times]
+    return [
+        (DATA.time[k], wanted, JOINTS, DATA.q[k], DATA.qd[k], DATA.tau[k])
+        for k in times
+    ]
 
 
 def test_a_bag_with_one_late_message_is_the_one_without(tmp_path):
@@ -112,13 +125,19 @@ def bomb(folder, form):
     store = recorded.typestore(ros1)
     states = list(recorded.shuffled_states(store.types, motion(40)))
     if form == "message":
-        states[1] = recorded.joint_state(store.types, 0.0, ["a" * BYTES], [0.0], None, None)
+        states[1] = recorded.joint_state(
+            store.types, 0.0, ["a" * BYTES], [0.0], None, None
+        )
     image = store.types["std_msgs/msg/UInt8MultiArray"]
     layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
     zeros = [image(layout, np.zeros(BYTES, np.uint8))]
     topics = [
         ("/joint_states", recorded.STATE, states),
-        *([("/zeros", "std_msgs/msg/UInt8MultiArray", zeros)] if form != "message" else []),
+        *(
+            [("/zeros", "std_msgs/msg/UInt8MultiArray", zeros)]
+            if form != "message"
+            else []
+        ),
     ]
     if ros1:
         return recorded.write_bag1(folder / "log.bag", topics, store, form.upper())
@@ -131,10 +150,14 @@ def bomb(folder, form):
 @pytest.mark.parametrize("form", ["bz2", "lz4", "file", "message", "storage"])
 def test_a_bag_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, form):
     path = bomb(tmp_path, form)
-    np.testing.assert_array_equal(read_measurements(path, JOINTS).samples.q, motion(40).q)
+    np.testing.assert_array_equal(
+        read_measurements(path, JOINTS).samples.q, motion(40).q
+    )
     monkeypatch.setattr(table, "ALWAYS", 10**5)
     monkeypatch.setattr(table, "MOST_RATIO", 2)
-    with pytest.raises(InputError, match="log.bag|bag as a ROS bag: a piece of it unpacks"):
+    with pytest.raises(
+        InputError, match="log.bag|bag as a ROS bag: a piece of it unpacks"
+    ):
         read_measurements(path, JOINTS)
 
 

@@ -18,7 +18,14 @@ from robot_sysid.motion.options import ExcitationOptions
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms
 from tests.support.arms import SEEDS
-from tests.support.excitation_arms import TUBES_AND_POST, Design, design, problem, random_x, slope
+from tests.support.excitation_arms import (
+    TUBES_AND_POST,
+    Design,
+    design,
+    problem,
+    random_x,
+    slope,
+)
 
 
 def best_draw(some, seed=0):
@@ -36,12 +43,16 @@ def test_rounds_keep_the_best_that_keeps_all_limits():
         candidate = optimise.improve(some, candidate)
         scores.append(candidate.feasible_score)
         assert check_limits(some.problem, some.trajectory(candidate.feasible_x)).holds
-    assert scores[0] >= scores[1] >= scores[2] == some.criterion_of(candidate.feasible_x)
+    assert (
+        scores[0] >= scores[1] >= scores[2] == some.criterion_of(candidate.feasible_x)
+    )
     assert scores[2] < scores[0] - 0.1
 
 
 def objective_of(some, multipliers):
-    return partial(optimise.penalised, some, optimise.Candidate(None, multipliers, 10.0))
+    return partial(
+        optimise.penalised, some, optimise.Candidate(None, multipliers, 10.0)
+    )
 
 
 @given(SEEDS)
@@ -75,7 +86,11 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
     for draw in draw_trajectories(some, 2, range(4)):
         plan = some.trajectory(draw.x)
         fine = deviations(some, plan, 500.0, smooth=False)
-        rate = optimise.GRID_PER_CYCLE / optimise.TOLD_BY.step * some.basis.top_frequency_hz
+        rate = (
+            optimise.GRID_PER_CYCLE
+            / optimise.TOLD_BY.step
+            * some.basis.top_frequency_hz
+        )
         coarse = deviations(some, plan, rate, smooth=True)
         assert np.max(np.abs(coarse / fine - 1.0)) < 0.03
 
@@ -101,7 +116,10 @@ def test_what_cannot_be_seen_stays_so_on_every_motion(seed):
             {"sample_rate": 1.0},
             "--sample-rate 1 cannot show the motion's highest frequency, 0.6 Hz",
         ),
-        ({"duration": 2e4}, r"would take about \d.* GB of memory.*make the motion shorter"),
+        (
+            {"duration": 2e4},
+            r"would take about \d.* GB of memory.*make the motion shorter",
+        ),
     ],
 )
 def test_what_cannot_be_searched_is_refused_beforehand(changes, words):
@@ -124,7 +142,9 @@ LIMITED = ({}, {"max_tool_speed": 0.7}, {"payload_reserve": 2.0})
 
 @given(st.sampled_from(LIMITED), SEEDS)
 def test_the_gradient_of_constraints_equals_differences(limits, seed):
-    constraints = partial(optimise.constraints_of, problem(STRONG_MOTORS, **limits), share=0.99)
+    constraints = partial(
+        optimise.constraints_of, problem(STRONG_MOTORS, **limits), share=0.99
+    )
     rng = np.random.default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
     cache = constraints(motion)
@@ -133,7 +153,8 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
     exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
     size = sum(np.sum(np.abs(g * d)) for g, d in zip(gradient, direction))
     ahead, behind = (
-        np.sum(weight * constraints(motion + step * direction).value) for step in (1e-6, -1e-6)
+        np.sum(weight * constraints(motion + step * direction).value)
+        for step in (1e-6, -1e-6)
     )
     here = np.sum(weight * cache.value)
     # A coordinate that passes zero within the step has a kink there: two slopes.
@@ -155,10 +176,17 @@ def test_gradient_of_the_clearance_equals_differences():
 
         if value(q) <= -0.9:
             continue
-        exact = np.sum(optimise.constraints_of(some, (q, still, still)).vjp(weight)[0] * direction)
-        if value(q + 1e-4 * direction) + value(q - 1e-4 * direction) - 2 * value(q) < 1e-6:
+        exact = np.sum(
+            optimise.constraints_of(some, (q, still, still)).vjp(weight)[0] * direction
+        )
+        if (
+            value(q + 1e-4 * direction) + value(q - 1e-4 * direction) - 2 * value(q)
+            < 1e-6
+        ):
             checked += 1
-            assert exact == pytest.approx(slope(value, q, direction), rel=1e-3, abs=1e-3)
+            assert exact == pytest.approx(
+                slope(value, q, direction), rel=1e-3, abs=1e-3
+            )
 
 
 def test_values_are_shares_of_the_limits_minus_one():

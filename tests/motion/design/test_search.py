@@ -41,7 +41,13 @@ from tests.support.excitation_arms import (
 from tests.support.places import ROOT
 
 USUAL = EstimationOptions()
-ARMS = (arms.SLIDE_IN_CHAIN, arms.UNLIMITED, TUBES_AND_POST, TOUCHING_AT_REST, TUBES_ON_FLOOR)
+ARMS = (
+    arms.SLIDE_IN_CHAIN,
+    arms.UNLIMITED,
+    TUBES_AND_POST,
+    TOUCHING_AT_REST,
+    TUBES_ON_FLOOR,
+)
 
 
 def searched(some, seed, progress=None, clock=optimise.clock):
@@ -52,7 +58,9 @@ def searched(some, seed, progress=None, clock=optimise.clock):
 
 def searched_of(some_problem, **changes):
     """Search with limits that no option says."""
-    some = Design(some_problem, options(**changes), TrajectoryOptions(duration=DURATION))
+    some = Design(
+        some_problem, options(**changes), TrajectoryOptions(duration=DURATION)
+    )
     return design_excitation(some, np.random.default_rng(0))
 
 
@@ -63,7 +71,9 @@ def assert_obeys(xml, seed, **changes):
     arm = robot(xml)
     slack = 1.0 + ROUNDING
     for motion in motion_chunks(result.trajectory, 500.0):
-        assert np.all(motion.q >= arm.limits.lower) and np.all(motion.q <= arm.limits.upper)
+        assert np.all(motion.q >= arm.limits.lower) and np.all(
+            motion.q <= arm.limits.upper
+        )
         assert np.all(np.abs(motion.qd) <= arm.limits.velocity * slack)
         assert np.all(np.abs(motion.qdd) <= some.limits.acceleration * slack)
         assert np.all(np.abs(some.torque(motion)) <= some.limits.torque * slack)
@@ -85,11 +95,17 @@ def test_limits_hold_of_a_joint_that_slides_and_over_a_floor(xml):
 
 
 def test_the_seed_makes_the_trajectory_whatever_the_number_of_workers():
-    alone, together = (searched(design(arms.THREE, workers=w, starts=2), 1) for w in (1, 2))
+    alone, together = (
+        searched(design(arms.THREE, workers=w, starts=2), 1) for w in (1, 2)
+    )
     other = searched(design(arms.THREE, starts=2), 2)
-    assert np.array_equal(alone.trajectory.coefficients, together.trajectory.coefficients)
+    assert np.array_equal(
+        alone.trajectory.coefficients, together.trajectory.coefficients
+    )
     assert alone.objective == together.objective
-    assert not np.array_equal(alone.trajectory.coefficients, other.trajectory.coefficients)
+    assert not np.array_equal(
+        alone.trajectory.coefficients, other.trajectory.coefficients
+    )
 
 
 class Told(Progress):
@@ -123,19 +139,30 @@ def test_the_best_start_goes_on_until_a_round_gains_next_to_nothing(monkeypatch)
 
     Its third gains nothing, but only because it breaks limits.
     """
-    scores = iter(((-1.0, -1.0), (-1.2, -1.2), (-1.2, -1.6), (-1.5, -1.51), (-1.505, -1.52)))
+    scores = iter(
+        ((-1.0, -1.0), (-1.2, -1.2), (-1.2, -1.6), (-1.5, -1.51), (-1.505, -1.52))
+    )
 
     def improved(shared, candidate, deadline):
         best, own = next(scores)
-        return replace(candidate, feasible_score=best, score=own, rounds=candidate.rounds + 1)
+        return replace(
+            candidate, feasible_score=best, score=own, rounds=candidate.rounds + 1
+        )
 
-    monkeypatch.setattr(search, "first_candidate", lambda shared, x: Candidate(x, np.zeros(0)))
+    monkeypatch.setattr(
+        search, "first_candidate", lambda shared, x: Candidate(x, np.zeros(0))
+    )
     monkeypatch.setattr(search, "improve", improved)
     found = []
     run = partial(search._run, None, None)
-    told = list(search._improved(run, options(rounds=50), [np.zeros(1)] * 2, found, np.inf))
+    told = list(
+        search._improved(run, options(rounds=50), [np.zeros(1)] * 2, found, np.inf)
+    )
     assert told == [1, 2, 3, 4, 5]
-    assert [(each.rounds, each.feasible_score) for each in found] == [(1, -1.0), (4, -1.505)]
+    assert [(each.rounds, each.feasible_score) for each in found] == [
+        (1, -1.0),
+        (4, -1.505),
+    ]
 
 
 def interrupted_at(count):
@@ -192,7 +219,9 @@ def test_where_nothing_is_feasible_the_limit_is_named():
     # However slow, moving takes at least the friction.
     some = problem(arms.DRY_FRICTION)
     weak = replace(some, limits=replace(some.limits, torque=np.full(3, 1e-3)))
-    with pytest.raises(InputError, match=r"6 of 6 .* torque limit of joint joint") as caught:
+    with pytest.raises(
+        InputError, match=r"6 of 6 .* torque limit of joint joint"
+    ) as caught:
         searched_of(weak)
     assert "\n" not in str(caught.value)
 
@@ -206,7 +235,9 @@ def test_the_tool_is_as_slow_as_asked_for_and_hardly_slower():
 
 def test_a_load_within_the_reserve_breaks_no_torque_limit():
     """The load is reckoned by hand from what it adds to the arm's own torques."""
-    some, loaded = (problem(arms.THREE, max_torque=8.0, payload_reserve=m) for m in (0.0, 3.0))
+    some, loaded = (
+        problem(arms.THREE, max_torque=8.0, payload_reserve=m) for m in (0.0, 3.0)
+    )
     plan = searched_of(loaded, rounds=0).trajectory
     motion = plan.evaluate(np.arange(600) / 100.0)
     torque = some.torque(motion) + 3.0 * some.torque_per_kilogram(motion)
@@ -238,7 +269,12 @@ def test_what_is_asked_for_decides_which_motion_is_found():
     arm = problem(arms.serial_arm((arms.Z, arms.Y, arms.X)))
     motion = TrajectoryOptions(duration=4.0, sample_rate=100.0)
     link, payload = (
-        Design(arm, options(draws=5, rounds=4, iterations=30), motion, known_of(arm, USUAL, asked))
+        Design(
+            arm,
+            options(draws=5, rounds=4, iterations=30),
+            motion,
+            known_of(arm, USUAL, asked),
+        )
         for asked in ("link", "payload")
     )
     x = design_excitation(link, np.random.default_rng(3)).trajectory.coefficients
@@ -281,8 +317,12 @@ def test_workers_end_with_a_process_that_is_killed():
         "    input()\n"
     )
     pipe = subprocess.PIPE
-    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdin=pipe, stdout=pipe) as run:
-        workers = [Path("/proc", word.decode()) for word in run.stdout.readline().split()]
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, stdin=pipe, stdout=pipe
+    ) as run:
+        workers = [
+            Path("/proc", word.decode()) for word in run.stdout.readline().split()
+        ]
         assert workers and all(worker.is_dir() for worker in workers)
         run.kill()
     limit = time.monotonic() + 20.0
