@@ -30,10 +30,10 @@ from robot_sysid.api.calls import identify, payload
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.algebra.information import restrict
-from robot_sysid.estimation.choices import without_standing
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import evidence_of
+from robot_sysid.estimation.identify import without_standing
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.tendons import joint_friction
 from robot_sysid.records import Measurement

@@ -34,17 +34,12 @@ from robot_sysid.estimation.algebra.link_scales import (
     link_evidence,
 )
 from robot_sysid.estimation.algebra.nuisances import (
-    SURE,
     LinkScales,
     WithPriors,
-    is_no_chance,
     link_directions,
     link_lengths,
 )
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.couplings import couplings_of
-from robot_sysid.estimation.dataset import Dataset, mean_torque
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
 from robot_sysid.estimation.unknowns import (
     COMMON_SCALE,
@@ -55,7 +50,7 @@ from robot_sysid.estimation.unknowns import (
     Unknowns,
     build_unknowns,
 )
-from robot_sysid.records import Array, RobotModel, Validation
+from robot_sysid.records import Array, Validation
 from robot_sysid.records.results import validation_of
 
 CANDIDATES = (
@@ -75,9 +70,6 @@ WITH_POLYNOMIAL = CANDIDATES[5]
 """Friction model that an MJCF can hold."""
 WITH_ALL = "coulomb-viscous-offset-armature-sqrt-stribeck-load"
 """Friction model that fits any friction by speed and load closely enough to judge its rows."""
-WORSE = 2.0
-"""Ratio of mean squared residuals from which on rows make an estimate worse: the variance s^2 / n
-of one from n rows falls by m more of variance r s^2 for as long as r < 2 + m / n."""
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Factors of the other links' uncertainty to try; 16 times 5 % is nearly all of a link."""
 AS_GOOD = 1.02
@@ -293,62 +285,6 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
     threshold = np.log(1.0 - CLEAR_SHARE)
     lower = np.sum(errors) < (1.0 - CLEAR_SHARE) * np.sum(reference)
     return bool(lower and mean < threshold and mean + CLEARLY * standard_error < 0.0)
-
-
-def without_standing(
-    robot: RobotModel, dataset: Dataset, options: EstimationOptions
-) -> Dataset:
-    """Return a recording without the rows over turns at which joints stand for a while.
-
-    Low-passed positions do not show standing (``signals.turning``), but residuals do. Rows over
-    turns also have the most information on inertia, so they are left out only where they fit worse
-    than all others. Every recording is judged by itself: logs that are added up one by one then
-    give the same estimate as together.
-
-    Raises:
-        InputError: no joint moves fast enough, or the recording is too short.
-    """
-    signals = dataset.signals
-    if signals is None or not np.any(signals.turning):
-        return dataset
-
-    columns = Columns(
-        robot, [dataset], options.torques, couplings_of(robot, options)[0]
-    )
-    model = friction_model(WITH_ALL)
-    if options.friction is not None and not options.friction.terms:
-        model = options.friction
-    choice = Choice((model,) * robot.n_joints, columns.couplings)
-    question = Question(
-        replace(options, delay="off", tilt="off"), loaded=dataset.is_loaded
-    )
-    fit = Fitter(columns, mean_torque([dataset])).fit(question, choice, rounds=1)
-
-    (samples,) = fit.samples
-    turns_left_out = replace(signals, standing=tuple(range(robot.n_joints))).usable()
-    standing = []
-    for row, joint in enumerate(columns.rows_of):
-        predicted = samples.rows[row] @ fit.values[samples.columns[row]]
-        if _are_worse(samples.tau[row] - predicted, ~turns_left_out[:, joint]):
-            standing.append(joint)
-    return replace(dataset, source=replace(signals, standing=tuple(standing)))
-
-
-def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
-    """Tell whether doubtful rows (K,) have clearly larger residuals (K,) than others.
-
-    Residuals of rows that are not in use are NaN.
-    """
-    used = np.isfinite(residual)
-    doubted = residual[used & doubtful]
-    other_residual = residual[used & ~doubtful]
-    if len(doubted) == 0 or len(other_residual) < len(doubted):
-        return False
-    mean_square = float(np.mean(other_residual**2))
-    squared = float(np.sum(doubted**2)) / mean_square if mean_square > 0.0 else 0.0
-    return squared > WORSE * len(doubted) and is_no_chance(
-        squared, len(doubted), 1.0 - SURE
-    )
 
 
 def choose(

@@ -331,57 +331,56 @@ class Columns:
         common: Array,
     ) -> DecimatedSamples:
         """Return one recording's rows with the columns that depend on the point."""
-        later = {"load": load, **self._nonlinear(dataset, point)}
+        friction_columns = {"load": load, **self._nonlinear(dataset, point)}
         values = self._arm_values(point, dataset.is_loaded)
         blocks = []
         right_sides = []
         columns = []
         for row, joint in enumerate(self.rows_of):
+            indices = base.columns[row]
             block = base.rows[row]
-            tau = base.tau[row]
-            coefficients = values[base.columns[row]]
-            bodies, believed, drifting, smooth = (
-                which[base.columns[row]]
-                for which in (
-                    self._of_bodies,
-                    self._believed,
-                    self._drifting,
-                    self._smooth,
-                )
-            )
-            scale, drift = point.values[self.at((self._scales[row], self._drifts[row]))]
-            scaled = np.where(believed, self.prior[base.columns[row]], coefficients)
+            coefficients = values[indices]
+            bodies = self._of_bodies[indices]
+            drifting = self._drifting[indices]
+            smooth = self._smooth[indices]
+
+            # The torque of the links that a torque scale multiplies.
+            believed = self._believed[indices]
+            scaled = np.where(believed, self.prior[indices], coefficients)
             linear = block[:, bodies] @ scaled[bodies]
+            scale, drift = point.values[self.at((self._scales[row], self._drifts[row]))]
             exact = self._loaded * scale
-            gear = linear + base.measured[row] - tau
-            friction_names = {term: f"{term}[{self.joints[row]}]" for term in later}
+            gear = linear + base.measured[row] - base.tau[row]
+
+            friction_names = tuple(f"{t}[{self.joints[row]}]" for t in friction_columns)
             friction = block[:, drifting] @ coefficients[drifting]
-            for term in ("load", *BENT):
-                friction += (
-                    later[term][:, row] * point.values[self.place[friction_names[term]]]
-                )
+            for name, column in zip(
+                friction_names[: 1 + len(BENT)], friction_columns.values()
+            ):
+                friction += column[:, row] * point.values[self.place[name]]
             drifted = 1.0 + drift * dataset.place
-            factor = np.where(bodies, 1.0 + exact, np.where(drifting, drifted, 1.0))
+
             late = _late(dataset, base.time, block[:, smooth] @ coefficients[smooth])
-            sides = {
-                (*friction_names.values(),): (
-                    np.stack([c[:, row] for c in later.values()], axis=1),
-                    drifted,
-                ),
+            nonlinear = np.stack(
+                [column[:, row] for column in friction_columns.values()], axis=1
+            )
+            point_columns = {
+                friction_names: (nonlinear, drifted),
                 (self._scales[row],): (gear[:, None], 1.0),
                 (self._drifts[row],): (friction[:, None], dataset.place),
                 (*self._zeros, *self._tilts): (common[:, joint], 1.0 + exact),
                 (DELAY_NAME,): (late[:, None], 1.0),
                 PAYLOAD_NAMES: (slice(N_INERTIAL), (1.0 + exact) * dataset.is_loaded),
             }
-            sides = {
-                names: side
-                for names, side in sides.items()
-                if names[0] not in self._nowhere
-            }
-            blocks.append(((slice(None), factor), *sides.values()))
-            right_sides.append(tau + exact * linear + drift * dataset.place * friction)
-            columns.append(np.concatenate((base.columns[row], *map(self.at, sides))))
+            names = [group for group in point_columns if group[0] not in self._nowhere]
+            factor = np.where(bodies, 1.0 + exact, np.where(drifting, drifted, 1.0))
+            blocks.append(
+                ((slice(None), factor), *map(point_columns.__getitem__, names))
+            )
+            right_sides.append(
+                base.tau[row] + exact * linear + drift * dataset.place * friction
+            )
+            columns.append(np.concatenate((indices, *map(self.at, names))))
         return replace(
             base,
             names=self.names,

@@ -7,14 +7,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.dynamics.nuisances import gravity, tilt_axes
 from robot_sysid.errors import InputError, named
 from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.algebra.nuisances import SURE, is_no_chance
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer, written_payload
-from robot_sysid.estimation.choices import choose, without_standing
+from robot_sysid.estimation.choices import WITH_ALL, choose
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import couplings_of, select_couplings
 from robot_sysid.estimation.dataset import Dataset, Mask, mean_torque
@@ -22,7 +24,7 @@ from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
 from robot_sysid.estimation.recordings import compare_recordings, held_out_validation
-from robot_sysid.estimation.unknowns import Question
+from robot_sysid.estimation.unknowns import Choice, Question
 from robot_sysid.estimation.verdict import is_informative
 from robot_sysid.records import (
     Array,
@@ -315,3 +317,64 @@ def _prediction_variance(
         is_identified = fitted.n_samples > 0 and np.all(errors.shown(change))
         variances[row] = np.trace(errors.of(change)[0]) if is_identified else np.inf
     return variances
+
+
+WORSE = 2.0
+"""Ratio of mean squared residuals from which on rows make an estimate worse: the variance s^2 / n
+of one from n rows falls by m more of variance r s^2 for as long as r < 2 + m / n."""
+
+
+def without_standing(
+    robot: RobotModel, dataset: Dataset, options: EstimationOptions
+) -> Dataset:
+    """Return a recording without the rows over turns at which joints stand for a while.
+
+    Low-passed positions do not show standing (``signals.turning``), but residuals do. Rows over
+    turns also have the most information on inertia, so they are left out only where they fit worse
+    than all others. Every recording is judged by itself: logs that are added up one by one then
+    give the same estimate as together.
+
+    Raises:
+        InputError: no joint moves fast enough, or the recording is too short.
+    """
+    signals = dataset.signals
+    if signals is None or not np.any(signals.turning):
+        return dataset
+
+    columns = Columns(
+        robot, [dataset], options.torques, couplings_of(robot, options)[0]
+    )
+    model = friction_model(WITH_ALL)
+    if options.friction is not None and not options.friction.terms:
+        model = options.friction
+    choice = Choice((model,) * robot.n_joints, columns.couplings)
+    question = Question(
+        replace(options, delay="off", tilt="off"), loaded=dataset.is_loaded
+    )
+    fit = Fitter(columns, mean_torque([dataset])).fit(question, choice, rounds=1)
+
+    (samples,) = fit.samples
+    turns_left_out = replace(signals, standing=tuple(range(robot.n_joints))).usable()
+    standing = []
+    for row, joint in enumerate(columns.rows_of):
+        predicted = samples.rows[row] @ fit.values[samples.columns[row]]
+        if _are_worse(samples.tau[row] - predicted, ~turns_left_out[:, joint]):
+            standing.append(joint)
+    return replace(dataset, source=replace(signals, standing=tuple(standing)))
+
+
+def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
+    """Tell whether doubtful rows (K,) have clearly larger residuals (K,) than others.
+
+    Residuals of rows that are not in use are NaN.
+    """
+    used = np.isfinite(residual)
+    doubted = residual[used & doubtful]
+    other_residual = residual[used & ~doubtful]
+    if len(doubted) == 0 or len(other_residual) < len(doubted):
+        return False
+    mean_square = float(np.mean(other_residual**2))
+    squared = float(np.sum(doubted**2)) / mean_square if mean_square > 0.0 else 0.0
+    return squared > WORSE * len(doubted) and is_no_chance(
+        squared, len(doubted), 1.0 - SURE
+    )

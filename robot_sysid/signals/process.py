@@ -9,7 +9,7 @@
 5. the ends are cut off, and rows over long holes in the log, over corners of motion without noise,
    or over moments in which a joint is too slow for its friction to have a sign, are masked
    (``ProcessedSignals.usable``), and where its torque shows that it stands as it turns round, also
-   those over its turns (``turning``, ``choices.without_standing``).
+   those over its turns (``turning``, ``estimation.identify.without_standing``).
 
 A filtered row mixes all samples under the filter's window, near a reversal also some in which the
 direction of friction is not known. Rows with more than ``LARGEST_SLOW_SHARE`` of the filter's
