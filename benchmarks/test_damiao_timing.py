@@ -28,9 +28,8 @@ from robot_sysid.damiao.protocol.codec import (
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.safety.stop_request import StopRequest
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import SimulatedArm, serve, simulated_motor
 from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,

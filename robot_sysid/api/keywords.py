@@ -17,10 +17,13 @@ from typing import Any, TypeVar, Union, get_type_hints
 
 from robot_sysid.config import PREDICTED, PayloadConfig, SysidConfig
 from robot_sysid.damiao.bus import BusAddress
-from robot_sysid.damiao.preflight import Permissions
 from robot_sysid.damiao.protocol.frames import BusTiming
-from robot_sysid.damiao.recorder import RecordingOptions
-from robot_sysid.damiao.settings import PlaySettings, SecondArm
+from robot_sysid.damiao.settings import (
+    Permissions,
+    PlaySettings,
+    RecordingOptions,
+    SecondArm,
+)
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions

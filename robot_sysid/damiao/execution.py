@@ -32,12 +32,7 @@ from robot_sysid.damiao.protocol.joints import (
     read_joint_map,
 )
 from robot_sysid.damiao.protocol.motors import matching_types
-from robot_sysid.damiao.recorder import (
-    Aside,
-    MeasurementRecorder,
-    RecordingOptions,
-    head_lines,
-)
+from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, head_lines
 from robot_sysid.damiao.references import (
     STRAIGHT,
     FileHolding,
@@ -48,7 +43,12 @@ from robot_sysid.damiao.references import (
 from robot_sysid.damiao.safety.bounds import Overload
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.session import MotorSession
-from robot_sysid.damiao.settings import PlaySettings, SecondArm
+from robot_sysid.damiao.settings import (
+    Permissions,
+    PlaySettings,
+    RecordingOptions,
+    SecondArm,
+)
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, words_of
@@ -157,7 +157,7 @@ class MotorRun:
             trajectory,
             record_from(PlaySettings, self.values),
             self.timing,
-            record_from(preflight.Permissions, self.values),
+            record_from(Permissions, self.values),
             record_from(RecordingOptions, self.values),
             inertia,
             self._limits(),

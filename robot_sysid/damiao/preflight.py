@@ -20,7 +20,6 @@ from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
-from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.references import (
     FileHolding,
     HoldingCheck,
@@ -29,11 +28,15 @@ from robot_sysid.damiao.references import (
 )
 from robot_sysid.damiao.safety.bounds import CommandRange
 from robot_sysid.damiao.session import PAUSE
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import (
+    LONGEST_SET_WATCHDOG,
+    Permissions,
+    PlaySettings,
+    RecordingOptions,
+)
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records import Array
-from robot_sysid.records.options import OptionRecord, option
 from robot_sysid.special_files import refuse_special_file
 
 OK = "ok"
@@ -44,10 +47,9 @@ _REST_SPEED = 0.05
 # A motor whose answer is missing gets no command for some cycles; twice that, and both ends.
 _LEAST_WATCHDOG_CYCLES = 2 + 2 * PAUSE
 # Judgements [s]: half a second lets an arm that nobody commands fall or run a quarter of its
-# range; nobody waits five for a stop; and no run needs a watchdog above one.
+# range; nobody waits five for a stop.
 _LONG_WATCHDOG = 0.5
 _NO_WATCHDOG = 5.0
-_LONGEST_SET_WATCHDOG = 1.0
 # Share of a control cycle within which all answers have to be there: the player waits that long.
 _ANSWER_SHARE = 0.9
 # Speed that one step of torque may give a joint within a cycle [rad/s]: a judgement, a third of
@@ -74,35 +76,6 @@ _stop = partial(Check, STOP)
 def _first(*table: tuple[str, object, str]) -> Check:
     """Return the first line of a table of severity, whether it holds, and text."""
     return next(Check(severity, text) for severity, holds, text in table if holds)
-
-
-def _watchdog_time(value: float) -> str | None:
-    fits = 0.0 < value <= _LONGEST_SET_WATCHDOG
-    return None if fits else f"must be above 0 and at most {_LONGEST_SET_WATCHDOG:g} s"
-
-
-@dataclass(frozen=True)
-class Permissions(OptionRecord):
-    """What the user allowed on purpose."""
-
-    register_limits: bool = option(
-        False,
-        "use the motors' own PMAX, VMAX, TMAX where they differ from the motor type's",
-        flag="--accept-register-limits",
-    )
-    watchdog: float | None = option(
-        None,
-        "set the motors' watchdogs for this run; nothing is stored in them",
-        "S [s]",
-        flag="--set-watchdog",
-        check=_watchdog_time,
-        usual="as they are",
-    )
-    directions: bool = option(
-        False,
-        "play although nobody has verified which way the joints turn that gravity hardly loads",
-        flag="--accept-directions",
-    )
 
 
 @dataclass(frozen=True)
@@ -516,9 +489,9 @@ def _scaling(
 def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
     least = _LEAST_WATCHDOG_CYCLES * settings.period
     options = f"--set-watchdog {max(0.1, np.ceil(10.0 * least) / 10.0):g}"
-    if least > _LONGEST_SET_WATCHDOG:
-        slowest = _LEAST_WATCHDOG_CYCLES / _LONGEST_SET_WATCHDOG
-        options = f"--rate {slowest:g} and --set-watchdog {_LONGEST_SET_WATCHDOG:g}"
+    if least > LONGEST_SET_WATCHDOG:
+        slowest = _LEAST_WATCHDOG_CYCLES / LONGEST_SET_WATCHDOG
+        options = f"--rate {slowest:g} and --set-watchdog {LONGEST_SET_WATCHDOG:g}"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
     absent = f"{name} has no watchdog: it would go on for ever if this program died"
     endless = (

@@ -13,11 +13,9 @@ and the motors' watchdogs would let the arm go. So what is to be said and writte
 from __future__ import annotations
 
 import contextlib
-import os
 import queue
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +28,6 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import OptionRecord, option
 
 Action = Callable[[], object]
 # A judgement: longer than a healthy disk takes, shorter than a person waits for the end of a run.
@@ -89,43 +86,6 @@ class Aside:
 _MEASURED = ("pos", "vel", "tau")
 _COMMANDS = ("cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "cmd_mean")
 _EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
-
-
-@dataclass(frozen=True)
-class RecordingOptions(OptionRecord):
-    """What is recorded, and where."""
-
-    record: Path | None = option(None, "write the measurement CSV", "FILE")
-    raw_log: Path | None = option(
-        None,
-        "write every frame, format by suffix: .log .asc .blf .trc",
-        "FILE",
-        usual="beside --record",
-    )
-    overwrite: bool = option(False, "replace existing recordings")
-
-    @property
-    def frames(self) -> Path | None:
-        """Where every frame is written, or None."""
-        default = None if self.record is None else self.record.with_suffix(".log")
-        return self.raw_log or default
-
-    def require_free(self, *read: Path) -> None:
-        """Raise InputError where a file is there that must not be replaced.
-
-        Files that the run reads stay even with --overwrite.
-        """
-        used = {os.path.realpath(path) for path in read}
-        for path in filter(None, (self.record, self.frames)):
-            if os.path.realpath(path) in used:
-                raise InputError(
-                    f"{path} is needed for something else; choose another name"
-                )
-            if os.path.exists(path) and not self.overwrite:
-                raise InputError(
-                    f"{path} exists; choose another --record file or give --overwrite"
-                )
-            used.add(os.path.realpath(path))
 
 
 def head_lines(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from robot_sysid.damiao.protocol.codec import KD_MAX, KD_STEP, KP_MAX
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.protocol.motors import MotorSpec
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option, per_joint, speed_factor
 
@@ -26,6 +28,8 @@ _LEAST_DAMPING = 0.05
 _PUSH = 2.0 / 3.0
 # Models often lack the rotors' inertia: never less than this share of the usual damping.
 _LEAST_SHARE = 0.4
+LONGEST_SET_WATCHDOG = 1.0
+"""No run needs a motor's watchdog above this [s]: a judgement."""
 _EACH = "one for all or one per joint"
 _BY_TYPE: dict[str, Any] = {"several": True, "usual": "by motor type"}
 _ANGLE = "ANGLE [rad] >= 0"
@@ -158,6 +162,72 @@ class PlaySettings(OptionRecord):
     def start_temperature(self) -> float:
         """How warm a motor may be before playing [deg C]."""
         return min(_START_TEMPERATURE, self.max_temperature)
+
+
+def _watchdog_time(value: float) -> str | None:
+    fits = 0.0 < value <= LONGEST_SET_WATCHDOG
+    return None if fits else f"must be above 0 and at most {LONGEST_SET_WATCHDOG:g} s"
+
+
+@dataclass(frozen=True)
+class Permissions(OptionRecord):
+    """What the user allowed on purpose."""
+
+    register_limits: bool = option(
+        False,
+        "use the motors' own PMAX, VMAX, TMAX where they differ from the motor type's",
+        flag="--accept-register-limits",
+    )
+    watchdog: float | None = option(
+        None,
+        "set the motors' watchdogs for this run; nothing is stored in them",
+        "S [s]",
+        flag="--set-watchdog",
+        check=_watchdog_time,
+        usual="as they are",
+    )
+    directions: bool = option(
+        False,
+        "play although nobody has verified which way the joints turn that gravity hardly loads",
+        flag="--accept-directions",
+    )
+
+
+@dataclass(frozen=True)
+class RecordingOptions(OptionRecord):
+    """What is recorded, and where."""
+
+    record: Path | None = option(None, "write the measurement CSV", "FILE")
+    raw_log: Path | None = option(
+        None,
+        "write every frame, format by suffix: .log .asc .blf .trc",
+        "FILE",
+        usual="beside --record",
+    )
+    overwrite: bool = option(False, "replace existing recordings")
+
+    @property
+    def frames(self) -> Path | None:
+        """Where every frame is written, or None."""
+        default = None if self.record is None else self.record.with_suffix(".log")
+        return self.raw_log or default
+
+    def require_free(self, *read: Path) -> None:
+        """Raise InputError where a file is there that must not be replaced.
+
+        Files that the run reads stay even with --overwrite.
+        """
+        used = {os.path.realpath(path) for path in read}
+        for path in filter(None, (self.record, self.frames)):
+            if os.path.realpath(path) in used:
+                raise InputError(
+                    f"{path} is needed for something else; choose another name"
+                )
+            if os.path.exists(path) and not self.overwrite:
+                raise InputError(
+                    f"{path} exists; choose another --record file or give --overwrite"
+                )
+            used.add(os.path.realpath(path))
 
 
 @dataclass(frozen=True)

@@ -21,14 +21,9 @@ from robot_sysid.damiao.protocol.codec import (
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.recorder import (
-    Aside,
-    MeasurementRecorder,
-    RecordingOptions,
-    head_lines,
-)
+from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, head_lines
 from robot_sysid.damiao.session import Replies
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import InputError, words_of
 from tests.support.log_files import read_measurements

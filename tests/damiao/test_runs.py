@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.damiao.bus import LinkError
-from robot_sysid.damiao.preflight import Permissions, stops
+from robot_sysid.damiao.preflight import stops
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import (
     DISABLED,
@@ -27,9 +27,10 @@ from robot_sysid.damiao.protocol.frames import (
     is_special,
 )
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
-from robot_sysid.damiao.recorder import MeasurementRecorder, RecordingOptions
+from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import reference_along
 from robot_sysid.damiao.session import MotorSession
+from robot_sysid.damiao.settings import Permissions, RecordingOptions
 from robot_sysid.damiao.simulated import SimulatedArm
 from robot_sysid.errors import HardwareAbort, SysidError
 from tests.support.damiao_rig import GRAVITY, Rig, fault, motor, swing

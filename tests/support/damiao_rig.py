@@ -9,13 +9,12 @@ import numpy as np
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.execution import MotorRun, run
 from robot_sysid.damiao.inspection import inspect_bus
-from robot_sysid.damiao.preflight import Permissions, Plan, bus_checks
+from robot_sysid.damiao.preflight import Plan, bus_checks
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints
-from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.references import STRAIGHT
 from robot_sysid.damiao.safety.stop_request import StopRequest
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import (
     DEFAULT_WATCHDOG,
     SimulatedArm,

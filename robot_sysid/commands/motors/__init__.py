@@ -26,10 +26,14 @@ from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
 from robot_sysid.damiao.execution import lasting
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
-from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.serial_adapter import slcan_terminal
-from robot_sysid.damiao.settings import PlaySettings, SecondArm
+from robot_sysid.damiao.settings import (
+    Permissions,
+    PlaySettings,
+    RecordingOptions,
+    SecondArm,
+)
 from robot_sysid.damiao.simulated import serve
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
@@ -183,10 +187,7 @@ class _Command(NamedTuple):
     groups: Mapping[str, Sequence[type]]
 
 
-_MOTION = {
-    "motion and limits": (PlaySettings,),
-    "what to allow": (preflight.Permissions,),
-}
+_MOTION = {"motion and limits": (PlaySettings,), "what to allow": (Permissions,)}
 _ASKING = {"asking": (PlayChoices,)}
 _PLAYED = {
     "check": _Command(

@@ -19,13 +19,18 @@ from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.execution import MotorRun
 from robot_sysid.damiao.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.player import PlayReport
-from robot_sysid.damiao.preflight import OK, Check, Permissions
+from robot_sysid.damiao.preflight import OK, Check
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.codec import Feedback
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
-from robot_sysid.damiao.recorder import Aside, RecordingOptions
-from robot_sysid.damiao.settings import PlaySettings, SecondArm
+from robot_sysid.damiao.recorder import Aside
+from robot_sysid.damiao.settings import (
+    Permissions,
+    PlaySettings,
+    RecordingOptions,
+    SecondArm,
+)
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.model.options import ModelOptions
