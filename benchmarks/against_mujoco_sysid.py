@@ -28,7 +28,7 @@ from robot_sysid.simulation.plant import quantised
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
-from tests.support.core_fits import BASIC, KNOWN, result_of_logs
+from tests.support.core_fits import BASIC, NOISE_ONLY, result_of_logs
 
 STEP = 0.002
 SECONDS = 15.0
@@ -114,7 +114,7 @@ def by_torques(robot, log) -> dict:
     middle = 0.5 * (tau + np.vstack((tau[:1], tau[:-1])))
     log = Measurement(clock, q, None, middle)
     result = result_of_logs(
-        robot, [log], EstimationOptions(friction_model=BASIC, **KNOWN)
+        robot, [log], EstimationOptions(friction_model=BASIC, **NOISE_ONLY)
     )
     terms = {"armature": "armature", "damping": "viscous", "frictionloss": "coulomb"}
     return {

@@ -26,13 +26,13 @@ from robot_sysid.solver import identify_parameters
 from tests.support.closed_loop import ClosedLoop
 from tests.support.closed_loop_proof import (
     TERMS,
-    differentiated,
+    differentiate_log,
     errors_of,
     excitation,
-    identified,
+    identify_log,
     plant_from,
     proof_run,
-    recorded,
+    record_run,
 )
 from tests.support.places import GUESS
 
@@ -72,7 +72,7 @@ def integration_table(robot) -> None:
     plan = excitation(robot)
     for rate in (250.0, 500.0, 1000.0, 2000.0):
         plant = plant_from(robot, coulomb=0.0, viscous=1.0, time_step=1.0 / rate)
-        log = differentiated(recorded(ClosedLoop(plant, plan, rate)), rate)
+        log = differentiate_log(record_run(ClosedLoop(plant, plan, rate)), rate)
         tau = (
             ArmDynamics(plant).torque(log.q, log.qd, log.qdd)
             + plant.friction.viscous * log.qd
@@ -97,7 +97,7 @@ def proof_table(robot) -> None:
         for armature in (0.1, 0.02):
             errors, log, loop = proof_run(robot, plan, RATE, armature=armature)
             print(f"  seed {seed}, armature {armature:4.2f}: {words(errors)}")
-            kept = errors_of(identified(robot, log, 0.0), plant_from(robot, armature))
+            kept = errors_of(identify_log(robot, log, 0.0), plant_from(robot, armature))
             print(f"    same, ramp kept in:       {words(kept)}")
             print(f"    ramp ends below {np.round(loop.ramp_use.ramp_speed, 3)} rad/s")
 
@@ -107,7 +107,7 @@ def sensor_table(robot) -> None:
     print("Low-pass, derivatives and decimation; rows slower than 0.1 rad/s left out")
     for seed in SEEDS:
         plant = plant_from(robot)
-        exact = recorded(ClosedLoop(plant, excitation(robot, seed), RATE))
+        exact = record_run(ClosedLoop(plant, excitation(robot, seed), RATE))
         for steps, noise in ((0.0, 0.0), (1e-4, 0.0), (1e-4, 0.1)):
             q = quantised(exact.q, steps) if steps else exact.q
             draws = np.random.default_rng(seed).standard_normal(exact.tau.shape)

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.example_study import noise_study
 from robot_sysid.dynamics import spatial
 from robot_sysid.solver import identify_parameters
-from tests.support.estimates import identified
+from tests.support.estimates import identify
 from tests.support.smooth_arm import SmoothArm, information_of_samples, samples_of
 
 DRAWS = 200
@@ -33,10 +33,10 @@ def test_intervals_cover(method, memory):
     naive = []
     for seed in range(DRAWS):
         arm, _, samples, information = draw(seed, memory)
-        estimate = identified(information, np.zeros(31), method, samples=samples)
+        estimate = identify(information, np.zeros(31), method, samples=samples)
         error = np.abs(estimate.values - arm.truth)
         hits.append(error < 1.96 * estimate.standard_errors)
-        white = identified(information, np.zeros(31), method).standard_errors
+        white = identify(information, np.zeros(31), method).standard_errors
         naive.append(error < 1.96 * white)
     share = np.mean(hits, axis=0)
     print(
@@ -63,7 +63,7 @@ def test_weighted_estimates_reach_the_cramer_rao_bound():
         information = information_of_samples(base, samples)
         for method in names:
             errors[method].append(
-                identified(information, np.zeros(31), method).values - base.truth
+                identify(information, np.zeros(31), method).values - base.truth
             )
     bound = np.sqrt(np.diag(noise_study.cramer_rao_bound(information, sigma)))
     ratios = {m: np.sqrt(np.mean(np.square(errors[m]), axis=0)) / bound for m in names}

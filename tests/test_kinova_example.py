@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.model.inertia import body_theta
@@ -57,17 +58,15 @@ def at(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
 def test_joints_stand_at_the_published_heights_and_turn_in_the_published_sense(file):
     data = at(load(file), np.zeros(7))
     heights = [0.15643, 0.28481, 0.49519, 0.70557, 0.91400, 1.01993, 1.12586]
-    np.testing.assert_allclose(data.xanchor[:, 2], heights, atol=2e-5)
-    np.testing.assert_allclose(data.site("flange").xpos[2], 1.18739, atol=2e-5)
-    np.testing.assert_allclose(data.site("flange").xpos[1], -0.0249, atol=1e-4)
+    assert_allclose(data.xanchor[:, 2], heights, atol=2e-5)
+    assert_allclose(data.site("flange").xpos[2], 1.18739, atol=2e-5)
+    assert_allclose(data.site("flange").xpos[1], -0.0249, atol=1e-4)
     down = [0, 0, -1]
     sideways = [0, 1, 0]
     expected = [down, sideways, down, sideways, down, sideways, down]
-    np.testing.assert_allclose(data.xaxis, expected, atol=1e-12)
+    assert_allclose(data.xaxis, expected, atol=1e-12)
     outwards = data.site("flange").xpos - data.body("link6").xpos
-    np.testing.assert_allclose(
-        data.body("link6").xmat.reshape(3, 3).T @ outwards, gen3.FLANGE
-    )
+    assert_allclose(data.body("link6").xmat.reshape(3, 3).T @ outwards, gen3.FLANGE)
 
 
 def written_theta(file: str, body: str) -> np.ndarray:
@@ -85,12 +84,8 @@ def written_theta(file: str, body: str) -> np.ndarray:
 
 
 def test_the_guess_has_the_terminal_link_of_the_readme():
-    np.testing.assert_allclose(
-        written_theta(MODELS[0], "link6"), README_THETA, atol=1e-15
-    )
-    np.testing.assert_allclose(
-        theta_of(load(MODELS[0]), "link6"), README_THETA, atol=COMPILED
-    )
+    assert_allclose(written_theta(MODELS[0], "link6"), README_THETA, atol=1e-15)
+    assert_allclose(theta_of(load(MODELS[0]), "link6"), README_THETA, atol=COMPILED)
 
 
 @pytest.mark.parametrize(
@@ -100,8 +95,8 @@ def test_links_have_the_published_inertials_of_possible_bodies(file, table):
     model = load(file)
     for link in LINKS[:-1]:
         published = gen3.theta(getattr(gen3, table)[link])
-        np.testing.assert_allclose(written_theta(file, link), published, atol=1e-15)
-        np.testing.assert_allclose(theta_of(model, link), published, atol=COMPILED)
+        assert_allclose(written_theta(file, link), published, atol=1e-15)
+        assert_allclose(theta_of(model, link), published, atol=COMPILED)
     for link in LINKS:
         pseudo_inertia = spatial.pseudo_inertia(theta_of(model, link))
         assert np.linalg.eigvalsh(pseudo_inertia)[0] > 1e-4
@@ -114,8 +109,8 @@ def test_the_true_tool_is_the_sum_of_its_parts():
     heights = np.array(
         [0.03437502, 0.061525 + 0.03232, 0.061525 + 0.115, 0.061525 + 0.145]
     )
-    np.testing.assert_allclose(theta[0], masses.sum(), rtol=1e-12)
-    np.testing.assert_allclose(theta[3], masses @ heights, rtol=1e-12)
+    assert_allclose(theta[0], masses.sum(), rtol=1e-12)
+    assert_allclose(theta[3], masses @ heights, rtol=1e-12)
 
 
 @pytest.mark.parametrize("file", MODELS)
@@ -128,7 +123,7 @@ def test_home_is_reachable_free_and_held_within_the_nominal_torques(file):
     assert list(limited) == [False, True, False, True, False, True, False]
     assert np.all(np.abs(data.qpos[limited]) < model.jnt_range[limited, 1])
     limits = model.actuator_forcerange[:, 1]
-    np.testing.assert_array_equal(limits, [39, 39, 39, 39, 9, 9, 9])
+    assert_array_equal(limits, [39, 39, 39, 39, 9, 9, 9])
     assert np.all(np.abs(data.qfrc_bias) < 0.5 * limits)
 
 
@@ -142,7 +137,7 @@ def test_committed_models_are_what_the_script_writes(variant):
     numbers = [
         [float(n) for n in NUMBER.findall(text)] for text in (committed, written)
     ]
-    np.testing.assert_allclose(*numbers, rtol=1e-9, atol=1e-15)
+    assert_allclose(*numbers, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", sorted(links.link_meshes()))
@@ -150,7 +145,7 @@ def test_committed_meshes_are_what_the_script_writes(name, tmp_path):
     shapes.write_stl(tmp_path / "again.stl", links.link_meshes()[name])
     committed = shapes.read_stl(EXAMPLE / "model" / "meshes" / f"{name}.stl")
     written = shapes.read_stl(tmp_path / "again.stl")
-    np.testing.assert_allclose(committed, written, atol=2.0 * shapes.GRID)
+    assert_allclose(committed, written, atol=2.0 * shapes.GRID)
     assert shapes.volume(committed) > 1e-6
 
 

@@ -7,6 +7,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.errors import InputError, ModelError
@@ -30,16 +31,16 @@ def test_a_file_becomes_an_arm(arm_file):
     assert robot.body_name == "link6"
     assert robot.n_joints == 7
     assert len(robot.sha256) == 64
-    np.testing.assert_array_equal(robot.qpos_index, np.arange(7))
-    np.testing.assert_allclose(robot.friction.coulomb, 0.4)
-    np.testing.assert_allclose(robot.friction.viscous, 0.1)
+    assert_array_equal(robot.qpos_index, np.arange(7))
+    assert_allclose(robot.friction.coulomb, 0.4)
+    assert_allclose(robot.friction.viscous, 0.1)
     assert not np.any(robot.is_slide)
 
 
 def test_addresses_skip_what_is_not_the_arm():
     robot = robot_of(arms.FREE_OBJECT_BESIDE)
-    np.testing.assert_array_equal(robot.qpos_index, [7, 8, 9])
-    np.testing.assert_array_equal(robot.dof_index, [6, 7, 8])
+    assert_array_equal(robot.qpos_index, [7, 8, 9])
+    assert_array_equal(robot.dof_index, [6, 7, 8])
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -69,7 +70,7 @@ def test_prior_is_the_composite_that_mujoco_sees(name):
     assert robot.prior.mass == pytest.approx(
         robot.mj_model.body_subtreemass[robot.body_id]
     )
-    np.testing.assert_allclose(robot.prior.com, com, atol=1e-14)
+    assert_allclose(robot.prior.com, com, atol=1e-14)
     assert robot.prior.is_consistent
 
 
@@ -86,21 +87,19 @@ NO_HOME = arms.HOME_KEYFRAME.replace('name="home"', 'name="stand"').replace(
 def test_at_rest_the_arm_is_in_the_home_keyframe_or_in_the_only_one(xml):
     model = compile_xml(xml)
     pose = [0.1, 0.2, 0.3, 0.4, 0.03, 0.01]
-    np.testing.assert_allclose(robot_of(model).reference_qpos, pose)
+    assert_allclose(robot_of(model).reference_qpos, pose)
 
 
 def test_without_keyframes_the_arm_is_at_its_joints_own_reference():
     model = compile_xml(serial_arm((Z, Y, X), joint='range="-1 1" ref=".3"'))
-    np.testing.assert_allclose(robot_of(model).reference_qpos, 0.3)
+    assert_allclose(robot_of(model).reference_qpos, 0.3)
 
 
 def test_of_several_keyframes_without_home_none_is_taken_unless_asked_for():
     robot = robot_of(NO_HOME)
-    np.testing.assert_array_equal(robot.reference, np.zeros(4))
+    assert_array_equal(robot.reference, np.zeros(4))
     assert any("--keyframe chooses one of #0, stand" in note for note in robot.notes)
-    np.testing.assert_allclose(
-        robot_of(NO_HOME, keyframe="stand").reference[:2], [0.1, 0.2]
-    )
+    assert_allclose(robot_of(NO_HOME, keyframe="stand").reference[:2], [0.1, 0.2])
     assert not any(
         "keyframe" in note for note in robot_of(NO_HOME, keyframe="#0").notes
     )

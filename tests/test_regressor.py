@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 from hypothesis import given
+from numpy.testing import assert_allclose, assert_array_less
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.model.inertia import body_theta
@@ -34,7 +35,7 @@ def test_numeric_regressor_is_the_symbolic_one():
     values = np.random.default_rng(0).normal(size=12)
     expected = np.array(matrix.subs(dict(zip(symbols, values))), dtype=float)
     actual = wrench_regressor(values[None, :6], values[None, 6:])[:, :, 0]
-    np.testing.assert_allclose(actual, expected, rtol=1e-14, atol=1e-14)
+    assert_allclose(actual, expected, rtol=1e-14, atol=1e-14)
 
 
 def free_body(theta):
@@ -78,4 +79,4 @@ def test_wrench_of_a_free_body_is_mujocos(seed):
     wrench = regressor_of(omega, alpha, v, linear - gravity) @ theta
     expected = np.append(data.qfrc_inverse[3:], rotation.T @ data.qfrc_inverse[:3])
     scale = wrench_scale(theta, omega, alpha, linear - gravity)
-    np.testing.assert_array_less(np.abs(wrench - expected), 1e-11 * scale)
+    assert_array_less(np.abs(wrench - expected), 1e-11 * scale)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import InformationAccumulator
@@ -36,7 +37,7 @@ def noisy_arm(seed, noise=0.1):
 def test_noise_free_data_is_recovered(seed):
     information, truth, rng = noisy_arm(seed, noise=0.0)
     estimate = identify_parameters(information, rng.normal(size=16))
-    np.testing.assert_allclose(estimate.values, truth, rtol=0.0, atol=1e-10)
+    assert_allclose(estimate.values, truth, rtol=0.0, atol=1e-10)
     assert estimate.rmse < 1e-12
 
 
@@ -50,7 +51,7 @@ def test_where_the_data_shows_nothing_the_prior_stays_exactly(seed):
     assert values[3] == prior[3]
     assert values[4] + values[7] == pytest.approx(prior[4] + prior[7], rel=1e-12)
     seen = [1, 2, 5, 6, 8, 9, 10, 11]
-    np.testing.assert_allclose(values[seen], truth[seen], rtol=0.0, atol=1e-11)
+    assert_allclose(values[seen], truth[seen], rtol=0.0, atol=1e-11)
     assert values[4] - values[7] == pytest.approx(truth[4] - truth[7], abs=1e-11)
 
 
@@ -67,7 +68,7 @@ def test_scaling_all_torques_scales_the_estimate(seed, factor):
         accumulator.add(k, joint.triangle[:, :-1], factor * joint.triangle[:, -1])
     plain = identify_parameters(information, prior)
     scaled = identify_parameters(accumulator.result(), factor * prior)
-    np.testing.assert_allclose(
+    assert_allclose(
         scaled.values, factor * plain.values, rtol=1e-9, atol=1e-12 * factor
     )
 
@@ -81,7 +82,7 @@ def test_the_order_of_joints_does_not_matter(seed, order):
     prior = rng.normal(size=16)
     one = identify_parameters(information, prior)
     other = identify_parameters(shuffled, prior)
-    np.testing.assert_allclose(other.values, one.values, rtol=0.0, atol=1e-11)
+    assert_allclose(other.values, one.values, rtol=0.0, atol=1e-11)
     assert other.rmse == pytest.approx(one.rmse, rel=1e-12)
 
 
@@ -132,7 +133,7 @@ def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(
     assert found.constrained is wrong and not plain.constrained
     assert spatial.is_consistent(found.values[:10])
     if not wrong:
-        np.testing.assert_array_equal(found.values, plain.values)
+        assert_array_equal(found.values, plain.values)
 
 
 def test_data_at_rest_gives_the_prior_or_its_nearest_possible_body():
@@ -142,7 +143,7 @@ def test_data_at_rest_gives_the_prior_or_its_nearest_possible_body():
     accumulator.add(0, np.zeros((20, 10)), np.zeros(20))
     information = accumulator.result()
     found = identify_parameters(information, body, possible=True)
-    np.testing.assert_array_equal(found.values, body)
+    assert_array_equal(found.values, body)
     repaired = identify_parameters(information, -body, possible=True)
     assert spatial.is_consistent(repaired.values)
 

@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import (
@@ -134,9 +135,7 @@ def test_rest_plus_link_is_mujocos_inverse_dynamics(model, joint):
     rows, rest = arms.rows_and_rest(robot, (motion.q, motion.qd, motion.qdd))
     predicted = rest + rows @ theta
     actual = ArmDynamics(robot, heavier).torque(motion.q, motion.qd, motion.qdd)
-    np.testing.assert_allclose(
-        predicted, actual, rtol=0.0, atol=1e-9 * np.max(np.abs(actual))
-    )
+    assert_allclose(predicted, actual, rtol=0.0, atol=1e-9 * np.max(np.abs(actual)))
 
 
 @pytest.mark.parametrize(("model", "joint"), slow_unless_quick(CHOICES))
@@ -157,7 +156,7 @@ def test_another_link_than_the_models_is_found(model, joint):
     assert np.all(seen)
     assert np.max(np.abs(estimate.values[:10] - theta) / scale) < 1e-6
     friction = [robot.friction.coulomb[-1], robot.friction.viscous[-1]]
-    np.testing.assert_allclose(estimate.values[10:], friction, rtol=0.0, atol=1e-8)
+    assert_allclose(estimate.values[10:], friction, rtol=0.0, atol=1e-8)
 
 
 # The most different ones: ``excitation_table`` in benchmarks has all.

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from robot_sysid.diagnosis.contest import MARGIN, Contest, findings, misfit
 from robot_sysid.diagnosis.evidence import Hypotheses
@@ -60,7 +61,7 @@ def test_the_transform_keeps_the_size_of_what_is_used(right):
     for joint in range(5):
         turned = right.base.transform.of_joint(joint, rows)
         used = rows[right.log.used[:, joint]]
-        np.testing.assert_allclose(np.sum(turned**2, axis=0), np.sum(used**2, axis=0))
+        assert_allclose(np.sum(turned**2, axis=0), np.sum(used**2, axis=0))
 
 
 def test_columns_that_are_zero_make_no_log_likelier(right):
@@ -74,7 +75,7 @@ def test_every_relabelling_of_torque_is_undone_by_making_it_again(truth, right):
     for mistake in [m for m in relabellings(truth.robot) if m.motion is None][::3]:
         spoilt = right.log.with_torque(mistake.torque(right.log.torque))
         again = spoilt.with_torque(mistake.torque(spoilt.torque))
-        np.testing.assert_allclose(again.right, right.log.right, atol=1e-9)
+        assert_allclose(again.right, right.log.right, atol=1e-9)
         found = Hypotheses(right.log, right.prior).with_right(spoilt)
         assert found.posterior().log_evidence < right.posterior.log_evidence - MARGIN
 
@@ -82,7 +83,7 @@ def test_every_relabelling_of_torque_is_undone_by_making_it_again(truth, right):
 def test_scaling_all_torques_scales_what_is_found(right):
     scaled = right.log.with_torque(300.0 * right.log.torque)
     one, other = (torque_scales(log, OPTIONS) for log in (right.log, scaled))
-    np.testing.assert_allclose(other.scale, 300.0 * one.scale, rtol=0.02)
+    assert_allclose(other.scale, 300.0 * one.scale, rtol=0.02)
 
 
 def test_scales_of_single_joints_are_found_within_their_errors(truth, right):

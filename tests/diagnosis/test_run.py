@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from benchmarks.real_arms import ARMS, KINDS, draw_arm
 from robot_sysid.diagnosis import Finding, Level
@@ -221,7 +222,7 @@ def test_the_scale_to_pass_is_multiplied_with_the_one_that_was_given(truth, give
         re.search(r"--torque-scale ([0-9.e+,]+)", text)[1] for text in texts
     )
     expected = float(plain) * np.unique(given)
-    np.testing.assert_allclose([*map(float, scales.split(","))], expected, rtol=0.01)
+    assert_allclose([*map(float, scales.split(","))], expected, rtol=0.01)
 
 
 def test_a_log_that_is_too_short_for_anything_is_called_that(four):

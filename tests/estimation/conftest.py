@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.core_fits import fitted
-from tests.support.measured_logs import guessed, log_of, true_arm
+from tests.support.core_fits import fit_recordings
+from tests.support.measured_logs import guess_model, log_of, true_arm
 from tests.support.payload_logs import TrueArm, four_joint_arm
 
 SIGMA = 0.05
@@ -20,7 +20,7 @@ def plant():
 @pytest.fixture(scope="session")
 def robot(plant):
     """Its model: a lighter last link and no idea of friction."""
-    return guessed(plant)
+    return guess_model(plant)
 
 
 @pytest.fixture(scope="session")
@@ -32,10 +32,10 @@ def noisy(plant):
 @pytest.fixture(scope="session")
 def recordings():
     """Four recordings of another arm in the order empty, loaded, loaded, empty."""
-    return TrueArm(four_joint_arm(), 7, wrong=0.03).abba(7, sigma=SIGMA)
+    return TrueArm(four_joint_arm(), 7, model_error=0.03).abba(7, sigma=SIGMA)
 
 
 @pytest.fixture(scope="session")
 def payload_fit(recordings):
     """What they say of the payload."""
-    return fitted(four_joint_arm(), recordings, loaded=True)
+    return fit_recordings(four_joint_arm(), recordings, loaded=True)

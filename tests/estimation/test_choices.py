@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
 from robot_sysid.dynamics import spatial
@@ -26,9 +27,15 @@ from robot_sysid.estimation.dataset import block_masks
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.unknowns import SCALES, Question
 from tests.support import arms
-from tests.support.core_fits import BASIC, KNOWN, datasets_of, fitted, fitter_of
-from tests.support.measured_logs import JOINT, RATE, log_of, plan_of
-from tests.support.payload_logs import changed
+from tests.support.core_fits import (
+    BASIC,
+    NOISE_ONLY,
+    filter_logs,
+    fit_recordings,
+    fitter_of,
+)
+from tests.support.measured_logs import RATE, XML, log_of, plan_of
+from tests.support.payload_logs import perturb_body
 
 STRIBECK = f"{BASIC}-stribeck"
 RICHEST = CANDIDATES[-1]
@@ -80,7 +87,7 @@ def chosen(
     plan = plan_of(plant, seed, duration)
     log = log_of(plant, plan, seed, noise_torque=0.02, encoder_resolution=1e-5)
     log = replace(log, tau=log.tau + more(plan.evaluate(log.time)))
-    datasets, options = datasets_of(robot, log, **uncertain)
+    datasets, options = filter_logs(robot, log, **uncertain)
     motors = tuple(neighbours(robot)) if offered else ()
     fitter = fitter_of(robot, datasets, couplings=motors)
     model = given and friction_model(given)
@@ -107,17 +114,17 @@ def test_nothing_is_added_where_nothing_is_missing(plant, robot):
 
 def test_rows_over_turns_are_left_out_of_the_joint_that_stands_there(robot, noisy):
     """The second joint's friction turns round as late as that of a joint that stood for 80 ms."""
-    (plain,), options = datasets_of(robot, noisy)
+    (plain,), options = filter_logs(robot, noisy)
     assert plain.signals.standing == ()
     speed = np.gradient(noisy.q[:, 1], noisy.time)
     direction = np.sign(np.convolve(speed, np.ones(9) / 9.0, "same"))
     late = np.roll(direction, 8) - direction
     tau = noisy.tau.copy()
     tau[:, 1] += 1.5 * late
-    (recording,), _ = datasets_of(robot, replace(noisy, tau=tau))
+    (recording,), _ = filter_logs(robot, replace(noisy, tau=tau))
     assert recording.signals.standing == (1,)
     used = recording.signals.usable()
-    np.testing.assert_array_equal(used[:, [0, 2]], plain.signals.usable()[:, [0, 2]])
+    assert_array_equal(used[:, [0, 2]], plain.signals.usable()[:, [0, 2]])
     assert np.mean(used[:, 1]) < np.mean(plain.signals.usable()[:, 1])
 
 
@@ -130,7 +137,7 @@ def root(motion):
 
 
 def loss(motion):
-    robot = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT))
+    robot = arms.robot_of(XML)
     thetas = robot.thetas
     carried = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).torque(thetas)
     return 0.2 * np.sign(motion.qd) * np.abs(carried)
@@ -165,9 +172,9 @@ def test_a_shared_motor_is_found(plant, robot):
 def with_links(robot, share, seed):
     """The arm's model with links that are off."""
     rng = np.random.default_rng(seed)
-    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT))
+    model = arms.compile_xml(XML)
     for link in robot.links:
-        arms.write_body(model, link.body_id, changed(link.theta, share, rng))
+        arms.write_body(model, link.body_id, perturb_body(link.theta, share, rng))
     return arms.robot_of(model)
 
 
@@ -276,8 +283,8 @@ def equations(part, sought, weights):
 
 def test_each_block_is_predicted_from_the_others(robot, noisy):
     """Done again by hand, with the rows themselves."""
-    (log,), options = datasets_of(robot, noisy)
-    fit = fitted(robot, [log], options)
+    (log,), options = filter_logs(robot, noisy)
+    fit = fit_recordings(robot, [log], options)
     judge = held_out(fit)
     (samples,) = fit.samples
     sought = fit.unknowns
@@ -289,7 +296,7 @@ def test_each_block_is_predicted_from_the_others(robot, noisy):
         values = np.linalg.lstsq(matrix, right, rcond=None)[0]
         parts = equations(samples.where(mask), sought, np.ones(3))
         left = [np.sum((rows @ values - tau) ** 2) for rows, tau in parts]
-        np.testing.assert_allclose(squared, left, rtol=1e-4)
+        assert_allclose(squared, left, rtol=1e-4)
 
 
 def test_the_error_is_that_of_the_noise(payload_fit):
@@ -308,8 +315,8 @@ def test_a_fit_is_judged_with_bodies_that_are_possible(robot, noisy):
         noisy,
         tau=noisy.tau + 3.0 * np.random.default_rng(1).normal(size=noisy.tau.shape),
     )
-    (log,), options = datasets_of(robot, loud, **KNOWN)
-    fit = fitted(robot, [log], options)
+    (log,), options = filter_logs(robot, loud, **NOISE_ONLY)
+    fit = fit_recordings(robot, [log], options)
     assert spatial.is_consistent(fit.values[:10]) and fit.is_constrained
     judge = held_out(fit)
     assert np.sum(judge.of(fit)) < np.sum(judge.squared_errors(fit.unknowns))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.friction import BENT, TERMS
 from robot_sysid.dynamics.kinematics import ArmDynamics
@@ -19,9 +20,9 @@ from robot_sysid.signals import process as process_module
 from robot_sysid.signals.filters import LowPass, design_low_pass
 from tests.support import arms
 from tests.support.payload_logs import (
-    changed,
     exact_recording,
     four_joint_arm,
+    perturb_body,
     wide_motion,
 )
 
@@ -49,7 +50,7 @@ def true_values(columns, seed, loss=0.1):
         if bracket and term != "zero" and not term.endswith("_speed"):
             values[index] = sizes.get(term, 0.5) * rng.uniform(0.2, 1.0)
     for name, places in columns.bodies().items():
-        values[places] = changed(columns.robot.prior.theta, 0.3, rng)
+        values[places] = perturb_body(columns.robot.prior.theta, 0.3, rng)
         values[places] *= 0.3 if name == "payload" else 1.0
     return values
 
@@ -201,9 +202,7 @@ def test_rows_under_another_gravity_are_those_made_for_it(torques, angle):
     (found,) = columns.samples(point)
     (anew,) = Columns(columns.robot, columns.datasets, torques).samples(point)
     for mine, other in zip((*found.rows, *found.tau), (*anew.rows, *anew.tau)):
-        np.testing.assert_allclose(
-            mine, other, rtol=0.0, atol=1e-3 * angle * (angle < 0.1)
-        )
+        assert_allclose(mine, other, rtol=0.0, atol=1e-3 * angle * (angle < 0.1))
 
 
 def test_a_file_has_the_same_columns_as_the_arm_that_they_are_of():
@@ -219,8 +218,8 @@ def test_a_file_has_the_same_columns_as_the_arm_that_they_are_of():
         )
         pairs = zip(some.columns, some.rows, some.tau, dense(every), every.tau)
         for places, rows, tau, whole, side in pairs:
-            np.testing.assert_array_equal(rows, whole[:, places])
-            np.testing.assert_array_equal(tau, side)
+            assert_array_equal(rows, whole[:, places])
+            assert_array_equal(tau, side)
 
 
 def test_the_chunk_size_changes_nothing(monkeypatch):
@@ -233,4 +232,4 @@ def test_the_chunk_size_changes_nothing(monkeypatch):
     monkeypatch.setattr(process_module, "CHUNK", 7)
     (parts,) = Columns(columns.robot, columns.datasets).samples(point)
     for one, other in zip((*whole.rows, *whole.tau), (*parts.rows, *parts.tau)):
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
+        assert_allclose(one, other, rtol=0.0, atol=1e-12)

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
@@ -41,7 +42,7 @@ def test_a_motor_of_the_model_is_in_the_torque_whether_it_is_sought_or_not(
 ):
     (motor,) = couplings_of_model(wrist)
     assert motor.name == "joint1-2*joint2" and motor.tendon == 0
-    np.testing.assert_array_equal(motor.model[:3], [1.5, 0.4, 0.03])
+    assert_array_equal(motor.model[:3], [1.5, 0.4, 0.03])
     motion = Motion(
         np.arange(20.0), *arms.random_motion(np.random.default_rng(0), 3, 20)
     )
@@ -49,7 +50,7 @@ def test_a_motor_of_the_model_is_in_the_torque_whether_it_is_sought_or_not(
     for motors in ((), (motor,)):
         equations = Equations(wrist, "chain", (friction,) * 3, motors)
         for (rows, tau), columns in zip(equations.rows(measured), equations.columns):
-            np.testing.assert_allclose(rows @ equations.prior[columns], tau, atol=1e-10)
+            assert_allclose(rows @ equations.prior[columns], tau, atol=1e-10)
 
 
 @since(3, 3)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.columns import Columns
@@ -62,9 +63,9 @@ def test_rows_stand_at_the_decimated_instants_and_masked_ones_stay_in_place(
     plant, signals
 ):
     samples = decimated_equations(equations_of(plant), signals)
-    np.testing.assert_array_equal(samples.time, signals.decimated_time())
+    assert_array_equal(samples.time, signals.decimated_time())
     for tau, usable in zip(samples.tau, signals.usable().T):
-        np.testing.assert_array_equal(np.isfinite(tau), usable)
+        assert_array_equal(np.isfinite(tau), usable)
     still = replace(signals, deadband=np.full(3, 1e3))
     with pytest.raises(
         InputError, match="faster than its velocity deadband for long enough"
@@ -87,13 +88,11 @@ def test_rows_are_those_of_all_samples_that_passed_the_low_pass(
         exact = signals.low_pass.decimated(np.column_stack((rows, tau)))[used]
         found = np.column_stack((samples.rows[joint], samples.tau[joint]))[used]
         size = np.sqrt(np.mean(exact**2, axis=0))
-        np.testing.assert_array_less(
+        assert_array_less(
             np.sqrt(np.mean((found - exact) ** 2, 0)), 1e-7 * size + 1e-12
         )
         friction = slice(10, 14)
-        np.testing.assert_allclose(
-            found[:, friction], exact[:, friction], rtol=0.0, atol=1e-10
-        )
+        assert_allclose(found[:, friction], exact[:, friction], rtol=0.0, atol=1e-10)
 
 
 @given(st.integers(BLOCKS, 500), st.integers(0, 100), st.floats(0.01, 5.0))
@@ -104,7 +103,7 @@ def test_blocks_are_apart_alike_in_size_and_short(count, seed, step):
         return
     masks = list(block_masks(log))
     assert len(masks) == BLOCKS
-    np.testing.assert_array_equal(np.sum(masks, axis=0), used)
+    assert_array_equal(np.sum(masks, axis=0), used)
     sizes = [np.count_nonzero(mask) for mask in masks]
     rows = np.count_nonzero(used)
     rounds = np.count_nonzero(np.diff(masks[0].astype(int)) == 1) + 1
@@ -119,8 +118,8 @@ def test_a_delay_is_taken_out():
     made = late.remove_delay(0.02)
     at = np.isclose(motion.time[:, None], made.source.time).any(axis=1)
     later = np.interp(made.source.time + 0.02, motion.time, late.torque[:, 0])
-    np.testing.assert_allclose(made.torque[:, 0], later, atol=1e-3)
-    np.testing.assert_allclose(made.source.q, motion.q[at])
+    assert_allclose(made.torque[:, 0], later, atol=1e-3)
+    assert_allclose(made.source.q, motion.q[at])
     assert late.remove_delay(0.0) is late
 
 
@@ -143,8 +142,8 @@ def test_the_truth_solves_the_equations_of_resting_poses():
     for rows, right, places, ok in zip(
         samples.rows, samples.tau, samples.columns, used.T
     ):
-        np.testing.assert_array_equal(np.isfinite(right), ok)
-        np.testing.assert_allclose(rows[ok] @ truth[places], right[ok], atol=1e-9)
+        assert_array_equal(np.isfinite(right), ok)
+        assert_allclose(rows[ok] @ truth[places], right[ok], atol=1e-9)
 
 
 def test_rows_in_a_file_are_the_rows(monkeypatch):
@@ -174,8 +173,8 @@ def test_rows_put_together_are_those_beside_each_other(seed):
     )
     first = samples.rows[0]
     whole = np.hstack((first * factor, 0.5 * beside, 3.0 * first[:, :1]))
-    np.testing.assert_array_equal(rows[0], whole)
+    assert_array_equal(rows[0], whole)
     used = np.isfinite(samples.tau[0])
     some, tau = replace(samples, rows=rows).in_use(0)
-    np.testing.assert_array_equal(some, whole[used])
-    np.testing.assert_array_equal(tau, samples.tau[0][used])
+    assert_array_equal(some, whole[used])
+    assert_array_equal(tau, samples.tau[0][used])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
@@ -16,10 +17,10 @@ from robot_sysid.estimation.errors import FILTERING, filtering_bias, fit_errors
 from robot_sysid.estimation.unknowns import COMMON, SCALES
 from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
-from tests.support.core_fits import KNOWN, datasets_of, fitted
+from tests.support.core_fits import NOISE_ONLY, filter_logs, fit_recordings
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
-from tests.support.measured_logs import guessed, log_of, plan_of, true_values
-from tests.support.payload_logs import PAYLOAD, RATE, TrueArm, wide_motion, with_torque
+from tests.support.measured_logs import guess_model, log_of, plan_of, true_values
+from tests.support.payload_logs import PAYLOAD, RATE, TrueArm, add_torque, wide_motion
 
 SMALL = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X)))
 WITHIN = 3.5
@@ -42,13 +43,15 @@ def coloured(shape, rng):
 )
 def test_errors_are_the_spread_of_many_recordings(noise):
     """Noise is all that is not known; what has a memory counts by its memory."""
-    arm = TrueArm(SMALL, 1, wrong=0.0)
+    arm = TrueArm(SMALL, 1, model_error=0.0)
     off = []
     stated = []
     exact = arm.recording(wide_motion(3, 3), False)
     for run in range(48):
         drawn = noise(exact.torque.shape, np.random.default_rng(run))
-        fit = fitted(SMALL, [with_torque(exact, drawn)], EstimationOptions(**KNOWN))
+        fit = fit_recordings(
+            SMALL, [add_torque(exact, drawn)], EstimationOptions(**NOISE_ONLY)
+        )
         off.append((fit.values - arm.values(fit.columns))[fit.unknowns.kept])
         stated.append(fit_errors(fit).whole.standard_errors)
     ratio = np.sqrt(
@@ -75,8 +78,8 @@ def test_whole_errors_cover_all_that_is_wrong_with_an_arm():
         rng = np.random.default_rng(run)
         scale = 1.0 + 0.02 * rng.standard_normal(3)
         arm = ImperfectArm(SMALL, rng, Imperfections(**sizes, noise=0.2), scale)
-        datasets, options = datasets_of(SMALL, arm.log(plan, np.zeros(10), rng))
-        fit = fitted(SMALL, datasets, options)
+        datasets, options = filter_logs(SMALL, arm.log(plan, np.zeros(10), rng))
+        fit = fit_recordings(SMALL, datasets, options)
         errors = fit_errors(fit).whole.standard_errors[:10]
         off.append((fit.values[:10] - arm.thetas[-1]) / errors)
     assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.2
@@ -86,8 +89,10 @@ def test_whole_errors_cover_all_that_is_wrong_with_an_arm():
 def filtered_fit(plant, cutoff, seed, **sensors):
     """(errors, distance of all parameters from the truth) where noise is all that is not known."""
     log = log_of(plant, plan_of(plant, seed, 25.0), **sensors)
-    datasets, options = datasets_of(guessed(plant), log, cutoff=cutoff, **KNOWN)
-    fit = fitted(guessed(plant), datasets, options)
+    datasets, options = filter_logs(
+        guess_model(plant), log, cutoff=cutoff, **NOISE_ONLY
+    )
+    fit = fit_recordings(guess_model(plant), datasets, options)
     off = np.abs(fit.values - true_values(plant, fit.columns.names))[fit.unknowns.kept]
     return fit_errors(fit), off
 
@@ -111,8 +116,8 @@ def test_where_a_joint_turns_round_between_two_passes_its_friction_says_nothing(
     monkeypatch,
 ):
     """Reversed motion takes the same torque of the links; only the sign of friction differs."""
-    recording = TrueArm(SMALL, 1, wrong=0.0).recording(wide_motion(3, 3), False)
-    fit = fitted(SMALL, [recording], EstimationOptions(**KNOWN))
+    recording = TrueArm(SMALL, 1, model_error=0.0).recording(wide_motion(3, 3), False)
+    fit = fit_recordings(SMALL, [recording], EstimationOptions(**NOISE_ONLY))
 
     def reversed_motion(signals):
         once = signals.decimated_motion()
@@ -132,8 +137,8 @@ def test_noise_with_a_memory_is_no_cause(plant, seed, seconds):
     keep = np.exp(-1.0 / (200.0 * seconds))
     drawn = np.random.default_rng(seed).standard_normal(log.tau.shape)
     slow = 0.1 * lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], drawn, axis=0)
-    datasets, options = datasets_of(plant, replace(log, tau=log.tau + slow))
-    fit = fitted(plant, datasets, options)
+    datasets, options = filter_logs(plant, replace(log, tau=log.tau + slow))
+    fit = fit_recordings(plant, datasets, options)
     assert fit_errors(fit).conflicts == ()
     assert misfits(fit.information, 1.0 / fit.weights, fit.unknowns.groups)
 
@@ -147,8 +152,8 @@ def test_more_logs_make_nothing_worse(plant, robot, repeated):
         plans = [plan_of(plant, 1 if repeated else 1 + k) for k in range(count)]
         noise = {"noise_torque": 0.1, "encoder_resolution": 1e-4}
         logs = [log_of(plant, plan, k, **noise) for k, plan in enumerate(plans)]
-        datasets, options = datasets_of(robot, *logs)
-        fit = fitted(robot, datasets, options)
+        datasets, options = filter_logs(robot, *logs)
+        fit = fit_recordings(robot, datasets, options)
         errors.append(fit_errors(fit).whole.standard_errors[0])
         assert abs(fit.values[0] - plant.prior.mass) < 2.0 * errors[-1]
     assert errors[0] > errors[1] > 0.98 * errors[2]
@@ -174,7 +179,7 @@ def test_squares_of_the_causes_and_of_noise_add_up(payload_fit, errors, change):
     covariance, noise, budget = errors.of(change, PAYLOAD)
     assert COMMON not in budget and len(budget) >= 6
     total = noise**2 + np.sum([part**2 for part in budget.values()], axis=0)
-    np.testing.assert_allclose(np.diag(covariance), total, rtol=1e-6)
+    assert_allclose(np.diag(covariance), total, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("moved", "share"), [(0.3, 1.0), (2e-4, 0.0)])
@@ -195,7 +200,7 @@ def test_a_scale_of_all_joints_is_an_error_in_proportion(errors, change):
     without, with_it = (errors.of(change, theta) for theta in (None, PAYLOAD))
     assert errors.common == pytest.approx(0.015, rel=0.01)
     grown = np.sqrt(np.diag(with_it[0]) - np.diag(without[0]))
-    np.testing.assert_allclose(grown, errors.common * np.abs(PAYLOAD), rtol=1e-6)
+    assert_allclose(grown, errors.common * np.abs(PAYLOAD), rtol=1e-6)
     assert with_it[2][SCALES][0] > without[2][SCALES][0]
 
 
@@ -216,15 +221,13 @@ def test_the_truth_lies_within_the_errors(payload_fit, errors, change):
 def test_what_no_torque_shows_has_no_error():
     """Axes parallel to gravity: the moment along them, and with it any sum, stays unknown."""
     upright = arms.robot_of(arms.serial_arm((arms.Z, arms.Z, arms.Z)))
-    arm = TrueArm(upright, 1, wrong=0.0)
+    arm = TrueArm(upright, 1, model_error=0.0)
     recording = arm.recording(wide_motion(1, 3), False)
-    fit = fitted(upright, [recording], EstimationOptions(**KNOWN))
+    fit = fit_recordings(upright, [recording], EstimationOptions(**NOISE_ONLY))
     errors = fit_errors(fit)
     hidden = {"hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz"}
     own = np.eye(len(fit.unknowns.kept))[:10]
-    np.testing.assert_array_equal(
-        errors.shown(own), [n not in hidden for n in PARAMETER_NAMES]
-    )
+    assert_array_equal(errors.shown(own), [n not in hidden for n in PARAMETER_NAMES])
     assert (
         np.isinf(errors.of(own[3:4])[1][0]) and not errors.shown(own[:1] + own[3:4])[0]
     )

@@ -22,7 +22,7 @@ from robot_sysid.estimation.unknowns import FILE_ROTORS as ROTORS
 from robot_sysid.model.tendons import CAN_HOLD_ROTORS
 from robot_sysid.results.rollout import torque_error
 from tests.support import arms
-from tests.support.core_fits import BASIC, datasets_of, fitted, fitter_of
+from tests.support.core_fits import BASIC, filter_logs, fit_recordings, fitter_of
 from tests.support.measured_logs import log_of, plan_of
 
 
@@ -31,13 +31,13 @@ def recorded(plant, model, seed=1, more=None):
     plan = plan_of(plant, seed, 20.0)
     log = log_of(plant, plan, seed, noise_torque=0.02, encoder_resolution=1e-5)
     moved = 0.0 if more is None else more(plan.evaluate(log.time))
-    return datasets_of(model, replace(log, tau=log.tau + moved))
+    return filter_logs(model, replace(log, tau=log.tau + moved))
 
 
 def file_of(plant, model, kept=(), more=None, couplings=()):
     """The file's fit."""
     datasets, options = recorded(plant, model, more=more)
-    made = fitted(model, datasets, options, couplings=couplings)
+    made = fit_recordings(model, datasets, options, couplings=couplings)
     return fit_file(
         fitter_of(model, datasets, couplings=couplings), options, kept, made
     )
@@ -91,8 +91,8 @@ def test_links_and_sensor_offsets_do_not_take_each_other_s_part(plant, offset):
     """They read alike where joints turn little: the file has to be right without the sensors."""
     read = np.array([0.0, offset, 0.0])
     log = log_of(plant, plan_of(plant, 2, 5.0), 2, noise_torque=0.02)
-    datasets, options = datasets_of(plant, replace(log, tau=log.tau + read))
-    made = fitted(plant, datasets, options)
+    datasets, options = filter_logs(plant, replace(log, tau=log.tau + read))
+    made = fit_recordings(plant, datasets, options)
     fit = fit_file(fitter_of(plant, datasets), options, (), made).fit
     found = np.array([fit.value(f"offset[{joint}]") for joint in plant.joint_names])
     assert found == pytest.approx(read, abs=0.02 if offset else 1e-6)
@@ -136,7 +136,7 @@ def test_a_rotor_is_that_of_the_estimate_where_it_is_clear_else_the_model_s(
 
     for model, error in ((robot, 0.0), (without_rotors(robot), 0.01)):
         datasets, options = recorded(plant, model, more=more)
-        made = fitted(model, datasets, options, f"{BASIC}-stribeck")
+        made = fit_recordings(model, datasets, options, f"{BASIC}-stribeck")
         fit = fit_file(fitter_of(model, datasets), options, (), made).fit
         found = [fit.value(f"armature[{joint}]") for joint in model.joint_names]
         assert found == pytest.approx([0.05] * 3, abs=error)

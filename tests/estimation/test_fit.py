@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
@@ -22,24 +23,24 @@ from robot_sysid.records import DELAY_NAME
 from tests.support import arms
 from tests.support.core_fits import (
     BASIC,
-    KNOWN,
-    SURE,
+    EXACT_SENSORS,
+    NOISE_ONLY,
+    body_error,
     choice_of,
-    datasets_of,
-    fitted,
+    filter_logs,
+    fit_recordings,
     fitter_of,
-    off_by,
 )
-from tests.support.measured_logs import guessed, log_of, plan_of
+from tests.support.measured_logs import guess_model, log_of, plan_of
 from tests.support.payload_logs import (
     PAYLOAD,
     TrueArm,
+    add_torque,
     exact_recording,
     four_joint_arm,
     wide_motion,
-    with_torque,
 )
-from tests.support.payload_logs import noisy as with_noise
+from tests.support.payload_logs import add_noise as with_noise
 from tests.support.synthetic_data import random_body
 
 ROBOT = four_joint_arm()
@@ -62,15 +63,15 @@ def pair(seed, **arm):
 @settings(max_examples=4)
 @given(arms.SEEDS)
 def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
-    arm = TrueArm(ROBOT, seed, wrong=0.0)
+    arm = TrueArm(ROBOT, seed, model_error=0.0)
     arm.thetas[-1] = random_body(np.random.default_rng(seed))
     recording = arm.recording(wide_motion(seed), False)
     for options, allowed in (
         (EstimationOptions(), 1e-8),
-        (EstimationOptions(**KNOWN), 1e-10),
+        (EstimationOptions(**NOISE_ONLY), 1e-10),
     ):
-        fit = fitted(ROBOT, [recording], options)
-        assert off_by(fit.values[:10], arm.thetas[-1]) < allowed
+        fit = fit_recordings(ROBOT, [recording], options)
+        assert body_error(fit.values[:10], arm.thetas[-1]) < allowed
         # Exact data makes no error smaller than a millionth of the torque would.
         torque = np.sqrt(np.mean(recording.torque**2))
         assert (
@@ -78,7 +79,7 @@ def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
             or options.link_uncertainty == 0.0
         )
         truth = arm.values(fit.columns)[fit.unknowns.kept]
-        np.testing.assert_allclose(fit.values[fit.unknowns.kept], truth, atol=1e-6)
+        assert_allclose(fit.values[fit.unknowns.kept], truth, atol=1e-6)
 
 
 @settings(max_examples=2)
@@ -86,15 +87,26 @@ def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
 def test_a_payload_is_recovered_whatever_the_model_has_wrong(seed):
     """Links off by up to 30 %, friction and rotors that the model does not have, other motions."""
     recordings = pair(seed)
-    assert off_by(payload(fitted(ROBOT, recordings, SURE, loaded=True)), PAYLOAD) < 1e-6
-    assert off_by(payload(fitted(ROBOT, recordings, loaded=True)), PAYLOAD) < 1e-4
+    assert (
+        body_error(
+            payload(fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True)),
+            PAYLOAD,
+        )
+        < 1e-6
+    )
+    assert (
+        body_error(payload(fit_recordings(ROBOT, recordings, loaded=True)), PAYLOAD)
+        < 1e-4
+    )
 
 
 def test_torques_times_k_give_bodies_times_k():
     """Which a scale of all joints is, too: it goes into the payload, not into scales."""
-    recordings = [with_torque(each, 0.3 * each.torque) for each in pair(5, wrong=0.1)]
-    fit = fitted(ROBOT, recordings, SURE, loaded=True)
-    assert off_by(payload(fit), 1.3 * PAYLOAD) < 1e-6
+    recordings = [
+        add_torque(each, 0.3 * each.torque) for each in pair(5, model_error=0.1)
+    ]
+    fit = fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True)
+    assert body_error(payload(fit), 1.3 * PAYLOAD) < 1e-6
     assert np.mean([fit.value(f"scale[{joint}]") for joint in JOINTS]) == pytest.approx(
         0, abs=1e-9
     )
@@ -102,24 +114,20 @@ def test_torques_times_k_give_bodies_times_k():
 
 def test_a_drift_of_friction_is_told_from_the_payload():
     recordings = TrueArm(ROBOT, 3).abba(3, drift=0.15)
-    fit = fitted(ROBOT, recordings, SURE, loaded=True, drifts=True)
-    np.testing.assert_allclose(
-        [fit.value(f"drift[{j}]") for j in JOINTS], 0.15, rtol=1e-6
-    )
-    assert off_by(payload(fit), PAYLOAD) < 1e-6
-    blind = fitted(ROBOT, recordings, SURE, loaded=True)
-    assert off_by(payload(blind), PAYLOAD) > 1e-3
+    fit = fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True, drifts=True)
+    assert_allclose([fit.value(f"drift[{j}]") for j in JOINTS], 0.15, rtol=1e-6)
+    assert body_error(payload(fit), PAYLOAD) < 1e-6
+    blind = fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True)
+    assert body_error(payload(blind), PAYLOAD) > 1e-3
 
 
 def test_a_known_mass_tells_the_torque_scales():
     scale = np.array([1.03, 0.96, 1.02, 0.98])
     recordings = TrueArm(ROBOT, 4, scale=scale).abba(4)
     weight = {"known_mass": float(PAYLOAD[0])}
-    fit = fitted(ROBOT, recordings, SURE, loaded=True, **weight)
-    np.testing.assert_allclose(
-        [1.0 + fit.value(f"scale[{j}]") for j in JOINTS], scale, atol=1e-6
-    )
-    assert off_by(payload(fit), PAYLOAD) < 1e-5
+    fit = fit_recordings(ROBOT, recordings, EXACT_SENSORS, loaded=True, **weight)
+    assert_allclose([1.0 + fit.value(f"scale[{j}]") for j in JOINTS], scale, atol=1e-6)
+    assert body_error(payload(fit), PAYLOAD) < 1e-5
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -128,10 +136,10 @@ def test_links_that_are_off_the_other_way_ask_for_the_opposite_scales(seed):
     motion = wide_motion(2)
     found = []
     for sign in (1.0, 0.0, -1.0):
-        arm = TrueArm(ROBOT, seed, wrong=0.1)
+        arm = TrueArm(ROBOT, seed, model_error=0.1)
         model = np.array([link.theta for link in ROBOT.links])
         arm.thetas[:-1] = (model + sign * (arm.thetas - model))[:-1]
-        fit = fitted(ROBOT, [with_noise(arm.recording(motion, False), 0.02, 0)])
+        fit = fit_recordings(ROBOT, [with_noise(arm.recording(motion, False), 0.02, 0)])
         found.append(fit.free[fit.columns.at([f"scale[{joint}]" for joint in JOINTS])])
     bent = found[0] + found[2] - 2.0 * found[1]
     straight = found[0] - found[2]
@@ -147,10 +155,8 @@ def test_what_gears_lose_with_their_load_is_found_and_stays_within_bounds():
     for each in arm.abba(6):
         motion = each.source.motion(np.arange(len(each.source)))
         carried = bare.torque(motion, each.is_loaded)
-        recordings.append(
-            with_torque(each, lost * np.abs(carried) * np.sign(motion.qd))
-        )
-    fit = fitted(ROBOT, recordings, SURE, f"{BASIC}-load", loaded=True)
+        recordings.append(add_torque(each, lost * np.abs(carried) * np.sign(motion.qd)))
+    fit = fit_recordings(ROBOT, recordings, EXACT_SENSORS, f"{BASIC}-load", loaded=True)
     found = [fit.value(f"load[{joint}]") for joint in JOINTS]
     assert found[1] == pytest.approx(0.08, abs=0.02)
     assert found[2] == 0.0 and found[3] == LARGEST_LOSS
@@ -159,10 +165,10 @@ def test_what_gears_lose_with_their_load_is_found_and_stays_within_bounds():
 
 def test_the_speed_of_a_stribeck_term_is_found_with_it_within_its_bounds():
     motion = wide_motion(9)
-    arm = TrueArm(ROBOT, 9, wrong=0.0)
+    arm = TrueArm(ROBOT, 9, model_error=0.0)
     drop = np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2))
     tau = arm.torque(motion, False) + np.array([0.4, 0.4, 0.4, 0.0]) * drop
-    fit = fitted(
+    fit = fit_recordings(
         ROBOT, [exact_recording(motion, tau, False)], friction=f"{BASIC}-stribeck"
     )
     for joint in JOINTS[:3]:
@@ -192,13 +198,13 @@ def test_order_and_cuts_of_recordings_change_nothing(recordings):
     cut = [replace(each, used=mask) for each in recordings for mask in masks]
     whole = values_of(recordings)
     for other in (values_of(recordings[::-1]), values_of(cut)):
-        np.testing.assert_allclose(other, whole, rtol=1e-6, atol=1e-7)
+        assert_allclose(other, whole, rtol=1e-6, atol=1e-7)
 
 
-def test_a_recording_given_twice_says_no_more(robot, noisy):
+def test_a_recording_given_twice_says_no_more(robot, add_noise):
     """What the model leaves comes again as it was, so it does not average."""
-    (log,), options = datasets_of(robot, noisy, **KNOWN)
-    once, twice = (fitted(robot, [log] * count, options) for count in (1, 2))
+    (log,), options = filter_logs(robot, add_noise, **NOISE_ONLY)
+    once, twice = (fit_recordings(robot, [log] * count, options) for count in (1, 2))
     assert np.all(twice.inflation > 1.7) and np.all(once.inflation < 1.3)
     roots = [
         np.linalg.inv(np.linalg.qr(f.information.stacked(f.weights)[0], "r"))
@@ -209,7 +215,7 @@ def test_a_recording_given_twice_says_no_more(robot, noisy):
     moved = (twice.values - once.values)[once.unknowns.kept]
     assert np.max(np.abs(moved) / errors[0]) < 0.02
     # What is said of a single sample is its own noise.
-    np.testing.assert_allclose(twice.noise, once.noise, rtol=0.05)
+    assert_allclose(twice.noise, once.noise, rtol=0.05)
 
 
 # ---- priors
@@ -219,10 +225,10 @@ def test_a_wrong_zero_is_found_and_taken_from_its_joint_alone(plant):
     """The model knows the links; one encoder reads 10 mrad too much."""
     log = log_of(plant, noise_torque=0.02)
     read = replace(log, q=log.q + np.array([0.0, 0.01, 0.0]))
-    (shifted,), options = datasets_of(
-        plant, read, **{**KNOWN, "zero_uncertainty": 10.0}
+    (shifted,), options = filter_logs(
+        plant, read, **{**NOISE_ONLY, "zero_uncertainty": 10.0}
     )
-    fit = fitted(plant, [shifted], options)
+    fit = fit_recordings(plant, [shifted], options)
     assert fit.value("zero[joint1]") == pytest.approx(0.01, abs=1e-3)
     assert abs(fit.value("zero[joint2]")) < 1e-3
 
@@ -241,29 +247,31 @@ def test_delay_and_tilt_are_found_together(plant, robot):
     log = log_of(
         askew, plan_of(plant, seed), torque_delay=delay, encoder_resolution=2e-5
     )
-    datasets, options = datasets_of(robot, log, **KNOWN, delay="auto", tilt="auto")
-    fit = fitted(robot, datasets, options)
+    datasets, options = filter_logs(robot, log, **NOISE_ONLY, delay="auto", tilt="auto")
+    fit = fit_recordings(robot, datasets, options)
     assert fit.value(DELAY_NAME) == pytest.approx(delay, abs=1e-4)
     cosine = fit.point.gravity @ gravity(askew) / 9.81**2
     assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.02
 
 
-def test_a_search_that_does_not_settle_ends_with_a_remedy(robot, noisy, monkeypatch):
+def test_a_search_that_does_not_settle_ends_with_a_remedy(
+    robot, add_noise, monkeypatch
+):
     monkeypatch.setattr(fit_module, "_AUTO_ROUNDS", 1)
-    datasets, options = datasets_of(robot, noisy, delay="auto", tilt="auto")
+    datasets, options = filter_logs(robot, add_noise, delay="auto", tilt="auto")
     with pytest.raises(
         SysidError, match="delay and tilt do not settle within 1 rounds"
     ):
-        fitted(robot, datasets, options)
+        fit_recordings(robot, datasets, options)
 
 
 # ---- bodies
 
 
 def test_a_clean_log_gives_the_truth_whatever_the_guess(plant):
-    (log,), options = datasets_of(plant, log_of(plant))
-    fit = fitted(guessed(plant, 3.0), [log], options)
-    assert off_by(fit.values[:10], plant.prior.theta) < 1e-5
+    (log,), options = filter_logs(plant, log_of(plant))
+    fit = fit_recordings(guess_model(plant, 3.0), [log], options)
+    assert body_error(fit.values[:10], plant.prior.theta) < 1e-5
 
 
 def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot):
@@ -271,14 +279,14 @@ def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot
     impossible = 0
     for seed, noise in enumerate((3.0, 0.02, 1.0, 0.02)):
         log = log_of(plant, plan_of(plant, seed, 6.0), seed, noise_torque=noise)
-        (one,), options = datasets_of(robot, log, **KNOWN)
-        fit = fitted(robot, [one], options)
+        (one,), options = filter_logs(robot, log, **NOISE_ONLY)
+        fit = fit_recordings(robot, [one], options)
         assert spatial.is_consistent(fit.values[:10])
         wrong = not spatial.is_consistent(fit.free[:10])
         impossible += wrong
         assert fit.is_constrained == wrong
         if not wrong:
-            np.testing.assert_array_equal(fit.values, fit.free)
+            assert_array_equal(fit.values, fit.free)
     assert 0 < impossible < 4
 
 
@@ -286,8 +294,8 @@ def test_terminal_torques_keep_what_they_cannot_see(plant, robot):
     """First moments that show are not possible with the model's mass, which gives way a little."""
     for seed in range(2):
         log = log_of(plant, plan_of(plant, seed), seed, noise_torque=0.3)
-        (one,), options = datasets_of(robot, log, torques="terminal")
-        fit = fitted(robot, [one], options, "coulomb-viscous-offset")
+        (one,), options = filter_logs(robot, log, torques="terminal")
+        fit = fit_recordings(robot, [one], options, "coulomb-viscous-offset")
         assert fit.free[0] == pytest.approx(robot.prior.mass)
         assert 0.5 < fit.values[0] / robot.prior.mass < 3.0
         assert spatial.is_consistent(fit.values[:10])
@@ -299,13 +307,13 @@ def test_terminal_torques_keep_what_they_cannot_see(plant, robot):
 @pytest.mark.parametrize("link", [1, 3])
 def test_a_placeholder_link_is_found_all_the_same(link):
     """Its 1e-9 kg in the model are no reason to believe that it weighs nothing."""
-    arm = TrueArm(ROBOT, 1, wrong=0.0)
+    arm = TrueArm(ROBOT, 1, model_error=0.0)
     recording = with_noise(arm.recording(wide_motion(1), False), 0.02, 0)
     tiny = spatial.theta_from_com(1e-9, np.zeros(3), 1e-15 * np.eye(3))
     model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
     arms.write_body(model, ROBOT.links[link].body_id, tiny)
     guess = arms.robot_of(model)
-    fit = fitted(guess, [recording])
+    fit = fit_recordings(guess, [recording])
     name = ROBOT.links[link].body_name
     theta = fit.values[fit.columns.bodies()[name]]
     assert spatial.is_consistent(theta) and np.all(np.isfinite(fit.values))
@@ -322,8 +330,8 @@ def test_a_tool_far_larger_than_the_models_link_is_not_pulled_towards_it():
     small = spatial.theta_from_com(0.1, np.array([0.0, 0.0, 0.01]), 1e-6 * np.eye(3))
     model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
     arms.write_body(model, ROBOT.links[-1].body_id, small)
-    arm = TrueArm(ROBOT, 2, wrong=0.0)
+    arm = TrueArm(ROBOT, 2, model_error=0.0)
     recording = with_noise(arm.recording(wide_motion(2), False), 1.0, 2)
-    fit = fitted(arms.robot_of(model), [recording])
+    fit = fit_recordings(arms.robot_of(model), [recording])
     off = (fit.values[0] - fit.free[0]) / fit_errors(fit).whole.standard_errors[0]
     assert fit.is_constrained and 0.3 < abs(off) < 1.0

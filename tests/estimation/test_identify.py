@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
@@ -26,29 +27,29 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import Verdict
 from robot_sysid.trajectory import CHUNK
 from tests.support import arms
-from tests.support.core_fits import BASIC, ORIGIN, datasets_of, fitted
-from tests.support.measured_logs import JOINT, log_of, plan_of
+from tests.support.core_fits import BASIC, ORIGIN, filter_logs, fit_recordings
+from tests.support.measured_logs import XML, log_of, plan_of
 from tests.support.payload_logs import TrueArm, four_joint_arm, wide_motion
-from tests.support.payload_logs import noisy as with_noise
+from tests.support.payload_logs import add_noise as with_noise
 
 
 def answered(robot, *logs, kept=None, **options):
-    datasets, chosen = datasets_of(robot, *logs, **{"friction_model": BASIC, **options})
+    datasets, chosen = filter_logs(robot, *logs, **{"friction_model": BASIC, **options})
     return answer_link(robot, datasets, chosen, Progress(), kept)
 
 
-def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, noisy):
+def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, add_noise):
     coarse = log_of(plant, encoder_resolution=3e-3)
     cutoffs = [
-        {each.signals.cutoff for each in datasets_of(robot, *logs, cutoff=None)[0]}
-        for logs in ([noisy], [coarse], [noisy, coarse])
+        {each.signals.cutoff for each in filter_logs(robot, *logs, cutoff=None)[0]}
+        for logs in ([add_noise], [coarse], [add_noise, coarse])
     ]
     assert (
         cutoffs[1] == cutoffs[2]
         and len(cutoffs[2]) == 1
         and max(cutoffs[1]) < max(cutoffs[0])
     )
-    pieces = [Piece("fine", noisy), Piece("coarse", coarse)]
+    pieces = [Piece("fine", add_noise), Piece("coarse", coarse)]
     notes = [
         note
         for note in low_pass_recordings(robot, pieces, EstimationOptions())[1]
@@ -67,8 +68,8 @@ def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, noisy)
     ],
     ids=str,
 )
-def test_every_option_gives_a_possible_result(robot, noisy, options):
-    result = result_of(answered(robot, noisy, kept=(), **options), ORIGIN)
+def test_every_option_gives_a_possible_result(robot, add_noise, options):
+    result = result_of(answered(robot, add_noise, kept=(), **options), ORIGIN)
     # Friction that may not be found is torque that nothing explains.
     assert result.verdict.is_trustworthy != bool(options.get("no_friction")), (
         result.reasons
@@ -87,18 +88,18 @@ def test_a_tilt_needs_gravity():
         answered(weightless, log_of(weightless), tilt="auto")
 
 
-def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
-    (log,), options = datasets_of(robot, noisy)
-    fit = fitted(robot, [log], options)
+def test_another_log_is_predicted_down_to_its_noise(plant, robot, add_noise):
+    (log,), options = filter_logs(robot, add_noise)
+    fit = fit_recordings(robot, [log], options)
     other = log_of(
         plant, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4
     )
-    others, _ = datasets_of(robot, other)
+    others, _ = filter_logs(robot, other)
     errors = fit_errors(fit)
     found = validated(fit, errors, others, "other.csv")
     assert found.source == "other.csv"
     assert found.rmse < 1.3 * np.sqrt(np.mean(fit.weights**-2.0))
-    heavier, _ = datasets_of(robot, replace(other, tau=1.2 * other.tau))
+    heavier, _ = filter_logs(robot, replace(other, tau=1.2 * other.tau))
     assert (
         validated(fit, errors, heavier, "x").relative_error > 3.0 * found.relative_error
     )
@@ -106,29 +107,29 @@ def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
 
 @pytest.mark.parametrize("still", [True, False])
 def test_a_log_of_a_joint_that_stood_still_is_no_test_but_one_of_another_body_is(
-    plant, robot, noisy, still
+    plant, robot, add_noise, still
 ):
     """Its friction is not known; a link of another mass is told whatever else is open."""
-    (log,), options = datasets_of(robot, noisy)
+    (log,), options = filter_logs(robot, add_noise)
     used = np.ones(log.motion.q.shape, dtype=bool)
     used[:, 1] = not still
-    fit = fitted(robot, [replace(log, used=used)], options)
+    fit = fit_recordings(robot, [replace(log, used=used)], options)
     told = []
     for mass in (".8", "1.6"):
-        other = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
+        other = XML
         arm = arms.robot_of(other.replace('mass=".8"', f'mass="{mass}"'))
         seen = log_of(
             arm, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4
         )
-        others, _ = datasets_of(robot, seen)
+        others, _ = filter_logs(robot, seen)
         found = validated(fit, fit_errors(fit), others, "other.csv")
         told.append(found.told_enough)
     assert told == [not still, True]
 
 
-def test_rows_that_a_refit_leaves_out_say_nothing(robot, noisy):
-    last = np.arange(len(noisy))[:, None] > 0.9 * len(noisy)
-    answer = answered(robot, replace(noisy, tau=noisy.tau + 8.0 * last))
+def test_rows_that_a_refit_leaves_out_say_nothing(robot, add_noise):
+    last = np.arange(len(add_noise))[:, None] > 0.9 * len(add_noise)
+    answer = answered(robot, replace(add_noise, tau=add_noise.tau + 8.0 * last))
     (dataset,) = answer.fit.columns.datasets
     time = dataset.motion.time
     again = refit(answer, [time < time[0] + 0.8 * (time[-1] - time[0])], ())
@@ -137,23 +138,21 @@ def test_rows_that_a_refit_leaves_out_say_nothing(robot, noisy):
     assert abs(answer.fit.values[0] - 0.8) > 2.0 * abs(again.fit.values[0] - 0.8)
 
 
-def test_what_a_report_draws_is_the_residual_of_the_file(robot, noisy):
-    answer = answered(robot, noisy, kept=())
+def test_what_a_report_draws_is_the_residual_of_the_file(robot, add_noise):
+    answer = answered(robot, add_noise, kept=())
     fit = answer.file.fit
     traces = traces_of(answer)
     squares = fit.evidence.whole.squared_residuals(fit.values)
     # Near a reversal the low-pass takes from friction's jump.
     moves = np.isfinite(traces.measured[:, -1]) & (np.abs(traces.qd[:, -1]) > 0.3)
     assert traces.joints == robot.joint_names
-    np.testing.assert_allclose(
-        np.nansum(traces.residual**2, axis=0), squares, rtol=1e-9
-    )
+    assert_allclose(np.nansum(traces.residual**2, axis=0), squares, rtol=1e-9)
     # The guess is clearly worse, and dry friction is most of what friction makes at low speed.
     worse = np.nanstd(traces.measured - traces.before, axis=0)
     assert np.all(worse > 2.0 * np.nanstd(traces.residual, axis=0))
     speed, friction = (np.abs(each[moves, -1]) for each in (traces.qd, traces.friction))
     offset = abs(fit.value("offset[joint2]"))
-    np.testing.assert_allclose(friction, 0.3 + 0.2 * speed, atol=0.05 + offset)
+    assert_allclose(friction, 0.3 + 0.2 * speed, atol=0.05 + offset)
 
 
 # ---- base parameters
@@ -181,10 +180,10 @@ def combined(words, known):
 @pytest.mark.parametrize("link_uncertainty", [5.0, 0.0])
 def test_what_the_torques_show_is_found_whatever_is_sought(link_uncertainty):
     robot = four_joint_arm()
-    arm = TrueArm(robot, 3, wrong=0.0)
+    arm = TrueArm(robot, 3, model_error=0.0)
     recording = with_noise(arm.recording(wide_motion(3), False), 0.01, 0)
     options = EstimationOptions(link_uncertainty=link_uncertainty)
-    fit = fitted(robot, [recording], options)
+    fit = fit_recordings(robot, [recording], options)
     found = base_parameters(fit, fit_errors(fit))
     assert len(found.values) == found.structural_rank == structural_base(robot).rank
     known = dict(zip(fit.columns.names, arm.values(fit.columns)))
@@ -229,9 +228,7 @@ def test_the_models_own_values_come_back_with_where_they_are_from(
     found, traces = identify_itself(plant, plan, 500.0, 7, options, listener)
     estimate = found.estimate
     data = found.data
-    np.testing.assert_allclose(
-        estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10
-    )
+    assert_allclose(estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10)
     values = [estimate.value(f"{term}[joint2]") for term in ("coulomb", "viscous")]
     assert values == (
         pytest.approx([0.3, 0.2], abs=1e-10) if friction else [None, None]
@@ -240,8 +237,8 @@ def test_the_models_own_values_come_back_with_where_they_are_from(
     assert found.verdict is (Verdict.OK if whole else Verdict.PARTLY_FROM_MODEL)
     assert (found.torques, found.known_to, found.is_measured) == (torques, None, False)
     drawn = traces()
-    np.testing.assert_allclose(drawn.predicted, drawn.measured, atol=1e-9)
-    np.testing.assert_allclose(drawn.before, drawn.measured, atol=1e-9)
+    assert_allclose(drawn.predicted, drawn.measured, atol=1e-9)
+    assert_allclose(drawn.before, drawn.measured, atol=1e-9)
     assert listener.notes == [] and listener.steps == int(np.ceil(2001 / CHUNK))
     origin = data.source, data.duration, data.sample_rate, data.seed
     assert origin == (Source.ITSELF, plan.duration, 500.0, 7)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.errors import fit_errors
@@ -19,8 +20,8 @@ from robot_sysid.estimation.recordings import (
 from robot_sysid.records import Flange
 from tests.estimation.conftest import SIGMA
 from tests.support import arms
-from tests.support.core_fits import datasets_of, fitted
-from tests.support.measured_logs import JOINT, log_of, plan_of
+from tests.support.core_fits import filter_logs, fit_recordings
+from tests.support.measured_logs import XML, log_of, plan_of
 from tests.support.payload_logs import PAYLOAD, TrueArm, four_joint_arm
 
 WITHIN = 3.5
@@ -64,7 +65,7 @@ def test_a_recording_on_the_wrong_side_is_named_with_all_that_the_arm_carries(
     wrong = list(recordings)
     wrong[0] = replace(wrong[0], is_loaded=True)
     wrong[1] = replace(wrong[1], is_loaded=False)
-    told = contradiction(fitted(four_joint_arm(), wrong, loaded=True), FLANGE)
+    told = contradiction(fit_recordings(four_joint_arm(), wrong, loaded=True), FLANGE)
     assert " in mass; compared with log" in told
     carried = dict(re.findall(r"(log\d) (\S+) kg at", told))
     masses = [float(carried.get(f"log{k}", 0.0)) for k in range(4)]
@@ -100,18 +101,20 @@ def turned(theta):
 def test_clear_differences_of_a_kind_are_named(place, change, what):
     """One of the two loaded recordings carries something else, or an empty one anything."""
     robot = four_joint_arm()
-    found = list(TrueArm(robot, 7, wrong=0.03).abba(7, sigma=SIGMA))
-    other = TrueArm(robot, 7, wrong=0.03, payload=change(PAYLOAD)).abba(7, sigma=SIGMA)
+    found = list(TrueArm(robot, 7, model_error=0.03).abba(7, sigma=SIGMA))
+    other = TrueArm(robot, 7, model_error=0.03, payload=change(PAYLOAD)).abba(
+        7, sigma=SIGMA
+    )
     with_it = {2: other[2], 3: replace(other[1], name="log3", is_loaded=False)}
     found[place] = with_it[place]
-    told = contradiction(fitted(robot, found, loaded=True), FLANGE)
+    told = contradiction(fit_recordings(robot, found, loaded=True), FLANGE)
     assert what in told and bool(what) == bool(told)
     if change is turned:
         # The centre of mass is told in the flange frame, 5 cm further out.
         places = [[-30, 20, 30], [30, -20, 30]]
         said = re.findall(r"log[12] 1.2\d? kg at \((.+?)\)", told)
         found = sorted([float(x) for x in place.split(",")] for place in said)
-        np.testing.assert_allclose(found, places, atol=5.0)
+        assert_allclose(found, places, atol=5.0)
 
 
 # ---- logs of the arm alone
@@ -128,9 +131,9 @@ def logs_of_days(plant, plants, seed=0):
 
 def compared(plant, robot, *plants):
     logs = logs_of_days(plant, plants)
-    datasets, options = datasets_of(robot, *logs, link_uncertainty=2.0)
+    datasets, options = filter_logs(robot, *logs, link_uncertainty=2.0)
     return compare_recordings(
-        fitted(robot, datasets, options), [d.name for d in datasets]
+        fit_recordings(robot, datasets, options), [d.name for d in datasets]
     )
 
 
@@ -153,20 +156,18 @@ def test_a_log_of_joints_that_move_in_it_alone_is_no_test_of_the_others(
     logs = [
         log_of(plant, plan_of(plant, 1 + k), k, noise_torque=0.05) for k in range(2)
     ]
-    datasets, options = datasets_of(robot, *logs)
+    datasets, options = filter_logs(robot, *logs)
     used = np.ones(datasets[0].motion.q.shape, dtype=bool)
     used[:, list(alone)] = False
     first = replace(datasets[0], used=used)
     tests = compare_recordings(
-        fitted(robot, [first, datasets[1]], options), ["a", "b"]
+        fit_recordings(robot, [first, datasets[1]], options), ["a", "b"]
     ).tests
     assert [each.source[0] for each in tests] == (["a"] if alone else ["a", "b"])
 
 
 def test_logs_that_do_not_agree_are_called_so(plant, robot):
-    lighter = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT).replace(
-        'mass=".8"', 'mass=".5"'
-    )
+    lighter = XML.replace('mass=".8"', 'mass=".5"')
     comparison = compared(plant, robot, plant, arms.robot_of(lighter))
     assert comparison.notes[1].startswith("the logs do not agree")
     assert max(each.relative_error for each in comparison.tests) > 0.1
@@ -226,8 +227,8 @@ def test_the_error_on_another_day_covers_the_friction_of_a_third_log(
     for seed in range(12):
         rng = np.random.default_rng(seed)
         *plants, third = (warmer(plant, rng, share) for _ in range(3))
-        datasets, options = datasets_of(robot, *logs_of_days(plant, plants, 10 * seed))
-        fit = fitted(robot, datasets, options)
+        datasets, options = filter_logs(robot, *logs_of_days(plant, plants, 10 * seed))
+        fit = fit_recordings(robot, datasets, options)
         friction = compare_recordings(fit, [d.name for d in datasets]).friction
         names = [name for name in friction.names if not name.startswith("offset")]
         kept = [fit.unknowns.kept_names.index(name) for name in names]

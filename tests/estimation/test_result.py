@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from robot_sysid.diagnosis.rows import rms
 from robot_sysid.dynamics import spatial
@@ -18,7 +19,7 @@ from robot_sysid.estimation.unknowns import Question
 from robot_sysid.records import Flange, Measurement
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import LINK, Figure, Verdict
-from tests.support.core_fits import BASIC, ORIGIN, datasets_of
+from tests.support.core_fits import BASIC, ORIGIN, filter_logs
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 from tests.support.measured_logs import log_of, plan_of
 from tests.support.payload_logs import PAYLOAD, TrueArm, four_joint_arm
@@ -28,7 +29,7 @@ FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 
 def of_link(robot, log, kept=(), **options):
-    datasets, chosen = datasets_of(robot, log, friction_model=BASIC, **options)
+    datasets, chosen = filter_logs(robot, log, friction_model=BASIC, **options)
     answer = answer_link(robot, datasets, chosen, Progress(), kept)
     return result_of(answer, ORIGIN)
 
@@ -101,7 +102,7 @@ def test_the_estimate_leads_with_the_link_and_its_errors_add_up(result):
     assert {"m(link0)", "scale[joint0]"} & set(interest) == set()
     assert len(interest) == 10 + 4 * 3
     total = np.square(estimate.standard_errors)
-    np.testing.assert_allclose(np.diag(estimate.covariance), total, rtol=1e-6)
+    assert_allclose(np.diag(estimate.covariance), total, rtol=1e-6)
     assert (
         estimate.samples.keys()
         == estimate.effective_samples.keys()
@@ -144,7 +145,7 @@ def test_a_common_scale_is_told_only_where_it_is_worth_a_word(
     plant, noisy, size, is_told
 ):
     """That it is allowed for follows from a first fit; the last one may find next to none."""
-    datasets, options = datasets_of(plant, noisy, friction_model=BASIC)
+    datasets, options = filter_logs(plant, noisy, friction_model=BASIC)
     answer = answer_link(plant, datasets, options, Progress(), None)
     fit = answer.fit
     values = fit.values.copy()
@@ -209,9 +210,7 @@ def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
     assert body.errors[0] < 0.02 and result.body.inertial is body.inertial
     link = result.payload.link.inertial.theta
     total = result.payload.total.inertial.theta
-    np.testing.assert_allclose(
-        FLANGE.to_flange(total - link), body.inertial.theta, atol=1e-12
-    )
+    assert_allclose(FLANGE.to_flange(total - link), body.inertial.theta, atol=1e-12)
     kinds = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
     assert result.payload.recordings == kinds and len(result.payload.scatter) == 4
     assert result.payload.torque_scale == {} and "drift[joint0]" not in result.sensors
@@ -220,7 +219,7 @@ def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
 def test_an_inertia_that_is_not_told_from_zero_is_a_balls():
     """... in the payload, the link with it and what the file is judged with; a note has its ±."""
     ball = spatial.aluminium_ball(0.4, np.array([0.03, -0.02, 0.08]))
-    arm = TrueArm(ROBOT, 0, wrong=0.03, payload=ball)
+    arm = TrueArm(ROBOT, 0, model_error=0.03, payload=ball)
     asked = Question(EstimationOptions(friction_model=BASIC), loaded=True)
     answer, weighed = answer_payload(ROBOT, arm.abba(0, sigma=0.1), asked, Progress())
     result = payload_of(answer, weighed, FLANGE, ORIGIN)
@@ -228,10 +227,10 @@ def test_an_inertia_that_is_not_told_from_zero_is_a_balls():
     theta = result.body.inertial.theta
     assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.verdict.is_trustworthy
     expected = spatial.aluminium_ball(theta[0], theta[1:4] / theta[0])
-    np.testing.assert_allclose(theta, expected, atol=1e-12)
+    assert_allclose(theta, expected, atol=1e-12)
     total = payload.total.inertial.theta - payload.link.inertial.theta
     for carried in (total, answer.file.fit.question.carried):
-        np.testing.assert_allclose(FLANGE.to_flange(carried), theta, atol=1e-12)
+        assert_allclose(FLANGE.to_flange(carried), theta, atol=1e-12)
     for body in (payload.body, payload.total):
         assert np.all(np.isfinite(body.errors[:4])) and np.all(
             np.isinf(body.errors[4:])
@@ -259,7 +258,7 @@ def test_a_known_mass_is_the_payloads_and_tells_scales(recordings):
 
 
 def test_resting_poses_tell_mass_and_place_and_no_inertia():
-    arm = TrueArm(ROBOT, 2, wrong=0.03)
+    arm = TrueArm(ROBOT, 2, model_error=0.03)
     time = np.arange(30.0)
     recordings = []
     for loaded in (False, True):
@@ -274,7 +273,7 @@ def test_resting_poses_tell_mass_and_place_and_no_inertia():
     assert "these torques do not show the payload's inertia" in result.notes
     found = result.body.inertial
     truth = FLANGE.to_flange(PAYLOAD)
-    np.testing.assert_allclose(found.theta[:4], truth[:4], rtol=0.1, atol=0.01)
+    assert_allclose(found.theta[:4], truth[:4], rtol=0.1, atol=0.01)
     moments = found.principal_moments
     assert moments[0] == pytest.approx(moments[2], rel=1e-9)
     assert np.all(np.isinf(result.payload.body.errors[4:]))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -14,7 +15,7 @@ from robot_sysid.estimation.identify import answer_link
 from robot_sysid.estimation.sums import answer_from, log_information, settled_options
 from robot_sysid.estimation.unknowns import FILE_GRAVITY as GRAVITY
 from robot_sysid.records.progress import Progress
-from tests.support.core_fits import datasets_of
+from tests.support.core_fits import filter_logs
 from tests.support.measured_logs import CUTOFF, RATE, log_of, plan_of
 
 OPTIONS = settled_options(EstimationOptions(cutoff=CUTOFF))
@@ -41,7 +42,7 @@ def parts(robot, logs, first):
 
 @pytest.fixture(scope="module")
 def together(robot, logs):
-    datasets, _ = datasets_of(robot, *logs)
+    datasets, _ = filter_logs(robot, *logs)
     return answer_link(robot, datasets, OPTIONS, Progress(), (GRAVITY,))
 
 
@@ -76,7 +77,7 @@ def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(found, together):
     thetas = [
         each.file.fit.columns.thetas(each.file.fit.values) for each in (found, together)
     ]
-    np.testing.assert_allclose(thetas[0][-1], thetas[1][-1], atol=5e-3)
+    assert_allclose(thetas[0][-1], thetas[1][-1], atol=5e-3)
 
 
 def test_two_logs_of_a_sum_test_each_other(robot, parts):
@@ -90,7 +91,7 @@ def test_brackets_and_order_do_not_matter(robot, parts, found):
     whole = one + (two + three)
     for other, rtol, atol in ((whole, 1e-9, 1e-12), (three + two + one, 1e-6, 1e-9)):
         values = answer_from(robot, other).fit.values
-        np.testing.assert_allclose(values, found.fit.values, rtol=rtol, atol=atol)
+        assert_allclose(values, found.fit.values, rtol=rtol, atol=atol)
     assert whole.logs == 3 and whole.duration == pytest.approx(sum(LENGTHS), abs=0.1)
     assert len(whole.checkpoints.q) == 400
 
@@ -102,7 +103,7 @@ def test_what_is_sent_does_not_grow_and_survives_the_way(robot, parts, found):
     assert max(sizes[-2:]) - min(sizes[-2:]) < 20
     assert max(sizes) == max(sizes[-2:])
     again = answer_from(robot, pickle.loads(pickle.dumps(every[-1])))
-    np.testing.assert_array_equal(again.fit.values, found.fit.values)
+    assert_array_equal(again.fit.values, found.fit.values)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from robot_sysid.estimation import unknowns as module
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -21,7 +22,7 @@ from robot_sysid.estimation.unknowns import (
     Question,
     build_unknowns,
 )
-from tests.support.core_fits import KNOWN, choice_of
+from tests.support.core_fits import NOISE_ONLY, choice_of
 from tests.support.payload_logs import four_joint_arm
 
 ROBOT = four_joint_arm()
@@ -58,8 +59,11 @@ LINK = {LINKS, SCALES, ZEROS, DELAY, TILT, FRICTION}
         ({"loaded": True, "resting": True}, LINK - {DELAY, FRICTION} | {COMMON}),
         ({"in_file": True}, {LINKS, TILT}),
         ({"in_file": True, "kept_parts": ("gravity", "links")}, set()),
-        ({"options": EstimationOptions(**KNOWN)}, {DELAY}),
-        ({"options": EstimationOptions(**KNOWN, delay="auto", tilt="auto")}, set()),
+        ({"options": EstimationOptions(**NOISE_ONLY)}, {DELAY}),
+        (
+            {"options": EstimationOptions(**NOISE_ONLY, delay="auto", tilt="auto")},
+            set(),
+        ),
     ],
 )
 def test_a_question_has_the_priors_of_its_causes(question, expected):
@@ -78,8 +82,8 @@ def test_a_question_has_the_priors_of_its_causes(question, expected):
 def test_sizes_are_those_that_were_said():
     options = EstimationOptions(scale_uncertainty=4.0, zero_uncertainty=1.0)
     groups = {group.cause: group for group in asked(options).groups}
-    np.testing.assert_allclose(groups[SCALES].factor, 0.04 * np.eye(4))
-    np.testing.assert_allclose(groups[ZEROS].factor, 1e-3 * np.eye(4))
+    assert_allclose(groups[SCALES].factor, 0.04 * np.eye(4))
+    assert_allclose(groups[ZEROS].factor, 1e-3 * np.eye(4))
     # Curved by five times two per cent of 2 % of its usual 5 N m, as no model friction is larger.
     own = dict(zip(groups[FRICTION].names, np.diag(groups[FRICTION].factor)))
     assert own["sqrt[joint0]"] == pytest.approx(5.0 * 0.02 * 0.02 * 5.0)
@@ -90,14 +94,14 @@ def test_sizes_are_those_that_were_said():
         2.0 * (0.05 * ROBOT.links[0].theta[0]) ** 2, rel=1e-6
     )
     held = {g.cause: g for g in asked(loaded=True, known_mass=2.0).groups}
-    np.testing.assert_allclose(held[SCALES].factor, 0.03 * np.eye(4))
+    assert_allclose(held[SCALES].factor, 0.03 * np.eye(4))
     assert held[WEIGHT].mean[0] == 2.0 and held[WEIGHT].factor[0, 0] < 1e-5
 
 
 def test_the_mean_of_torque_scales_that_is_held_is_that_of_the_surest():
     sure = EstimationOptions(scale_uncertainty=(1.0, 0.0, 2.0, 4.0))
     groups = {group.cause: group for group in asked(sure, loaded=True).groups}
-    np.testing.assert_allclose(np.diag(groups[SCALES].factor), [0.01, 1e-9, 0.02, 0.04])
+    assert_allclose(np.diag(groups[SCALES].factor), [0.01, 1e-9, 0.02, 0.04])
     sure = EstimationOptions(scale_uncertainty=(1.0, 1.0, 2.0, 4.0))
     (held,) = (
         group for group in asked(sure, loaded=True).groups if group.cause == COMMON
@@ -105,7 +109,7 @@ def test_the_mean_of_torque_scales_that_is_held_is_that_of_the_surest():
     # What it allows has no part along the mean weighted by 1 / variance.
     allowed = held.factor @ np.random.default_rng(1).standard_normal(4)
     assert np.linalg.norm(allowed) > 10.0
-    np.testing.assert_allclose([1.0, 1.0, 0.25, 0.0625] @ allowed, 0.0, atol=1e-4)
+    assert_allclose([1.0, 1.0, 0.25, 0.0625] @ allowed, 0.0, atol=1e-4)
 
 
 def test_bounds_hold_friction_and_no_other_sign():

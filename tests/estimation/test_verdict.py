@@ -18,7 +18,7 @@ from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import InertialParameters, Validation
 from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Verdict
 from tests.support import arms
-from tests.support.core_fits import datasets_of, fitted
+from tests.support.core_fits import filter_logs, fit_recordings
 
 SEVEN = arms.robot_of(arms.SEVEN)
 REACH = link_reach(SEVEN.mj_model, SEVEN.reference_qpos, SEVEN.body_id)
@@ -142,8 +142,8 @@ def test_a_file_is_judged_beside_the_one_before(before, after, status):
 
 
 def fit_of(robot, log):
-    datasets, options = datasets_of(robot, log)
-    return fitted(robot, datasets, options)
+    datasets, options = filter_logs(robot, log)
+    return fit_recordings(robot, datasets, options)
 
 
 def test_held_out_torque_may_be_three_times_the_noise(robot, noisy):
@@ -163,7 +163,7 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     """What a joint that turns each way once leaves to be predicted is not told; chance is as large
     as what happens elsewhere.
     """
-    (log,), options = datasets_of(robot, noisy, cutoff=3.8)
+    (log,), options = filter_logs(robot, noisy, cutoff=3.8)
     speed = log.motion.qd[:, 2]
     count = len(log.motion.time)
     used = np.ones((count, 3), dtype=bool)
@@ -171,7 +171,7 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     used[:, 2] = np.where(
         at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0)
     )
-    fit = fitted(robot, [replace(log, used=used)], options)
+    fit = fit_recordings(robot, [replace(log, used=used)], options)
     judge = held_out(fit)
     squared = judge.squared_errors(fit.unknowns)
     chance = judge.chance(fit)
@@ -183,7 +183,7 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     speed = log.motion.qd
     at = at[:, None]
     used = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
-    fit = fitted(robot, [replace(log, used=used)], options)
+    fit = fit_recordings(robot, [replace(log, used=used)], options)
     own = held_out_validation(fit)
     assert own.relative_error > verdict.HARMLESS
     assert first(verdict.find_misfits(fit, [own], 0.0, {}), OK) == (OK, ())

@@ -64,12 +64,12 @@ def ramp_torque(ramp, qd, qdd):
     return np.clip(ramp.inertia * (qdd + ramp.rate * qd), -ramp.coulomb, ramp.coulomb)
 
 
-def recorded(loop):
+def record_run(loop):
     """The log of the whole run as one measurement."""
     return join_measurements(loop.run())
 
 
-def differentiated(log, sample_rate):
+def differentiate_log(log, sample_rate):
     """The log without its first and last four samples, motion from its positions alone."""
     inner = len(log) - 8
     windows = [log.q[i : i + inner] for i in range(9)]
@@ -79,7 +79,7 @@ def differentiated(log, sample_rate):
     return Measurement(log.time[kept], log.q[kept], qd, log.tau[kept], qdd)
 
 
-def identified(robot, log, deadband, terms=TERMS):
+def identify_log(robot, log, deadband, terms=TERMS):
     """Estimate of the terminal link and of every joint's friction; slow rows are left out."""
     equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
     rows_of_joint = InformationAccumulator(
@@ -129,6 +129,6 @@ def proof_run(robot, plan, sample_rate=1000.0, **plant_options):
     """(errors with the ramp masked out, log as run, closed loop) of one plant."""
     plant = plant_from(robot, **plant_options)
     loop = ClosedLoop(plant, plan, sample_rate)
-    log = differentiated(recorded(loop), sample_rate)
-    estimate = identified(robot, log, 1.02 * loop.ramp_use.ramp_speed)
+    log = differentiate_log(record_run(loop), sample_rate)
+    estimate = identify_log(robot, log, 1.02 * loop.ramp_use.ramp_speed)
     return errors_of(estimate, plant), log, loop

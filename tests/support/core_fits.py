@@ -21,38 +21,57 @@ from robot_sysid.signals.resampling import pieces_of
 from tests.support.measured_logs import CUTOFF
 
 BASIC = CANDIDATES[0]
-KNOWN = {
+"""The friction model with the fewest terms among which recordings choose."""
+NOISE_ONLY = {
     f"{cause}_uncertainty": 0.0
     for cause in ("link", "scale", "zero", "gravity", "friction")
 }
-"""Noise is all that is not known."""
-SURE = EstimationOptions(zero_uncertainty=0.0, gravity_uncertainty=0.0)
-"""Encoders and level are exact, so that nothing can turn a body."""
+"""Options with which torque noise is the only source of error."""
+EXACT_SENSORS = EstimationOptions(zero_uncertainty=0.0, gravity_uncertainty=0.0)
+"""Options with exact encoders and a level base, so that no prior allows a body to turn."""
 ORIGIN = DataOrigin(Source.LOG, "a log", 10.0, 200.0)
 
 
 def fitter_of(robot, recordings, torques="chain", couplings=()):
-    """A fitter of recordings that tells motion that repeats."""
+    """Return a fitter of recordings, which counts repeated motion."""
     columns = Columns(robot, recordings, torques, couplings)
-    again = visits([each.motion for each in recordings])
-    return Fitter(columns, mean_torque(recordings), again)
+    repetitions = visits([recording.motion for recording in recordings])
+    return Fitter(columns, mean_torque(recordings), repetitions)
 
 
 def choice_of(robot, friction=BASIC, couplings=()):
-    """The same friction in all joints."""
+    """Return the choice of one friction model, by name, for all joints."""
     return Choice((friction_model(friction),) * robot.n_joints, tuple(couplings))
 
 
-def fitted(robot, recordings, options=None, friction=BASIC, couplings=(), **question):
-    """The fit of recordings, nothing chosen by them; ``question`` as in ``Question``."""
-    asked = Question(options or EstimationOptions(), **question)
-    fitter = fitter_of(robot, recordings, asked.options.torques, couplings)
-    return fitter.fit(asked, choice_of(robot, friction, couplings))
+def fit_recordings(
+    robot, recordings, options=None, friction=BASIC, couplings=(), **question
+):
+    """Return the fit of recordings with a given friction model.
+
+    ``question`` are the further fields of ``Question``.
+    """
+    question = Question(options or EstimationOptions(), **question)
+    fitter = fitter_of(robot, recordings, question.options.torques, couplings)
+    return fitter.fit(question, choice_of(robot, friction, couplings))
+
+
+def filter_logs(robot, *logs, **options):
+    """Return (the low-passed datasets of measurements, the options of their fit)."""
+    options = EstimationOptions(**{"cutoff": CUTOFF, **options})
+    pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
+    return low_pass_recordings(robot, pieces, options)[0], options
+
+
+def fit_logs(robot, *logs, friction=BASIC, **options):
+    """Return the fit of measurements of the arm alone with a given friction model."""
+    return fit_recordings(robot, *filter_logs(robot, *logs, **options), friction)
 
 
 def result_of_logs(robot, logs, options, kept=None):
-    """The result of logs of an arm alone, cut where they have gaps; without a file unless some
-    parts of it are kept.
+    """Return the result of measurements of the arm alone, cut where they have gaps.
+
+    ``kept`` are the parts of the model file that stay as they are; None fits no file.
     """
     pieces = []
     for number, log in enumerate(logs):
@@ -61,14 +80,8 @@ def result_of_logs(robot, logs, options, kept=None):
     return result_of(answer_link(robot, datasets, options, Progress(), kept), ORIGIN)
 
 
-def datasets_of(robot, *logs, **options):
-    """(logs filtered, the options)."""
-    chosen = EstimationOptions(**{"cutoff": CUTOFF, **options})
-    pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
-    return low_pass_recordings(robot, pieces, chosen)[0], chosen
-
-
-def off_by(found, truth):
-    """Largest error of a body (10,), relative to its mass and size."""
-    scale = spatial.parameter_scale(truth[0], spatial.characteristic_length(truth))
-    return float(np.max(np.abs(found - truth) / scale))
+def body_error(theta, true_theta):
+    """Return the largest error of a body (10,), relative to its true mass and size."""
+    length = spatial.characteristic_length(true_theta)
+    scale = spatial.parameter_scale(true_theta[0], length)
+    return float(np.max(np.abs(theta - true_theta) / scale))

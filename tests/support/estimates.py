@@ -1,4 +1,4 @@
-"""The solver with what the core knows beside the data: samples and nuisances."""
+"""The solver with priors of nuisances and noise that is correlated in time."""
 
 from __future__ import annotations
 
@@ -19,28 +19,32 @@ from robot_sysid.solver import identify_parameters
 METHODS = {"ols": ordinary, "wls": estimate_noise}
 
 
-def explained(errors, group, names):
-    """The part of the standard errors (p,) that what is known of some nuisances stands for."""
+def prior_errors(errors, group, names):
+    """Return the share of the standard errors (p,) that the prior of some nuisances causes."""
     spread = np.linalg.norm(group.covariance_rows(names, errors.inverse), axis=0)
     return np.where(np.isfinite(errors.standard_errors), spread, np.inf)
 
 
-def identified(information, prior, method="ols", samples=None, nuisances=()):
-    """An estimate as ``solver.identify_parameters`` makes it, of more than the data's triangles.
+def identify(information, prior, method="ols", samples=None, nuisances=()):
+    """Return an estimate as of ``solver.identify_parameters``, made from more than the triangles.
 
-    ``samples`` are for noise that is correlated in time; ``nuisances`` are what is known of the
-    last parameters.
+    Args:
+        information: square-root information of all joints.
+        prior: (p,) values of what the data does not show.
+        method: "ols" or "wls".
+        samples: equations (joint number, rows, torque), for noise that is correlated in time.
+        nuisances: priors of the last parameters.
     """
     information = with_prior(information, nuisances)
-    solved = solver(information, prior)
-    noise = METHODS[method](information, solved)
+    solve = solver(information, prior)
+    noise = METHODS[method](information, solve)
     weights = 1.0 / noise
-    values, _ = solved(weights)
-    left = []
+    values, _ = solve(weights)
+    residuals = []
     if samples is not None:
         root = joint_space(information, weights).inverse_root()
-        left = collect_residuals(information, samples, values, root, weights)
-    errors = uncertainty(information, weights, noise, left)
+        residuals = collect_residuals(information, samples, values, root, weights)
+    errors = uncertainty(information, weights, noise, residuals)
     joints = [joint.joint for joint in information.joints]
     return replace(
         identify_parameters(information, prior),

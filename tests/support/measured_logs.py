@@ -19,18 +19,20 @@ from tests.support import arms
 RATE = 200.0
 DURATION = 10.0
 JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
+XML = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
+"""The arm that makes the logs."""
 CUTOFF = 8.0
-DEFAULT = friction_model(DEFAULT_MEASURED)
+DEFAULT_FRICTION = friction_model(DEFAULT_MEASURED)
 
 
 def true_arm():
-    """The arm that makes the logs."""
-    return arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT))
+    """Return the RobotModel of the arm that makes the logs."""
+    return arms.robot_of(XML)
 
 
-def guessed(robot, scale=0.6):
-    """The same arm with another prior of the terminal link and no idea of its friction."""
-    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT))
+def guess_model(robot, scale=0.6):
+    """Return the arm with a scaled prior of the terminal link and without friction."""
+    model = arms.compile_xml(XML)
     theta = scale * robot.prior.theta
     arms.write_body(model, robot.body_id, theta)
     model.dof_frictionloss[:] = 0.0
@@ -39,14 +41,14 @@ def guessed(robot, scale=0.6):
 
 
 def plan_of(robot, seed=1, duration=DURATION):
-    """A random trajectory on which every joint moves widely."""
+    """Return a random trajectory on which every joint moves widely."""
     rng = np.random.default_rng(seed)
     plan = generate_excitation_trajectory(robot, rng, duration, ArmTorque(robot))[0]
     return plan.scaled(np.array([3.0, 3.0, 1.0]))
 
 
 def log_of(plant, plan=None, seed=1, rate=RATE, **sensors):
-    """What the sensors of an arm report along a trajectory."""
+    """Return the simulated sensor readings of an arm along a trajectory."""
     options = SimulatedArmOptions(**sensors)
     rng = np.random.default_rng(seed)
     return join_measurements(
@@ -54,12 +56,18 @@ def log_of(plant, plan=None, seed=1, rate=RATE, **sensors):
     )
 
 
+def seeded_log(plant, seed, duration=DURATION, **sensors):
+    """Return a simulated log whose motion and noise both follow from a seed."""
+    return log_of(plant, plan_of(plant, seed, duration), seed, **sensors)
+
+
 def equations_of(robot, torques="chain"):
-    """Equations with Coulomb, viscous friction and offset in every joint."""
-    return Equations(robot, torques, (DEFAULT,) * robot.n_joints)
+    """Return equations with Coulomb, viscous friction and offset in every joint."""
+    return Equations(robot, torques, (DEFAULT_FRICTION,) * robot.n_joints)
 
 
 def true_values(plant, names):
-    """The plant's own values of these parameters."""
-    known = dict(zip(equations_of(plant).names, equations_of(plant).prior))
-    return np.array([float(known.get(name, 0.0)) for name in names])
+    """Return the plant's values of the named parameters, 0 for those it does not have."""
+    equations = equations_of(plant)
+    value_of = dict(zip(equations.names, equations.prior))
+    return np.array([float(value_of.get(name, 0.0)) for name in names])

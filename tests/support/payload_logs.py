@@ -1,4 +1,4 @@
-"""Recordings of small arms with and without a payload, with nothing spoiled or with everything.
+"""Recordings of small arms with and without a payload, exact or with noise and model errors.
 
 ``exact_recording`` has exact derivatives, so that the truth solves the equations to rounding.
 """
@@ -29,15 +29,21 @@ PAYLOAD = spatial.theta_from_com(
     np.array([[6, 1, 0.5], [1, 7, -0.4], [0.5, -0.4, 4]]) * 1e-3,
 )
 _FREQUENCIES = np.array([0.23, 0.47, 0.71, 1.03])
+_JOINT_TERMS = ("coulomb", "viscous", "offset", "armature")
+
+
+def four_joint_xml(joint='range="-2.5 2.5"'):
+    """Return the model of an arm whose motion shows all parameters of a payload."""
+    return arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X), joint=joint)
 
 
 def four_joint_arm(joint='range="-2.5 2.5"'):
-    """An arm whose motion shows all of a payload."""
-    return arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X), joint=joint))
+    """Return the RobotModel of ``four_joint_xml``."""
+    return arms.robot_of(four_joint_xml(joint))
 
 
 def wide_motion(seed, joints=4, duration=DURATION, rate=RATE):
-    """A sum of sines per joint."""
+    """Return a motion in which every joint follows a random sum of sines."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration * rate)) / rate
     shape = (len(_FREQUENCIES), joints)
@@ -53,88 +59,112 @@ def wide_motion(seed, joints=4, duration=DURATION, rate=RATE):
 
 
 class TrueArm:
-    """An arm whose links, friction and torque sensors are others than its model says."""
+    """An arm whose links, friction and torque sensors differ from its model.
 
-    def __init__(self, robot, seed, wrong=0.3, payload=PAYLOAD, scale=None):
+    Args:
+        robot: the model.
+        seed: draws what differs.
+        model_error: each link differs by up to this share of its mass and size.
+        payload: (10,) body that loaded recordings carry beside the terminal link.
+        scale: (n,) torque scales; None are ones.
+    """
+
+    def __init__(self, robot, seed, model_error=0.3, payload=PAYLOAD, scale=None):
         rng = np.random.default_rng(seed)
         self.robot = robot
         self.payload = payload
         self.thetas = np.array(
-            [changed(link.theta, wrong, rng) for link in robot.links]
+            [perturb_body(link.theta, model_error, rng) for link in robot.links]
         )
         self.coulomb, self.viscous = rng.uniform(0.1, 1.0, (2, robot.n_joints))
         self.offset, self.armature = rng.uniform(0.0, 0.3, (2, robot.n_joints))
         self.scale = np.ones(robot.n_joints) if scale is None else scale
 
-    def torque(self, motion, is_loaded, drift=0.0):
-        """What the torque sensors read (N, n)."""
+    def rigid_torque(self, motion, is_loaded):
+        """Return the torque (N, n) of the links and the payload alone."""
         thetas = self.thetas.copy()
         thetas[-1] += self.payload * is_loaded
         dynamics = LinkDynamics(self.robot)
-        rigid = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
+        return dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
+
+    def torque(self, motion, is_loaded, drift=0.0):
+        """Return the readings of the torque sensors (N, n)."""
+        rigid = self.rigid_torque(motion, is_loaded)
         friction = self.coulomb * np.sign(motion.qd) + self.viscous * motion.qd
-        rest = self.armature * motion.qdd + self.offset
-        return self.scale * rigid + (1.0 + drift) * friction + rest
+        rotor_and_offset = self.armature * motion.qdd + self.offset
+        return self.scale * rigid + (1.0 + drift) * friction + rotor_and_offset
 
     def values(self, columns, drift=0.0):
-        """What the parameters of these columns are in truth (p,)."""
-        known = dict(zip(PARAMETER_NAMES, self.thetas[-1]))
-        known.update(zip(PAYLOAD_NAMES, self.payload))
+        """Return the true parameters (p,) of columns."""
+        value_of = dict(zip(PARAMETER_NAMES, self.thetas[-1]))
+        value_of.update(zip(PAYLOAD_NAMES, self.payload))
         for number, joint in enumerate(self.robot.joint_names):
-            for term in ("coulomb", "viscous", "offset", "armature"):
-                known[f"{term}[{joint}]"] = getattr(self, term)[number]
-            known[f"scale[{joint}]"] = self.scale[number] - 1.0
-            known[f"drift[{joint}]"] = drift
+            for term in _JOINT_TERMS:
+                value_of[f"{term}[{joint}]"] = getattr(self, term)[number]
+            value_of[f"scale[{joint}]"] = self.scale[number] - 1.0
+            value_of[f"drift[{joint}]"] = drift
         for number in range(self.robot.n_joints - 1):
-            known.update(zip(link_names(self.robot, number), self.thetas[number]))
-        return np.array([float(known.get(name, 0.0)) for name in columns.names])
+            value_of.update(zip(link_names(self.robot, number), self.thetas[number]))
+        return np.array([float(value_of.get(name, 0.0)) for name in columns.names])
 
-    def abba(self, seed, drift=0.0, sigma=0.0, same=False):
-        """Four recordings in the order empty, loaded, loaded, empty."""
-        found = []
-        for number, (loaded, place) in enumerate(
-            zip((0, 1, 1, 0), np.linspace(-1.0, 1.0, 4))
-        ):
-            motion = wide_motion([seed, 0 if same else number], self.robot.n_joints)
-            each = self.recording(motion, bool(loaded), place, f"log{number}", drift)
-            found.append(noisy(each, sigma, [seed, number]) if sigma else each)
-        return found
+    def abba(self, seed, drift=0.0, sigma=0.0):
+        """Return four recordings in the order empty, loaded, loaded, empty."""
+        recordings = []
+        for number, is_loaded in enumerate((False, True, True, False)):
+            motion = wide_motion([seed, number], self.robot.n_joints)
+            place = np.linspace(-1.0, 1.0, 4)[number]
+            name = f"log{number}"
+            recording = self.recording(motion, is_loaded, place, name, drift)
+            recordings.append(add_noise(recording, sigma, [seed, number]))
+        return recordings
 
     def recording(self, motion, is_loaded, place=0.0, name="log", drift=0.0):
-        """An exact recording of a motion."""
+        """Return the exact recording of a motion."""
         tau = self.torque(motion, is_loaded, drift * place)
         return exact_recording(motion, tau, is_loaded, place, name)
 
 
-def changed(theta, share, rng):
-    """A possible body that is off by up to a share in mass, centre of mass and inertia."""
+def perturb_body(theta, share, rng):
+    """Return a possible body that differs by up to a share in mass, centre of mass and inertia."""
     mass, com, inertia = spatial.com_from_theta(theta)
-    heavier, rounder = 1.0 + share * rng.uniform(-1.0, 1.0, 2)
-    moved = share * spatial.characteristic_length(theta) * rng.uniform(-1.0, 1.0, 3)
-    return spatial.theta_from_com(mass * heavier, com + moved, rounder * inertia)
-
-
-def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
-    """A recording whose velocities and accelerations are exact and whose rows all count."""
-    low_pass = design_low_pass(CUTOFF, RATE)
-    joints = motion.q.shape[1]
-    still = np.zeros(joints)
-    bridged = np.zeros(len(motion.time), dtype=bool)
-    turning = np.zeros(motion.q.shape, dtype=bool)
-    parts = motion.time, motion.q, motion.qd, motion.qdd, tau, bridged, still, turning
-    signals = ProcessedSignals(*parts, low_pass, low_pass, ())
-    return Dataset(name, signals, is_loaded, place)
-
-
-def noisy(recording, sigma, seed):
-    """The same recording with white torque noise."""
-    shape = recording.torque.shape
-    return with_torque(
-        recording, sigma * np.random.default_rng(seed).standard_normal(shape)
+    mass_factor, inertia_factor = 1.0 + share * rng.uniform(-1.0, 1.0, 2)
+    shift = share * spatial.characteristic_length(theta) * rng.uniform(-1.0, 1.0, 3)
+    return spatial.theta_from_com(
+        mass * mass_factor, com + shift, inertia_factor * inertia
     )
 
 
-def with_torque(recording, more):
-    """The same recording with further torque (N, n)."""
+def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
+    """Return a recording whose velocities and accelerations are exact and whose rows all count."""
+    low_pass = design_low_pass(CUTOFF, RATE)
+    deadband = np.zeros(motion.q.shape[1])
+    bridged = np.zeros(len(motion.time), dtype=bool)
+    turning = np.zeros(motion.q.shape, dtype=bool)
+    series = motion.time, motion.q, motion.qd, motion.qdd, tau
+    signals = ProcessedSignals(
+        *series, bridged, deadband, turning, low_pass, low_pass, ()
+    )
+    return Dataset(name, signals, is_loaded, place)
+
+
+def add_noise(recording, sigma, seed):
+    """Return a recording with additional white torque noise [N m]."""
+    rng = np.random.default_rng(seed)
+    return add_torque(recording, sigma * rng.standard_normal(recording.torque.shape))
+
+
+def add_torque(recording, torque):
+    """Return a recording with additional torque (N, n)."""
     signals = recording.source
-    return replace(recording, source=replace(signals, tau=signals.tau + more))
+    return replace(recording, source=replace(signals, tau=signals.tau + torque))
+
+
+def autocorrelated(white, memory):
+    """Return unit noise (N, n) with autocorrelation exp(-lag / memory), made from white noise.
+
+    ``memory`` is in samples; the first samples are smaller than the others.
+    """
+    from scipy.signal import lfilter
+
+    decay = np.exp(-1.0 / memory)
+    return lfilter([np.sqrt(1.0 - decay**2)], [1.0, -decay], white, axis=0)

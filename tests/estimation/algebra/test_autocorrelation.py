@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 
 from robot_sysid.estimation.algebra.autocorrelation import (
@@ -29,11 +30,9 @@ def test_kernel_sums_are_those_of_the_dense_kernels(seed):
     rows = rng.normal(size=(80, 3))
     found = collected(rows, rng.normal(size=80))
     lag = np.abs(np.subtract.outer(np.arange(80), np.arange(80)))
-    np.testing.assert_allclose(found.sums[0], rows.T @ rows, rtol=0.0, atol=1e-11)
+    assert_allclose(found.sums[0], rows.T @ rows, rtol=0.0, atol=1e-11)
     for decay, total in zip(found.decay, found.sums[1:]):
-        np.testing.assert_allclose(
-            total, rows.T @ decay**lag @ rows, rtol=0.0, atol=1e-10
-        )
+        assert_allclose(total, rows.T @ decay**lag @ rows, rtol=0.0, atol=1e-10)
 
 
 @given(SEEDS)
@@ -49,11 +48,9 @@ def test_sums_of_few_rows_tell_the_same_in_the_rows_themselves(seed):
         np.arange(40), 0.1 * np.eye(40), rows, residual, True
     ).shorten()
     kernels = rng.uniform(size=len(few.sums))
-    np.testing.assert_allclose(
-        few.score(kernels), all_of_them.score(kernels), atol=1e-10
-    )
+    assert_allclose(few.score(kernels), all_of_them.score(kernels), atol=1e-10)
     shares = [each.absorbed_share(each.inside(own)) for each in (few, all_of_them)]
-    np.testing.assert_allclose(*shares, atol=1e-12)
+    assert_allclose(*shares, atol=1e-12)
 
 
 @given(
@@ -115,9 +112,7 @@ def test_an_absorbed_share_is_that_of_the_dense_projection():
     kernels = [np.eye(70), *(decay**lag for decay in found.decay)]
     rest = np.eye(70) - hat
     expected = [1.0 - np.trace(rest @ kernel @ rest) / 70.0 for kernel in kernels]
-    np.testing.assert_allclose(
-        found.absorbed_share(own), np.clip(expected, 0.0, 0.8), atol=1e-10
-    )
+    assert_allclose(found.absorbed_share(own), np.clip(expected, 0.0, 0.8), atol=1e-10)
 
 
 SUMS = ("count", "sums", "products", "hats", "pairs")
@@ -138,11 +133,9 @@ def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
     whole = (one + two) + three
     again = one + (two + three)
     for name in SUMS:
-        np.testing.assert_allclose(
-            getattr(whole, name), getattr(again, name), atol=1e-11
-        )
+        assert_allclose(getattr(whole, name), getattr(again, name), atol=1e-11)
     total = sum(log.products * log.pairs for log in (one, two, three))
-    np.testing.assert_allclose(whole.products * whole.pairs, total, atol=1e-10)
+    assert_allclose(whole.products * whole.pairs, total, atol=1e-10)
 
 
 def test_a_burst_counts_as_few_rows():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from robot_sysid.estimation.algebra.between_logs import compare_logs
 
@@ -53,7 +54,7 @@ def test_another_log_is_off_by_the_spread_and_by_that_of_the_mean():
     between, _ = compared((0.3, 0.3), 2, 0)
     errors = np.full(OWN, 0.1)
     expected = np.sqrt(0.1**2 + 1.5 * between.spread**2)
-    np.testing.assert_allclose(between.next_log(errors), expected)
+    assert_allclose(between.next_log(errors), expected)
 
 
 def test_logs_differ_where_they_were_made_to_and_nowhere_else():

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from robot_sysid.estimation.algebra import common_scale
 from robot_sysid.estimation.algebra.common_scale import false_alarms
@@ -64,7 +65,7 @@ def test_the_share_is_that_of_drawn_arms(seed, monkeypatch):
     assert np.mean(far) == pytest.approx(told, abs=0.01)
     freed = plain[far] @ (np.linalg.inv(known[0]) - np.linalg.inv(known[1]))
     mean = freed.T @ freed / np.sum(far)
-    np.testing.assert_allclose(products, mean, rtol=0.0, atol=0.1 * np.max(mean))
+    assert_allclose(products, mean, rtol=0.0, atol=0.1 * np.max(mean))
 
 
 def test_a_recording_that_tells_nothing_of_scales_is_never_doubted():

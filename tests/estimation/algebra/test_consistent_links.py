@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
@@ -123,7 +124,7 @@ def test_what_nothing_shows_stays_where_a_possible_body_hardly_costs_anything():
     """Ixy, weakly seen, is larger than a body as slim as this can have."""
     body, found = seen_by_the_last_joint(0.001, error=100.0)
     assert spatial.is_consistent(found) and found[5] < 0.001
-    np.testing.assert_allclose(found[[0, 3]], body[[0, 3]], rtol=1e-5)
+    assert_allclose(found[[0, 3]], body[[0, 3]], rtol=1e-5)
     assert found[4] + found[7] == pytest.approx(body[4] + body[7], rel=1e-5)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import (
@@ -184,21 +185,21 @@ def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(
         else space.rank == 0
     )
     again = space.left * space.singular @ space.right.T
-    np.testing.assert_allclose(again, scaled, rtol=0.0, atol=1e-13)
-    np.testing.assert_allclose(scaled @ space.null, 0.0, atol=1e-12)
+    assert_allclose(again, scaled, rtol=0.0, atol=1e-13)
+    assert_allclose(scaled @ space.null, 0.0, atol=1e-12)
     basis = np.column_stack((space.right, space.null))
-    np.testing.assert_allclose(basis.T @ basis, np.eye(12), atol=1e-13)
+    assert_allclose(basis.T @ basis, np.eye(12), atol=1e-13)
     if count == 0 or space.singular[0] / space.singular[-1] < 1e4:
         pseudo = np.linalg.pinv(scaled, rcond=1e-8)
         right = rng.normal(size=count)
         size = scale * (1.0 + np.max(np.abs(pseudo), initial=0.0)) ** 2
-        np.testing.assert_allclose(space.solve(right) / size, scale * (pseudo @ right) / size,
+        assert_allclose(space.solve(right) / size, scale * (pseudo @ right) / size,
                                    rtol=0.0, atol=1e-10)  # fmt: skip
         both = scale[:, None] * (pseudo @ pseudo.T) * scale
         root = space.inverse_root()
-        np.testing.assert_allclose(space.inverse() / np.outer(size, size),
+        assert_allclose(space.inverse() / np.outer(size, size),
                                    both / np.outer(size, size), rtol=0.0, atol=1e-10)  # fmt: skip
-        np.testing.assert_allclose(root @ root.T, space.inverse())
+        assert_allclose(root @ root.T, space.inverse())
 
 
 # --- in words -----------------------------------------------------------------------------------
@@ -225,7 +226,7 @@ def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes)
     found = np.array(readable_basis(turned)).reshape(-1, len(NAMES))
     expected = known[np.argsort([np.flatnonzero(direction)[0] for direction in known])]
     signs = np.sign(np.sum(found * expected, axis=1))[:, None]
-    np.testing.assert_allclose(found, signs * expected, rtol=0.0, atol=1e-9)
+    assert_allclose(found, signs * expected, rtol=0.0, atol=1e-9)
 
 
 # --- against MuJoCo alone -----------------------------------------------------------------------

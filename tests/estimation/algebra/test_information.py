@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.estimation.algebra.information import (
     InformationAccumulator,
@@ -43,11 +44,11 @@ def test_rows_in_any_order_and_chunks_have_the_one_shot_triangle(rows, cuts, see
         triangle = update_triangle(triangle, part)
     once = update_triangle(np.zeros((COLUMNS, COLUMNS)), rows)
     size = np.max(np.abs(once))
-    np.testing.assert_allclose(
+    assert_allclose(
         triangle.T @ triangle, once.T @ once, rtol=0.0, atol=1e-13 * size**2
     )
     if len(rows) >= COLUMNS and np.linalg.cond(rows) < 1e6:
-        np.testing.assert_allclose(
+        assert_allclose(
             with_positive_diagonal(triangle),
             with_positive_diagonal(once),
             atol=1e-9 * size,
@@ -68,13 +69,9 @@ def test_triangle_gives_the_residual_of_all_rows(seed, chunks):
         expected += np.sum((rows @ values[columns] - tau) ** 2)
     information = accumulator.result()
     assert information.n_samples == 20 * chunks
-    np.testing.assert_allclose(
-        information.squared_residuals(values), [expected], rtol=1e-12
-    )
+    assert_allclose(information.squared_residuals(values), [expected], rtol=1e-12)
     matrix, right = information.stacked()
-    np.testing.assert_allclose(
-        np.sum((matrix @ values - right) ** 2), expected, rtol=1e-12
-    )
+    assert_allclose(np.sum((matrix @ values - right) ** 2), expected, rtol=1e-12)
 
 
 NAMES = tuple("abcdef")
@@ -107,14 +104,12 @@ def test_parts_together_are_the_information_of_all_rows(seed, count):
     together = combine([replace(filled(columns, part), prior=known) for part in blocks])
     whole = filled(columns, sum(blocks, []))
     assert together.names == NAMES
-    np.testing.assert_array_equal(together.prior, known)
+    assert_array_equal(together.prior, known)
     for joint, expected in zip(together.joints, whole.joints):
         assert (joint.joint, joint.n_samples) == (expected.joint, expected.n_samples)
-        np.testing.assert_array_equal(joint.columns, expected.columns)
+        assert_array_equal(joint.columns, expected.columns)
         normal, other = (t.T @ t for t in (joint.triangle, expected.triangle))
-        np.testing.assert_allclose(
-            normal, other, rtol=0.0, atol=1e-12 * (1.0 + np.max(other))
-        )
+        assert_allclose(normal, other, rtol=0.0, atol=1e-12 * (1.0 + np.max(other)))
     assert combine([whole]).prior is None
 
 
@@ -128,7 +123,7 @@ def test_restricting_holds_the_other_parameters_at_zero(seed, order, count):
     assert smaller.names == tuple(NAMES[k] for k in kept)
     values = np.zeros(6)
     values[kept] = rng.normal(size=count)
-    np.testing.assert_allclose(
+    assert_allclose(
         smaller.squared_residuals(values[kept]),
         information.squared_residuals(values),
         rtol=1e-11,

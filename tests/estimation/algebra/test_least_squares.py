@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.estimation.algebra.least_squares import joint_noise, solver
-from tests.support.estimates import identified
+from tests.support.estimates import identify
 from tests.support.synthetic_data import Samples, noisy_samples
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -30,9 +31,9 @@ def test_wls_does_not_care_about_the_unit_of_one_joint(seed, power):
         ],
         [factor * tau if j == 1 else tau for j, tau in enumerate(samples.torques)],
     )
-    one = identified(samples.information(names), PRIOR, "wls")
-    other = identified(rescaled.information(names), PRIOR, "wls")
-    np.testing.assert_allclose(other.values, one.values, rtol=0.0, atol=1e-6)
+    one = identify(samples.information(names), PRIOR, "wls")
+    other = identify(rescaled.information(names), PRIOR, "wls")
+    assert_allclose(other.values, one.values, rtol=0.0, atol=1e-6)
 
 
 def test_wls_reports_each_joints_noise_and_beats_ols_where_joints_differ():
@@ -42,13 +43,13 @@ def test_wls_reports_each_joints_noise_and_beats_ols_where_joints_differ():
         samples, names, truth, _ = noisy_samples(seed, noises)
         information = samples.information(names)
         ordinary, weighted = (
-            np.linalg.norm((identified(information, PRIOR, method).values - truth)[:10])
+            np.linalg.norm((identify(information, PRIOR, method).values - truth)[:10])
             for method in ("ols", "wls")
         )
         ratios.append(weighted / ordinary)
-    reported = identified(information, PRIOR, "wls").noise_per_joint
+    reported = identify(information, PRIOR, "wls").noise_per_joint
     assert np.median(ratios) < 0.3
-    np.testing.assert_allclose(list(reported.values()), noises, rtol=0.2)
+    assert_allclose(list(reported.values()), noises, rtol=0.2)
 
 
 @given(SEEDS)
@@ -73,9 +74,7 @@ def test_equations_with_a_prior_are_solved_to_rounding(seed):
     information = replace(information, prior=known)
     best = np.linalg.lstsq(*information.stacked(weights), rcond=None)[0]
     found, _ = solver(information, PRIOR)(weights)
-    np.testing.assert_allclose(
-        found, best, rtol=0.0, atol=1e-11 * np.max(np.abs(truth))
-    )
+    assert_allclose(found, best, rtol=0.0, atol=1e-11 * np.max(np.abs(truth)))
 
 
 @given(SEEDS)
@@ -95,4 +94,4 @@ def test_what_exact_data_does_not_see_keeps_the_priors_value(seed):
             np.array([10.0])
         )
         moved = found - prior
-        np.testing.assert_allclose(moved[[2, 5]], ratios * moved[[1, 4]], atol=1e-6)
+        assert_allclose(moved[[2, 5]], ratios * moved[[1, 4]], atol=1e-6)

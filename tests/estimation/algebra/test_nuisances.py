@@ -9,6 +9,7 @@ import pytest
 import scipy.stats
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.information import InformationAccumulator
@@ -25,7 +26,7 @@ from robot_sysid.estimation.algebra.nuisances import (
 )
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from tests.support.arms import SEEDS, rigid_bodies
-from tests.support.estimates import explained
+from tests.support.estimates import prior_errors
 from tests.support.model_files import random_theta
 
 NAMES = (*spatial.PARAMETER_NAMES, "d0", "d1", "d2", "d3", "e0", "e1")
@@ -74,7 +75,7 @@ def test_the_estimate_is_the_mean_of_the_posterior(seed):
     normal = matrix.T @ matrix / 0.1**2 + prior
     expected = np.linalg.solve(normal, matrix.T @ right / 0.1**2 + prior @ mean)
     found, _ = solver(with_prior(information, groups), np.zeros(16))(np.array([10.0]))
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
+    assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
 
 
 def test_exact_data_is_solved_as_exactly_under_priors():
@@ -87,7 +88,7 @@ def test_exact_data_is_solved_as_exactly_under_priors():
     accumulator = InformationAccumulator(NAMES, ["j"], [np.arange(16)])
     accumulator.add(0, rows, rows @ truth)
     found = WithPriors(accumulator.result(), np.array([1e-6])).solve(groups)[0]
-    np.testing.assert_allclose(found, truth, atol=1e-6)
+    assert_allclose(found, truth, atol=1e-6)
 
 
 @given(SEEDS)
@@ -138,9 +139,9 @@ def test_errors_by_cause_add_up_in_squares(seed):
     groups = groups_of(rng)
     information = with_prior(information_of(rng, rng.normal(size=16))[0], groups)
     found = uncertainty(information, np.array([10.0]), np.array([0.1]))
-    parts = [explained(found, group, NAMES) for group in groups]
+    parts = [prior_errors(found, group, NAMES) for group in groups]
     total = np.diag(found.noise) + np.sum(np.square(parts), axis=0)
-    np.testing.assert_allclose(total, found.standard_errors**2, rtol=1e-8)
+    assert_allclose(total, found.standard_errors**2, rtol=1e-8)
 
 
 @given(SEEDS, st.sampled_from([0.1, 1.0, 6.0, 1e3]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
@@ -60,7 +61,7 @@ def test_what_is_left_is_the_spread_of_possible_bodies(seed):
     told = np.diag(possible_covariance(LIGHT, spread))
     # 200 draws know a spread to 5 %, the 60 of the code to 9 %.
     assert np.median(np.sqrt(told / squares)) == pytest.approx(1.0, abs=0.1)
-    np.testing.assert_allclose(np.sqrt(told / squares), 1.0, atol=0.35)
+    assert_allclose(np.sqrt(told / squares), 1.0, atol=0.35)
     assert told[0] < 0.8 * spread[0, 0]
 
 
@@ -69,7 +70,7 @@ def test_where_every_body_is_possible_nothing_changes():
     whole, causes = whole_of(spread, {"noise": np.linalg.cholesky(spread).T})
     again, parts = once_possible(whole, causes, PLACES, LIGHT, LIGHT)
     assert again is whole and parts == causes
-    np.testing.assert_array_equal(possible_covariance(LIGHT, spread), spread)
+    assert_array_equal(possible_covariance(LIGHT, spread), spread)
 
 
 def test_causes_still_add_up_and_what_hangs_on_the_body_follows_it():
@@ -83,12 +84,8 @@ def test_causes_still_add_up_and_what_hangs_on_the_body_follows_it():
     whole, parts = once_possible(*whole_of(spread, parts), PLACES, LIGHT, LIGHT)
     assert set(parts) == {"links", "noise", BODIES}
     rows = np.vstack([*parts.values()])
-    np.testing.assert_allclose(
-        rows.T @ rows, whole.covariance, atol=1e-9 * spread.max()
-    )
-    np.testing.assert_allclose(
-        whole.standard_errors**2, np.diag(whole.covariance), rtol=1e-9
-    )
+    assert_allclose(rows.T @ rows, whole.covariance, atol=1e-9 * spread.max())
+    assert_allclose(whole.standard_errors**2, np.diag(whole.covariance), rtol=1e-9)
     assert whole.covariance[10, 10] == pytest.approx(whole.covariance[0, 0] + own**2)
     assert whole.covariance[11, 11] == pytest.approx(own**2)
 
@@ -105,4 +102,4 @@ def test_where_a_drawn_body_cannot_be_made_possible_errors_stay(monkeypatch):
 
     monkeypatch.setattr(ConsistentLinks, "best", fails)
     spread = covariance(0.8)
-    np.testing.assert_array_equal(possible_covariance(LIGHT, spread), spread)
+    assert_array_equal(possible_covariance(LIGHT, spread), spread)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given
+from numpy.testing import assert_allclose
 
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from tests.support.arms import SEEDS
-from tests.support.estimates import identified
+from tests.support.estimates import identify
 from tests.support.smooth_arm import SmoothArm, information_of_samples, samples_of
 from tests.support.synthetic_data import (
     arm_equations,
@@ -39,8 +40,8 @@ def test_white_covariance_is_the_sandwich_of_the_dense_rows(seed):
     score = sum(w**4 * s**2 * r.T @ r for w, s, r in zip(weights, noise, rows))
     expected = np.linalg.solve(normal, np.linalg.solve(normal, score).T)
     found = uncertainty(information, weights, noise)
-    np.testing.assert_allclose(found.covariance, expected, rtol=1e-7, atol=1e-12)
-    np.testing.assert_allclose(found.standard_errors**2, np.diag(expected), rtol=1e-7)
+    assert_allclose(found.covariance, expected, rtol=1e-7, atol=1e-12)
+    assert_allclose(found.standard_errors**2, np.diag(expected), rtol=1e-7)
 
 
 def test_unidentifiable_parameters_have_no_error_bars_and_no_share_of_the_data():
@@ -52,9 +53,9 @@ def test_unidentifiable_parameters_have_no_error_bars_and_no_share_of_the_data()
     assert np.all(np.isinf(estimate.standard_errors[unseen]))
     assert np.all(np.isfinite(estimate.standard_errors[seen]))
     assert np.all(np.isfinite(estimate.covariance))
-    np.testing.assert_allclose(estimate.data_share[[0, 3]], 0.0, atol=1e-12)
-    np.testing.assert_allclose(estimate.data_share[[4, 7]], 0.5, atol=0.05)
-    np.testing.assert_allclose(estimate.data_share[seen], 1.0, atol=1e-12)
+    assert_allclose(estimate.data_share[[0, 3]], 0.0, atol=1e-12)
+    assert_allclose(estimate.data_share[[4, 7]], 0.5, atol=0.05)
+    assert_allclose(estimate.data_share[seen], 1.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("duration", [0.05, 15.0])
@@ -63,7 +64,7 @@ def test_nothing_to_explain_leaves_no_nan(duration):
     arm = SmoothArm(rng, rate=100.0, duration=duration)
     samples = samples_of(arm, arm.torques(np.zeros((arm.count, 7))))
     information = information_of_samples(arm, samples)
-    estimate = identified(information, arm.truth, "wls", samples=samples)
+    estimate = identify(information, arm.truth, "wls", samples=samples)
     assert np.all(np.isfinite(estimate.covariance))
     assert not np.any(np.isnan(estimate.standard_errors))
     assert all(np.isfinite(list(estimate.effective_samples.values())))
@@ -82,8 +83,8 @@ def test_intervals_cover_under_white_and_under_slow_noise(memory):
             arm, arm.torques(arm.noise(rng, rng.uniform(0.1, 0.5, 7), memory))
         )
         information = information_of_samples(arm, samples)
-        aware = identified(information, np.zeros(31), "wls", samples=samples)
-        white = identified(information, np.zeros(31), "wls")
+        aware = identify(information, np.zeros(31), "wls", samples=samples)
+        white = identify(information, np.zeros(31), "wls")
         error = np.abs(aware.values - arm.truth)
         hits.append(error < 1.96 * aware.standard_errors)
         naive.append(error < 1.96 * white.standard_errors)
