@@ -14,8 +14,13 @@ from typing import Any
 from robot_sysid import __version__
 from robot_sysid.commands import COMMANDS, PROGRAM
 from robot_sysid.commands.streams import print_line, tolerant_output
-from robot_sysid.errors import INTERRUPTED, ColumnsError, InputError, SysidError
-from robot_sysid.interrupts import heard_by
+from robot_sysid.errors import (
+    INTERRUPTED,
+    ColumnsError,
+    InputError,
+    SysidError,
+    handle_stop_signals,
+)
 
 UNFINISHED = "interrupted; no unfinished file is left"
 """What an interrupted command says that says nothing else by its ``INTERRUPTED``."""
@@ -91,7 +96,7 @@ def _remembered_interrupts(ends: bool = False) -> Iterator[list[int]]:
     """Turn requests to stop into KeyboardInterrupt and yield a list that gets an entry with each.
 
     A compiled module that is interrupted while it is imported turns KeyboardInterrupt into an
-    ImportError; the list tells that from a real one. For ``ends`` see ``heard_by``.
+    ImportError; the list tells that from a real one. For ``ends`` see ``handle_stop_signals``.
     """
     seen: list[int] = []
 
@@ -100,7 +105,7 @@ def _remembered_interrupts(ends: bool = False) -> Iterator[list[int]]:
         raise KeyboardInterrupt
 
     usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    with heard_by(interrupt, ends) if usual else contextlib.nullcontext():
+    with handle_stop_signals(interrupt, ends) if usual else contextlib.nullcontext():
         yield seen
 
 

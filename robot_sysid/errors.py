@@ -1,4 +1,4 @@
-"""The errors that cross this package's border.
+"""The errors that cross this package's border, and the requests to stop that end a run.
 
 ::
 
@@ -12,14 +12,21 @@
     └── HardwareAbort          exit code 3: a real (or simulated) arm was stopped
 
 Every message is one line: what is wrong, where, and what to do about it.
+
+A request to stop is a signal (Ctrl-C, kill, a closed terminal). Python turns it into
+KeyboardInterrupt in the main thread; the context managers at the end say when it has to wait.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 INTERRUPTED = 130
+"""Exit code of a process that a signal stopped."""
 EXIT_CODES: Mapping[int, str] = {
     0: "done",
     1: "result not trustworthy, or something to change before playing",
@@ -27,11 +34,13 @@ EXIT_CODES: Mapping[int, str] = {
     3: "run on the arm refused or stopped",
     INTERRUPTED: "interrupted",
 }
-"""What a process says with its exit code."""
+"""Exit code of a process to its meaning."""
 
 
-def words_of(error: BaseException) -> str:
-    """Return what an error says, on one line; its type where it says nothing or is not ours."""
+def error_text(error: BaseException) -> str:
+    """Return an error's message on one line: an OSError's without its number and path, and the
+    name of its type for an error without message.
+    """
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return " ".join(str(error).split()) or type(error).__name__
@@ -50,8 +59,11 @@ class InputError(SysidError):
 
 
 @contextlib.contextmanager
-def named(recording: str) -> Iterator[None]:
-    """Let an InputError say which recording it is about."""
+def prefix_input_errors(recording: str) -> Iterator[None]:
+    """Put a recording's name before the message of an InputError raised inside the block.
+
+    An empty name leaves the message as it is.
+    """
     try:
         yield
     except InputError as error:
@@ -59,11 +71,11 @@ def named(recording: str) -> Iterator[None]:
 
 
 class ColumnsError(InputError):
-    """It is not known which column of a log is what.
+    """The columns of a log cannot be told from their titles.
 
     Attributes:
-        draft: a columns file to complete; "" where there is none.
-        name: what such a file of this log may be called.
+        draft: text of a columns file for the user to complete; "" where there is none.
+        name: file name to write the draft to.
     """
 
     def __init__(
@@ -82,15 +94,15 @@ class AmbiguousJointError(ModelError):
     """Several joints could be the terminal one; lists them.
 
     Args:
-        reason: why the tool cannot decide.
+        reason: why the program cannot decide.
         candidates: (joint name, body name) pairs to choose from.
     """
 
     def __init__(self, reason: str, candidates: Sequence[tuple[str, str]]) -> None:
         self.candidates = tuple(candidates)
-        listed = ", ".join(f"{joint} (body {body})" for joint, body in self.candidates)
+        joints = ", ".join(f"{joint} (body {body})" for joint, body in self.candidates)
         super().__init__(
-            f"{reason}; choose one with --joint NAME. Candidates: {listed}"
+            f"{reason}; choose one with --joint NAME. Candidates: {joints}"
         )
 
 
@@ -99,10 +111,103 @@ class SimulationError(SysidError):
 
 
 class ExportError(SysidError):
-    """A written file does not reproduce what was identified."""
+    """A written file does not reproduce the identified model."""
 
 
 class HardwareAbort(SysidError):
     """A run on the arm was stopped before its end."""
 
     exit_code = 3
+
+
+_SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2")
+STOP_SIGNALS = tuple(
+    getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name)
+)
+"""Signals by which a user or the system asks a program to end, and which end it by default."""
+
+
+def _in_main_thread() -> bool:
+    """Tell whether the caller runs in the main thread, the only one that may set handlers."""
+    return threading.current_thread() is threading.main_thread()
+
+
+@contextlib.contextmanager
+def handle_stop_signals(
+    handler: Callable[[int, Any], object], ignore_afterwards: bool = False
+) -> Iterator[None]:
+    """Have the stop signals call ``handler(number, frame)`` inside the block.
+
+    A signal that is ignored stays ignored: nohup, or a shell's ``&``, wants it so. Outside of the
+    main thread nothing is changed.
+
+    Args:
+        ignore_afterwards: ignore the signals after the block instead of restoring their handlers,
+            for a process about to end: a signal in Python's own shutdown would replace its exit
+            code.
+    """
+    previous = {}
+    for number in STOP_SIGNALS if _in_main_thread() else ():
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            previous[number] = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, old_handler in previous.items():
+            signal.signal(number, signal.SIG_IGN if ignore_afterwards else old_handler)
+
+
+@contextlib.contextmanager
+def delay_signals(signals: tuple[signal.Signals, ...] = STOP_SIGNALS) -> Iterator[None]:
+    """Deliver these signals after the block only.
+
+    A process that is started inside the block never gets them, where the system has signal masks.
+    """
+    arrived: dict[int, Any] = {}
+    with contextlib.ExitStack() as cleanup:
+        if hasattr(signal, "pthread_sigmask"):  # Windows has no masks.
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+            cleanup.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
+        if _in_main_thread():
+            # A signal that another thread receives has its Python handler called in this one.
+            handlers = {}
+            for number in signals:
+                if signal.getsignal(number) is not None:
+                    handlers[number] = signal.signal(number, arrived.setdefault)
+            cleanup.callback(_deliver, arrived, handlers)
+        yield
+
+
+def _deliver(
+    arrived: Mapping[int, Any], handlers: Mapping[signal.Signals, Any]
+) -> None:
+    """Restore the handlers, then raise each signal that arrived."""
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    for arrived_number in arrived:
+        signal.raise_signal(arrived_number)
+
+
+@contextlib.contextmanager
+def ignore_repeated_ctrl_c() -> Iterator[None]:
+    """Ignore every Ctrl-C in the block after the first one that raises an exception.
+
+    A stopped run needs a moment to save its results; a second Ctrl-C must not lose them.
+    """
+    handler: Any = signal.getsignal(signal.SIGINT)
+    # Not callable: SIGINT is ignored, or a program that embeds Python handles it.
+    if not _in_main_thread() or not callable(handler):
+        yield
+        return
+
+    def stop(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        handler(number, frame)
+        # The handler raised nothing, so nothing was stopped.
+        signal.signal(signal.SIGINT, stop)
+
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)

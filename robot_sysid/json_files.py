@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.errors import InputError, words_of
+from robot_sysid.errors import InputError, error_text
 from robot_sysid.special_files import refuse_special_file
 
 _DIGITS = 300
@@ -35,7 +35,7 @@ def read_json(path: Path, remedy: str) -> Any:
             ),
         )
     except OSError as error:
-        reason = words_of(error)
+        reason = error_text(error)
     except (ValueError, RecursionError) as error:
         reason = f"it is not JSON: {error}"
     raise InputError(f"cannot read {path}: {reason}; {remedy}")

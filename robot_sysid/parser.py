@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.errors import InputError, ModelError, words_of
+from robot_sysid.errors import InputError, ModelError, error_text
 from robot_sysid.model.chain import (
     arm_without_base,
     body_label,
@@ -211,7 +211,7 @@ def _model_file(path: Path) -> Path:
             found = importlib.import_module(f"{_PACKAGE}.{name}")
     except Exception as error:
         # Whatever git says where there is no network, or no git.
-        fault = f"{_PACKAGE} cannot fetch {name}: {words_of(error)}"
+        fault = f"{_PACKAGE} cannot fetch {name}: {error_text(error)}"
         raise InputError(f"{fault}; check the network, or give a model file") from None
     place = getattr(found, "MJCF_PATH", None) or getattr(found, "URDF_PATH", None)
     if place is None:

@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 
 from robot_sysid.config import Config, PayloadConfig, SysidConfig
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.estimation.itself import identify_itself
 from robot_sysid.export import MotorFile, locked_folder, save
-from robot_sysid.interrupts import only_the_first
 from robot_sysid.model.compilation import meshes_not_kept
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
@@ -79,7 +78,7 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
     with locked_folder(config.output.output_dir, progress):
         robot = load(config, progress)
         if isinstance(config, SysidConfig) and config.trajectory.plan_only:
-            with only_the_first():
+            with ignore_repeated_ctrl_c():
                 return _plan_outcome(
                     config, robot, designed(config, robot, progress)[0]
                 )
@@ -139,7 +138,7 @@ def analysed(config: Config, robot: RobotModel, progress: Progress) -> Analysis:
         from robot_sysid.log_pipeline import of_logs
 
         return of_logs(config, robot, progress)
-    with only_the_first():
+    with ignore_repeated_ctrl_c():
         checked, seed = designed(config, robot, progress)
         if checked.failure:
             remedy = "try another --seed, or use --excitation optimal"

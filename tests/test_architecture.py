@@ -58,7 +58,7 @@ LAYERS = (
     ("dynamics.spatial",),
     ("json_files",),
     ("special_files",),
-    ("errors", "interrupts"),
+    ("errors",),
     # Nothing but the version.
     ("",),
 )

@@ -12,7 +12,7 @@ from shlex import quote
 import robot_sysid
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.config import SysidConfig
-from robot_sysid.errors import InputError, words_of
+from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.atomic_files import draft_folder, temporary_folder
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
@@ -94,7 +94,7 @@ def _copy(home: Path, place: Path) -> None:
             os.rename(draft, place)
     except OSError as error:
         raise InputError(
-            f"cannot copy the example to {place}: {words_of(error)}"
+            f"cannot copy the example to {place}: {error_text(error)}"
         ) from None
 
 

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from robot_sysid.damiao import serial_adapter
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
-from robot_sysid.errors import HardwareAbort, InputError, words_of
+from robot_sysid.errors import HardwareAbort, InputError, error_text
 from robot_sysid.records.options import OptionRecord, option
 
 
@@ -207,7 +207,7 @@ def import_can() -> Any:
 
 
 def _driver_words(error: BaseException) -> str:
-    return repr(error) if isinstance(error, SystemExit) else words_of(error)
+    return repr(error) if isinstance(error, SystemExit) else error_text(error)
 
 
 def _message(can: Any, frame: Frame, **stamp: Any) -> Any:
@@ -352,7 +352,7 @@ class BusLink:
             len(self._garbled_at) == _MOST_GARBLED
             and now - self._garbled_at[0] < _GARBLED_TIME
         ):
-            raise LinkError(f"{_GARBLED} ({words_of(error)})") from error
+            raise LinkError(f"{_GARBLED} ({error_text(error)})") from error
 
     def close(self) -> None:
         """Release the adapters; one that has been unplugged is gone anyway.

@@ -51,7 +51,7 @@ from robot_sysid.damiao.settings import (
 )
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
-from robot_sysid.errors import HardwareAbort, InputError, SysidError, words_of
+from robot_sysid.errors import HardwareAbort, InputError, SysidError, error_text
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.options import LimitOptions
 from robot_sysid.records import Array
@@ -482,7 +482,7 @@ def _require_complete(console: Aside, writer: Aside) -> None:
         if aside.failure is not None:
             raise SysidError(
                 "the trajectory was played and all motors are disabled, but "
-                f"{problem}: {words_of(aside.failure)}"
+                f"{problem}: {error_text(aside.failure)}"
             )
 
 

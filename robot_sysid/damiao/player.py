@@ -30,7 +30,7 @@ from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.errors import HardwareAbort, words_of
+from robot_sysid.errors import HardwareAbort, error_text
 from robot_sysid.records import Array
 
 
@@ -189,7 +189,7 @@ class Player:
                 if isinstance(error, HardwareAbort):
                     raise
                 raise HardwareAbort(
-                    f"{type(error).__name__}: {words_of(error)}"
+                    f"{type(error).__name__}: {error_text(error)}"
                 ) from error
         timer = self._timer
         counts = self._played, timer.skipped, timer.lateness(50.0), timer.lateness(99.0)
@@ -315,7 +315,7 @@ class Player:
             raise HardwareAbort(self._stop.reason)
         failure = self._recorder.failure if self._recorder else None
         if failure is not None:
-            raise HardwareAbort(f"cannot record: {words_of(failure)}")
+            raise HardwareAbort(f"cannot record: {error_text(failure)}")
 
     def _cycle(self, reference: Reference) -> tuple[Replies, MitCommand]:
         """Exchange one command; return the replies and the command they were sampled under."""

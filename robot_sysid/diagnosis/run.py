@@ -11,7 +11,7 @@ from robot_sysid.diagnosis import Finding, Level, recording
 from robot_sysid.diagnosis.contest import Contest, findings
 from robot_sysid.diagnosis.relabelling import model_torque
 from robot_sysid.diagnosis.rows import low_pass, rms
-from robot_sysid.errors import InputError, SysidError, named
+from robot_sysid.errors import InputError, SysidError, prefix_input_errors
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
@@ -87,7 +87,7 @@ def look_at(
     links_known: bool = True,
 ) -> None:
     """Tell what ``check_against_model`` finds wrong with a log, and ``require_acceptable``."""
-    with named(str(log.path)):
+    with prefix_input_errors(str(log.path)):
         found = check_against_model(
             robot, log.pieces, options, links_known, log.torque_scale
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.dynamics.nuisances import gravity, tilt_axes
-from robot_sysid.errors import InputError, named
+from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.nuisances import SURE, is_no_chance
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -79,7 +79,7 @@ def low_pass_recordings(
     cutoffs = []
     pairs = []
     for piece, log in zip(pieces, resampled):
-        with named(piece.name):
+        with prefix_input_errors(piece.name):
             cutoffs.append(options.cutoff or log.choice[0])
     for piece, log, required in zip(pieces, resampled, cutoffs):
         cutoff = options.cutoff
@@ -87,7 +87,7 @@ def low_pass_recordings(
         if required > min(cutoffs):
             cutoff = min(cutoffs)
             reason = "as another recording asks for"
-        with named(piece.name):
+        with prefix_input_errors(piece.name):
             signals = process(log, robot.joint_names, cutoff, reason)
             pairs.append((piece, signals))
     datasets = []

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
-from robot_sysid.errors import InputError, ModelError, words_of
+from robot_sysid.errors import InputError, ModelError, error_text
 from robot_sysid.records.atomic_files import require_utf8
 from robot_sysid.special_files import refuse_special_file
 
@@ -238,7 +238,9 @@ def _read_bytes(path: Path) -> bytes:
         hint = "" if known else " (Expected an XML model file: .xml, .mjcf or .urdf)"
         raise InputError(f"model file {path} not found; check the path{hint}") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot read model file {path}: {words_of(error)}") from None
+        raise InputError(
+            f"cannot read model file {path}: {error_text(error)}"
+        ) from None
 
 
 def _as_utf8(raw: bytes, path: Path) -> bytes:

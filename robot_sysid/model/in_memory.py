@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import mujoco
 import numpy as np
 
-from robot_sysid.errors import ModelError, words_of
+from robot_sysid.errors import ModelError, error_text
 from robot_sysid.model.compilation import FAILURES, CompiledModel, captured_warnings
 
 InMemory = Union["mujoco.MjSpec", "mujoco.MjModel"]
@@ -116,7 +116,7 @@ def _compiled(spec: Any) -> Any:
             return spec.compile()
         except FAILURES as error:
             raise ModelError(
-                f"MuJoCo cannot compile the MjSpec: {words_of(error)}"
+                f"MuJoCo cannot compile the MjSpec: {error_text(error)}"
             ) from None
 
 

@@ -15,8 +15,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TextIO
 
-from robot_sysid.errors import InputError, words_of
-from robot_sysid.interrupts import held_back
+from robot_sysid.errors import InputError, delay_signals, error_text
 from robot_sysid.special_files import refuse_special_file
 
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
@@ -91,7 +90,7 @@ class WholeFiles:
         for path, draft in self._drafts.items():
             with _refusals(path), open(draft, "rb+") as file:
                 os.fsync(file.fileno())
-        with held_back():
+        with delay_signals():
             if len(self._drafts) > 1:
                 first = next(iter(self._drafts))
                 with _refusals(first):
@@ -298,5 +297,5 @@ def _refusals(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(
-            f"cannot write {path}: {words_of(error)}; choose another folder"
+            f"cannot write {path}: {error_text(error)}; choose another folder"
         ) from None

@@ -21,8 +21,7 @@ import numpy as np
 
 from robot_sysid import __version__
 from robot_sysid.dynamics.kinematics import MUJOCO_VERSION
-from robot_sysid.errors import ExportError, InputError
-from robot_sysid.interrupts import held_back
+from robot_sysid.errors import ExportError, InputError, delay_signals
 from robot_sysid.mjcf import write_back
 from robot_sysid.mjcf.assets import bundled_text, find_assets
 from robot_sysid.mjcf.documents import read_document
@@ -375,7 +374,7 @@ def write_bundle(model: Path, folder: Path) -> Path:
 
 def _put_in_place(draft: Path, place: Path, earlier: Path) -> None:
     """Move a finished folder to its place, and what stands there out of the way."""
-    with held_back():
+    with delay_signals():
         if os.path.lexists(place):
             os.replace(place, earlier)
         os.replace(draft, place)

@@ -25,7 +25,7 @@ from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, head_lines
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
-from robot_sysid.errors import InputError, words_of
+from robot_sysid.errors import InputError, error_text
 from tests.support.log_files import read_measurements
 from tests.support.recordings import read_recording
 
@@ -270,7 +270,7 @@ def test_what_goes_wrong_is_kept_and_nothing_is_done_after_it(threaded, error):
     aside(lambda: done.append("more"))
     aside.finish()
     assert aside.failure is error and done == list(range(20))
-    assert words_of(error) == (
+    assert error_text(error) == (
         "full" if isinstance(error, OSError) else type(error).__name__
     )
 

@@ -8,7 +8,7 @@ import itertools
 import signal
 
 from robot_sysid.damiao.bus import SimulatedClock
-from robot_sysid.interrupts import STOPPING
+from robot_sysid.errors import STOP_SIGNALS
 
 
 class ScriptedClock(SimulatedClock):
@@ -40,7 +40,8 @@ class ScriptedClock(SimulatedClock):
 def heard_signals():
     """Signals that are not ignored, also where nohup or a shell's ``&`` started the tests."""
     before = {
-        number: signal.signal(number, signal.default_int_handler) for number in STOPPING
+        number: signal.signal(number, signal.default_int_handler)
+        for number in STOP_SIGNALS
     }
     try:
         yield

@@ -46,7 +46,7 @@ import numpy as np
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.frames import Address
 from robot_sysid.damiao.protocol.motors import MOTORS, MotorSpec, motor_spec
-from robot_sysid.errors import InputError, words_of
+from robot_sysid.errors import InputError, error_text
 from robot_sysid.json_files import read_json
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import write_whole
@@ -239,7 +239,7 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
         with open(path, encoding="utf-8-sig", newline="") as file:
             lines = [line for line in file if line.strip() and not line.startswith("#")]
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read {path}: {words_of(error)}") from None
+        raise InputError(f"cannot read {path}: {error_text(error)}") from None
     if any("\0" in line for line in lines):
         raise InputError(f"{path} is not text: it has zero bytes")
     table = csv.DictReader(lines, skipinitialspace=True)

@@ -7,7 +7,7 @@ import time
 from contextlib import AbstractContextManager
 from typing import Any
 
-from robot_sysid.interrupts import heard_by
+from robot_sysid.errors import handle_stop_signals
 
 # One key press may arrive twice: from the terminal, and passed on by a program that started us.
 # Longer than a busy computer takes to pass it on, shorter than pressing a key twice on purpose [s].
@@ -36,7 +36,7 @@ class StopRequest:
 
     def on_signals(self) -> AbstractContextManager[None]:
         """Return a block in which signals that ask a program to end are wishes."""
-        return heard_by(self._handle)
+        return handle_stop_signals(self._handle)
 
     def _handle(self, number: int, frame: Any) -> None:
         again = False

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.errors import InputError, SysidError, words_of
+from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.columns import read_title
 from robot_sysid.logs.options import LogOptions
@@ -296,4 +296,6 @@ def as_input_errors(path: Path, what: str) -> Iterator[None]:
         fault = "asks for more memory than there is; it is damaged, or too long"
         raise InputError(f"{path} {fault}") from None
     except Exception as error:
-        raise InputError(f"cannot read {path} as {what}: {words_of(error)}") from error
+        raise InputError(
+            f"cannot read {path} as {what}: {error_text(error)}"
+        ) from error

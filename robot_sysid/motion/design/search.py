@@ -24,8 +24,7 @@ from typing import Any, Callable
 
 import numpy as np
 
-from robot_sysid.errors import InputError
-from robot_sysid.interrupts import held_back
+from robot_sysid.errors import InputError, delay_signals
 from robot_sysid.motion.design import optimise
 from robot_sysid.motion.design.optimise import (
     GRID_PER_CYCLE,
@@ -404,7 +403,7 @@ def _submitted(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> list[Future[An
     unset = [name for name in _THREAD_COUNTS if name not in os.environ]
     os.environ.update(dict.fromkeys(unset, "1"))
     try:
-        with held_back((signal.SIGINT,)):
+        with delay_signals((signal.SIGINT,)):
             return [pool.submit(_do, job) for job in jobs]
     finally:
         for name in unset:

@@ -7,10 +7,10 @@ import signal
 import pytest
 
 from robot_sysid.damiao.safety.stop_request import StopRequest
-from robot_sysid.interrupts import STOPPING
+from robot_sysid.errors import STOP_SIGNALS
 
 
-@pytest.mark.parametrize("name", [number.name for number in STOPPING])
+@pytest.mark.parametrize("name", [number.name for number in STOP_SIGNALS])
 def test_signals_are_wishes_inside_the_block_only(name, heard):
     number = getattr(signal, name)
     stop = StopRequest()
@@ -21,7 +21,7 @@ def test_signals_are_wishes_inside_the_block_only(name, heard):
     assert (stop.count, stop.reason, stop.insisted) == (2, f"stopped by {name}", False)
 
 
-@pytest.mark.parametrize("name", [number.name for number in STOPPING])
+@pytest.mark.parametrize("name", [number.name for number in STOP_SIGNALS])
 def test_what_nohup_or_a_shell_makes_a_process_ignore_stays_ignored(name, heard):
     number = getattr(signal, name)
     stop = StopRequest()

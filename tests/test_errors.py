@@ -10,7 +10,7 @@ import threading
 import pytest
 
 from robot_sysid.cli import _remembered_interrupts
-from robot_sysid.interrupts import STOPPING, held_back, only_the_first
+from robot_sysid.errors import STOP_SIGNALS, delay_signals, ignore_repeated_ctrl_c
 
 pytestmark = pytest.mark.skipif(
     os.name == "nt", reason="signals cannot be sent to oneself"
@@ -48,19 +48,19 @@ def stops():
         seen.append(number)
         raise KeyboardInterrupt
 
-    usual = {number: signal.signal(number, stop) for number in STOPPING}
+    usual = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
     yield seen
     for number, handler in usual.items():
         signal.signal(number, handler)
 
 
 @pytest.mark.parametrize("threads", ["one thread", "two threads"])
-@pytest.mark.parametrize("number", STOPPING)
+@pytest.mark.parametrize("number", STOP_SIGNALS)
 def test_a_signal_waits_for_the_end_of_the_block(number, threads, stops, other_thread):
     send = signal.raise_signal if threads == "one thread" else other_thread
     reached = []
     with pytest.raises(KeyboardInterrupt):
-        with held_back():
+        with delay_signals():
             send(number)
             for k in range(1000):
                 reached.append(k)
@@ -71,11 +71,11 @@ def test_a_signal_waits_for_the_end_of_the_block(number, threads, stops, other_t
 
 def test_only_the_first_ctrl_c_counts():
     usual = signal.getsignal(signal.SIGINT)
-    with only_the_first():
+    with ignore_repeated_ctrl_c():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
-        with held_back():
+        with delay_signals():
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is usual
 
@@ -84,7 +84,7 @@ def test_a_handler_that_stops_nothing_hears_every_request():
     heard = []
     before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
     try:
-        with only_the_first():
+        with ignore_repeated_ctrl_c():
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGINT)
     finally:
@@ -93,7 +93,7 @@ def test_a_handler_that_stops_nothing_hears_every_request():
 
 
 def test_under_the_command_line_asking_twice_loses_nothing_either():
-    with _remembered_interrupts() as seen, only_the_first():
+    with _remembered_interrupts() as seen, ignore_repeated_ctrl_c():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
