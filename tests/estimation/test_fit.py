@@ -35,12 +35,12 @@ from tests.support.measured_logs import guess_model, log_of, plan_of
 from tests.support.payload_logs import (
     PAYLOAD,
     TrueArm,
+    add_noise,
     add_torque,
     exact_recording,
     four_joint_arm,
     wide_motion,
 )
-from tests.support.payload_logs import add_noise as with_noise
 from tests.support.synthetic_data import random_body
 
 ROBOT = four_joint_arm()
@@ -139,7 +139,7 @@ def test_links_that_are_off_the_other_way_ask_for_the_opposite_scales(seed):
         arm = TrueArm(ROBOT, seed, model_error=0.1)
         model = np.array([link.theta for link in ROBOT.links])
         arm.thetas[:-1] = (model + sign * (arm.thetas - model))[:-1]
-        fit = fit_recordings(ROBOT, [with_noise(arm.recording(motion, False), 0.02, 0)])
+        fit = fit_recordings(ROBOT, [add_noise(arm.recording(motion, False), 0.02, 0)])
         found.append(fit.free[fit.columns.at([f"scale[{joint}]" for joint in JOINTS])])
     bent = found[0] + found[2] - 2.0 * found[1]
     straight = found[0] - found[2]
@@ -201,9 +201,9 @@ def test_order_and_cuts_of_recordings_change_nothing(recordings):
         assert_allclose(other, whole, rtol=1e-6, atol=1e-7)
 
 
-def test_a_recording_given_twice_says_no_more(robot, add_noise):
+def test_a_recording_given_twice_says_no_more(robot, noisy):
     """What the model leaves comes again as it was, so it does not average."""
-    (log,), options = filter_logs(robot, add_noise, **NOISE_ONLY)
+    (log,), options = filter_logs(robot, noisy, **NOISE_ONLY)
     once, twice = (fit_recordings(robot, [log] * count, options) for count in (1, 2))
     assert np.all(twice.inflation > 1.7) and np.all(once.inflation < 1.3)
     roots = [
@@ -254,11 +254,9 @@ def test_delay_and_tilt_are_found_together(plant, robot):
     assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.02
 
 
-def test_a_search_that_does_not_settle_ends_with_a_remedy(
-    robot, add_noise, monkeypatch
-):
+def test_a_search_that_does_not_settle_ends_with_a_remedy(robot, noisy, monkeypatch):
     monkeypatch.setattr(fit_module, "_AUTO_ROUNDS", 1)
-    datasets, options = filter_logs(robot, add_noise, delay="auto", tilt="auto")
+    datasets, options = filter_logs(robot, noisy, delay="auto", tilt="auto")
     with pytest.raises(
         SysidError, match="delay and tilt do not settle within 1 rounds"
     ):
@@ -308,7 +306,7 @@ def test_terminal_torques_keep_what_they_cannot_see(plant, robot):
 def test_a_placeholder_link_is_found_all_the_same(link):
     """Its 1e-9 kg in the model are no reason to believe that it weighs nothing."""
     arm = TrueArm(ROBOT, 1, model_error=0.0)
-    recording = with_noise(arm.recording(wide_motion(1), False), 0.02, 0)
+    recording = add_noise(arm.recording(wide_motion(1), False), 0.02, 0)
     tiny = spatial.theta_from_com(1e-9, np.zeros(3), 1e-15 * np.eye(3))
     model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
     arms.write_body(model, ROBOT.links[link].body_id, tiny)
@@ -331,7 +329,7 @@ def test_a_tool_far_larger_than_the_models_link_is_not_pulled_towards_it():
     model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
     arms.write_body(model, ROBOT.links[-1].body_id, small)
     arm = TrueArm(ROBOT, 2, model_error=0.0)
-    recording = with_noise(arm.recording(wide_motion(2), False), 1.0, 2)
+    recording = add_noise(arm.recording(wide_motion(2), False), 1.0, 2)
     fit = fit_recordings(arms.robot_of(model), [recording])
     off = (fit.values[0] - fit.free[0]) / fit_errors(fit).whole.standard_errors[0]
     assert fit.is_constrained and 0.3 < abs(off) < 1.0

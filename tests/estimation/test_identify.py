@@ -29,8 +29,7 @@ from robot_sysid.trajectory import CHUNK
 from tests.support import arms
 from tests.support.core_fits import BASIC, ORIGIN, filter_logs, fit_recordings
 from tests.support.measured_logs import XML, log_of, plan_of
-from tests.support.payload_logs import TrueArm, four_joint_arm, wide_motion
-from tests.support.payload_logs import add_noise as with_noise
+from tests.support.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 
 
 def answered(robot, *logs, kept=None, **options):
@@ -38,18 +37,18 @@ def answered(robot, *logs, kept=None, **options):
     return answer_link(robot, datasets, chosen, Progress(), kept)
 
 
-def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, add_noise):
+def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, noisy):
     coarse = log_of(plant, encoder_resolution=3e-3)
     cutoffs = [
         {each.signals.cutoff for each in filter_logs(robot, *logs, cutoff=None)[0]}
-        for logs in ([add_noise], [coarse], [add_noise, coarse])
+        for logs in ([noisy], [coarse], [noisy, coarse])
     ]
     assert (
         cutoffs[1] == cutoffs[2]
         and len(cutoffs[2]) == 1
         and max(cutoffs[1]) < max(cutoffs[0])
     )
-    pieces = [Piece("fine", add_noise), Piece("coarse", coarse)]
+    pieces = [Piece("fine", noisy), Piece("coarse", coarse)]
     notes = [
         note
         for note in low_pass_recordings(robot, pieces, EstimationOptions())[1]
@@ -68,8 +67,8 @@ def test_all_go_through_the_lowest_cutoff_that_one_asks_for(plant, robot, add_no
     ],
     ids=str,
 )
-def test_every_option_gives_a_possible_result(robot, add_noise, options):
-    result = result_of(answered(robot, add_noise, kept=(), **options), ORIGIN)
+def test_every_option_gives_a_possible_result(robot, noisy, options):
+    result = result_of(answered(robot, noisy, kept=(), **options), ORIGIN)
     # Friction that may not be found is torque that nothing explains.
     assert result.verdict.is_trustworthy != bool(options.get("no_friction")), (
         result.reasons
@@ -88,8 +87,8 @@ def test_a_tilt_needs_gravity():
         answered(weightless, log_of(weightless), tilt="auto")
 
 
-def test_another_log_is_predicted_down_to_its_noise(plant, robot, add_noise):
-    (log,), options = filter_logs(robot, add_noise)
+def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
+    (log,), options = filter_logs(robot, noisy)
     fit = fit_recordings(robot, [log], options)
     other = log_of(
         plant, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4
@@ -107,10 +106,10 @@ def test_another_log_is_predicted_down_to_its_noise(plant, robot, add_noise):
 
 @pytest.mark.parametrize("still", [True, False])
 def test_a_log_of_a_joint_that_stood_still_is_no_test_but_one_of_another_body_is(
-    plant, robot, add_noise, still
+    plant, robot, noisy, still
 ):
     """Its friction is not known; a link of another mass is told whatever else is open."""
-    (log,), options = filter_logs(robot, add_noise)
+    (log,), options = filter_logs(robot, noisy)
     used = np.ones(log.motion.q.shape, dtype=bool)
     used[:, 1] = not still
     fit = fit_recordings(robot, [replace(log, used=used)], options)
@@ -127,9 +126,9 @@ def test_a_log_of_a_joint_that_stood_still_is_no_test_but_one_of_another_body_is
     assert told == [not still, True]
 
 
-def test_rows_that_a_refit_leaves_out_say_nothing(robot, add_noise):
-    last = np.arange(len(add_noise))[:, None] > 0.9 * len(add_noise)
-    answer = answered(robot, replace(add_noise, tau=add_noise.tau + 8.0 * last))
+def test_rows_that_a_refit_leaves_out_say_nothing(robot, noisy):
+    last = np.arange(len(noisy))[:, None] > 0.9 * len(noisy)
+    answer = answered(robot, replace(noisy, tau=noisy.tau + 8.0 * last))
     (dataset,) = answer.fit.columns.datasets
     time = dataset.motion.time
     again = refit(answer, [time < time[0] + 0.8 * (time[-1] - time[0])], ())
@@ -138,8 +137,8 @@ def test_rows_that_a_refit_leaves_out_say_nothing(robot, add_noise):
     assert abs(answer.fit.values[0] - 0.8) > 2.0 * abs(again.fit.values[0] - 0.8)
 
 
-def test_what_a_report_draws_is_the_residual_of_the_file(robot, add_noise):
-    answer = answered(robot, add_noise, kept=())
+def test_what_a_report_draws_is_the_residual_of_the_file(robot, noisy):
+    answer = answered(robot, noisy, kept=())
     fit = answer.file.fit
     traces = traces_of(answer)
     squares = fit.evidence.whole.squared_residuals(fit.values)
@@ -181,7 +180,7 @@ def combined(words, known):
 def test_what_the_torques_show_is_found_whatever_is_sought(link_uncertainty):
     robot = four_joint_arm()
     arm = TrueArm(robot, 3, model_error=0.0)
-    recording = with_noise(arm.recording(wide_motion(3), False), 0.01, 0)
+    recording = add_noise(arm.recording(wide_motion(3), False), 0.01, 0)
     options = EstimationOptions(link_uncertainty=link_uncertainty)
     fit = fit_recordings(robot, [recording], options)
     found = base_parameters(fit, fit_errors(fit))
