@@ -46,7 +46,7 @@ def _search(path: Path, workers: int) -> None:
     import numpy as np
 
     from robot_sysid.api.results import one_thread
-    from robot_sysid.motion.design.search import design_excitation
+    from robot_sysid.motion.design_search import design_excitation
     from robot_sysid.motion.trajectories import save_trajectory
     from tests.support.excitation_arms import TUBES_AND_POST, design
 

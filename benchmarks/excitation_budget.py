@@ -16,10 +16,10 @@ import time
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.design import optimise
-from robot_sysid.motion.design.optimise import Design
-from robot_sysid.motion.design.search import design_excitation
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion import design as design_module
+from robot_sysid.motion.design import Design
+from robot_sysid.motion.design_search import design_excitation
+from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import TrajectoryOptions
@@ -34,7 +34,7 @@ def search(budget: float, duration: float) -> str:
 
     excitation = ExcitationOptions(kind="optimal", time_budget=budget)
     problem = build_problem(load_robot_model(GUESS), LimitOptions())
-    clock = optimise.clock = (
+    clock = design_module.clock = (
         time.monotonic if excitation.n_workers > 1 else time.process_time
     )
     start = clock()

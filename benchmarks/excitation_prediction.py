@@ -36,11 +36,11 @@ from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.unknowns import LINKS, Question, build_unknowns
-from robot_sysid.expected import NOISE, _choice, _posterior, known_of
-from robot_sysid.motion.design.optimise import Design
-from robot_sysid.motion.design.search import design_excitation
+from robot_sysid.motion.design import Design
+from robot_sysid.motion.design_search import design_excitation
+from robot_sysid.motion.expected_errors import NOISE, _choice, _posterior, known_of
 from robot_sysid.motion.information import spread_of
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DELAY_NAME, Measurement

@@ -22,13 +22,13 @@ import mujoco
 import numpy as np
 
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.expected import known_of
-from robot_sysid.motion.design import optimise
-from robot_sysid.motion.design.optimise import Design
-from robot_sysid.motion.design.search import design_excitation
+from robot_sysid.motion import design as design_module
+from robot_sysid.motion.design import Design
+from robot_sysid.motion.design_search import design_excitation
+from robot_sysid.motion.expected_errors import known_of
 from robot_sysid.motion.information import random_information, spread_of
 from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.prediction import sizes
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
@@ -170,7 +170,7 @@ def line(path, joint, seeds, budget):
     )
     if budget is None:
         return words
-    optimise.clock = time.process_time
+    design_module.clock = time.process_time
     longer = Design(problem, replace(options, time_budget=budget), motion, known)
     most = design_excitation(longer, np.random.default_rng(seeds[-1]))
     return (

@@ -6,15 +6,10 @@ from functools import cache
 
 import pytest
 
-from robot_sysid.motion.design.optimise import (
-    Design,
-    first_candidate,
-    improve,
-    penalised,
-)
-from robot_sysid.motion.design.search import draw_trajectories
+from robot_sysid.motion.design import Design, first_candidate, improve, penalised
+from robot_sysid.motion.design_search import draw_trajectories
 from robot_sysid.motion.limit_check import check_limits
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import TrajectoryOptions

@@ -15,7 +15,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.model.options import ModelOptions
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import atomic_files, options
 from robot_sysid.records.options import Option, OptionRecord, folder, option
 from robot_sysid.records.sampling import TrajectoryOptions

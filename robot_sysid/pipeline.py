@@ -19,8 +19,8 @@ from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.estimation.itself import identify_itself
 from robot_sysid.export import MotorFile, locked_folder, save
 from robot_sysid.model.compilation import meshes_not_kept
-from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.outcome import Analysis, Outcome
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import MotionPlan, RobotModel
@@ -95,7 +95,7 @@ def designed(
     played = config.motors.export_damiao
     told: tuple[Any, ...] = ()
     if config.excitation.kind == "optimal":
-        from robot_sysid.expected import known_of, outlook
+        from robot_sysid.motion.expected_errors import known_of, outlook
 
         how = config.trajectory.sample_rate, config.estimation, config.poses.asked
         told = (
@@ -248,7 +248,7 @@ def _shortfalls(
 
 def predict(config: SysidConfig, checked: CheckedPlan) -> Prediction | None:
     """Return what an identification will state of a motion; None of sweeps and resting poses."""
-    from robot_sysid.expected import expect
+    from robot_sysid.motion.expected_errors import expect
 
     if config.poses.sets_its_time:
         return None
@@ -261,7 +261,7 @@ def promise(
     config: SysidConfig, checked: CheckedPlan, prediction: Prediction | None
 ) -> Iterator[str]:
     """Yield what a motion promises, and what it does beside its limits."""
-    from robot_sysid.expected import friction_lines
+    from robot_sysid.motion.expected_errors import friction_lines
     from robot_sysid.motion.prediction import kept_lines, motion_lines, plan_lines
     from robot_sysid.motion.static import pose_lines, sweep_lines
 

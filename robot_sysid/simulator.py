@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.dynamics.equations import Equations
-from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SimulationError
 from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.records import (

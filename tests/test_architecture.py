@@ -24,7 +24,7 @@ LAYERS = (
     ("pipeline",),
     ("payload_pipeline", "log_pipeline"),
     ("config",),
-    ("expected",),
+    ("motion.expected_errors",),
     ("servo",),
     ("outcome",),
     ("diagnosis",),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.parser import load_robot_model
 from tests.support import arms

@@ -20,14 +20,18 @@ from robot_sysid.dynamics.equations import (
     Equations,
     friction_per_joint,
 )
-from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.model.contacts import find_new_contacts
 from robot_sysid.model.inertia import body_theta, composite_theta
-from robot_sysid.motion.design.optimise import Design
-from robot_sysid.motion.design.search import design_excitation
-from robot_sysid.motion.options import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
+from robot_sysid.motion.design import Design
+from robot_sysid.motion.design_search import design_excitation
+from robot_sysid.motion.plan_options import (
+    TOP_FREQUENCY_HZ,
+    ExcitationOptions,
+    LimitOptions,
+)
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
-from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, RobotModel
 

@@ -35,7 +35,7 @@ from robot_sysid.model.in_memory import (
     is_in_memory,
 )
 from robot_sysid.model.options import ModelOptions
-from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import RobotModel
 from robot_sysid.records import options as option_records

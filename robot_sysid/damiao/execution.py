@@ -53,7 +53,7 @@ from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, error_text
 from robot_sysid.model.options import ModelOptions
-from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.options import given_options, record_from
 

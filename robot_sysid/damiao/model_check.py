@@ -33,7 +33,7 @@ from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajec
 from robot_sysid.errors import InputError
 from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.limit_check import BetweenArms, first_contact
-from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.parser import load_robot_model

@@ -35,7 +35,7 @@ from robot_sysid.damiao.settings import (
     RecordingOptions,
 )
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.special_files import refuse_special_file
 

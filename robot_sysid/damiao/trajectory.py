@@ -49,7 +49,7 @@ from robot_sysid.damiao.protocol.joints import (
 )
 from robot_sysid.damiao.protocol.motors import RPM, motor_spec
 from robot_sysid.errors import InputError
-from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.options import per_joint

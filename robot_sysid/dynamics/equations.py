@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import Coupling, FrictionModel
-from robot_sysid.dynamics.kinematics import BeyondRigidBodies
+from robot_sysid.dynamics.inverse_dynamics import BeyondRigidBodies
 from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError

@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import posed
+from robot_sysid.dynamics.inverse_dynamics import posed
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.records import Array, JointLimits
 from robot_sysid.records.options import PerJoint, per_joint

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.kinematics import posed, subtree
+from robot_sysid.dynamics.inverse_dynamics import posed, subtree
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import Array, Motion, RobotModel

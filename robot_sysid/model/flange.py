@@ -12,7 +12,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import posed
+from robot_sysid.dynamics.inverse_dynamics import posed
 from robot_sysid.errors import ModelError
 from robot_sysid.records import Array, Flange, RobotModel
 

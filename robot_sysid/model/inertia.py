@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.kinematics import posed, subtree
+from robot_sysid.dynamics.inverse_dynamics import posed, subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import ArmLink, Array, SubtreeBody
 

@@ -25,11 +25,11 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import posed
+from robot_sysid.dynamics.inverse_dynamics import posed
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.contacts import ContactFinder, joint_ranges, parts_of
-from robot_sysid.motion.options import HalfSpace
+from robot_sysid.motion.plan_options import HalfSpace
 from robot_sysid.motion.solids import HalfSpaces
 from robot_sysid.records import Array, RobotModel
 

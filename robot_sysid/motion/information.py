@@ -9,7 +9,7 @@ row of unit variance. What is left for theta after eliminating them is the Schur
     C_j = (Z_j^T Z_j / sigma_j^2 + D)^-1 Z_j^T Y_j / sigma_j^2,
 
 D the precision of x_j. With the precision P of what the model knows of the other links
-(L + P)^-1 is the covariance of the estimate (``expected`` takes P and s from what identifies).
+(L + P)^-1 is the covariance of the estimate (P and s: ``expected_errors``).
 Encoder zeros, gravity's direction and a delay are in the promise, not here: of two arms they are
 less than a twentieth of any variance.
 """

@@ -24,7 +24,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import posed, subtree
+from robot_sysid.dynamics.inverse_dynamics import posed, subtree
 from robot_sysid.model.contacts import parts_of
 from robot_sysid.model.tendons import joint_friction
 from robot_sysid.motion.clearance import Clearance, Closest, approach_rates

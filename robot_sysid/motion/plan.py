@@ -12,7 +12,7 @@ import numpy as np
 from robot_sysid import trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import PerJoint, given_options
 from robot_sysid.records.plan_settings import WEIGHT
@@ -204,8 +204,8 @@ def _designed(
     rng: np.random.Generator,
     progress: Progress,
 ) -> CheckedPlan:
-    from robot_sysid.motion.design.optimise import Design
-    from robot_sysid.motion.design.search import design_excitation
+    from robot_sysid.motion.design import Design
+    from robot_sysid.motion.design_search import design_excitation
 
     problem = _problem(request, robot)
     known = None if request.known is None else request.known(problem)

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import N_INERTIAL, other_links
-from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.dynamics.newton_euler import LinkDynamics, in_parts
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.nuisances import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion.clearance import Clearance
-from robot_sysid.motion.options import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
+from robot_sysid.motion.plan_options import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.solids import has_floor, mounting_height, outermost_points
 from robot_sysid.records import Array, JointLimits, Motion, RobotModel
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint, per_joint

@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.kinematics import posed, subtree
+from robot_sysid.dynamics.inverse_dynamics import posed, subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.contacts import parts_of
-from robot_sysid.motion.options import HalfSpace
+from robot_sysid.motion.plan_options import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom

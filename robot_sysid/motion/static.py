@@ -25,7 +25,7 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import trajectories
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
-from robot_sysid.motion.options import PoseOptions
+from robot_sysid.motion.plan_options import PoseOptions
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import LineTrajectory, straight_way
 from robot_sysid.records import Array, Motion, MotionPlan
@@ -71,7 +71,7 @@ CRUISE = 0.8
 SHARE = 0.8
 """Share of the limits of speed and acceleration that sweeps use."""
 SHORTEST_RAMP = 0.15
-"""Time in which a sweep's speed rises [s]: 30 samples at the 200 Hz that ``expected`` looks at."""
+"""Time in which a sweep's speed rises [s]: 30 samples at the 200 Hz of ``expected_errors``."""
 WIDEST = 1.0
 LEAST_ROOM = 0.02
 """Farthest that a joint leaves its rest position, and way below which it is not swept [rad]."""

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid import __version__
-from robot_sysid.dynamics.kinematics import MUJOCO_VERSION
+from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError, InputError, delay_signals
 from robot_sysid.mjcf import write_back
 from robot_sysid.mjcf.assets import bundled_text, find_assets

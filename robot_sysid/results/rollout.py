@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.tendons import joint_friction

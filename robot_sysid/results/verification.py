@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.kinematics import ArmDynamics, BeyondRigidBodies
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, BeyondRigidBodies
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial

@@ -27,7 +27,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import analysis_copy, posed
+from robot_sysid.dynamics.inverse_dynamics import analysis_copy, posed
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Array, RobotModel
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import posed
+from robot_sysid.dynamics.inverse_dynamics import posed
 from robot_sysid.errors import InputError
 from robot_sysid.model.chain import is_hinge_or_slide, joint_label
 from robot_sysid.model.compilation import compile_model

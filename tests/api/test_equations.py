@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import robot_sysid as rs
-from robot_sysid.dynamics.kinematics import analysis_copy
+from robot_sysid.dynamics.inverse_dynamics import analysis_copy
 from robot_sysid.model.in_memory import file_of
 from tests.support import arms
 from tests.support.places import EXAMPLE, MODELS

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import friction_model
-from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.choices import (
     CANDIDATES,

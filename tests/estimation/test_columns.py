@@ -11,7 +11,7 @@ from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.friction import BENT, TERMS
-from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import neighbours

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.model.contacts import ContactFinder
 from robot_sysid.motion.clearance import KEPT_SHARE, Clearance, drop_pairs
-from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions
 from tests.support.arms import SEEDS, X, Y, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import TUBES_AND_POST, robot
 

@@ -9,7 +9,7 @@ from hypothesis import given
 
 from robot_sysid.dynamics.equations import Equations, other_links
 from robot_sysid.dynamics.friction import TERMS, FrictionModel
-from robot_sysid.dynamics.kinematics import analysis_copy, posed
+from robot_sysid.dynamics.inverse_dynamics import analysis_copy, posed
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import AmbiguousJointError
 from robot_sysid.motion.information import OWN, Criterion, PredictedInformation

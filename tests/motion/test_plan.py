@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
+from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.trajectories import save_trajectory
 from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import TrajectoryOptions

@@ -9,7 +9,7 @@ import pytest
 
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
-from robot_sysid.motion.design.search import draw_trajectories
+from robot_sysid.motion.design_search import draw_trajectories
 from robot_sysid.motion.information import (
     criterion,
     known_arm,

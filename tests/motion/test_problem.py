@@ -12,7 +12,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.options import TOP_FREQUENCY_HZ, LimitOptions
+from robot_sysid.motion.plan_options import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.problem import Tool, _above_base, build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque

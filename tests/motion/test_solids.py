@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.motion.solids import (
     HalfSpaces,
     Solid,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.motion import static
 from robot_sysid.motion.limit_check import check_limits
-from robot_sysid.motion.options import LimitOptions, PoseOptions
+from robot_sysid.motion.plan_options import LimitOptions, PoseOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.records import Motion
 from tests.support import arms

@@ -10,7 +10,7 @@ import pytest
 
 from robot_sysid.commands.preview import film_path
 from robot_sysid.errors import InputError
-from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.preview import film, studio
 from robot_sysid.preview.film import shown_log, shown_plan

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Motion
 from robot_sysid.simulation.forward_dynamics import ArmStepper

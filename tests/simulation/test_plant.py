@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model

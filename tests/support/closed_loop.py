@@ -33,7 +33,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.kinematics import inverse_dynamics, posed
+from robot_sysid.dynamics.inverse_dynamics import inverse_dynamics, posed
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
 from robot_sysid.simulation.forward_dynamics import forward_copy, placed

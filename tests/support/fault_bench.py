@@ -34,7 +34,7 @@ from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
-from robot_sysid.dynamics.kinematics import analysis_copy
+from robot_sysid.dynamics.inverse_dynamics import analysis_copy
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion

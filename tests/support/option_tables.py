@@ -18,7 +18,7 @@ from robot_sysid.config import PayloadOptions
 from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
-from robot_sysid.motion.options import PoseOptions
+from robot_sysid.motion.plan_options import PoseOptions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 

@@ -38,7 +38,7 @@ from robot_sysid.damiao.simulated import serve
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model.options import ModelOptions
-from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records.options import (
     OptionRecord,
     command_words,

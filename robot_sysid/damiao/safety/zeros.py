@@ -31,7 +31,7 @@ import numpy as np
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.kinematics import BeyondRigidBodies
+from robot_sysid.dynamics.inverse_dynamics import BeyondRigidBodies
 from robot_sysid.dynamics.newton_euler import LinkDynamics, LinksMotion
 from robot_sysid.estimation.algebra.nuisances import model_link_factor
 from robot_sysid.records import Array, RobotModel

@@ -25,8 +25,8 @@ from typing import Any, Callable
 import numpy as np
 
 from robot_sysid.errors import InputError, delay_signals
-from robot_sysid.motion.design import optimise
-from robot_sysid.motion.design.optimise import (
+from robot_sysid.motion import design as design_module
+from robot_sysid.motion.design import (
     GRID_PER_CYCLE,
     Candidate,
     Design,
@@ -36,7 +36,7 @@ from robot_sysid.motion.design.optimise import (
     is_over,
 )
 from robot_sysid.motion.limit_check import LimitCheck, check_limits
-from robot_sysid.motion.options import ExcitationOptions
+from robot_sysid.motion.plan_options import ExcitationOptions
 from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records import Array, MotionPlan
@@ -149,7 +149,7 @@ def _search(
 ) -> str:
     """Draw, choose, improve; fill the lists, and return what cut the search, or ""."""
     options = design.options
-    began = optimise.clock()
+    began = design_module.clock()
     budget = options.time_budget or np.inf
     deadline = began + budget - min(0.5 * budget, CHECK_TIME)
     drawn = range(options.draws)
@@ -160,7 +160,9 @@ def _search(
         best = _best(candidates)
         x = best.feasible_x if best else min(draws, key=lambda draw: draw.score).x
         far = (
-            (optimise.clock() - began, budget) if options.time_budget else (done, most)
+            (design_module.clock() - began, budget)
+            if options.time_budget
+            else (done, most)
         )
         progress.advance(
             "Designing the trajectory", min(far), far[1], design.promise(x)

@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.expected import known_of
 from robot_sysid.model.contacts import find_new_contacts
-from robot_sysid.motion.design import optimise, search
-from robot_sysid.motion.design.optimise import Candidate, Design, constraints_of
-from robot_sysid.motion.design.search import design_excitation, draw_trajectories
+from robot_sysid.motion import design as design_module
+from robot_sysid.motion import design_search as search
+from robot_sysid.motion.design import Candidate, Design, constraints_of
+from robot_sysid.motion.design_search import design_excitation, draw_trajectories
+from robot_sysid.motion.expected_errors import known_of
 from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
@@ -50,9 +51,9 @@ ARMS = (
 )
 
 
-def searched(some, seed, progress=None, clock=optimise.clock):
+def searched(some, seed, progress=None, clock=design_module.clock):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(optimise, "clock", clock)
+        patch.setattr(design_module, "clock", clock)
         return design_excitation(some, np.random.default_rng(seed), progress)
 
 
@@ -278,7 +279,9 @@ def test_what_is_asked_for_decides_which_motion_is_found():
         for asked in ("link", "payload")
     )
     x = design_excitation(link, np.random.default_rng(3)).trajectory.coefficients
-    other = optimise.improve(payload, optimise.first_candidate(payload, x)).feasible_x
+    other = design_module.improve(
+        payload, design_module.first_candidate(payload, x)
+    ).feasible_x
     assert payload.criterion_of(other) < payload.criterion_of(x) - 0.01
     assert link.criterion_of(other) > link.criterion_of(x) + 0.005
 
@@ -311,7 +314,7 @@ def number(shared):
 def test_workers_end_with_a_process_that_is_killed():
     """Whoever is killed cannot end his workers; they would wait for ever."""
     code = (
-        "from tests.motion.design.test_search import number, search\n"
+        "from tests.motion.test_design_search import number, search\n"
         "with search._workers(0, 2) as run:\n"
         "    print(*{*run([number] * 8)}, flush=True)\n"
         "    input()\n"

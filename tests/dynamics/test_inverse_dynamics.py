@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid.dynamics.kinematics import (
+from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     analysis_copy,
     has_only_armature,

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.design import optimise
-from robot_sysid.motion.design.search import draw_trajectories
+from robot_sysid.motion import design as design_module
+from robot_sysid.motion.design_search import draw_trajectories
 from robot_sysid.motion.information import known_arm, predicted_information
 from robot_sysid.motion.limit_check import check_limits, keeps_limits
-from robot_sysid.motion.options import ExcitationOptions
+from robot_sysid.motion.plan_options import ExcitationOptions
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms
 from tests.support.arms import SEEDS
@@ -35,12 +35,12 @@ def best_draw(some, seed=0):
 def test_rounds_keep_the_best_that_keeps_all_limits():
     """Also where the start is beyond its limits."""
     some = design(TUBES_AND_POST, iterations=8)
-    candidate = optimise.first_candidate(some, 1.5 * best_draw(some).x)
+    candidate = design_module.first_candidate(some, 1.5 * best_draw(some).x)
     assert not keeps_limits(some.problem, some.trajectory(candidate.x))
     assert np.linalg.norm(candidate.feasible_x) < np.linalg.norm(candidate.x)
     scores = [candidate.feasible_score]
     for _ in range(2):
-        candidate = optimise.improve(some, candidate)
+        candidate = design_module.improve(some, candidate)
         scores.append(candidate.feasible_score)
         assert check_limits(some.problem, some.trajectory(candidate.feasible_x)).holds
     assert (
@@ -51,7 +51,7 @@ def test_rounds_keep_the_best_that_keeps_all_limits():
 
 def objective_of(some, multipliers):
     return partial(
-        optimise.penalised, some, optimise.Candidate(None, multipliers, 10.0)
+        design_module.penalised, some, design_module.Candidate(None, multipliers, 10.0)
     )
 
 
@@ -87,8 +87,8 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
         plan = some.trajectory(draw.x)
         fine = deviations(some, plan, 500.0, smooth=False)
         rate = (
-            optimise.GRID_PER_CYCLE
-            / optimise.TOLD_BY.step
+            design_module.GRID_PER_CYCLE
+            / design_module.TOLD_BY.step
             * some.basis.top_frequency_hz
         )
         coarse = deviations(some, plan, rate, smooth=True)
@@ -143,7 +143,7 @@ LIMITED = ({}, {"max_tool_speed": 0.7}, {"payload_reserve": 2.0})
 @given(st.sampled_from(LIMITED), SEEDS)
 def test_the_gradient_of_constraints_equals_differences(limits, seed):
     constraints = partial(
-        optimise.constraints_of, problem(STRONG_MOTORS, **limits), share=0.99
+        design_module.constraints_of, problem(STRONG_MOTORS, **limits), share=0.99
     )
     rng = np.random.default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
@@ -172,12 +172,13 @@ def test_gradient_of_the_clearance_equals_differences():
         q, direction = rng.uniform(-1.5, 1.5, size=(2, 1, 4))
 
         def value(at):
-            return optimise.constraints_of(some, (at, still, still)).value[0, -1]
+            return design_module.constraints_of(some, (at, still, still)).value[0, -1]
 
         if value(q) <= -0.9:
             continue
         exact = np.sum(
-            optimise.constraints_of(some, (q, still, still)).vjp(weight)[0] * direction
+            design_module.constraints_of(some, (q, still, still)).vjp(weight)[0]
+            * direction
         )
         if (
             value(q + 1e-4 * direction) + value(q - 1e-4 * direction) - 2 * value(q)
@@ -195,7 +196,7 @@ def test_values_are_shares_of_the_limits_minus_one():
     q = np.vstack((limits.upper, limits.lower, 0.5 * (limits.lower + limits.upper)))
     qd = np.tile(limits.velocity, (3, 1))
     qdd = np.tile(-0.5 * limits.acceleration, (3, 1))
-    value = optimise.constraints_of(some, (q, qd, qdd)).value
+    value = design_module.constraints_of(some, (q, qd, qdd)).value
     expected = np.full((3, 14), -1.0)
     expected[:2, :3] = 0.0
     expected[:, 3:6] = 0.0

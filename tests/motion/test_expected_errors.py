@@ -16,8 +16,14 @@ from robot_sysid.estimation.algebra.possible_errors import possible_covariance
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.unknowns import LINKS, SCALES
-from robot_sysid.expected import NOISE, expect, friction_lines, known_of, outlook
 from robot_sysid.logs.reader import join_measurements
+from robot_sysid.motion.expected_errors import (
+    NOISE,
+    expect,
+    friction_lines,
+    known_of,
+    outlook,
+)
 from robot_sysid.motion.information import criterion, predicted_information
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records.progress import Progress
@@ -167,7 +173,7 @@ def test_where_no_motion_tells_the_mass_it_is_said_beforehand_with_what_would():
 def test_what_cannot_be_processed_gets_the_bound_and_the_reason(
     rate, words, monkeypatch
 ):
-    monkeypatch.setattr("robot_sysid.expected.MOST_SAMPLES", 1999)
+    monkeypatch.setattr("robot_sysid.motion.expected_errors.MOST_SAMPLES", 1999)
     monkeypatch.setattr(possible_errors, "_DRAWS", 24)
     expected = expect(problem(ARM), PLAN, rate, EstimationOptions())
     assert words in expected.missing and np.all(np.isfinite(expected.deviation))

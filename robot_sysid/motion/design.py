@@ -31,7 +31,7 @@ from robot_sysid.motion.information import (
     spread_of,
 )
 from robot_sysid.motion.limit_check import keeps_limits
-from robot_sysid.motion.options import ExcitationOptions
+from robot_sysid.motion.plan_options import ExcitationOptions
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.records import Array, Motion

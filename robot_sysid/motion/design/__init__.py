@@ -1,1 +1,0 @@
-"""Finding the motion: draws, gradients, rounds of improvement, and the processes that do them."""
