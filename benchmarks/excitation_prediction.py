@@ -29,9 +29,9 @@ from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, turned, with_gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.nuisances import own_errors
+from robot_sysid.estimation.algebra.consistent_bodies import possible_covariance
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.algebra.possible_errors import possible_covariance
+from robot_sysid.estimation.algebra.priors import own_errors
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings

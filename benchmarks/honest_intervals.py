@@ -35,8 +35,8 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
-from robot_sysid.estimation.algebra.nuisances import link_factor
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.priors import link_factor
 from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
 from robot_sysid.estimation.result import WIDER, payload_of
 from robot_sysid.estimation.unknowns import Question

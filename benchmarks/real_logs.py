@@ -29,7 +29,7 @@ from benchmarks.speed_table import rewrite
 from robot_sysid.api.calls import identify, payload
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.algebra.information import restrict
+from robot_sysid.estimation.algebra.least_squares import restrict
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import evidence_of

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.consistent_links import (
+from robot_sysid.estimation.algebra.consistent_bodies import (
     ConsistentLinks,
     LinksProblem,
 )

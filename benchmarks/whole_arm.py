@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import whole_arm_runs as runs_of
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra.base_parameters import base_combinations
+from robot_sysid.estimation.algebra.identifiability import base_combinations
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import parameter_scale, structural_base
 from robot_sysid.estimation.choices import CANDIDATES

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.consistent_links import (
+from robot_sysid.estimation.algebra.consistent_bodies import (
     ConsistentLinks,
     LinksProblem,
 )
@@ -13,8 +13,11 @@ from robot_sysid.estimation.algebra.identifiability import (
     N_INERTIAL,
     analyse_identifiability,
 )
-from robot_sysid.estimation.algebra.information import residual_errors
-from robot_sysid.estimation.algebra.least_squares import ordinary, solver
+from robot_sysid.estimation.algebra.least_squares import (
+    ordinary,
+    residual_errors,
+    solver,
+)
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from robot_sysid.records import Array, Estimate, SquareRootInformation
 

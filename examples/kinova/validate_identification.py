@@ -24,7 +24,7 @@ from robot_sysid.dynamics.equations import (
     friction_per_joint,
 )
 from robot_sysid.dynamics.friction import FrictionModel
-from robot_sysid.estimation.algebra.information import InformationAccumulator
+from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, InertialParameters, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse

@@ -24,8 +24,8 @@ from robot_sysid.dynamics.spatial import (
     characteristic_length,
     parameter_scale,
 )
-from robot_sysid.estimation.algebra.link_scales import EXPECTED
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.priors import EXPECTED
 from robot_sysid.estimation.choices import WITH_ALL
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import neighbours

@@ -1,7 +1,7 @@
 """What a real arm does not tell of itself, as columns in the joints' equations.
 
 An encoder whose zero is off, a base that is tilted by two angles: to first order each adds its
-column, here, times an unknown whose size is known beforehand (``estimation.algebra.nuisances``).
+column, here, times an unknown whose size is known beforehand (``estimation.algebra.priors``).
 
 Zero of a joint: -d tau / d q_joint [N m/rad]. Tilt: joint torques are linear in gravity g. Turning
 it by small angles a1, a2 about two axes e1, e2 perpendicular to it adds a1 tau(e1 x g) +

@@ -13,13 +13,13 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.base_parameters import (
+from robot_sysid.estimation.algebra.identifiability import (
     BaseCombinations,
+    analyse_identifiability,
     base_combinations,
     essential,
 )
-from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
-from robot_sysid.estimation.algebra.information import (
+from robot_sysid.estimation.algebra.least_squares import (
     residual_errors,
     restrict,
     sample_counts,

@@ -20,23 +20,21 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT, Coupling, FrictionModel, friction_model
-from robot_sysid.estimation.algebra.common_scale import is_worth_a_word
-from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks
-from robot_sysid.estimation.algebra.information import (
+from robot_sysid.estimation.algebra.consistent_bodies import ConsistentLinks
+from robot_sysid.estimation.algebra.least_squares import (
     normal_matrix,
     restrict,
     sample_counts,
     update_triangle,
 )
-from robot_sysid.estimation.algebra.link_scales import (
+from robot_sysid.estimation.algebra.priors import (
     LinkEvidence,
-    average_scales,
-    link_evidence,
-)
-from robot_sysid.estimation.algebra.nuisances import (
     LinkScales,
     WithPriors,
+    average_scales,
+    is_worth_a_word,
     link_directions,
+    link_evidence,
     link_lengths,
 )
 from robot_sysid.estimation.columns import Columns, Point

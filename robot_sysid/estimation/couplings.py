@@ -22,9 +22,9 @@ from robot_sysid.dynamics.friction import (
     friction_model,
 )
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.information import sample_counts
-from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, WithPriors
+from robot_sysid.estimation.algebra.least_squares import sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.priors import NuisanceGroup, WithPriors
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.unknowns import (
     LEAST_COULOMB,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import Equations, joined
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.information import InformationAccumulator
+from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 from robot_sysid.records import Array, Measurement, Motion, SquareRootInformation
 from robot_sysid.signals.process import ProcessedSignals, with_delay
 

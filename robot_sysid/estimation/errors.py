@@ -20,24 +20,22 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import N_INERTIAL, Equations
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.newton_euler import in_parts
-from robot_sysid.estimation.algebra.autocorrelation import (
-    JointResiduals,
-    collect_residuals,
-)
-from robot_sysid.estimation.algebra.information import (
+from robot_sysid.estimation.algebra.consistent_bodies import BODIES, once_possible
+from robot_sysid.estimation.algebra.least_squares import (
     normal_matrix,
     restrict,
     sample_counts,
 )
-from robot_sysid.estimation.algebra.nuisances import (
+from robot_sysid.estimation.algebra.priors import (
     SURE,
     WithPriors,
     largest_by_chance,
     misfits,
 )
-from robot_sysid.estimation.algebra.possible_errors import BODIES, once_possible
 from robot_sysid.estimation.algebra.uncertainty import (
+    JointResiduals,
     Uncertainty,
+    collect_residuals,
     joint_space,
     uncertainty,
 )

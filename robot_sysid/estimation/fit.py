@@ -14,18 +14,20 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT, speed_name
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra.autocorrelation import concentration, memory
-from robot_sysid.estimation.algebra.consistent_links import (
+from robot_sysid.estimation.algebra.consistent_bodies import (
     ConsistentLinks,
     LinksProblem,
 )
-from robot_sysid.estimation.algebra.information import combine, parts_of, restrict
 from robot_sysid.estimation.algebra.least_squares import (
+    combine,
     estimate_noise,
     lower_floor,
+    parts_of,
+    restrict,
     solver,
 )
-from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
+from robot_sysid.estimation.algebra.priors import widened_groups, with_prior
+from robot_sysid.estimation.algebra.uncertainty import concentration, memory
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
 from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, build_unknowns

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.dynamics.nuisances import gravity, tilt_axes
 from robot_sysid.errors import InputError, prefix_input_errors
-from robot_sysid.estimation.algebra.information import sample_counts
-from robot_sysid.estimation.algebra.nuisances import SURE, is_no_chance
+from robot_sysid.estimation.algebra.least_squares import sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.priors import SURE, is_no_chance
 from robot_sysid.estimation.answer import Answer, written_payload
 from robot_sysid.estimation.choices import WITH_ALL, choose
 from robot_sysid.estimation.columns import Columns

@@ -14,17 +14,18 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.equations import N_INERTIAL
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.autocorrelation import memory
 from robot_sysid.estimation.algebra.between_logs import BetweenLogs, compare_logs
 from robot_sysid.estimation.algebra.identifiability import visible_space
-from robot_sysid.estimation.algebra.information import (
+from robot_sysid.estimation.algebra.least_squares import (
     combine,
+    estimate_noise,
     normal_matrix,
     restrict,
     sample_counts,
+    solver,
 )
-from robot_sysid.estimation.algebra.least_squares import estimate_noise, solver
-from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
+from robot_sysid.estimation.algebra.priors import NuisanceGroup, with_prior
+from robot_sysid.estimation.algebra.uncertainty import memory
 from robot_sysid.estimation.choices import HeldOut, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples

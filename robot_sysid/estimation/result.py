@@ -10,8 +10,7 @@ import numpy as np
 
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, tilt_angles
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.common_scale import LEAST_SCALE
-from robot_sysid.estimation.algebra.link_scales import LINK_KINDS
+from robot_sysid.estimation.algebra.priors import LEAST_SCALE, LINK_KINDS
 from robot_sysid.estimation.answer import (
     Answer,
     base_parameters,

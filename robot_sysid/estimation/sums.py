@@ -17,9 +17,9 @@ from operator import add
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, memory_of
-from robot_sysid.estimation.algebra.information import combine
+from robot_sysid.estimation.algebra.least_squares import combine
 from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
+from robot_sysid.estimation.algebra.uncertainty import JointResiduals, memory_of
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import CANDIDATES, choose
 from robot_sysid.estimation.columns import Columns, Point

@@ -22,7 +22,8 @@ from robot_sysid.dynamics.friction import (
 )
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.nuisances import (
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.priors import (
     AS_STATED,
     LinkScales,
     NuisanceGroup,
@@ -30,7 +31,6 @@ from robot_sysid.estimation.algebra.nuisances import (
     link_factor,
     link_lengths,
 )
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.records import DELAY_NAME, Array
 from robot_sysid.records.options import per_joint

@@ -17,14 +17,17 @@ import numpy as np
 from robot_sysid.dynamics.newton_euler import in_parts
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.common_scale import false_alarms
-from robot_sysid.estimation.algebra.identifiability import describe, triangle_space
-from robot_sysid.estimation.algebra.link_scales import EXPECTED
-from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
-from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.algebra.possible_errors import (
+from robot_sysid.estimation.algebra.consistent_bodies import (
     once_possible,
     possible_covariance,
+)
+from robot_sysid.estimation.algebra.identifiability import describe, triangle_space
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.priors import (
+    EXPECTED,
+    NuisanceGroup,
+    false_alarms,
+    with_prior,
 )
 from robot_sysid.estimation.algebra.uncertainty import (
     Uncertainty,

@@ -13,7 +13,7 @@ from robot_sysid.dynamics.equations import N_INERTIAL, other_links
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.dynamics.newton_euler import LinkDynamics, in_parts
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.nuisances import model_link_factor
+from robot_sysid.estimation.algebra.priors import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.plan_options import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions

@@ -17,7 +17,7 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.autocorrelation import autocovariance
+from robot_sysid.estimation.algebra.uncertainty import autocovariance
 from robot_sysid.json_files import read_json
 from robot_sysid.logs.formats.arrays import npz_arrays
 from robot_sysid.records import SIGNALS, Array, Signals, Traces, Validation

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.autocorrelation import autocovariance, memory_of
+from robot_sysid.estimation.algebra.uncertainty import autocovariance, memory_of
 from robot_sysid.records import (
     CLOSED,
     Array,

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.autocorrelation import memory
+from robot_sysid.estimation.algebra.uncertainty import memory
 from robot_sysid.records import Array, Motion
 
 PROBES = 2000

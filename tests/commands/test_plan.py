@@ -11,7 +11,7 @@ from robot_sysid.commands.arguments import parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.run import build_parser
 from robot_sysid.config import SysidConfig
-from robot_sysid.estimation.algebra import possible_errors
+from robot_sysid.estimation.algebra import consistent_bodies
 from robot_sysid.motion.trajectories import LineTrajectory, load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, witness
@@ -33,7 +33,7 @@ MOTOR = ("--motor-type", "DM10010")
 def test_it_writes_the_trajectory_and_says_what_it_promises(
     command, arm_file, monkeypatch
 ):
-    monkeypatch.setattr(possible_errors, "_DRAWS", 24)  # words alone are looked at
+    monkeypatch.setattr(consistent_bodies, "_DRAWS", 24)  # words alone are looked at
     path = arm_file(arms.THREE)
     printed = command.run("plan", path, *SINES)
     assert sorted(files_in(path.parent)) == [

@@ -14,8 +14,8 @@ import pytest
 
 from benchmarks.real_arms import ARMS, SENSOR_ARMS, draw_arm
 from robot_sysid.estimation import errors
+from robot_sysid.estimation.algebra.consistent_bodies import once_possible
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.algebra.possible_errors import once_possible
 from robot_sysid.estimation.choices import choose
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.identify import Piece, low_pass_recordings

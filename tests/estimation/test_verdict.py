@@ -9,7 +9,7 @@ import pytest
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation import verdict
-from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.algebra.least_squares import sample_counts
 from robot_sysid.estimation.choices import held_out
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.recordings import held_out_validation

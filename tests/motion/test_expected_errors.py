@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
-from robot_sysid.estimation.algebra import possible_errors
+from robot_sysid.estimation.algebra import consistent_bodies
+from robot_sysid.estimation.algebra.consistent_bodies import possible_covariance
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.algebra.possible_errors import possible_covariance
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.unknowns import LINKS, SCALES
@@ -174,7 +174,7 @@ def test_what_cannot_be_processed_gets_the_bound_and_the_reason(
     rate, words, monkeypatch
 ):
     monkeypatch.setattr("robot_sysid.motion.expected_errors.MOST_SAMPLES", 1999)
-    monkeypatch.setattr(possible_errors, "_DRAWS", 24)
+    monkeypatch.setattr(consistent_bodies, "_DRAWS", 24)
     expected = expect(problem(ARM), PLAN, rate, EstimationOptions())
     assert words in expected.missing and np.all(np.isfinite(expected.deviation))
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.autocorrelation import memory
+from robot_sysid.estimation.algebra.uncertainty import memory
 from robot_sysid.records import Motion
 from robot_sysid.signals import repetition
 from robot_sysid.signals.repetition import sampled, visits

@@ -15,7 +15,7 @@ import numpy as np
 
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
-from robot_sysid.estimation.algebra.information import InformationAccumulator
+from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.records import InertialParameters, JointFriction, Measurement

@@ -6,14 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.estimation.algebra.autocorrelation import collect_residuals
 from robot_sysid.estimation.algebra.least_squares import (
     estimate_noise,
     ordinary,
     solver,
 )
-from robot_sysid.estimation.algebra.nuisances import with_prior
-from robot_sysid.estimation.algebra.uncertainty import joint_space, uncertainty
+from robot_sysid.estimation.algebra.priors import with_prior
+from robot_sysid.estimation.algebra.uncertainty import (
+    collect_residuals,
+    joint_space,
+    uncertainty,
+)
 from robot_sysid.solver import identify_parameters
 
 METHODS = {"ols": ordinary, "wls": estimate_noise}

@@ -88,7 +88,7 @@ def samples_of(arm, torques):
 
 
 def information_of_samples(arm, samples):
-    from robot_sysid.estimation.algebra.information import InformationAccumulator
+    from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 
     joints = [f"joint{j}" for j in range(N_JOINTS)]
     accumulator = InformationAccumulator(arm.names, joints, arm.columns)

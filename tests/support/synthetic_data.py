@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.information import InformationAccumulator
+from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 
 Z = np.array([0.0, 0.0, 1.0])
 ORIGIN = np.zeros(3)

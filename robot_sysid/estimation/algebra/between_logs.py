@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.estimation.algebra.information import eliminate_others
-from robot_sysid.estimation.algebra.nuisances import is_no_chance
+from robot_sysid.estimation.algebra.least_squares import eliminate_others
+from robot_sysid.estimation.algebra.priors import is_no_chance
 from robot_sysid.records import Array
 
 SHARES = (0.0, *(0.01 * 2.0**k for k in range(8)))

@@ -15,18 +15,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import starmap
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.estimation.algebra.autocorrelation import JointResiduals
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, triangle_space
-from robot_sysid.estimation.algebra.information import (
+from robot_sysid.estimation.algebra.least_squares import (
     sample_counts,
     stretches,
     update_triangle,
 )
-from robot_sysid.records import Array, SquareRootInformation
+from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
 # Measured: a fourth round changes errors by less than 0.2 % (the third by 0.8 %).
 _ROUNDS = 3
@@ -176,3 +178,397 @@ def _kernels(
         errors = joint.energy(spread[np.ix_(joint.columns, joint.columns)])
         leaked = (errors - energy) / max(joint.count, 1)
         yield joint.fit(absorbed, leaked) if leaked > 0.0 else kernels
+
+
+CHANCE = 2.0
+"""Standard errors up to which an autocorrelation counts as zero."""
+
+
+# Stretches that a residual's energy is compared in.
+_STRETCHES = 25
+
+
+# How many channels are transformed at a time: memory against calls.
+_CHANNELS = 4
+
+
+# Largest lag [samples]: chosen for cost.
+_MAX_LAG = 2000
+
+
+# Bins over the lags: chosen for cost.
+_LAG_BINS = 60
+
+
+# Slope at a minimum, as a share of that at zero: rounding of squared equations.
+_FLAT = 1e-9
+
+
+# Rows that are filtered at a time, by one product of matrices: chosen for cost.
+_CHUNK = 32
+
+
+# Largest share of a kernel's noise that a fit takes out: noise is divided by one minus that.
+_MOST_ABSORBED = 0.8
+
+
+@dataclass(frozen=True)
+class JointResiduals:
+    """Sums over lags and kernels from one pass over a joint's samples.
+
+    Attributes:
+        columns: (k,) indices of the parameters of this joint's equations.
+        count: number of samples n.
+        decay: (m,) exp(-1 / T_i).
+        sums: (1 + m, k, k) the Q_i; the first is Y^T Y. Of fewer rows than columns, (1 + m, n, n).
+        basis: those rows (n, k), with Q_i = basis^T sums_i basis; None where the sums are the Q_i.
+        lags: (v,) lags 0, 1, 2, ... [samples].
+        products: (v,) mean of r_t r_(t+l) [N^2 m^2].
+        hats: (v,) mean of h_(t,t+l), H the matrix that turns this joint's torque into the fit.
+        pairs: (v,) number of pairs in these means.
+    """
+
+    columns: NDArray[np.int64]
+    count: int
+    decay: Array
+    sums: Array
+    lags: NDArray[np.int64]
+    products: Array
+    hats: Array
+    pairs: Array
+    basis: Array | None = None
+
+    def inside(self, spread: Array) -> Array:
+        """Return C (k, k) in the coordinates of ``sums``: tr Q_i C = tr sums_i inside(C)."""
+        return spread if self.basis is None else self.basis @ spread @ self.basis.T
+
+    def energy(self, spread: Array) -> float:
+        """Return tr Q_0 C, the energy that errors of covariance C (k, k) make in the torque."""
+        rows = self.sums[0] if self.basis is None else self.basis
+        return float(np.vdot(spread if self.basis is None else rows @ spread, rows))
+
+    def score(self, kernels: Array) -> Array:
+        """Return sum_i c_i Q_i (k, k) of coefficients c (1 + m,)."""
+        score = np.tensordot(kernels, self.sums, axes=1)
+        return score if self.basis is None else self.basis.T @ score @ self.basis
+
+    def __add__(self, other: JointResiduals) -> JointResiduals:
+        """Return the sums of both logs' samples, no lag reaching from one into the other.
+
+        Both have the same lags and kernels.
+        """
+        pairs = self.pairs + other.pairs
+
+        def mean(ours: Array, theirs: Array) -> Array:
+            return (self.pairs * ours + other.pairs * theirs) / np.maximum(pairs, 1.0)
+
+        return replace(
+            self,
+            count=self.count + other.count,
+            sums=self.sums + other.sums,
+            products=mean(self.products, other.products),
+            hats=mean(self.hats, other.hats),
+            pairs=pairs,
+        )
+
+    def shorten(self) -> JointResiduals:
+        """Return the sums without lags and time constants above a tenth of the samples."""
+        lags, kernels = _reach(self.count)
+        first = slice(lags + 1)
+        return replace(
+            self,
+            decay=self.decay[:kernels],
+            sums=self.sums[: 1 + kernels],
+            **{
+                name: getattr(self, name)[first]
+                for name in ("lags", "products", "hats", "pairs")
+            },
+        )
+
+    def absorbed_share(self, hat: Array) -> Array:
+        """Return (1 + m,) the share of each kernel's noise that the fit takes out of residuals.
+
+        With H = Y hat Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H.
+
+        Args:
+            hat: (k, k) ``inside`` of w^2 C, weight times the estimate's inverse normal matrix.
+        """
+        twice = hat @ self.sums[0] @ hat
+        lost = 2.0 * np.tensordot(self.sums, hat, axes=2) - np.tensordot(
+            self.sums, twice, axes=2
+        )
+        return np.clip(lost / max(self.count, 1), 0.0, _MOST_ABSORBED)
+
+    def fit(self, absorbed: Array, leaked: float) -> Array:
+        """Return kernel coefficients c >= 0 (1 + m,) [N^2 m^2].
+
+        The fit takes slow noise out of the residuals in the shape of ``hats``, which is subtracted
+        from the expected shape of each kernel.
+
+        Args:
+            absorbed: (1 + m,) ``absorbed_share``.
+            leaked: mean square of the errors due to the noise of other joints [N^2 m^2].
+        """
+        energy = float(self.products[0])
+        shape = (
+            self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(len(self.lags))
+        )
+        products = self.products - min(leaked, 0.5 * energy) * shape
+        if energy <= 0.0:
+            return np.zeros(1 + len(self.decay))
+        kernels = np.column_stack(
+            (self.lags == 0, self.decay ** self.lags[:, None])
+        ).astype(float)
+        shapes = kernels - np.outer(shape, absorbed)
+        # The first lag of each bin; bins widen in proportion to the lag.
+        count = len(self.lags)
+        edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(
+            np.int64
+        )
+        bins = np.unique(np.clip(np.append(0, edges), 0, count - 1))
+        kernel_shares = _simplest_fit(
+            _sum_bins(shapes, bins), _sum_bins(products / energy, bins), self.count
+        )
+        return kernel_shares * products[0] / float(kernel_shares @ shapes[0])
+
+    def effective_samples(self, kernels: Array) -> float:
+        """Return the equivalent number of independent samples, n gamma(0) / sum_l gamma(l)."""
+        summed = np.concatenate(([1.0], (1.0 + self.decay) / (1.0 - self.decay)))
+        spread = float(kernels @ summed)
+        return (
+            self.count * float(np.sum(kernels)) / spread
+            if spread > 0.0
+            else float(self.count)
+        )
+
+
+def collect_residuals(
+    information: SquareRootInformation,
+    samples: SampleSource,
+    values: Array,
+    root: Array,
+    weights: Array,
+    to_add: bool = False,
+) -> list[JointResiduals]:
+    """Return each joint's sums from one pass over the samples.
+
+    Args:
+        values: (p,) the estimate.
+        root: (p, r) with C = root root^T.
+        weights: (joints,) of the equations [1/(N m)].
+        to_add: as in ``joint_residuals``.
+    """
+
+    def of(index: int, rows: Array, tau: Array) -> JointResiduals:
+        columns = information.joints[index].columns
+        residual = tau - rows @ values[columns]
+        scaled = weights[index] * root[columns]
+        return joint_residuals(columns, scaled, rows, residual, to_add)
+
+    return list(starmap(of, samples))
+
+
+def joint_residuals(
+    columns: NDArray[np.int64],
+    root: Array,
+    rows: Array,
+    residual: Array,
+    to_add: bool = False,
+) -> JointResiduals:
+    """Return one joint's sums over lags and kernels.
+
+    Lags and time constants stay below a tenth of the number of samples.
+
+    Args:
+        columns: (k,) indices of the parameters of the joint's rows.
+        root: (k, r) with w^2 C = root root^T.
+        rows: (N, k) equations of the joint.
+        residual: (N,) [N m]; NaN where a sample is left out.
+        to_add: keep all lags, however few samples there are.
+    """
+    is_used = np.isfinite(residual)
+    count = int(np.count_nonzero(is_used))
+    lags, kernels = _reach(10 * _MAX_LAG if to_add else count)
+    products, pairs = autocovariance(residual, lags)
+    decay = _decay(kernels)
+    basis = None
+    if len(rows) < len(columns) and not to_add:
+        basis = np.where(is_used[:, None], rows, 0.0)
+        sums = _sums_of_ones(len(rows), kernels)
+        image = basis @ root
+        hat = image @ image.T
+        hats = np.array([np.trace(hat, lag) for lag in range(lags + 1)])
+    else:
+        sums = _sums(rows, is_used, decay)
+        # A few channels at a time: all channels together would be as large as the log.
+        roots = np.array_split(root, -(-root.shape[1] // _CHANNELS), axis=1)
+        hats = np.sum(
+            [
+                lagged_sums(np.where(is_used[:, None], rows @ r, 0.0), lags)
+                for r in roots
+            ],
+            axis=0,
+        )
+    return JointResiduals(
+        columns=columns,
+        count=count,
+        decay=decay,
+        sums=sums,
+        lags=np.arange(lags + 1),
+        products=products,
+        hats=hats / np.maximum(pairs, 1.0),
+        pairs=pairs,
+        basis=basis,
+    )
+
+
+def _decay(kernels: int) -> Array:
+    return np.exp(-1.0 / 2.0 ** np.arange(kernels))
+
+
+@lru_cache(maxsize=2)
+def _sums_of_ones(count: int, kernels: int) -> Array:
+    """Return the Q_i (1 + m, n, n) of the rows of a unit matrix."""
+    lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    return np.asarray(np.append(0.0, _decay(kernels))[:, None, None] ** lags)
+
+
+def _sums(rows: Array, is_used: NDArray[np.bool_], decay: Array) -> Array:
+    """Return the Q_i (1 + m, k, k) of rows y (N, k), zero where they are not used (N,).
+
+    Half of Q_i - Q_0 is y^T u with the filters u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i).
+    """
+    lags = np.subtract.outer(np.arange(_CHUNK), np.arange(_CHUNK))
+    factor = decay[:, None, None]
+    powers = factor ** np.abs(lags)
+    width = rows.shape[1]
+    within = np.where(lags > 0, powers, 0.0)
+    state = np.zeros((len(decay), 1, width))
+    normal = np.zeros((width, width))
+    half = np.zeros((len(decay), width, width))
+    chunks = (
+        np.array_split(array, len(rows) // _CHUNK + 1) for array in (rows, is_used)
+    )
+    for block, mask in zip(*chunks):
+        chunk = np.where(mask[:, None], block, 0.0)
+        size = len(block)
+        filtered = within[:, :size, :size] @ chunk + powers[:, :size, :1] * state
+        normal += chunk.T @ chunk
+        half += chunk.T @ filtered
+        state = factor * (filtered[:, -1:] + chunk[-1:])
+    return np.array([normal, *(normal + half + half.swapaxes(1, 2))])
+
+
+def _reach(count: int) -> tuple[int, int]:
+    """Return (largest lag, number of kernels) for a number of samples."""
+    lags = int(np.clip(count // 10, 1, _MAX_LAG))
+    return lags, max(int(np.log2(max(lags / 2.0, 1.0))) + 1, 1)
+
+
+def _simplest_fit(shapes: Array, products: Array, count: int) -> Array:
+    """Return c >= 0 with shapes c ~ products, without slow kernels that are not significant.
+
+    Among the fits with the first 1, 2, ... kernels the one of least Akaike's criterion is taken;
+    the variance of an autocovariance is (1 / n) sum_l rho_l^2 (Bartlett 1946).
+    """
+    size = shapes.shape[1]
+    fits = [non_negative(shapes[:, :m], products) for m in range(1, size + 1)]
+    variance = (1.0 + 2.0 * float(np.sum(products[1:] ** 2))) / max(count, 1)
+    scores = [misfit**2 / variance + 2.0 * np.count_nonzero(c) for c, misfit in fits]
+    best = fits[int(np.argmin(scores))][0]
+    full = np.append(best, np.zeros(size - len(best)))
+    full[0] += float(not np.any(full))
+    return full
+
+
+def non_negative(matrix: Array, right_side: Array) -> tuple[Array, float]:
+    """Return (x >= 0, |A x - b|) of non-negative least squares, A (M, p) and b (M,).
+
+    By MuJoCo, which is imported already: SciPy's solver takes a tenth of a second and 20 MB to
+    import. SciPy takes over where MuJoCo's stops too early.
+    """
+    size = matrix.shape[1]
+    goal = matrix.T @ right_side
+    x = np.zeros(size)
+    workspace = np.zeros((size, size + 7))
+    failed = (
+        mujoco.mju_boxQP(
+            x, workspace, None, matrix.T @ matrix, -goal, np.zeros(size), None
+        )
+        < 0
+    )
+    slope = goal - matrix.T @ (matrix @ x)
+    uphill = np.max(np.where(x > 0.0, np.abs(slope), slope))
+    if failed or uphill > _FLAT * np.max(np.abs(goal)):
+        from scipy.optimize import nnls
+
+        x = nnls(matrix, right_side)[0]
+    return x, float(np.linalg.norm(matrix @ x - right_side))
+
+
+def _sum_bins(values: Array, bins: NDArray[np.int64]) -> Array:
+    """Return sums over bins divided by the root of their width: means with equal variance."""
+    width = np.diff(np.append(bins, len(values)))
+    sums = np.add.reduceat(values, bins, axis=0)
+    return sums / np.sqrt(width).reshape((-1,) + (1,) * (values.ndim - 1))
+
+
+def memory(residual: Array, repeats: float = 1.0) -> float:
+    """Return ``memory_of`` a residual (K,), NaN where a sample is left out.
+
+    Args:
+        repeats: how many times the motion repeats, so that its samples count once only.
+    """
+    covariance, pairs = autocovariance(residual, max(len(residual) // 10, 1) - 1)
+    return memory_of(covariance, pairs[0] / repeats)
+
+
+def concentration(residual: Array) -> float:
+    """Return the factor by which bursts reduce the effective number of rows of a residual (K,).
+
+    Of B stretches with energies E_b, (sum E_b)^2 / sum E_b^2 count: all of them where the energy is
+    spread evenly, one where a single burst holds it. The residual is NaN where a sample is left
+    out.
+    """
+    squares = residual[np.isfinite(residual)] ** 2
+    if len(squares) < 2 * _STRETCHES or not np.any(squares):
+        return 1.0
+    energies = np.array(
+        [np.sum(stretch) for stretch in np.array_split(squares, _STRETCHES)]
+    )
+    return float(_STRETCHES * np.sum(energies**2) / np.sum(energies) ** 2)
+
+
+def memory_of(covariance: Array, count: float) -> float:
+    """Return 1 + 2 sum of an autocorrelation, up to the first value that is not significant.
+
+    That is the factor by which the variance of a mean is larger than that of independent values
+    (Bartlett, "On the theoretical specification ... of autocorrelated time-series", 1946).
+
+    Args:
+        covariance: (v,) autocovariance at lags 0, 1, 2, ... samples.
+        count: number of samples; with infinitely many, the sum ends at the first negative value.
+    """
+    if not covariance[0] > 0.0:
+        return 1.0
+    correlation = np.append(covariance, 0.0) / covariance[0]
+    last = int(np.argmax(correlation <= CHANCE / np.sqrt(count)))
+    return float(1.0 + 2.0 * np.sum(correlation[1:last]))
+
+
+def autocovariance(residual: Array, lags: int) -> tuple[Array, Array]:
+    """Return (mean of r_t r_(t+l), number of pairs) for l = 0 .. lags of a residual (K,).
+
+    The residual is NaN where a sample is left out.
+    """
+    is_used = np.isfinite(residual)
+    pairs = np.rint(lagged_sums(is_used.astype(float)[:, None], lags))
+    products = lagged_sums(np.where(is_used, residual, 0.0)[:, None], lags)
+    return products / np.maximum(pairs, 1.0), pairs
+
+
+def lagged_sums(signal: Array, lags: int) -> Array:
+    """Return sum_t s_t . s_(t+l) for l = 0 .. lags of a signal (N, r), by FFT."""
+    size = 1 << int(np.ceil(np.log2(max(len(signal) + lags + 1, 2))))
+    power = np.sum(np.abs(np.fft.rfft(signal, size, axis=0)) ** 2, axis=1)
+    return np.fft.irfft(power, size)[: lags + 1]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 
-from robot_sysid.estimation.algebra.autocorrelation import (
+from robot_sysid.estimation.algebra.uncertainty import (
     concentration,
     joint_residuals,
     non_negative,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.algebra.base_parameters import base_combinations, essential
+from robot_sysid.estimation.algebra.identifiability import base_combinations, essential
 
 
 @given(seed=st.integers(0, 2**31 - 1), rank=st.integers(1, 6))

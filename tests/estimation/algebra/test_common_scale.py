@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robot_sysid.estimation.algebra import common_scale
-from robot_sysid.estimation.algebra.common_scale import false_alarms
+from robot_sysid.estimation.algebra import priors
 from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.priors import false_alarms
 from robot_sysid.estimation.unknowns import (
     LINKS,
     SCALES,
@@ -48,7 +48,7 @@ def test_the_share_is_that_of_drawn_arms(seed, monkeypatch):
     spreads = [
         np.linalg.inv(rows.T @ rows + precision(each)) for each in (before, after)
     ]
-    monkeypatch.setattr(common_scale, "LEAST_SCALE", 0.05)
+    monkeypatch.setattr(priors, "LEAST_SCALE", 0.05)
     known = [each[1].factor @ each[1].factor.T for each in (before, after)]
     told, products = false_alarms(
         *((k, each[2:, 2:]) for k, each in zip(known, spreads))

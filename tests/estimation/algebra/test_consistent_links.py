@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra import consistent_links
-from robot_sysid.estimation.algebra.consistent_links import (
+from robot_sysid.estimation.algebra import consistent_bodies
+from robot_sysid.estimation.algebra.consistent_bodies import (
     ConsistentLinks,
     LinksProblem,
     ScaledBodies,
@@ -170,7 +170,7 @@ def test_without_weight_the_objective_is_that_of_the_semidefinite_program(seed):
 
 
 @pytest.mark.parametrize(
-    "where", [(consistent_links, "_Newton"), (ScaledBodies, "move_duals")]
+    "where", [(consistent_bodies, "_Newton"), (ScaledBodies, "move_duals")]
 )
 def test_what_rounding_leaves_unsolved_is_an_error_of_ours(monkeypatch, where):
     def singular(*_):

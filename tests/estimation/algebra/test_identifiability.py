@@ -24,7 +24,7 @@ from robot_sysid.estimation.algebra.identifiability import (
     readable_basis,
     visible_space,
 )
-from robot_sysid.estimation.algebra.information import InformationAccumulator
+from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 from robot_sysid.records import JointInformation, Measurement, SquareRootInformation
 from tests.support import arms
 from tests.support.synthetic_data import (

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robot_sysid.estimation.algebra.information import (
+from robot_sysid.estimation.algebra.least_squares import (
     InformationAccumulator,
     combine,
     restrict,

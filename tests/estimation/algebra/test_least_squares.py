@@ -10,8 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from robot_sysid.estimation.algebra.information import InformationAccumulator
-from robot_sysid.estimation.algebra.least_squares import joint_noise, solver
+from robot_sysid.estimation.algebra.least_squares import (
+    InformationAccumulator,
+    joint_noise,
+    solver,
+)
 from tests.support.estimates import identify
 from tests.support.synthetic_data import Samples, noisy_samples
 

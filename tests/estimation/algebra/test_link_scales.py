@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given
 
-from robot_sysid.estimation.algebra.link_scales import LinkEvidence, average_scales
-from robot_sysid.estimation.algebra.nuisances import LinkScales
+from robot_sysid.estimation.algebra.priors import (
+    LinkEvidence,
+    LinkScales,
+    average_scales,
+)
 from tests.support import arms
 
 N_LINKS = 4

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.information import InformationAccumulator
-from robot_sysid.estimation.algebra.least_squares import solver
-from robot_sysid.estimation.algebra.nuisances import (
+from robot_sysid.estimation.algebra.least_squares import InformationAccumulator, solver
+from robot_sysid.estimation.algebra.priors import (
     WIDEST,
     NuisanceGroup,
     WithPriors,

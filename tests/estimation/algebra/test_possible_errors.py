@@ -8,12 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra.consistent_links import (
+from robot_sysid.estimation.algebra.consistent_bodies import (
+    BODIES,
     ConsistentLinks,
     LinksProblem,
-)
-from robot_sysid.estimation.algebra.possible_errors import (
-    BODIES,
     once_possible,
     possible_covariance,
 )

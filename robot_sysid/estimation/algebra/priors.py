@@ -1,44 +1,57 @@
-"""Priors of nuisances: how far the parameters of a real arm may be off their nominal values.
-
-Nuisances d (the other links' parameters, torque scales, encoder zeros, the direction of gravity)
-are estimated together with the terminal link under d ~ N(d0, F F^T), one group per cause. Where the
-data asks for more than the prior of the other links or of friction allows, the group is widened by
-
-    alpha^2 = |F^-1 (d - d0)|^2 / gamma,   gamma = sum_k (1 - [F^-1 C F^-T]_kk),
-
-gamma the number of directions that the data determines (MacKay, "Bayesian interpolation", Neural
-Computation 4(3), 1992, eq. 22 and 33), C the covariance of the estimate; never below 1.
-"""
+"""TODO."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
+from math import erfc, exp, pi, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.information import normal_matrix
-from robot_sysid.estimation.algebra.least_squares import solve_normal, solve_rows
+from robot_sysid.estimation.algebra.least_squares import (
+    eliminate_others,
+    normal_matrix,
+    solve_normal,
+    solve_rows,
+)
 from robot_sysid.records import Array, PriorConflict, RobotModel, SquareRootInformation
 
 ROD = float(np.sqrt(3.0))
 """Length of a uniform rod over the root mean square distance of its mass from its end."""
+
+
 LEAST_SIZE = 0.02
 """Size that a link has at least, where its prior is made [m]."""
+
+
 SURE = 0.99
 """Significance at which a contradiction between data and prior is reported."""
+
+
 WIDEST = 20.0
 """Largest factor of a widened prior: 20 times 5 % is 100 %."""
+
+
 # Share of the largest squared deviation above which a member is named too; chosen.
 _SHARE_OF_WORST = 0.3
+
+
 # Most rounds of widening.
 _ROUNDS = 30
+
+
 # Relative change of a width at which it has converged.
 _SETTLED = 1e-3
+
+
 # Least factor where a prior may become narrower.
 _NARROWEST = 0.01
+
+
 # Factor that holds a group at its mean.
 _FIXED = 1e-4
 
@@ -384,3 +397,156 @@ def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
     squares = {name: float(np.sum(off[members == name] ** 2)) for name in group.members}
     clear = [n for n in squares if squares[n] > _SHARE_OF_WORST * max(squares.values())]
     return tuple(sorted(clear, key=lambda name: -squares[name]))
+
+
+MASS_SCALES = (2.0, 4.0, 8.0)
+"""Multiples of the stated share that masses may be off by, each as likely: 10, 20, 40 % of 5 %."""
+
+
+COM_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+
+
+INERTIA_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+
+
+USUAL_COM_SCALE = 1.5
+
+
+USUAL_INERTIA_SCALE = 2.0
+"""Medians of the log-normal priors of these scales, whose standard deviation is one octave."""
+
+
+EXPECTED = LinkScales(4.0, USUAL_COM_SCALE, USUAL_INERTIA_SCALE)
+"""Expected scales before any recording."""
+
+
+LINK_KINDS = ("mass", "centre_of_mass", "inertia")
+
+
+@dataclass(frozen=True)
+class LinkEvidence:
+    """Marginal likelihood of the other links' deviations from the model.
+
+    Attributes:
+        n_links: L, of links that the model states.
+        curvature: (10 L + 2, 10 L + 2) M.
+        pull: (10 L + 2,) v.
+    """
+
+    n_links: int
+    curvature: Array
+    pull: Array
+
+    def log_likelihood(self, scale: Array) -> float:
+        """Return log p(S) of scales (10 L + 2,), but for a constant."""
+        matrix = np.eye(len(scale)) + scale[:, None] * self.curvature * scale
+        factor = np.linalg.cholesky(matrix)
+        half = np.linalg.solve(factor, scale * self.pull)
+        return float(0.5 * half @ half - np.sum(np.log(np.diag(factor))))
+
+
+def link_evidence(
+    information: SquareRootInformation,
+    weights: Array,
+    others: Sequence[NuisanceGroup],
+    links: NuisanceGroup,
+    directions: Array,
+    is_stated: NDArray[np.bool_],
+) -> LinkEvidence:
+    """Return the evidence of data and all other priors about the links that the model states.
+
+    Args:
+        information: of the p parameters that are sought, without priors.
+        weights: (joints,) by which each joint's equations count [1/(N m)].
+        others: priors of everything but the links.
+        links: the prior of all other links.
+        directions: (10 L, 10 L + 2) T of the L links that the model states, for the stated share.
+        is_stated: (links,) whether the model states a link; the prior of one of which it has a
+            placeholder only stays.
+    """
+    normal = normal_matrix(information, weights)
+    for group in others:
+        rows = group.rows(information.names)
+        normal += rows.T @ rows
+    rows = links.rows(information.names)[np.repeat(np.logical_not(is_stated), 10)]
+    normal += rows.T @ rows
+    stated = np.repeat(is_stated, 10)
+    indices = np.array(links.indices(information.names))[stated]
+    curvature, pull = eliminate_others(normal, indices)
+    pull = pull - curvature @ links.mean[stated]
+    count = int(np.count_nonzero(is_stated))
+    return LinkEvidence(
+        count, directions.T @ curvature @ directions, directions.T @ pull
+    )
+
+
+def average_scales(evidence: LinkEvidence) -> LinkScales:
+    """Return the root mean square of each scale over its posterior on the grid.
+
+    Not the most likely one: where the data determines a scale badly, the errors have to cover its
+    large values, too.
+    """
+    grid = np.array(list(product(MASS_SCALES, COM_SCALES, INERTIA_SCALES)))
+    medians = np.array([USUAL_COM_SCALE, USUAL_INERTIA_SCALE])
+    log_posterior = -0.5 * np.sum(np.log2(grid[:, 1:] / medians) ** 2, axis=1)
+    for point, scales in enumerate(grid.tolist()):
+        scale = LinkScales(*scales).of_directions(evidence.n_links)
+        log_posterior[point] += evidence.log_likelihood(scale)
+    probability = np.exp(log_posterior - np.max(log_posterior))
+    probability /= np.sum(probability)
+    return LinkScales(*np.sqrt(probability @ grid**2).tolist())
+
+
+LEAST_SCALE = 0.08
+"""Common torque scale above which a note is added: one and a half times the default error of links.
+"""
+
+
+SIGNIFICANT = 1.0
+"""Standard errors from zero above which the common scale is significant: torques that read 15 % too
+high or too low reach 1.15 and more, links that are 2 % off at most 0.4
+(benchmarks/wrong_log_table)."""
+
+
+def is_worth_a_word(scales: Array, spread: Array) -> bool:
+    """Tell whether scales (joints,) with covariance (joints, joints) are clearly off together."""
+    return bool(abs(np.mean(scales)) > _least(spread))
+
+
+def _least(spread: Array) -> float:
+    return max(SIGNIFICANT * sqrt(np.mean(spread)), LEAST_SCALE)
+
+
+def false_alarms(
+    separate: tuple[Array, Array], common: tuple[Array, Array]
+) -> tuple[float, Array]:
+    """Return the probability that right recordings call for a common scale, for arms drawn from the
+    prior, and the mean products (joints, joints) of D x in that case.
+
+    Estimates x of the scales with separate priors become with a common scale
+
+        (1 + C_common D) x,   D = K_separate - K_common,
+
+    K the prior precision of the scales, C their posterior covariance. The covariance of x, which is
+    Gaussian, is the prior covariance minus the posterior one.
+
+    Args:
+        separate: (prior, posterior) covariance of the scales, (joints, joints) each.
+        common: the same with a common scale.
+    """
+    prior, posterior = separate
+    common_prior, common_posterior = common
+    freed = np.linalg.inv(prior) - np.linalg.inv(common_prior)
+    weights = np.mean(np.eye(len(prior)) + common_posterior @ freed, axis=0)
+    products = prior - posterior
+    variance = float(weights @ products @ weights)
+    # Without information on scales, rounding remains.
+    if variance <= 0.0:
+        return 0.0, 0.0 * products
+    far = _least(common_posterior) / sqrt(variance)
+    along = products @ weights
+    share = erfc(far / sqrt(2.0))
+    # Of a Gaussian beyond L standard deviations, the square is 1 + L phi(L) / (1 - Phi(L)).
+    more = far * exp(-0.5 * far**2) * sqrt(2.0 / pi) / share if share else 0.0
+    products = products + more / variance * np.outer(along, along)
+    return share, freed @ products @ freed
