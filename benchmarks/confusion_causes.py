@@ -18,7 +18,7 @@ from benchmarks.wrong_logs import carrying_joint
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned
-from robot_sysid.model.in_memory import compiled_in_memory
+from robot_sysid.model.compilation import compiled_in_memory
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import Array, Measurement, RobotModel
 from tests.support.wrong_logs import Truth

@@ -34,8 +34,8 @@ from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import evidence_of
 from robot_sysid.estimation.identify import without_standing
+from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.model.tendons import joint_friction
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
 from tests.support.places import DATA, ROOT

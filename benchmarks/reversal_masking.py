@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks.example_study import Noise, NoiseStudy, friction_errors, noise_study
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.logs.reader import join_measurements
 from robot_sysid.signals.process import LARGEST_SLOW_SHARE, process
+from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation.plant import quantised
 from tests.support.closed_loop import ClosedLoop
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import servo_arm
-from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.progress import Progress

@@ -20,7 +20,7 @@ import numpy as np
 from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.logs.reader import write_measurement_csv
+from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import run
 from robot_sysid.records import Measurement

@@ -26,7 +26,7 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.run import check_against_model
 from robot_sysid.errors import SysidError
-from robot_sysid.logs.reader import write_measurement_csv
+from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.pipeline import analysed
 from robot_sysid.records.progress import Progress
 from tests.support.wrong_logs import truth_of

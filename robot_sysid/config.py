@@ -13,8 +13,8 @@ from typing import Any, TypeVar, get_type_hints
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.logs.options import LogOptions
-from robot_sysid.model.options import ModelOptions
+from robot_sysid.logs import LogOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import atomic_files, options
 from robot_sysid.records.options import Option, OptionRecord, folder, option

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, TextIO
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.updated_model import changed_model_text
-from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
+from robot_sysid.mjcf.inertial import WriteBack
+from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import Motion, atomic_files
 from robot_sysid.records.figures import with_error

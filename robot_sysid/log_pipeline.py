@@ -24,12 +24,8 @@ from robot_sysid.estimation.identify import (
 )
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
-from robot_sysid.logs.reader import (
-    MeasurementLog,
-    open_log,
-    origin_of,
-    write_measurement_csv,
-)
+from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
+from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.outcome import Analysis
 from robot_sysid.records import DataOrigin, MotionPlan, RobotModel, Source
 from robot_sysid.records.arm import InertialParameters

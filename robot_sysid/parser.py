@@ -22,13 +22,13 @@ from robot_sysid.model.chain import (
     body_label,
     chain_to,
     find_terminal_joint,
+    joint_friction,
     joint_label,
     joint_limits,
     resolve_joint,
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
 from robot_sysid.model.inertia import arm_links, subtree_bodies
-from robot_sysid.model.tendons import joint_friction
 from robot_sysid.records import InertialParameters, RobotModel, SubtreeBody
 from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint
 

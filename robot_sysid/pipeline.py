@@ -292,7 +292,7 @@ def _of_itself(
         robot, plan, rate, seed, config.estimation, progress
     )
     if save_to is not None:
-        from robot_sysid.logs.reader import write_measurement_csv
+        from robot_sysid.logs.text import write_measurement_csv
         from robot_sysid.simulator import simulate_inverse
 
         simulated = simulate_inverse(robot, motion_chunks(plan, rate))

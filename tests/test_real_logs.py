@@ -11,7 +11,7 @@ import runpy
 import pytest
 
 from robot_sysid.cli import main
-from robot_sysid.model.tendons import CAN_HOLD_ROTORS
+from robot_sysid.model.chain import CAN_HOLD_ROTORS
 from tests.support.places import DATA, ROOT
 
 KUKA = DATA / "kuka_lwr4"

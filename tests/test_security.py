@@ -17,7 +17,7 @@ from tests.support.places import ROOT
 
 DOCUMENTS = "mjcf/test_documents.py::"
 HAZARDS = "mjcf/test_hazards.py::"
-ARRAYS = "logs/formats/test_arrays.py::"
+ARRAYS = "logs/test_arrays.py::"
 STOPS = f"{HAZARDS}test_what_would_end_or_stop_the_process_is_refused"
 HELD = {
     "XML entities": f"{DOCUMENTS}test_what_is_no_model_is_refused_in_one_line",
@@ -48,7 +48,7 @@ HELD = {
     "an HDF5 link": f"{ARRAYS}test_hdf5_does_not_follow_what_leads_to_another_file",
     "a MATLAB file": f"{ARRAYS}test_a_matlab_file_may_end_its_process_and_takes_bounded_time",
     "bounded memory": f"{ARRAYS}test_a_matlab_files_empty_cells_are_not_unpacked",
-    "a compressed": "logs/formats/test_ros_bag.py::test_a_bag_that_unpacks_to_too_much_is_refused",
+    "a compressed": "logs/test_ros_bag.py::test_a_bag_that_unpacks_to_too_much_is_refused",
     "JSON nested": "test_json_files.py::test_what_is_no_json_is_refused_in_one_line",
     "or of more than 30 MB": "test_json_files.py::test_what_is_too_large_is_not_read",
     "an integer": "test_json_files.py::test_an_integer_beyond_all_floats_is_infinite",

@@ -11,7 +11,7 @@ import pytest
 import robot_sysid as rs
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_table
 from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.special_files import refuse_special_file

@@ -23,7 +23,7 @@ from benchmarks.fuzz.mutations import (
     damaged_table,
     odd,
 )
-from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from tests.support import log_files, recorded
 

@@ -12,8 +12,8 @@ from lxml import etree
 from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged_xml
 from robot_sysid.mjcf.documents import masked_comments
-from robot_sysid.mjcf.updated_model import changed_model_text
-from robot_sysid.mjcf.write_back import BodyChange, ModelChange, plan_write_back
+from robot_sysid.mjcf.inertial import plan_write_back
+from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.parser import load_robot_model

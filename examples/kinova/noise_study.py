@@ -27,7 +27,6 @@ from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, mean_torqu
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.fit import evidence, solve
 from robot_sysid.estimation.unknowns import Choice, Question
-from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import (
     Estimate,
@@ -37,6 +36,7 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.signals.process import ProcessedSignals, process
+from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse

@@ -25,11 +25,11 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.sums import LogInformation
 from robot_sysid.log_pipeline import checked
-from robot_sysid.logs.formats.table import LogTable, arrays_table
-from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
+from robot_sysid.logs.table import LogTable, arrays_table
+from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.model.options import ModelOptions
 from robot_sysid.outcome import Analysis
 from robot_sysid.pipeline import analysed, designed, load, predict, promise
 from robot_sysid.records import Measurement, RobotModel, Traces

@@ -27,14 +27,14 @@ from robot_sysid.damiao.settings import (
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.logs.options import LogOptions
-from robot_sysid.model.in_memory import (
+from robot_sysid.logs import LogOptions
+from robot_sysid.model import ModelOptions
+from robot_sysid.model.compilation import (
     InMemory,
     compiled_in_memory,
     file_of,
     is_in_memory,
 )
-from robot_sysid.model.options import ModelOptions
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import RobotModel

@@ -11,8 +11,8 @@ from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.preview import PreviewOptions, require_preview, show_preview
 from robot_sysid.errors import InputError
-from robot_sysid.logs.options import CHECKS, LogOptions
-from robot_sysid.model.options import ModelOptions
+from robot_sysid.logs import CHECKS, LogOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.records.options import given_options, record_from
 
 INTERRUPTED = "interrupted; nothing was written"

@@ -11,7 +11,7 @@ from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.config import OutputOptions
 from robot_sysid.errors import SysidError
-from robot_sysid.model.options import ModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
 

@@ -27,8 +27,8 @@ from robot_sysid.config import (
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.logs.options import LogOptions
-from robot_sysid.model.options import ModelOptions
+from robot_sysid.logs import LogOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import atomic_files
 from robot_sysid.records.options import default_of, keys_of, options_of, record_from

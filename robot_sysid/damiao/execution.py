@@ -52,7 +52,7 @@ from robot_sysid.damiao.settings import (
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, error_text
-from robot_sysid.model.options import ModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.options import given_options, record_from

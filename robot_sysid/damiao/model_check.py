@@ -31,7 +31,7 @@ from robot_sysid.damiao.safety.zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
-from robot_sysid.model.options import ModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion.limit_check import BetweenArms, first_contact
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.motion.problem import build_problem

@@ -35,7 +35,7 @@ from robot_sysid.estimation.unknowns import (
     independent_prior,
 )
 from robot_sysid.json_files import read_json
-from robot_sysid.model.tendons import CAN_HOLD_ROTORS, shared_motors
+from robot_sysid.model.chain import CAN_HOLD_ROTORS, shared_motors
 from robot_sysid.records import Array, RobotModel
 
 CLEAR_EVIDENCE = 15.0

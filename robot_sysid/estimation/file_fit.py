@@ -38,7 +38,7 @@ from robot_sysid.estimation.unknowns import (
     Unknowns,
     build_unknowns,
 )
-from robot_sysid.model.tendons import CAN_HOLD_ROTORS
+from robot_sysid.model.chain import CAN_HOLD_ROTORS
 from robot_sysid.records import Array, RobotModel, Validation
 
 # Linearisations of the fit that begins where a first one ended.

@@ -1,1 +1,95 @@
-"""Reading logs: which column is what, and what is wrong with them."""
+"""Which logs are read: apart from the reader, which a run without logs does not wait for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from robot_sysid.records.options import OptionRecord, option
+from robot_sysid.records.torque_scale import Factors, factors_in, usable_factor
+
+CHECKS = {
+    "torque-scale": "torque in another unit, on the motor's side of the gear, or scaled",
+    "gravity": "torque without gravity, or external torque only",
+    "computed": "torque that was computed, not measured",
+    "sign": "sign of a position or torque",
+    "order": "columns of joints exchanged",
+    "angle-unit": "degrees for radians or the other way round",
+    "zero": "zero of a joint's position",
+    "model": "model of another arm, or with another tool",
+    "tilt": "base tilted against the model's",
+    "clock": "clock that jumps or drifts, a wrong time base, or samples lost or repeated",
+    "delay": "torque delayed against position",
+    "saturated": "torque sensor at its end",
+    "held": "torque that stands still while the arm moves",
+    "contact": "contact, a collision or a moving gripper",
+    "force": "constant force, a spring, a hose, or a hand that carries a part",
+    "payload-step": "payload that changes within the log",
+    "ripple": "torque that ripples with the joint's angle",
+    "coupling": "one motor that turns with two joints",
+    "crosstalk": "torque that holds a part of its neighbour's",
+    "friction": "friction that falls as gears warm up",
+    "unexplained": "torque that nothing explains",
+    "too-little": "too few independent samples",
+    "rollout": "new model that does not move more like the arm than the old one",
+}
+"""Name of every check of a log, as ``--accept`` takes it, to what it looks for."""
+
+
+@dataclass(frozen=True)
+class LogOptions(OptionRecord):
+    """Which logs of the real arm, and what their columns are."""
+
+    measurements: tuple[Path, ...] = option(
+        (),
+        "identify from this log of the real arm; may be repeated",
+        "LOG.csv",
+        repeats=True,
+    )
+    columns: Path | None = option(
+        None, "file that says which column is what", "FILE", usual="recognised"
+    )
+    units: str | None = option(
+        None, "units of the log, such as deg or deg,ms", "UNITS", usual="SI"
+    )
+    torque_scale: Factors | None = option(
+        None,
+        "divide torques by this: a number, one per joint, or a file",
+        "SCALE",
+        parse=factors_in,
+        check=usable_factor,
+    )
+    torque_constants: Factors | None = option(
+        None,
+        "the log holds motor currents: torque at the joint per ampere, gear included; a number, "
+        "one per joint, or a file",
+        "K [N·m/A]",
+        parse=factors_in,
+        check=usable_factor,
+    )
+    topic: str | None = option(
+        None, "topic of a ROS bag, where several fit", "TOPIC", usual="found"
+    )
+    episode: tuple[int, ...] = option(
+        (),
+        "episode of a LeRobot data set; may be repeated",
+        "N",
+        repeats=True,
+        usual="all",
+    )
+    accept: tuple[str, ...] = option(
+        (),
+        "go on in spite of what this check warns of; may be repeated",
+        "CHECK",
+        choices=tuple(CHECKS),
+        repeats=True,
+    )
+    validation_measurements: Path | None = option(
+        None, "another log that only tests the result", "LOG.csv"
+    )
+    verify_rollout: bool = option(
+        False,
+        "play the old and the new model on held-out pieces; write the new one only if it moves "
+        "more like the arm",
+    )
+    commanded: bool = False

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.columns import collected
-from robot_sysid.logs.rows import (
+from robot_sysid.logs.table import (
     BACKWARDS,
     MISSING,
     REPEATED,
@@ -23,6 +22,7 @@ from robot_sysid.logs.rows import (
     WRAPPED,
     LogRows,
 )
+from robot_sysid.logs.titles import collected
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import position
 from robot_sysid.records.progress import Detail

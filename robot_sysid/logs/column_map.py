@@ -33,7 +33,7 @@ from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs import columns as naming
+from robot_sysid.logs import titles as naming
 from robot_sysid.records import Array
 
 _KEYS = ("time", *naming.QUANTITIES, "acceleration", "units", "rate")

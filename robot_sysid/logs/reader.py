@@ -8,14 +8,12 @@ It is read in blocks; what is left of it after thinning is held in memory.
 
 from __future__ import annotations
 
-import csv
 import functools
 import os
-import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -23,21 +21,16 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs import column_map
+from robot_sysid.logs import LogOptions, arrays, column_map
 from robot_sysid.logs.checks import check_log
-from robot_sysid.logs.columns import joint_kind, read_title
-from robot_sysid.logs.formats import arrays
-from robot_sysid.logs.formats.ros_bag import bag_table
-from robot_sysid.logs.formats.table import Asked, LogTable
-from robot_sysid.logs.formats.text import is_number, text_table
-from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.rows import followed, read_rows
+from robot_sysid.logs.ros_bag import bag_table
+from robot_sysid.logs.table import Asked, LogTable, followed, read_rows
+from robot_sysid.logs.text import is_number, text_table
+from robot_sysid.logs.titles import joint_kind, read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
-from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 from robot_sysid.signals.process import LogPiece
-from robot_sysid.signals.resampling import join_measurements as join_measurements
 from robot_sysid.signals.resampling import piece_note, pieces_of
 from robot_sysid.special_files import refuse_special_file
 
@@ -156,38 +149,6 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
         str(path if path == STANDARD_INPUT else path.absolute()) for path in paths
     )
     return DataOrigin(Source.LOG, words, duration, rate, files=files)
-
-
-_WRITTEN = {"position": "q", "velocity": "qd", "torque": "tau", "acceleration": "qdd"}
-_WRITTEN["time"] = "joint_time"
-"""Quantity, as titles end in it, to attribute of a measurement."""
-
-
-def write_measurement_csv(
-    path: Path, joint_names: Sequence[str], chunks: Iterable[Measurement]
-) -> None:
-    """Write samples in the form ``open_log`` reads, with every digit; the file appears whole.
-
-    Columns are called ``<joint>_position`` and so on.
-    """
-    with whole_file(path) as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        there: dict[str, str] = {}
-        for chunk in chunks:
-            if not there:
-                there = {
-                    n: a for n, a in _WRITTEN.items() if getattr(chunk, a) is not None
-                }
-                titles = [f"{joint}_{name}" for name in there for joint in joint_names]
-                writer.writerow(
-                    ["time", *(re.sub(r"[\r\n]", " ", title) for title in titles)]
-                )
-            values = [getattr(chunk, attribute) for attribute in there.values()]
-            writer.writerows(
-                map(repr, r) for r in np.column_stack((chunk.time, *values)).tolist()
-            )
-        if not there:
-            raise InputError("there are no samples to write")
 
 
 _FORMS: Mapping[bytes, Callable[[Asked], LogTable]] = {

@@ -19,8 +19,7 @@ from functools import partial
 from pathlib import Path
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.documents import ModelDocument, Node
-from robot_sysid.mjcf.edits import Edits, reference
+from robot_sysid.mjcf.documents import Edits, ModelDocument, Node, reference
 
 _CUBE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from itertools import islice, takewhile
 from pathlib import Path
 
@@ -17,23 +18,119 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf import inertial
 from robot_sysid.mjcf.assets import relocated_text
-from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
-from robot_sysid.mjcf.edits import Edits, attributes
+from robot_sysid.mjcf.documents import (
+    Edits,
+    ModelDocument,
+    Node,
+    attributes,
+    read_document,
+)
 from robot_sysid.mjcf.inertial import (
+    WriteBack,
     mjcf_inertial,
     number,
     numbers,
     urdf_inertial_about_com,
 )
 from robot_sysid.mjcf.urdf import give_minimum
-from robot_sysid.mjcf.write_back import (
-    ActuatorChange,
-    JointChange,
-    ModelChange,
-    TendonChange,
-    WeldedBody,
-)
 from robot_sysid.records import Array
+
+
+@dataclass(frozen=True)
+class BodyChange:
+    """New inertia for a body, called "#7" where it has no name, and more words for its comment."""
+
+    label: str
+    body_id: int
+    plan: WriteBack
+    addition: str | None = None
+
+
+@dataclass(frozen=True)
+class JointChange:
+    """New numbers for a joint; None leaves what the file says.
+
+    Attributes:
+        label: the joint's name, or "#3" for the nameless joint with id 3.
+        armature: rotor inertia seen at the joint [kg m^2 or kg]; a URDF cannot hold it.
+        damping, frictionloss: viscous and Coulomb friction [N m s/rad, N m or N s/m, N].
+        polynomial: damping beyond the linear one, of qd abs(qd) and of qd^3; MuJoCo 3.7 and later.
+    """
+
+    label: str
+    armature: float | None = None
+    damping: float | None = None
+    frictionloss: float | None = None
+    polynomial: tuple[float, float] | None = None
+    words: str = ""
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What is to be written, by its name in MJCF."""
+        values = {
+            name: getattr(self, name)
+            for name in ("armature", "damping", "frictionloss")
+        }
+        return {
+            name: float(value) for name, value in values.items() if value is not None
+        }
+
+
+@dataclass(frozen=True)
+class TendonChange:
+    """A motor that turns several joints, as a fixed tendon over them.
+
+    Attributes:
+        tendon: its MuJoCo id, or that which a new one gets; ``is_new`` tells which.
+        coefficients: joint to speed of the tendon per speed of that joint.
+        numbers: new ones, by their name in MJCF: "armature", "damping", "frictionloss".
+    """
+
+    tendon: int
+    is_new: bool
+    coefficients: Mapping[str, float]
+    numbers: Mapping[str, float]
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class ActuatorChange:
+    """New gains for a position actuator, by its MuJoCo id."""
+
+    actuator: int
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class WeldedBody:
+    """A body of its own, fixed to one of the file's.
+
+    Its frame in the carrier's, (3, 3) and (3,) [m], and theta (10,) in its own frame.
+    """
+
+    name: str
+    carrier: str
+    rotation: Array
+    translation: Array
+    theta: Array
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class ModelChange:
+    """All that is written into a model; the residual [N m] is for the comments, gravity [m/s^2] in
+    the world frame, and ``principal`` as in ``inertial.mjcf_inertial``.
+    """
+
+    bodies: tuple[BodyChange, ...]
+    rmse: float
+    joints: tuple[JointChange, ...] = ()
+    welded: WeldedBody | None = None
+    actuators: tuple[ActuatorChange, ...] = ()
+    tendons: tuple[TendonChange, ...] = ()
+    gravity: tuple[float, float, float] | None = None
+    principal: bool = False
 
 
 def changed_model_text(

@@ -16,8 +16,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import SHAPES, find_assets
-from robot_sysid.mjcf.documents import ModelDocument, Node
-from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.documents import Edits, ModelDocument, Node
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.records import Array
 

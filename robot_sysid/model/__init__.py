@@ -1,1 +1,27 @@
-"""What MuJoCo makes of a model file: chain, limits, inertias, contacts."""
+"""Which model, and which arm of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from robot_sysid.records.options import OptionRecord, option
+
+
+@dataclass(frozen=True)
+class ModelOptions(OptionRecord):
+    """Which arm, of an MJCF or URDF file, and which of its joints is the terminal one."""
+
+    path: Path = Path()
+    mesh_dir: Path | None = option(
+        None, "folder of the mesh files", usual="what the model says"
+    )
+    joint: str | None = option(
+        None, "terminal joint", "NAME", usual="found automatically"
+    )
+    keyframe: str | None = option(
+        None,
+        "keyframe in which the arm is at rest, where motions start",
+        "NAME",
+        usual="home, or the only one",
+    )

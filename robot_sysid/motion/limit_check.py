@@ -25,8 +25,8 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import posed, subtree
+from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.contacts import parts_of
-from robot_sysid.model.tendons import joint_friction
 from robot_sysid.motion.clearance import Clearance, Closest, approach_rates
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel

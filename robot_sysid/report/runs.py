@@ -19,7 +19,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.uncertainty import autocovariance
 from robot_sysid.json_files import read_json
-from robot_sysid.logs.formats.arrays import npz_arrays
+from robot_sysid.logs.arrays import npz_arrays
 from robot_sysid.records import SIGNALS, Array, Signals, Traces, Validation
 from robot_sysid.records.atomic_files import PARAMS_NAME
 from robot_sysid.results.cards import ERROR_NAMES

@@ -15,7 +15,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.write_back import plan_write_back
+from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.records import DELAY_NAME, Array, RolloutTest, Validation
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.records.progress import Detail

@@ -22,22 +22,21 @@ import numpy as np
 from robot_sysid import __version__
 from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError, InputError, delay_signals
-from robot_sysid.mjcf import write_back
 from robot_sysid.mjcf.assets import bundled_text, find_assets
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.inertial import setting_number
-from robot_sysid.mjcf.updated_model import changed_model_text
-from robot_sysid.mjcf.write_back import (
+from robot_sysid.mjcf.inertial import WriteBack, plan_write_back, setting_number
+from robot_sysid.mjcf.updated_model import (
+    ActuatorChange,
     BodyChange,
     JointChange,
     ModelChange,
     TendonChange,
     WeldedBody,
+    changed_model_text,
 )
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.compilation import compile_model, file_of
 from robot_sysid.model.flange import place_in_carrier
-from robot_sysid.model.in_memory import file_of
 from robot_sysid.model.inertia import body_theta, link_bodies
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
@@ -133,7 +132,7 @@ def _arm_as_mjcf(robot: RobotModel, mesh_dir: Path | None) -> RobotModel:
 def write_joints(
     robot: RobotModel,
     joints: Sequence[JointChange],
-    actuators: Sequence[write_back.ActuatorChange],
+    actuators: Sequence[ActuatorChange],
     target: ModelTarget,
 ) -> tuple[str, ...]:
     """Write a model with new numbers for its joints and servos; errors as in ``write_model``."""
@@ -251,18 +250,14 @@ def _body_changes(
                 f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
                 f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
             )
-        plan = write_back.plan_write_back(
-            thetas[k], parts, bound, most_inflated(errors[k])
-        )
+        plan = plan_write_back(thetas[k], parts, bound, most_inflated(errors[k]))
         held[k] = plan.written(thetas[k])
         changes.append(
             BodyChange(link.body_name, link.body_id, plan, "; ".join(words[k]) or None)
         )
         scaled = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
         for part in plan.scaled:
-            rest = write_back.WriteBack(
-                plan.scale * body_theta(robot.mj_model, part.body_id)
-            )
+            rest = WriteBack(plan.scale * body_theta(robot.mj_model, part.body_id))
             changes.append(BodyChange(part.name, part.body_id, rest, scaled))
     return tuple(changes), held
 
@@ -288,7 +283,7 @@ def _welded(robot: RobotModel, payload: Payload, name: str, words: str) -> Welde
     rotation, translation = place_in_carrier(robot, flange)
     carrier = body_label(robot.mj_model, flange.carrier)
     nothing = SubtreeBody(0, name, np.zeros(10), True)
-    theta = write_back.plan_write_back(payload.body.inertial.theta, [nothing]).theta
+    theta = plan_write_back(payload.body.inertial.theta, [nothing]).theta
     return WeldedBody(
         name, carrier, rotation, translation, theta, f"{words} at {flange.name}"
     )

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import ExportError, InputError
+from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.model.tendons import joint_friction
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, Motion, RobotModel, Validation
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files

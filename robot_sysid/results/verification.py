@@ -22,7 +22,7 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, BeyondRigidBodies
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial
-from robot_sysid.mjcf.write_back import ModelChange, WeldedBody
+from robot_sysid.mjcf.updated_model import ModelChange, WeldedBody
 from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import (
     CompiledModel,

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.export import locked_folder, remove_earlier
-from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
+from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
 from robot_sysid.outcome import Outcome
 from robot_sysid.records import (
     Array,

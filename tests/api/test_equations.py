@@ -8,7 +8,7 @@ import pytest
 
 import robot_sysid as rs
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy
-from robot_sysid.model.in_memory import file_of
+from robot_sysid.model.compilation import file_of
 from tests.support import arms
 from tests.support.places import EXAMPLE, MODELS
 

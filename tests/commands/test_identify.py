@@ -12,7 +12,7 @@ import pytest
 import robot_sysid as rs
 from robot_sysid.api.results import one_thread
 from robot_sysid.cli import main
-from robot_sysid.logs.reader import write_measurement_csv
+from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.rollout import compare
 from tests.support import arms, schemas, servo_logs

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from robot_sysid.logs.reader import write_measurement_csv
+from robot_sysid.logs.text import write_measurement_csv
 from tests.support import arms
 from tests.support.command_line import CommandLine
 from tests.support.wrong_logs import truth_of

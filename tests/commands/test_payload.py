@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from robot_sysid.logs.reader import write_measurement_csv
+from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.parser import load_robot_model

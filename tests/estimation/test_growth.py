@@ -20,7 +20,7 @@ from robot_sysid.estimation.choices import choose
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.identify import Piece, low_pass_recordings
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement

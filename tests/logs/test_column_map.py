@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import column_map
-from robot_sysid.logs.columns import joint_kind, read_title, with_meaning
+from robot_sysid.logs.titles import joint_kind, read_title, with_meaning
 from tests.support.log_files import motion, read_measurements, write
 
 JOINTS = ("joint0", "joint1", "joint2")

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs import reader
-from robot_sysid.logs.formats import text as formats_text
-from robot_sysid.logs.reader import write_measurement_csv
+from robot_sysid.logs import text as formats_text
+from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Measurement
 from tests.support.log_files import (
     JOINTS,

@@ -6,8 +6,7 @@ import mujoco
 import pytest
 
 from robot_sysid.mjcf.assets import check_assets, find_assets, relocated_text
-from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.edits import Edits, reference
+from robot_sysid.mjcf.documents import Edits, read_document, reference
 from tests.support.model_files import TETRAHEDRON, write_files
 
 MESH = "<asset><mesh name='m' file='{}'/></asset>"

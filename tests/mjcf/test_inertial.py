@@ -11,12 +11,10 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.export import export_updated_xml
-from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.inertial import check_settings, mjcf_inertial, numbers
+from robot_sysid.mjcf.documents import Edits, read_document
+from robot_sysid.mjcf.inertial import WriteBack, check_settings, mjcf_inertial, numbers
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com as urdf_inertial
-from robot_sysid.mjcf.updated_model import find_element
-from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
+from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, find_element
 from robot_sysid.model.inertia import body_label, body_theta
 from robot_sysid.results.verification import (
     reads_fullinertia_exactly,

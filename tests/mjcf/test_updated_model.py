@@ -13,20 +13,16 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.documents import Edits, read_document
+from robot_sysid.mjcf.inertial import WriteBack, plan_write_back
 from robot_sysid.mjcf.updated_model import (
-    changed_model_text,
-    write_actuator,
-    write_joint,
-)
-from robot_sysid.mjcf.write_back import (
     ActuatorChange,
     BodyChange,
     JointChange,
     ModelChange,
-    WriteBack,
-    plan_write_back,
+    changed_model_text,
+    write_actuator,
+    write_joint,
 )
 from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model

@@ -6,8 +6,7 @@ import pytest
 
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import find_assets, relocated_text
-from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.documents import Edits, read_document
 from robot_sysid.mjcf.urdf import compilable_urdf
 from tests.support import urdf
 from tests.support.model_files import write_files

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.write_back import plan_write_back, possible_body
+from robot_sysid.mjcf.inertial import plan_write_back, possible_body
 from robot_sysid.records import SubtreeBody
 from tests.support.arms import random_rotation
 from tests.support.model_files import random_theta

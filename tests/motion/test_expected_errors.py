@@ -16,7 +16,6 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.unknowns import LINKS, SCALES
-from robot_sysid.logs.reader import join_measurements
 from robot_sysid.motion.expected_errors import (
     NOISE,
     expect,
@@ -27,6 +26,7 @@ from robot_sysid.motion.expected_errors import (
 from robot_sysid.motion.information import criterion, predicted_information
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records.progress import Progress
+from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from tests.motion.test_prediction import a_plan

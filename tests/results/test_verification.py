@@ -13,16 +13,14 @@ from hypothesis import given
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.inertial import mjcf_inertial
-from robot_sysid.mjcf.updated_model import changed_model_text
-from robot_sysid.mjcf.write_back import (
+from robot_sysid.mjcf.inertial import WriteBack, mjcf_inertial, plan_write_back
+from robot_sysid.mjcf.updated_model import (
     ActuatorChange,
     BodyChange,
     JointChange,
     ModelChange,
     WeldedBody,
-    WriteBack,
-    plan_write_back,
+    changed_model_text,
 )
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import subtree_bodies

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs import LogOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.records.progress import Progress

@@ -11,8 +11,8 @@ import pytest
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
+from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import SineTrajectory

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.reader import join_measurements
+from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation, quantised
 from robot_sysid.simulator import ArmTorque

@@ -16,9 +16,9 @@ import numpy as np
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
-from robot_sysid.logs.reader import join_measurements
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.records import InertialParameters, JointFriction, Measurement
+from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory

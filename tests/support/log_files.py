@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.records import JointLimits, Measurement
 

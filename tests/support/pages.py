@@ -12,12 +12,13 @@ import numpy as np
 from robot_sysid.cli import main
 from robot_sysid.damiao.protocol.joints import write_joint_map
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
-from robot_sysid.logs.reader import join_measurements, write_measurement_csv
+from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress
+from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation.options import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import TrajectoryOptions

@@ -37,7 +37,7 @@ from robot_sysid.damiao.settings import (
 from robot_sysid.damiao.simulated import serve
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
-from robot_sysid.model.options import ModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records.options import (
     OptionRecord,

@@ -33,7 +33,7 @@ from robot_sysid.damiao.settings import (
 )
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.model.options import ModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records.options import command_words
 from robot_sysid.records.progress import Detail

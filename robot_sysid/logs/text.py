@@ -13,7 +13,8 @@ import contextlib
 import csv
 import functools
 import itertools
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import TextIOWrapper
@@ -23,8 +24,9 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
-from robot_sysid.logs.formats.table import DATE, Asked, Block, LogTable, nanoseconds
-from robot_sysid.records import Array
+from robot_sysid.logs.table import DATE, Asked, Block, LogTable, nanoseconds
+from robot_sysid.records import Array, Measurement
+from robot_sysid.records.atomic_files import whole_file
 
 _MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
 _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
@@ -305,3 +307,35 @@ def _read_row(dialect: Dialect, columns: Sequence[int], text: str, row: Array) -
     except ValueError:
         return f", column {titles[at]!r}: {cells[at][:40]!r} is not a number"
     return ""
+
+
+_WRITTEN = {"position": "q", "velocity": "qd", "torque": "tau", "acceleration": "qdd"}
+_WRITTEN["time"] = "joint_time"
+"""Quantity, as titles end in it, to attribute of a measurement."""
+
+
+def write_measurement_csv(
+    path: Path, joint_names: Sequence[str], chunks: Iterable[Measurement]
+) -> None:
+    """Write samples in the form ``open_log`` reads, with every digit; the file appears whole.
+
+    Columns are called ``<joint>_position`` and so on.
+    """
+    with whole_file(path) as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        there: dict[str, str] = {}
+        for chunk in chunks:
+            if not there:
+                there = {
+                    n: a for n, a in _WRITTEN.items() if getattr(chunk, a) is not None
+                }
+                titles = [f"{joint}_{name}" for name in there for joint in joint_names]
+                writer.writerow(
+                    ["time", *(re.sub(r"[\r\n]", " ", title) for title in titles)]
+                )
+            values = [getattr(chunk, attribute) for attribute in there.values()]
+            writer.writerows(
+                map(repr, r) for r in np.column_stack((chunk.time, *values)).tolist()
+            )
+        if not there:
+            raise InputError("there are no samples to write")

@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.table import (
+from robot_sysid.logs import table
+from robot_sysid.logs.table import (
     Asked,
     Block,
     LogTable,

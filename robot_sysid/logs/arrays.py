@@ -21,8 +21,8 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
+from robot_sysid.logs import table
 from robot_sysid.logs.column_map import ColumnChoices
-from robot_sysid.logs.formats import table
 from robot_sysid.records import Array
 
 ALOHA_RATE = 50.0

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.formats import ros_bag, table
-from robot_sysid.logs.formats.ros_bag import Arm, in_order
+from robot_sysid.logs import ros_bag, table
+from robot_sysid.logs.ros_bag import Arm, in_order
 from tests.support import recorded
 from tests.support.log_files import JOINTS, motion, read_measurements
 

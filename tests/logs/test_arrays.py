@@ -17,8 +17,7 @@ import pytest
 from scipy.io import savemat
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.formats import arrays, table
-from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs import LogOptions, arrays, table
 from robot_sysid.logs.reader import content_lines, open_table
 from robot_sysid.records.progress import Progress
 from tests.support.log_files import JOINTS, motion, read_measurements

@@ -1,1 +1,0 @@
-"""The forms that recordings come in, each read into titled columns of numbers."""
