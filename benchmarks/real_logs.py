@@ -163,7 +163,7 @@ def column(case: Case, folder: Path) -> dict[str, str]:
     mjcf.write_text(as_mjcf(case.model))
     for kind, model in (("urdf", DATA / case.model), ("mjcf", mjcf)):
         found = identified(case, model)
-        fit = found.analysis.answer.fit
+        fit = found.identification.answer.fit
         own = fit.columns.datasets[0].signals
         # Rows over turns at which a joint stands count in no judge of robot-sysid's own.
         judged = Dataset("", signals(case.other, found.robot.joint_names, own.cutoff))

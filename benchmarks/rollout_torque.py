@@ -22,7 +22,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline import run
+from robot_sysid.pipeline.stages import run
 from robot_sysid.records import Measurement
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks

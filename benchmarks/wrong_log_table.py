@@ -27,7 +27,7 @@ from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.run import check_against_model
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.pipeline import analysed
+from robot_sysid.pipeline.stages import identify
 from robot_sysid.records.progress import Progress
 from tests.support.wrong_logs import truth_of
 
@@ -100,7 +100,7 @@ def identified(truth, log, folder: Path) -> Outcome:
     listener = Listener()
     try:
         config = SysidConfig.of(truth.robot.path, measurements=(file,))
-        result = analysed(config, truth.robot, listener).result
+        result = identify(config, truth.robot, listener).result
     except SysidError as error:
         return Outcome(error.exit_code, " ".join([*listener.said, str(error)]), None)
     mass = result.links[-1].inertial.mass

@@ -5,7 +5,7 @@ from robot_sysid.api.calls import information as information
 from robot_sysid.api.calls import payload as payload
 from robot_sysid.api.calls import plan as plan
 from robot_sysid.api.calls import read_log as read_log
-from robot_sysid.api.equations import regressor as regressor
+from robot_sysid.api.equations import joint_torque_regressor as joint_torque_regressor
 from robot_sysid.errors import AmbiguousJointError as AmbiguousJointError
 from robot_sysid.errors import ColumnsError as ColumnsError
 from robot_sysid.errors import ExportError as ExportError
@@ -17,5 +17,5 @@ from robot_sysid.errors import SysidError as SysidError
 from robot_sysid.parser import load_robot_model as load_robot_model
 
 __version__: str
-FACE: dict[str, str]
+FUNCTIONS: dict[str, str]
 ERRORS: tuple[str, ...]

@@ -286,7 +286,7 @@ def test_a_signal_that_nohup_makes_the_process_ignore_stays_ignored(arm, monkeyp
         assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
         raise SysidError("stop here")
 
-    monkeypatch.setattr("robot_sysid.pipeline.run", run)
+    monkeypatch.setattr("robot_sysid.pipeline.stages.run", run)
     usual = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         assert main([str(arm)]) == 1

@@ -41,7 +41,8 @@ def places(module: str, *names: str) -> tuple[Place, ...]:
 
 
 ONLY = {
-    "identify": places("log_pipeline", "of_logs") + places("servo.run", "run_servo")
+    "identify": places("pipeline.recordings", "identify_logs")
+    + places("servo.run", "run_servo")
 }
 """Command to the stage that it takes of those that all questions share."""
 UNSAID = {
@@ -52,7 +53,7 @@ UNSAID = {
 that is held has no file of its own."""
 RUNS = ("run", "identify", "payload")
 """Commands whose options a page speaks of."""
-OF_PLANS = places("pipeline", "_plan_outcome")
+OF_PLANS = places("pipeline.planning", "write_plan")
 CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
 USUAL = places(
     "records.sampling", "require_countable"
@@ -72,14 +73,20 @@ def others(name: str, *shown: Place) -> tuple[Place, ...]:
 
 
 NEVER = {
-    "run": places("payload_pipeline", "weighed")
+    "run": places("pipeline.payload", "identify_payload")
     + (*places("motion.static", "design_poses"), *others("ALONE", *SHOWN)),
-    "plan": (*ONLY["identify"], *CHOSEN, *places("pipeline", "analysed", "written"))
+    "plan": (
+        *ONLY["identify"],
+        *CHOSEN,
+        *places("pipeline.stages", "identify", "write_results"),
+    )
     + others("PLAN"),
-    "identify": places("pipeline", "analysed", "designed", "motor_writer")
+    "identify": places("pipeline.stages", "identify")
+    + places("pipeline.planning", "design_motion", "motor_writer")
     + (*OF_PLANS, *USUAL, *EXPORT, *others("IDENTIFY", *SHOWN)),
     "payload": (
-        *places("pipeline", "_of_itself", "analysed", "designed", "motor_writer"),
+        *places("pipeline.stages", "_self_test", "identify"),
+        *places("pipeline.planning", "design_motion", "motor_writer"),
         *USUAL,
     )
     + (

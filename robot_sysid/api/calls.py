@@ -1,7 +1,7 @@
-"""The functions of the face: the commands' pipeline, with arrays in and nothing printed.
+"""The Python functions: the commands' pipeline with arrays as input, and nothing printed.
 
-Of many logs on many machines, what each log says is a record that adds; a result follows from the
-sum.
+``information`` reduces one log to a record that adds; ``identify_from`` identifies an arm from the
+sum of such records, which may come from many machines.
 """
 
 from __future__ import annotations
@@ -24,14 +24,20 @@ from robot_sysid.estimation import sums
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.result import result_of
 from robot_sysid.estimation.sums import LogInformation
-from robot_sysid.log_pipeline import checked
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable, arrays_table
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.outcome import Analysis
-from robot_sysid.pipeline import analysed, designed, load, predict, promise
+from robot_sysid.pipeline import stages
+from robot_sysid.pipeline.outcome import Identification
+from robot_sysid.pipeline.planning import (
+    design_motion,
+    plan_lines,
+    predict_identification,
+)
+from robot_sysid.pipeline.recordings import diagnose_logs
+from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Measurement, RobotModel, Traces
 from robot_sysid.records.options import record_from
 from robot_sysid.records.progress import Progress
@@ -43,7 +49,7 @@ if TYPE_CHECKING:
 
 
 class Frame(Protocol):
-    """What a data frame of pandas, polars or anything else is asked for."""
+    """The part of a data frame, of pandas, polars or another library, that is used."""
 
     @property
     def columns(self) -> Any:
@@ -58,10 +64,11 @@ Log = Union[
 """A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
 rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
 _ADDED = Path("added information")
+"""Stands for the path of a log where there are only sums of several."""
 
 
-def _log(log: Log) -> Any:
-    """Return a log as something that ``logs.reader.open_log`` takes."""
+def _log_source(log: Log) -> Any:
+    """Return a log as a path, table or open log, which ``logs.reader.open_log`` takes."""
     if isinstance(log, (MeasurementLog, LogTable)):
         return log
     if isinstance(log, (str, os.PathLike)):
@@ -71,20 +78,23 @@ def _log(log: Log) -> Any:
     elif hasattr(log, "columns") and hasattr(log, "__getitem__"):
         log = {column: log[column] for column in log.columns}
     if not isinstance(log, Mapping):
-        known = "a path, arrays by name, a data frame or a Measurement"
-        raise InputError(f"a log is {known}, not {type(log).__name__}")
-    arrays = {str(name): np.asarray(v) for name, v in log.items() if v is not None}
+        valid = "a path, arrays by name, a data frame or a Measurement"
+        raise InputError(f"a log is {valid}, not {type(log).__name__}")
+    arrays = {}
+    for name, array in log.items():
+        if array is not None:
+            arrays[str(name)] = np.asarray(array)
     return arrays_table(Path("arrays"), "arrays in memory", arrays)
 
 
-def _logs(**given: Any) -> dict[str, tuple[Any, ...]]:
-    """Return one log or several of each option that was given as a tuple."""
-    several = {k: v if isinstance(v, (list, tuple)) else (v,) for k, v in given.items()}
-    return {k: tuple(map(_log, v)) for k, v in several.items() if given[k] is not None}
+def _log_sources(logs: Log | Sequence[Log]) -> tuple[Any, ...]:
+    """Return one log, or each of several, as something that ``logs.reader.open_log`` takes."""
+    several: Any = logs if isinstance(logs, (list, tuple)) else (logs,)
+    return tuple(map(_log_source, several))
 
 
 class _Notes(Progress):
-    """Keeps what the commands print as notes."""
+    """Collects the notes that a command would print, in Python's words."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -95,17 +105,17 @@ class _Notes(Progress):
 
 @contextmanager
 def _quietly() -> Iterator[_Notes]:
-    """Work in one thread; keep notes and MuJoCo's warnings from being printed or written."""
+    """Run a block in one thread; yield its notes and MuJoCo's warnings instead of printing them."""
     notes = _Notes()
     with one_thread(), warnings_as_notes(notes):
         yield notes
 
 
-def _answered(config: Config) -> Identified:
+def _run_quietly(config: Config) -> Identified:
     with _quietly() as notes:
-        robot = load(config, notes)
-        analysis = analysed(config, robot, notes)
-    return Identified(robot, analysis, config, tuple(notes.notes))
+        robot = load_arm(config, notes)
+        identification = stages.identify(config, robot, notes)
+    return Identified(identification, config, tuple(notes.notes))
 
 
 @with_keywords()
@@ -127,7 +137,7 @@ def read_log(
         InputError: it cannot be read, is ambiguous or cannot be what it seems to be.
     """
     robot = model if isinstance(model, RobotModel) else arm_of(model, {})
-    return open_log(robot, _log(log), record_from(LogOptions, options))
+    return open_log(robot, _log_source(log), record_from(LogOptions, options))
 
 
 @with_keywords()
@@ -155,31 +165,36 @@ def identify(
     Raises:
         InputError: an option, the model or a log cannot be used; says why.
     """
-    values = {**options, **_logs(measurements=log)}
+    values: dict[str, Any] = {**options}
+    if log is not None:
+        values["measurements"] = _log_sources(log)
     if validation is not None:
-        values["validation_measurements"] = _log(validation)
-    return _answered(SysidConfig.of(path_of(model), **values))
+        values["validation_measurements"] = _log_source(validation)
+    return _run_quietly(SysidConfig.of(path_of(model), **values))
 
 
 @with_keywords(**PLANNED)
 def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
-    """Design a trajectory, or check one that was saved, and say what it promises.
+    """Design a trajectory, or check one that was saved, and predict an identification from it.
 
     Args:
         model: MJCF or URDF file.
         options: every option of ``robot-sysid plan``, such as ``duration=15.0``, ``seed=1``,
-            ``max_velocity=1.0`` or ``excitation="sines"``; like there, the motion is designed
-            (``excitation="optimal"``); ``excitation_time_budget=60.0`` goes on for a minute.
+            ``max_velocity=1.0`` or ``excitation="sines"``. The default, as in the command, is a
+            designed motion (``excitation="optimal"``); ``excitation_time_budget=60.0`` searches
+            for a minute.
 
     Raises:
         InputError: an option or the model cannot be used.
     """
     config = SysidConfig.of_plan(path_of(model), **options)
     with _quietly() as notes:
-        robot = load(config, notes)
-        made, _ = designed(config, robot, notes)
-        lines = tuple(map(python_words, promise(config, made, predict(config, made))))
-    return PlanResult(config, robot, made, lines, tuple(notes.notes))
+        robot = load_arm(config, notes)
+        checked, _ = design_motion(config, robot, notes)
+        prediction = predict_identification(config, checked)
+        lines = plan_lines(config, checked, prediction)
+        printed = tuple(map(python_words, lines))
+    return PlanResult(config, robot, checked, printed, tuple(notes.notes))
 
 
 @with_keywords()
@@ -201,8 +216,12 @@ def payload(
     Raises:
         InputError: an option, the model or a recording cannot be used.
     """
-    logs = _logs(empty=empty, loaded=loaded)
-    return _answered(PayloadConfig.of(path_of(model), **{**options, **logs}))
+    values: dict[str, Any] = {
+        **options,
+        "empty": _log_sources(empty),
+        "loaded": _log_sources(loaded),
+    }
+    return _run_quietly(PayloadConfig.of(path_of(model), **values))
 
 
 @with_keywords()
@@ -213,7 +232,7 @@ def information(
     around: LogInformation | None = None,
     **options: Unpack[types.InformationKeywords],
 ) -> LogInformation:
-    """Return what one log or several say of the terminal link, as a record that adds (``+``).
+    """Reduce one log or several to their square-root information, a record that adds (``+``).
 
     For all equations [Y tau] = Q R of a joint it holds R, and sums over lags of residuals: its size
     does not grow with the log (Bierman, "Factorization Methods for Discrete Sequential
@@ -223,62 +242,69 @@ def information(
         model: MJCF or URDF file.
         log: see ``api.calls.Log``.
         around: the sum of a first round over all logs, for the second round.
-        options: those of ``identify`` that tell how a log is read and fitted. ``cutoff`` [Hz] is
-            needed; what would be chosen from all logs together is refused.
+        options: those of ``identify`` on reading and fitting a log. ``cutoff`` [Hz] is required;
+            options whose value would be chosen from all logs together are refused.
 
     Raises:
         InputError: an option, the model or the log cannot be used, or does not add.
     """
-    values = {**options, **_logs(measurements=log)}
+    values = {**options, "measurements": _log_sources(log)}
     robot = arm_of(model, values)
-    logs = record_from(LogOptions, values)
-    chosen = sums.settled_options(record_from(EstimationOptions, values))
-    config = SysidConfig(ModelOptions(path_of(model)), log=logs, estimation=chosen)
+    log_options = record_from(LogOptions, values)
+    estimation = sums.settled_options(record_from(EstimationOptions, values))
+    config = SysidConfig(
+        ModelOptions(path_of(model)), log=log_options, estimation=estimation
+    )
     config = config.calibrated(robot.joint_names)
-    found = []
+    records = []
     with _quietly() as notes:
-        for path in logs.measurements:
-            read = open_log(robot, path, logs, notes)
-            checked(config, robot, [read], notes)
-            how = config.estimation, around, read.notes
-            found += [sums.log_information(robot, read.pieces, *how)]
-    return reduce(add, found)
+        for source in log_options.measurements:
+            opened = open_log(robot, source, log_options, notes)
+            diagnose_logs(config, robot, [opened], notes)
+            record = sums.log_information(
+                robot, opened.pieces, config.estimation, around, opened.notes
+            )
+            records.append(record)
+    return reduce(add, records)
 
 
 @with_keywords()
 def identify_from(
     model: Model,
-    found: LogInformation,
+    information: LogInformation,
     *,
     validation: LogInformation | None = None,
     **options: Unpack[types.IdentifyFromKeywords],
 ) -> Identified:
-    """Identify the terminal link from the sum of what logs say.
+    """Identify the terminal link from the sum of the records of several logs.
 
     Args:
         model: MJCF or URDF file.
-        found: the sum of a second round.
+        information: the sum of a second round.
         validation: the sum of other logs in that round, to test the result on.
         options: ``joint``, ``mesh_dir`` and ``keyframe``, as they were given to ``information``.
 
     Raises:
         InputError: it is the sum of a first round, or was made with another model.
     """
-    for each in (found, validation):
-        if not isinstance(each, (LogInformation, type(None))) or found is None:
-            raise InputError(
-                f"a sum of rs.information is needed, not {type(each).__name__}"
-            )
+    sums_given = [information] if validation is None else [information, validation]
+    for record in sums_given:
+        if not isinstance(record, LogInformation):
+            kind = type(record).__name__
+            raise InputError(f"a sum of rs.information is needed, not {kind}")
     robot = arm_of(model, options)
-    arm = record_from(ModelOptions, options)
-    logs = LogOptions(measurements=(_ADDED,))
-    config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
+    config = SysidConfig(
+        record_from(ModelOptions, options),
+        log=LogOptions(measurements=(_ADDED,)),
+        estimation=information.settled.estimation,
+    )
     with _quietly() as notes:
-        answer = sums.answer_from(robot, found, validation)
-        analysis = Analysis(
-            result_of(answer, found.origin), found.checkpoints, _no_traces, answer
+        answer = sums.answer_from(robot, information, validation)
+        result = result_of(answer, information.origin)
+        identification = Identification(
+            result, information.checkpoints, _no_traces, answer
         )
-    return Identified(robot, analysis, config, (*found.notes, *notes.notes))
+    return Identified(identification, config, (*information.notes, *notes.notes))
 
 
 def _no_traces() -> Traces:

@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Regressor:
-    """What ``regressor`` returns; ``Y, tau = regressor(...)`` takes it apart.
+    """The regressor of an arm's joint torques at N samples; iterating yields Y and tau.
 
     Attributes:
         Y: (N, n, p) columns of the parameters in each joint's torque; (n, p) of one instant.
         tau: (N, n) torque of the model itself [N m; N of slides]; (n,) of one instant.
         theta: (p,) the model's own parameters, in the order of the columns.
-        names: (p,) theirs: "m(link1)" to "Izz(link1)" of each link with mass from base to terminal
-            (inertia about the body's ORIGIN), then "armature[joint1]", "viscous[joint1]" and
-            "coulomb[joint1]" of each joint.
+        names: (p,) of the parameters: "m(link1)" to "Izz(link1)" of each link with mass from base
+            to terminal (inertia about the body's ORIGIN), then "armature[joint1]",
+            "viscous[joint1]" and "coulomb[joint1]" of each joint.
     """
 
     Y: Array
@@ -48,12 +48,12 @@ class Regressor:
 
 
 @with_keywords()
-def regressor(
+def joint_torque_regressor(
     model: Model,
     q: ArrayLike,
     qd: ArrayLike,
     qdd: ArrayLike,
-    **options: Unpack[types.RegressorKeywords],
+    **options: Unpack[types.JointTorqueRegressorKeywords],
 ) -> Regressor:
     """Return the regressor Y of all parameters of an arm, and the torque tau of its model.
 
@@ -74,24 +74,33 @@ def regressor(
     """
     robot = arm_of(model, options)
     n = robot.n_joints
-    alone = np.ndim(q) == 1
-    motion = [
-        checked_array(np.atleast_2d(np.asarray(each, dtype=float)), (None, n), name)
-        for name, each in (("q", q), ("qd", qd), ("qdd", qdd))
-    ]
-    if len({len(each) for each in motion}) > 1:
+    motion = []
+    for name, signal in (("q", q), ("qd", qd), ("qdd", qdd)):
+        samples = np.atleast_2d(np.asarray(signal, dtype=float))
+        motion.append(checked_array(samples, (None, n), name))
+    velocity = motion[1]
+    acceleration = motion[2]
+    if not len(motion[0]) == len(velocity) == len(acceleration):
         raise InputError("q, qd and qdd need the same number of samples")
-    links = [k for k, link in enumerate(robot.links) if link.has_mass]
-    of_joints = [
-        np.eye(n) * each[:, None] for each in (motion[2], motion[1], np.sign(motion[1]))
-    ]
-    columns = LinkDynamics(robot).motion(*motion).columns(links)
-    joint = robot.armature, robot.friction.viscous, robot.friction.coulomb
-    theta = [*(robot.links[k].theta for k in links), *joint]
-    names = [name for k in links for name in link_names(robot, k)]
-    terms = ("armature", "viscous", "coulomb")
-    names += [f"{term}[{joint}]" for term in terms for joint in robot.joint_names]
-    matrix = np.concatenate((columns, *of_joints), axis=-1)
-    tau = ArmDynamics(robot).torque(*motion) + robot.friction.torque(motion[1])
-    rows = 0 if alone else slice(None)
-    return Regressor(matrix[rows], tau[rows], np.concatenate(theta), tuple(names))
+    link_indices = [k for k, link in enumerate(robot.links) if link.has_mass]
+    columns = [LinkDynamics(robot).motion(*motion).columns(link_indices)]
+    theta = []
+    names: list[str] = []
+    for k in link_indices:
+        theta.append(robot.links[k].theta)
+        names += link_names(robot, k)
+    joint_terms = (
+        ("armature", acceleration, robot.armature),
+        ("viscous", velocity, robot.friction.viscous),
+        ("coulomb", np.sign(velocity), robot.friction.coulomb),
+    )
+    for term, factor, coefficients in joint_terms:
+        columns.append(np.eye(n) * factor[:, None])
+        theta.append(coefficients)
+        names += [f"{term}[{joint}]" for joint in robot.joint_names]
+    Y = np.concatenate(columns, axis=-1)
+    tau = ArmDynamics(robot).torque(*motion) + robot.friction.torque(velocity)
+    if np.ndim(q) == 1:
+        Y = Y[0]
+        tau = tau[0]
+    return Regressor(Y, tau, np.concatenate(theta), tuple(names))

@@ -24,24 +24,7 @@ Interface = Literal[
     "cantact", "seeedstudio", "damiao", "virtual"
 ]  # fmt: skip
 
-class _PlanIdentify(TypedDict, total=False):
-    below_base: bool
-    can_id: int | Sequence[int]
-    duration: float
-    excitation: Literal["sines", "optimal"]
-    excitation_time_budget: float | None
-    export_damiao: bool
-    master_id: int | Sequence[int]
-    max_tool_speed: float | None
-    motor_type: str | Sequence[str]
-    noise_torque: float | Numbers
-    payload_reserve: float
-    sample_rate: float
-    save_trajectory: File | None
-    seed: int | None
-    trajectory: File | None
-
-class _PlanPlayIdentify(TypedDict, total=False):
+class _PlanPlay(TypedDict, total=False):
     clearance: float
     keep_out: Numbers | Sequence[Numbers]
     max_acceleration: float | None
@@ -58,6 +41,14 @@ class _InformationPlan(TypedDict, total=False):
     torques: Literal["chain", "terminal"]
     zero_uncertainty: float
 
+class _PlanIdentify(TypedDict, total=False):
+    duration: float
+    noise_torque: float | Numbers
+    sample_rate: float
+    save_trajectory: File | None
+    seed: int | None
+    trajectory: File | None
+
 class _PayloadIdentify(TypedDict, total=False):
     keep: Keep | Sequence[Keep]
 
@@ -72,7 +63,7 @@ class IdentifyFromKeywords(TypedDict, total=False):
     keyframe: str | None
     mesh_dir: File | None
 
-class RegressorKeywords(IdentifyFromKeywords, total=False): ...
+class JointTorqueRegressorKeywords(IdentifyFromKeywords, total=False): ...
 
 class ReadLogKeywords(TypedDict, total=False):
     columns: File | None
@@ -127,17 +118,25 @@ class PayloadKeywords(InformationKeywords, _PayloadIdentify, _PayloadPlan, total
     save_torque_scale: File | None
 
 class PlanKeywords(
-    IdentifyFromKeywords, _PlanIdentify, _PlanPlayIdentify, _InformationPlan,
-    _HoldPlanIdentify, _PayloadPlan, total=False
+    IdentifyFromKeywords, _PlanPlay, _InformationPlan, _PlanIdentify, _HoldPlanIdentify,
+    _PayloadPlan, total=False
 ):  # fmt: skip
+    below_base: bool
+    can_id: int | Sequence[int]
+    excitation: Literal["sines", "optimal"]
+    excitation_time_budget: float | None
+    export_damiao: bool
     for_: Literal["link", "payload", "friction", "arm", "weight"]
+    master_id: int | Sequence[int]
+    max_tool_speed: float | None
+    motor_type: str | Sequence[str]
+    payload_reserve: float
 
-class PlayKeywords(HoldKeywords, _PlanPlayIdentify, total=False):
+class PlayKeywords(HoldKeywords, _PlanPlay, total=False):
     also: File | None
 
 class IdentifyKeywords(
-    InformationKeywords, _PlanIdentify, _PlanPlayIdentify, _PayloadIdentify,
-    _HoldPlanIdentify, total=False
+    InformationKeywords, _PlanIdentify, _PayloadIdentify, _HoldPlanIdentify, total=False
 ):  # fmt: skip
     encoder_resolution: float
     links: bool

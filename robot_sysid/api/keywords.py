@@ -1,7 +1,8 @@
-"""What the functions of the face are given: a model, and options of the commands as keywords.
+"""Arguments of the Python functions: a model, and the commands' options as keywords.
 
-Which function takes which records of options stands here once: the signature that ``help`` and a
-notebook show, what is refused, and the types for checkers (``keyword_types``) come from it.
+``RECORDS`` says once which function takes which records of options. The signature that ``help``
+and a notebook show, the refusal of other keywords, and the types for checkers (``keyword_types``)
+come from it.
 """
 
 from __future__ import annotations
@@ -15,7 +16,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_type_hints
 
-from robot_sysid.config import PREDICTED, PayloadConfig, SysidConfig
+from robot_sysid.config import (
+    PREDICTED,
+    MotorOptions,
+    OutputOptions,
+    PayloadConfig,
+    SysidConfig,
+)
 from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.settings import (
@@ -35,11 +42,12 @@ from robot_sysid.model.compilation import (
     file_of,
     is_in_memory,
 )
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import RobotModel
 from robot_sysid.records import options as option_records
 from robot_sysid.records.options import Option, default_of, keys_of, options_of
+from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.simulation.options import SimulatedArmOptions
 
 Model = Union[str, "os.PathLike[str]", InMemory]
@@ -47,7 +55,7 @@ Model = Union[str, "os.PathLike[str]", InMemory]
 
 
 def path_of(model: Model) -> Path:
-    """Return the file of a model; of one in memory a copy that MuJoCo writes.
+    """Return the file of a model; a model in memory is first written to a file by MuJoCo.
 
     Raises:
         InputError: it is no model, or cannot be written.
@@ -55,28 +63,31 @@ def path_of(model: Model) -> Path:
     if is_in_memory(model):
         return file_of(model)
     if not isinstance(model, (str, os.PathLike)):
-        known = "the path of an MJCF or URDF file, a mujoco.MjSpec or a mujoco.MjModel"
-        raise InputError(f"a model is {known}, not {type(model).__name__}")
+        valid = "the path of an MJCF or URDF file, a mujoco.MjSpec or a mujoco.MjModel"
+        raise InputError(f"a model is {valid}, not {type(model).__name__}")
     return Path(model)
 
 
 def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
-    """Return the arm in a model, with the options of ``ModelOptions``; see ``path_of``."""
-    chosen = option_records.record_from(ModelOptions, values)
+    """Return the arm in a model; ``values`` are keywords, of which ``ModelOptions`` are used.
+
+    Raises:
+        InputError: it is no model, or cannot be read.
+    """
+    options = option_records.record_from(ModelOptions, values)
     if is_in_memory(model):
         compiled = compiled_in_memory(model)
         return robot_from_compiled(
-            compiled, Path("model"), chosen.joint, keyframe=chosen.keyframe
+            compiled, Path("model"), options.joint, keyframe=options.keyframe
         )
     return load_robot_model(
-        path_of(model), chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe
+        path_of(model), options.mesh_dir, options.joint, keyframe=options.keyframe
     )
 
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-_ARM, _PAYLOAD = (
-    tuple(get_type_hints(kind).values()) for kind in (SysidConfig, PayloadConfig)
-)
+_ARM = tuple(get_type_hints(SysidConfig).values())
+_PAYLOAD = tuple(get_type_hints(PayloadConfig).values())
 _MOTORS = (
     BusAddress,
     BusTiming,
@@ -87,19 +98,28 @@ _MOTORS = (
     SecondArm,
 )
 RECORDS: Mapping[str, Sequence[Any]] = {
-    "identify": tuple(each for each in _ARM if each.__name__ != "PoseOptions"),
+    "identify": (
+        ModelOptions,
+        LogOptions,
+        EstimationOptions,
+        OutputOptions,
+        TrajectoryOptions,
+        SimulatedArmOptions,
+    ),
     "plan": tuple(
-        each for each in _ARM if each.__name__ not in ("LogOptions", "OutputOptions")
+        record for record in _ARM if record not in (LogOptions, OutputOptions)
     ),
     "payload": _PAYLOAD,
     "read_log": (LogOptions,),
     "information": (ModelOptions, LogOptions, EstimationOptions),
     "identify_from": (ModelOptions,),
-    "regressor": (ModelOptions,),
+    "joint_torque_regressor": (ModelOptions,),
     "play": (*_MOTORS, LimitOptions),
     "hold": _MOTORS,
 }
-"""Function to the records whose options are its keywords; ``play`` and ``hold`` are of motors."""
+"""Function to the records whose options are its keywords. ``identify`` takes no options of a
+design: its own simulation plays random swings, or a trajectory from a file; see ``plan``. ``play``
+and ``hold`` are functions of ``robot_sysid.motors``."""
 _COMMAND = "plays models; it needs the command robot-sysid identify"
 _SAVE = "is for the command; the result's save(folder) writes files"
 ELSEWHERE = {
@@ -110,68 +130,81 @@ ELSEWHERE = {
     "plan_only": "designs a motion; call plan instead",
     **dict.fromkeys(("empty", "loaded"), "is an argument of its own"),
 }
-"""Options of the commands that are no keywords, and what there is instead."""
+"""Options of the commands that are keywords of no function, each with the end of a sentence that
+says how to get the same."""
+_DESIGN = "is for designing a motion; see plan"
 _ESTIMATED = keys_of(EstimationOptions, SimulatedArmOptions) - {*PREDICTED}
 _USELESS: Mapping[str, Mapping[str, str]] = {
+    "identify": dict.fromkeys(
+        keys_of(ExcitationOptions, LimitOptions, MotorOptions), _DESIGN
+    ),
     "plan": dict.fromkeys(_ESTIMATED, "is about an estimate; a plan stops before it"),
     "payload": {"links": "means nothing for a payload; leave it out"},
     "read_log": {"accept": "is about an estimate; reading makes none"},
-    "play": dict.fromkeys(
-        keys_of(LimitOptions) - {*LIMITS}, "is for designing a motion; see plan"
-    ),
+    "play": dict.fromkeys(keys_of(LimitOptions) - {*LIMITS}, _DESIGN),
     "hold": {"also": "is a motion; an arm that is held has none"},
 }
+"""Options in a function's ``RECORDS`` that are no keywords of that function, with the reason."""
 _NAMED = {"measurements": "log", "validation_measurements": "validation"}
+"""Keys of options to arguments that have another name."""
 
 
 def refused_by(function: str) -> Mapping[str, str]:
-    """Return key to why it is no keyword of a function of the face, as the end of a sentence."""
+    """Return the options that are no keywords of a function, each with the end of a sentence that
+    says why."""
     return {**_USELESS.get(function, {}), **ELSEWHERE}
 
 
-def with_keywords(**usual: Any) -> Callable[[Function], Function]:
-    """Return what gives a function the signature, the check and the words of its keywords.
+def with_keywords(**defaults: Any) -> Callable[[Function], Function]:
+    """Return a decorator that gives a function the options of its ``RECORDS`` as keywords.
 
-    ``usual`` are defaults that this function has in place of the records'.
+    The decorated function shows them in its signature, refuses other keywords before it runs, and
+    raises errors that speak of keywords instead of command-line options.
+
+    Args:
+        defaults: defaults that the function has in place of the records'.
     """
 
-    def decorated(function: Function) -> Function:
-        own = inspect.signature(function)
+    def decorate(function: Function) -> Function:
+        signature = inspect.signature(function)
         refused = refused_by(function.__name__)
-        known = {
-            each.key: usual.get(each.key, default_of(record, name))
-            for record in RECORDS[function.__name__]
-            for name, each in options_of(record).items()
-            if each.key not in refused
-        }
+        default_by_key = {}
+        for record in RECORDS[function.__name__]:
+            for field_name, option in options_of(record).items():
+                if option.key not in refused:
+                    default = default_of(record, field_name)
+                    default_by_key[option.key] = defaults.get(option.key, default)
+        valid_keys = {*default_by_key, *signature.parameters} - {"options"}
 
         @functools.wraps(function)
-        def call(*given: Any, **options: Any) -> Any:
+        def call(*arguments: Any, **keywords: Any) -> Any:
             with in_python():
-                asked = [key for key in options if key not in own.parameters]
-                for key in asked:
+                option_keys = [
+                    key for key in keywords if key not in signature.parameters
+                ]
+                for key in option_keys:
                     if key in refused:
                         raise InputError(f"{key} {refused[key]}")
-                option_records.refuse_unknown(
-                    asked, {*known, *own.parameters} - {"options"}
-                )
-                return function(*given, **options)
+                option_records.refuse_unknown(option_keys, valid_keys)
+                return function(*arguments, **keywords)
 
-        shown = [each for each in own.parameters.values() if each.name != "options"]
-        shown += [
-            inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default)
-            for key, default in known.items()
-            if key not in own.parameters
-        ]
-        call.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
+        parameters = dict(signature.parameters)
+        parameters.pop("options", None)
+        for key, default in default_by_key.items():
+            if key not in parameters:
+                parameters[key] = inspect.Parameter(
+                    key, inspect.Parameter.KEYWORD_ONLY, default=default
+                )
+        shown = signature.replace(parameters=list(parameters.values()))
+        call.__signature__ = shown  # type: ignore[attr-defined]
         return call  # type: ignore[return-value]
 
-    return decorated
+    return decorate
 
 
 @contextmanager
 def in_python() -> Iterator[None]:
-    """Say in Python's words what is wrong in a block."""
+    """Run a block whose errors speak of keywords instead of command-line options."""
     try:
         yield
     except SysidError as error:
@@ -180,18 +213,20 @@ def in_python() -> Iterator[None]:
 
 
 @functools.cache
-def _options() -> Mapping[str, Option]:
-    records = {*_ARM, *_PAYLOAD, *_MOTORS}
-    return {
-        each.flag: each for record in records for each in options_of(record).values()
-    }
+def _option_by_flag() -> Mapping[str, Option]:
+    options = {}
+    for record in {*_ARM, *_PAYLOAD, *_MOTORS}:
+        for option in options_of(record).values():
+            options[option.flag] = option
+    return options
 
 
-_OF_RUNS = ("--model", "--joint-map")
-"""Options of the commands of motors that are keywords by their names."""
+_MOTOR_FLAGS = ("--model", "--joint-map")
+"""Options of the motor commands that are arguments of ``play`` and ``hold``, in no record."""
 _FLAG = re.compile(
     r"robot-sysid motors \w+ --[a-z-]+|(--[a-z][a-z-]*[a-z])(?: ([\w.,·/#\"'-]*\w))?"
 )
+"""A motor command with its option, or an option with the word behind it, in a sentence."""
 _UNITS = re.compile(r"(deg|rad|s|ms|us|ns)(,(deg|rad|s|ms|us|ns))?")
 
 
@@ -200,26 +235,27 @@ def python_words(text: str) -> str:
     return _FLAG.sub(_keyword, text).replace("robot-sysid plan", "robot_sysid.plan")
 
 
-def _keyword(found: re.Match[str]) -> str:
-    flag = found[1]
-    word = found[2]
-    rest = f" {word}" if word else ""
-    if flag in _OF_RUNS:
-        return flag[2:].replace("-", "_") + rest
-    stated = _options().get(flag)
-    if stated is None or stated.key in ("verify_rollout", "torque_from", "output_dir"):
-        return found[0]
-    key = _NAMED.get(stated.key, stated.key)
-    if stated.parse is None:
-        return f"{key}=True{rest}"
-    if word is None or not _is_value(stated, word):
-        return f"{key}{rest}"
-    is_text = word in stated.choices or _UNITS.fullmatch(word)
+def _keyword(match: re.Match[str]) -> str:
+    """Return a match of ``_FLAG`` with the option written as a keyword."""
+    flag = match[1]
+    word = match[2]
+    next_word = f" {word}" if word else ""
+    if flag in _MOTOR_FLAGS:
+        return flag[2:].replace("-", "_") + next_word
+    option = _option_by_flag().get(flag)
+    if option is None or option.key in ("verify_rollout", "torque_from", "output_dir"):
+        return match[0]
+    key = _NAMED.get(option.key, option.key)
+    if option.parse is None:
+        return f"{key}=True{next_word}"
+    if word is None or not _is_value(option, word):
+        return f"{key}{next_word}"
+    is_text = word in option.choices or _UNITS.fullmatch(word)
     return f'{key}="{word}"' if is_text else f"{key}={word}"
 
 
-def _is_value(stated: Option, word: str) -> bool:
-    """Tell whether the word behind an option is its value, and not how the sentence goes on."""
+def _is_value(option: Option, word: str) -> bool:
+    """Return whether the word behind an option is its value, and not the rest of the sentence."""
     is_number = bool(re.fullmatch(r"-?\d[\d.,e-]*", word))
-    is_unit = stated.key == "units" and _UNITS.fullmatch(word) is not None
-    return word in stated.choices or word[0].isupper() or is_number or is_unit
+    is_unit = option.key == "units" and _UNITS.fullmatch(word) is not None
+    return word in option.choices or word[0].isupper() or is_number or is_unit

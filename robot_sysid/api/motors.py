@@ -120,7 +120,7 @@ def _motor_file(
 ) -> Iterator[tuple[Path, Mapping[str, Any]]]:
     """Yield the file of a trajectory, and which arm it is for, where a plan tells."""
     from robot_sysid.api.results import PlanResult
-    from robot_sysid.pipeline import motor_writer
+    from robot_sysid.pipeline.planning import motor_writer
 
     if not isinstance(trajectory, PlanResult):
         yield Path(trajectory), {}

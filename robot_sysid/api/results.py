@@ -19,8 +19,9 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import locked_folder
 from robot_sysid.motion.plan import CheckedPlan
-from robot_sysid.outcome import Analysis, Outcome
-from robot_sysid.pipeline import save_plan, written
+from robot_sysid.pipeline.outcome import Identification, Outcome
+from robot_sysid.pipeline.planning import draft_plan
+from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
 from robot_sysid.records.figures import with_error
@@ -33,8 +34,8 @@ from robot_sysid.trajectory import sample_count
 
 
 def one_thread() -> AbstractContextManager[Any]:
-    """Return a block with one thread; after it there are as many as before."""
-    # It has a linear algebra of its own, and only what is loaded is limited.
+    """Return a context manager that runs linear algebra in one thread."""
+    # scipy brings a linear algebra of its own, and only loaded libraries are limited.
     import scipy.linalg  # noqa: F401
 
     return threadpool_limits(1, user_api="blas")
@@ -42,28 +43,31 @@ def one_thread() -> AbstractContextManager[Any]:
 
 @dataclass(frozen=True, repr=False)
 class Identified:
-    """What ``identify`` or ``payload`` found.
+    """An identified arm or payload, from ``identify``, ``identify_from`` or ``payload``.
 
     Attributes:
-        robot: the arm as its model describes it.
-        analysis: what the pipeline returned.
-        config: what was asked for.
-        notes: one sentence each: what the commands would have printed as notes.
+        identification: the result with the data that drawing and writing need.
+        config: the options of the run.
+        notes: the notes that the command would have printed, one sentence each.
     """
 
-    robot: RobotModel
-    analysis: Analysis
+    identification: Identification
     config: Config
     notes: tuple[str, ...] = ()
 
     @property
     def result(self) -> Result:
-        """Everything that was found."""
-        return self.analysis.result
+        """All identified numbers, with errors and verdict."""
+        return self.identification.result
+
+    @property
+    def robot(self) -> RobotModel:
+        """The arm as its model describes it."""
+        return self.result.robot
 
     @property
     def inertial(self) -> InertialParameters:
-        """The body that was asked for: the terminal link, or the payload in its flange's frame."""
+        """The terminal link, or the payload in its flange's frame."""
         return self.result.body.inertial
 
     @property
@@ -90,41 +94,37 @@ class Identified:
     @property
     def links(self) -> Mapping[str, InertialParameters]:
         """Body name to its ten parameters, base to terminal; links without mass are left out."""
-        return {each.name: each.inertial for each in self.result.links}
+        return {link.name: link.inertial for link in self.result.links}
 
     @property
     def standard_errors(self) -> Mapping[str, float]:
         """Parameter name ("m", "hx", ..., "coulomb[joint6]") to whole standard error; infinite
         where the data does not show it. Empty for a simulation of the model itself."""
-        found = self.result
         payload = self.result.payload
         if payload is not None:
             return dict(zip(PARAMETER_NAMES, payload.body.errors.tolist()))
-        errors = found.estimate.standard_errors
-        if errors is None or not found.is_measured:
+        estimate = self.result.estimate
+        errors = estimate.standard_errors
+        if errors is None or not self.result.is_measured:
             return {}
-        return dict(zip(found.estimate.names, np.asarray(errors, dtype=float).tolist()))
+        return dict(zip(estimate.names, np.asarray(errors, dtype=float).tolist()))
 
     @property
     def friction(self) -> Mapping[str, Mapping[str, float]]:
         """Joint name to friction term ("coulomb", "viscous", ...) to its coefficient."""
-        if not self.result.is_measured:
-            estimate = self.result.estimate
-            joint = self.robot.terminal_joint
-            names = {
-                n.partition("[")[0]: n
-                for n in estimate.names
-                if n.endswith(f"[{joint}]")
-            }
-            return {
-                joint: {
-                    term: estimate.value(name) or 0.0 for term, name in names.items()
-                }
-            }
-        return {
-            joint: {term: figure.value for term, figure in each.terms.items()}
-            for joint, each in self.result.joints.items()
-        }
+        friction: dict[str, dict[str, float]] = {}
+        if self.result.is_measured:
+            for joint, estimate in self.result.joints.items():
+                terms = estimate.terms.items()
+                friction[joint] = {term: figure.value for term, figure in terms}
+            return friction
+        joint = self.robot.terminal_joint
+        friction[joint] = {}
+        for name in self.result.estimate.names:
+            if name.endswith(f"[{joint}]"):
+                term = name.partition("[")[0]
+                friction[joint][term] = self.result.estimate.value(name) or 0.0
+        return friction
 
     @property
     def failure(self) -> str | None:
@@ -137,7 +137,7 @@ class Identified:
         return asked_rows(self.result)
 
     def lines(self) -> list[str]:
-        """Return what the command would have printed."""
+        """Return the lines that the command would have printed."""
         return result_lines(self.result, self.config.output.links)
 
     def to_dict(self) -> dict[str, Any]:
@@ -145,10 +145,10 @@ class Identified:
         return dict(json.loads(params_json_text(self.result)))
 
     def save(self, folder: str | Path, *, bundle: bool = False) -> tuple[Path, ...]:
-        """Write what the command writes: params.json and, where trusted, the updated model.
+        """Write the files of the command: params.json and, where trusted, the updated model.
 
         Args:
-            folder: where to; made where it is missing.
+            folder: for the files; created where it is missing.
             bundle: also copy model, meshes and textures into ``folder/bundle``.
 
         Returns:
@@ -164,10 +164,9 @@ class Identified:
             return (*files, *(write_bundle(model, Path(folder)) for model in models))
 
     def _write(self, folder: Path) -> Outcome:
-        there = replace(
-            self.config, output=replace(self.config.output, output_dir=folder)
-        )
-        return written(there, self.robot, self.analysis, Progress())
+        output = replace(self.config.output, output_dir=folder)
+        config = replace(self.config, output=output)
+        return write_results(config, self.identification, Progress())
 
     def spec(self) -> Any:
         """Return a ``mujoco.MjSpec`` with the result applied; meshes and textures are in memory.
@@ -176,12 +175,12 @@ class Identified:
             SysidError: the result must not be used, or the model cannot hold it; says why.
         """
         with in_python(), one_thread(), temporary_folder() as folder:
-            saved = self._write(folder)
-            if not _models_in(saved.files):
-                raise SysidError(
-                    saved.failure or "this result is written into no model"
-                )
-            return model_in_memory(_models_in(saved.files)[0])
+            outcome = self._write(folder)
+            models = _models_in(outcome.files)
+            if not models:
+                failure = outcome.failure or "this result is written into no model"
+                raise SysidError(failure)
+            return model_in_memory(models[0])
 
     def plot(self) -> Any:
         """Return a matplotlib Figure: measured and predicted torque of each joint over time [N m].
@@ -189,20 +188,15 @@ class Identified:
         Raises:
             InputError: matplotlib is not installed.
         """
-        traces = self.analysis.traces()
+        traces = self.identification.traces()
         figure, grid = _axes(len(traces.joints))
         axes = grid[:, 0]
         # Blue and orange of Okabe and Ito, safe for colour-blind readers.
         dots: Any = {"ls": "none", "marker": ".", "ms": 2, "color": "#0072B2"}
+        line: Any = {"lw": 1, "color": "#D55E00"}
         for k, (axis, joint) in enumerate(zip(axes, traces.joints)):
             axis.plot(traces.time, traces.measured[:, k], label="measured", **dots)
-            axis.plot(
-                traces.time,
-                traces.predicted[:, k],
-                lw=1,
-                color="#D55E00",
-                label="predicted",
-            )
+            axis.plot(traces.time, traces.predicted[:, k], label="predicted", **line)
             axis.set_ylabel(f"{joint}\n[{'N' if traces.is_slide[k] else 'N m'}]")
         axes[-1].set_xlabel("time [s]")
         axes[0].legend(loc="upper right", ncols=2)
@@ -219,17 +213,18 @@ class Identified:
 
     def _repr_html_(self) -> str:
         """Return the table before -> after for a notebook, with the verdict above it."""
-        lines = [("th", HEADINGS), *(("td", row.cells) for row in self.rows)]
-        rows = (
-            "".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells)
-            for tag, cells in lines
-        )
-        verdict = (
-            f"<p><b>Not to be used:</b> {escape(self.failure)}</p>"
-            if self.failure
-            else ""
-        )
-        return f"{verdict}<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+        table = _html_row("th", HEADINGS)
+        for row in self.rows:
+            table += _html_row("td", row.cells)
+        verdict = ""
+        if self.failure:
+            verdict = f"<p><b>Not to be used:</b> {escape(self.failure)}</p>"
+        return f"{verdict}<table>{table}</table>"
+
+
+def _html_row(tag: str, cells: Sequence[str]) -> str:
+    columns = [f"<{tag}>{escape(cell)}</{tag}>" for cell in cells]
+    return f"<tr>{''.join(columns)}</tr>"
 
 
 def _models_in(files: Sequence[Path]) -> list[Path]:
@@ -255,17 +250,17 @@ class PlanResult:
     """A planned motion, from ``plan``.
 
     Attributes:
-        config: what was asked for.
+        config: the options of the plan.
         robot: the arm.
         checked: the motion with its limit check.
-        promised: what the command prints, line by line.
-        notes: one sentence each.
+        prediction: the lines that the command prints on limits and on expected errors.
+        notes: the notes that the command would have printed, one sentence each.
     """
 
     config: SysidConfig
     robot: RobotModel
     checked: CheckedPlan
-    promised: tuple[str, ...]
+    prediction: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -284,14 +279,18 @@ class PlanResult:
 
     def sampled(self, rate: float | None = None) -> Motion:
         """Return the whole motion at a rate [Hz]; None takes that of the options."""
-        chosen = rate or self.config.trajectory.sample_rate
-        return self.motion(np.arange(sample_count(self.duration, chosen)) / chosen)
+        rate = rate or self.config.trajectory.sample_rate
+        return self.motion(np.arange(sample_count(self.duration, rate)) / rate)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return joint names, duration [s] and what is promised, as plain values."""
-        own = {"joint_names": list(self.robot.joint_names), "duration": self.duration}
-        said = {"promised": list(self.promised), "notes": list(self.notes)}
-        return {**own, "failure": self.failure, **said}
+        """Return joint names, duration [s], failure, prediction and notes as plain values."""
+        return {
+            "joint_names": list(self.robot.joint_names),
+            "duration": self.duration,
+            "failure": self.failure,
+            "prediction": list(self.prediction),
+            "notes": list(self.notes),
+        }
 
     def save(self, path: str | Path) -> tuple[Path, ...]:
         """Write the trajectory (.json) and its samples (.csv) and return both paths.
@@ -302,11 +301,10 @@ class PlanResult:
         """
         if self.failure:
             raise SysidError(f"{self.failure}; nothing was written")
-        config = replace(
-            self.config, trajectory=replace(self.config.trajectory, save=Path(path))
-        )
+        trajectory = replace(self.config.trajectory, save=Path(path))
+        config = replace(self.config, trajectory=trajectory)
         with in_python(), one_thread(), whole_files() as files:
-            return save_plan(files, config, self.robot, self.checked.plan)
+            return draft_plan(files, config, self.robot, self.checked.plan)
 
     def plot(self) -> Any:
         """Return a matplotlib Figure: position, speed and acceleration of each joint over time,
@@ -323,30 +321,28 @@ class PlanResult:
             for axis, values in zip(row, (motion.q, motion.qd, motion.qdd)):
                 axis.plot(motion.time, values[:, joint], lw=1, color="#0072B2")
             for axis, pair in zip(row, bounds):
-                for bound in (
-                    float(each[joint]) for each in pair if np.isfinite(each[joint])
-                ):
-                    axis.axhline(bound, lw=1, ls="--", color="#D55E00")
+                limit_pair = np.array([pair[0][joint], pair[1][joint]])
+                for limit in limit_pair[np.isfinite(limit_pair)].tolist():
+                    axis.axhline(limit, lw=1, ls="--", color="#D55E00")
             unit = "m" if self.robot.is_slide[joint] else "rad"
             row[0].set_ylabel(f"{self.robot.joint_names[joint]} [{unit}]")
-        for axis, title in zip(
-            axes[0], ("position", "speed, per s", "acceleration, per s²")
-        ):
+        titles = ("position", "speed, per s", "acceleration, per s²")
+        for axis, title in zip(axes[0], titles):
             axis.set_title(title, fontsize="medium")
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
         return figure
 
     def __str__(self) -> str:
-        return "\n".join(self.promised)
+        return "\n".join(self.prediction)
 
     def __repr__(self) -> str:
-        playable = (
-            f"not to be played: {self.failure}" if self.failure else "keeps all limits"
-        )
-        what = f"{self.duration:g} s for {self.robot.n_joints} joints of {self.robot.path.name}"
-        return f"<PlanResult {what}, {playable}>"
+        verdict = "keeps all limits"
+        if self.failure:
+            verdict = f"not to be played: {self.failure}"
+        arm = f"{self.robot.n_joints} joints of {self.robot.path.name}"
+        return f"<PlanResult {self.duration:g} s for {arm}, {verdict}>"
 
     def _repr_html_(self) -> str:
-        """Return what is promised, for a notebook."""
+        """Return the prediction for a notebook."""
         return f"<pre>{escape(str(self))}</pre>"

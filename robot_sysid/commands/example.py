@@ -111,7 +111,7 @@ def _home(name: str) -> Path:
 
 def _record(model: Path, place: Path) -> None:
     """Let the true arm of the example play trajectories and write what its sensors say."""
-    from robot_sysid.pipeline import run
+    from robot_sysid.pipeline.stages import run
 
     for seed, (log, played) in enumerate(PLAYED.items(), start=1):
         arm = {

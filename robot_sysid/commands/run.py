@@ -240,7 +240,7 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
     """
     require_report(config.output)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
-    from robot_sysid.pipeline import run
+    from robot_sysid.pipeline.stages import run
 
     config = replace(config, output=replace(config.output, config=console.config))
     if isinstance(config, SysidConfig):
@@ -321,7 +321,7 @@ def _answer(outcome: Any) -> Mapping[str, Any] | str:
     return {
         "verdict": outcome.verdict,
         "failure": outcome.failure,
-        "promised": outcome.lines,
+        "prediction": outcome.lines,
         "files": [str(path) for path in outcome.files],
     }
 

@@ -16,7 +16,7 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
-from robot_sysid.outcome import Outcome
+from robot_sysid.pipeline.outcome import Outcome
 from robot_sysid.records import (
     Array,
     DataOrigin,

@@ -107,7 +107,9 @@ def test_named_values_fit_together(result):
 def test_a_result_is_the_same_after_pickling(result, tmp_path):
     again = pickle.loads(pickle.dumps(result))
     assert again.to_dict() == result.to_dict() and str(again) == str(result)
-    np.testing.assert_array_equal(again.analysis.traces().q, result.analysis.traces().q)
+    np.testing.assert_array_equal(
+        again.identification.traces().q, result.identification.traces().q
+    )
     assert (tmp_path / "out" / "updated_model.xml") in again.save(tmp_path / "out")
     itself = rs.identify(result.robot.path, seed=1, duration=2.0)
     assert pickle.loads(pickle.dumps(itself)).mass == itself.mass
@@ -117,7 +119,7 @@ def test_a_result_is_the_same_after_pickling(result, tmp_path):
     )
     again = pickle.loads(pickle.dumps(simulated))
     np.testing.assert_array_equal(
-        again.analysis.traces().truth.theta, itself.robot.prior.theta
+        again.identification.traces().truth.theta, itself.robot.prior.theta
     )
 
 
@@ -160,7 +162,9 @@ def test_a_spec_has_the_result_in_it(result):
 
 def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_path):
     doubtful = replace(result.result, verdict=Verdict.TOO_WEAK, reasons=("so light",))
-    wrong = replace(result, analysis=replace(result.analysis, result=doubtful))
+    wrong = replace(
+        result, identification=replace(result.identification, result=doubtful)
+    )
     assert (
         wrong.failure.startswith("so light") and "Not to be used" in wrong._repr_html_()
     )
@@ -175,7 +179,7 @@ def test_a_plot_shows_every_joint(result, monkeypatch, tmp_path):
     assert [axis.get_ylabel() for axis in axes] == [
         f"joint{k}\n[N m]" for k in range(4)
     ]
-    monkeypatch.setattr(calls, "promise", lambda *_: [])
+    monkeypatch.setattr(calls, "plan_lines", lambda *_: [])
     path = tmp_path / "sliding.xml"
     path.write_text(arms.SLIDE_IN_CHAIN)
     axes = rs.plan(path, excitation="sines", duration=4.0, seed=1).plot().axes
@@ -247,12 +251,12 @@ def test_every_link_has_its_numbers(workshop, result):
 
 
 def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
-    monkeypatch.setattr(calls, "promise", lambda *_: ["standard deviations"])
+    monkeypatch.setattr(calls, "plan_lines", lambda *_: ["standard deviations"])
     plan = rs.plan(workshop / "arm.xml", excitation="sines", duration=4.0, seed=1)
     motion = plan.sampled(100.0)
     assert plan.failure is None and motion.q.shape == (401, 4)
     np.testing.assert_allclose(motion.qd[[0, -1]], 0.0, atol=1e-9)
-    assert plan.to_dict()["promised"] == [str(plan)] == ["standard deviations"]
+    assert plan.to_dict()["prediction"] == [str(plan)] == ["standard deviations"]
     files = plan.save(tmp_path / "plan.json")
     assert repr(plan) == "<PlanResult 4 s for 4 joints of arm.xml, keeps all limits>"
     assert pickle.loads(pickle.dumps(plan)).duration == 4.0
@@ -286,9 +290,9 @@ def test_the_package_is_light_and_its_functions_survive_imports_of_their_folders
     code = (
         "import sys, robot_sysid as rs; light = 'numpy' not in sys.modules; "
         "import robot_sysid.commands.motors; light &= 'mujoco' not in sys.modules; "
-        "import robot_sysid.estimation.identify, robot_sysid.payload_pipeline; "
-        "named = [callable(getattr(rs, name)) for name in (*rs.FACE, *rs.ERRORS) * 2]; "
-        "sys.exit(0 if light and all(named) and {*rs.FACE, *rs.ERRORS} <= set(dir(rs)) else 1)"
+        "import robot_sysid.estimation.identify, robot_sysid.pipeline.payload; "
+        "named = [callable(getattr(rs, name)) for name in (*rs.FUNCTIONS, *rs.ERRORS) * 2]; "
+        "sys.exit(0 if light and all(named) and {*rs.FUNCTIONS, *rs.ERRORS} <= set(dir(rs)) else 1)"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 

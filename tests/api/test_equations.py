@@ -51,9 +51,9 @@ def test_columns_times_parameters_are_the_inverse_dynamics_of_mujoco(tmp_path, f
     elif form == "MjSpec":
         pytest.importorskip("mujoco", minversion="3.2.5")
         given = mujoco.MjSpec.from_string(TEXT)
-    found = rs.regressor(given, *motion(3))
+    found = rs.joint_torque_regressor(given, *motion(3))
     check_law(found, by_mujoco(model, *motion(3)))
-    matrix, tau = rs.regressor(given, *(each[4] for each in motion(3)))
+    matrix, tau = rs.joint_torque_regressor(given, *(each[4] for each in motion(3)))
     # One sample and many take other sums of the same terms, all of them smaller than 10.
     np.testing.assert_allclose(matrix, found.Y[4], rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(tau, found.tau[4], rtol=0.0, atol=1e-13)
@@ -68,7 +68,7 @@ def test_it_is_so_of_a_public_arm():
     if not path.exists():
         pytest.skip("the public models are not here")
     model = mujoco.MjModel.from_xml_path(str(path))
-    check_law(rs.regressor(path, *motion(7)), by_mujoco(model, *motion(7)))
+    check_law(rs.joint_torque_regressor(path, *motion(7)), by_mujoco(model, *motion(7)))
 
 
 def test_arrays_that_do_not_fit_are_refused():
@@ -77,15 +77,9 @@ def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(
         rs.InputError, match=r"qd has shape \(20, 2\), expected \(None, 3\)"
     ):
-        rs.regressor(model, q, qd[:, :2], qdd)
+        rs.joint_torque_regressor(model, q, qd[:, :2], qdd)
     with pytest.raises(rs.InputError, match="the same number of samples"):
-        rs.regressor(model, q, qd, qdd[:5])
-
-
-def test_a_function_and_a_module_of_one_name_are_both_there():
-    from robot_sysid.regressor import derive_regressor
-
-    assert callable(rs.regressor) and rs.regressor.derive_regressor is derive_regressor
+        rs.joint_torque_regressor(model, q, qd, qdd[:5])
 
 
 def test_a_spec_is_identified_like_its_file(tmp_path):

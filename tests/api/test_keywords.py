@@ -122,13 +122,13 @@ USER = """
 import robot_sysid as rs
 
 try:
-    result = rs.identify("arm.xml", ["log.csv"], cutoff=8.0, keep="gravity", max_velocity=[1.0])
+    result = rs.identify("arm.xml", ["log.csv"], cutoff=8.0, keep="gravity", tilt="auto")
 except rs.InputError as error:
     print(error)
 else:
     print(result.mass, result.center_of_mass[0])
 motion = rs.plan("arm.xml", for_="friction")
-matrix, torque = rs.regressor("arm.xml", [0.0], [0.0], [0.0], joint="elbow")
+matrix, torque = rs.joint_torque_regressor("arm.xml", [0.0], [0.0], [0.0], joint="elbow")
 report = rs.motors.play("motion.csv", model="arm.xml", channel="can0", speed=0.3)
 print(report.cycles, rs.motors.hold("arm.xml", 2.0, others="hold").worst_tracking)
 """

@@ -43,6 +43,6 @@ def test_there_is_one_inside_and_afterwards_what_was_there():
 
 def test_a_function_works_in_one(monkeypatch, arm_file):
     seen = []
-    monkeypatch.setattr(calls, "analysed", lambda *_: seen.append(counts()))
+    monkeypatch.setattr(calls.stages, "identify", lambda *_: seen.append(counts()))
     rs.identify(arm_file(arms.THREE))
     assert seen == [{1}] and counts() == {2}

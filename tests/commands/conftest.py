@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid import pipeline
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.errors import InputError
 from robot_sysid.motion.prediction import kept_lines, motion_lines
+from robot_sysid.pipeline import planning
 from tests.support.clocks import ScriptedClock, heard_signals
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.links import RememberingLink
@@ -18,12 +18,12 @@ from tests.support.links import RememberingLink
 def unpredicted(monkeypatch):
     """Plans say what they do beside their limits, not what an estimate will know: that is slow."""
 
-    def promise(config, checked, prediction):
-        made = checked.problem, checked.plan, checked.check
-        return (*kept_lines(*made), *motion_lines(*made))
+    def plan_lines(config, checked, prediction):
+        motion = checked.problem, checked.plan, checked.check
+        return (*kept_lines(*motion), *motion_lines(*motion))
 
-    monkeypatch.setattr(pipeline, "promise", promise)
-    monkeypatch.setattr(pipeline, "predict", lambda *_: None)
+    monkeypatch.setattr(planning, "plan_lines", plan_lines)
+    monkeypatch.setattr(planning, "predict_identification", lambda *_: None)
 
 
 class SimulatedBus:

@@ -1,4 +1,4 @@
-"""What data led to, and what was made of it."""
+"""Records that the stages of a run pass on: an identification, and the outcome of a command."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Analysis:
-    """What data led to.
+class Identification:
+    """A result with all that is needed to write it, draw it and test it.
 
     Attributes:
-        result: everything that is said of it.
+        result: all identified numbers, with errors and verdict.
         checkpoints: motion on which a written model has to reproduce the predicted torque.
-        traces: makes what a report draws.
-        answer: the estimate behind it; None of the model's own simulation.
-        tests: recordings that only test it.
+        traces: computes the measured and predicted torques that a report draws.
+        answer: the estimate behind the result; None of the model's own simulation.
+        tests: recordings that only test the result.
         plan: the motion that a simulation followed; None of logs.
     """
 
@@ -39,16 +39,17 @@ class Analysis:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run produced and wrote, whatever was asked, and what is printed of it.
+    """The files that a command wrote, and the lines that it prints.
 
     Attributes:
-        lines: what is printed at the end.
-        verdict: whether to use it and what to do next, in at most two lines, which come last.
+        lines: printed lines, in order.
+        verdict: whether to use the result and the next step, in at most two lines, printed last.
         failure: why there is nothing to use, or None.
-        files: what was written.
-        result: what was found, a ``Result`` or servos; None of a plan.
-        traces, result_hash: what a report draws of it, and the hash of its file; none of servos.
-        checked: the motion that was planned.
+        files: the written files.
+        result: a ``Result``, or identified servos; None of a plan.
+        traces: computes the torques that a report draws; None of servos and plans.
+        result_hash: SHA-256 of the written params.json; "" where none was written.
+        checked: the planned motion with its limit check; None where nothing was planned.
     """
 
     lines: tuple[str, ...]

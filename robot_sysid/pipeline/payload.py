@@ -1,0 +1,248 @@
+"""Identification of a payload from recordings without and with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from robot_sysid.config import LOADED, PayloadConfig
+from robot_sysid.diagnosis.run import look_at
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.answer import traces_of
+from robot_sysid.estimation.dataset import Dataset, RestingPoses
+from robot_sysid.estimation.identify import (
+    Piece,
+    answer_payload,
+    low_pass_recordings,
+    shared_notes,
+)
+from robot_sysid.estimation.result import payload_of
+from robot_sysid.estimation.unknowns import SCALES, Question, Unknowns
+from robot_sysid.logs.reader import open_log
+from robot_sysid.model.flange import find_flange
+from robot_sysid.pipeline.outcome import Identification
+from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
+from robot_sysid.records.progress import Progress
+from robot_sysid.records.torque_scale import SCALE, joint_factors
+from robot_sysid.results.record import Figure, Payload
+from robot_sysid.signals.poses import resting_poses
+
+LEAST_WITHIN = 0.15
+"""Least share of the variance of positions in the order of recording that lies within one kind,
+for a drift to be told apart from the payload: 0 for A B, 0.2 for A A B B at equal distances, 1 for
+A B B A."""
+
+
+@dataclass(frozen=True)
+class RawRecording(Piece):
+    """A log as it was read: ``samples`` of the whole log, and what else reading it returned.
+
+    Attributes:
+        pieces: the log cut at long holes.
+        notes: what reading it had to say, one sentence each.
+    """
+
+    pieces: tuple[Measurement, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def identify_payload(
+    config: PayloadConfig, robot: RobotModel, progress: Progress
+) -> Identification:
+    """Identify a payload; no file is written."""
+    options = config.payload
+    flange = find_flange(robot, options.flange)
+    if flange.note:
+        progress.note(flange.note)
+    recordings = _read_recordings(config, robot, progress)
+    positions = order_positions(recordings, options.order)
+    drifts = (
+        not options.static
+        and positions is not None
+        and is_drift_identifiable(recordings, positions)
+    )
+    datasets, notes = _make_datasets(config, robot, recordings, positions)
+    if not drifts and not options.static:
+        notes = (*notes, _no_drift_note(recordings, positions is not None))
+    progress.note(*notes)
+    question = Question(
+        config.estimation,
+        loaded=True,
+        drifts=drifts,
+        known_mass=options.known_mass,
+        resting=options.static,
+    )
+    answer, free = answer_payload(
+        robot, datasets, question, progress, config.output.keep
+    )
+    result = payload_of(answer, free, flange, _origin(recordings))
+    if config.log.torque_scale is not None and result.payload is not None:
+        factors = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)[0]
+        applied_scales = dict(zip(robot.joint_names, factors.tolist()))
+        payload = _with_applied_scales(
+            result.payload, applied_scales, answer.fit.unknowns
+        )
+        result = replace(result, payload=payload)
+    progress.note(*result.notes[len(robot.notes) :])
+    checkpoints = answer.fit.columns.datasets[-1].motion
+    return Identification(result, checkpoints, partial(traces_of, answer), answer)
+
+
+def _origin(recordings: Sequence[RawRecording]) -> DataOrigin:
+    """Return where recordings come from, with their whole duration and mean sample rate."""
+    names = ", ".join(recording.name for recording in recordings)
+    duration = 0.0
+    n_intervals = 0
+    for recording in recordings:
+        duration += float(np.ptp(recording.samples.time))
+        n_intervals += len(recording.samples) - 1
+    return DataOrigin(Source.LOG, names, duration, n_intervals / duration)
+
+
+def _with_applied_scales(
+    payload: Payload, applied_scales: Mapping[str, float], unknowns: Unknowns
+) -> Payload:
+    """Return a payload whose torque scales are those of the log before scales were applied.
+
+    Args:
+        applied_scales: joint to the scale that the log's torques were divided by.
+    """
+    # Where the estimate contradicts the applied scales, errors are as many times as large as the
+    # prior had to be widened (the Birge ratio of means that do not agree).
+    birge_ratio = 1.0
+    for group in unknowns.groups:
+        if group.cause == SCALES:
+            birge_ratio = max(birge_ratio, group.widened)
+    scales = {}
+    for joint, figure in payload.torque_scale.items():
+        applied = applied_scales[joint]
+        error = applied * birge_ratio * figure.error
+        scales[joint] = Figure(applied * figure.value, error)
+    return replace(payload, torque_scale=scales)
+
+
+def _make_datasets(
+    config: PayloadConfig,
+    robot: RobotModel,
+    recordings: Sequence[RawRecording],
+    positions: Array | None,
+) -> tuple[list[Dataset], tuple[str, ...]]:
+    """Return recordings as poses at rest or low-passed signals, and notes on them.
+
+    Args:
+        positions: (k,) of ``order_positions``; None counts as all at the same one.
+    """
+    if positions is None:
+        positions = np.zeros(len(recordings))
+    if config.payload.static:
+        return _resting_datasets(robot, recordings, positions)
+    pieces = []
+    notes = {}
+    for recording, position in zip(recordings, positions.tolist()):
+        notes[recording.name] = recording.notes
+        for number, samples in enumerate(recording.pieces, start=1):
+            name = recording.name
+            if len(recording.pieces) > 1:
+                name = f"{name} (part {number})"
+            pieces.append(Piece(name, samples, recording.is_loaded, position))
+    datasets, filter_notes = low_pass_recordings(robot, pieces, config.estimation)
+    return datasets, (*shared_notes(notes), *filter_notes)
+
+
+def _resting_datasets(
+    robot: RobotModel, recordings: Sequence[RawRecording], positions: Array
+) -> tuple[list[Dataset], tuple[str, ...]]:
+    datasets = []
+    notes = {}
+    for recording, position in zip(recordings, positions.tolist()):
+        name = recording.name
+        try:
+            poses, used = resting_poses(recording.samples, robot.joint_names)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
+        resting = RestingPoses(poses, used)
+        datasets.append(Dataset(name, resting, recording.is_loaded, position))
+        pose_note = f"{len(poses)} poses, each approached from both sides"
+        notes[name] = (*recording.notes, pose_note)
+    return datasets, tuple(shared_notes(notes))
+
+
+def _no_drift_note(recordings: Sequence[RawRecording], is_order_known: bool) -> str:
+    reason = "their order does not tell it from the payload"
+    if not is_order_known and len(recordings) != 2:
+        reason = "the order in which they were recorded is not known (--order tells it)"
+    return (
+        f"a drift of friction over the {len(recordings)} logs is not estimated: {reason}; record "
+        "in the order empty, loaded, loaded, empty"
+    )
+
+
+def _read_recordings(
+    config: PayloadConfig, robot: RobotModel, progress: Progress
+) -> list[RawRecording]:
+    """Return all recordings, empty ones first."""
+    options = config.payload
+    kinds = [(path, False) for path in options.empty]
+    kinds += [(path, True) for path in options.loaded]
+    recordings = []
+    for path, is_loaded in kinds:
+        progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
+        log = open_log(robot, path, config.log, progress)
+        if not options.static:  # the diagnosis needs motion
+            look_at(robot, log, config.log.accept, progress, links_known=False)
+        recordings.append(
+            RawRecording(
+                str(path), log.samples, is_loaded, pieces=log.pieces, notes=log.notes
+            )
+        )
+    return recordings
+
+
+def order_positions(
+    recordings: Sequence[RawRecording], order: str | None
+) -> Array | None:
+    """Return each recording's position (k,) in the order of recording, from -1 to 1.
+
+    None where the order is not known: without ``order`` and a clock that all logs share.
+
+    Args:
+        recordings: empty ones first.
+        order: a letter of ``--order`` for each recording, A for an empty one; or None.
+    """
+    if order is not None:
+        is_loaded = np.array([letter == LOADED for letter in order])
+        turns = {
+            True: iter(np.flatnonzero(is_loaded)),
+            False: iter(np.flatnonzero(~is_loaded)),
+        }
+        positions = [
+            float(next(turns[recording.is_loaded])) for recording in recordings
+        ]
+        return _scaled_to_unit(np.array(positions))
+    ends = np.array([recording.samples.time[[0, -1]] for recording in recordings])
+    spans = ends[np.lexsort(ends.T[::-1])]
+    if np.any(spans[1:, 0] <= spans[:-1, 1]):
+        return None
+    return _scaled_to_unit(np.mean(ends, axis=1))
+
+
+def is_drift_identifiable(recordings: Sequence[RawRecording], positions: Array) -> bool:
+    """Return whether the order (k,) of empty and loaded recordings separates drift and payload."""
+    is_loaded = np.array([recording.is_loaded for recording in recordings])
+    within = 0.0
+    for kind in (False, True):
+        kind_positions = positions[is_loaded == kind]
+        within += np.sum((kind_positions - np.mean(kind_positions)) ** 2)
+    total = np.sum((positions - np.mean(positions)) ** 2)
+    return bool(within >= LEAST_WITHIN * total > 0.0)
+
+
+def _scaled_to_unit(positions: Array) -> Array:
+    low = float(np.min(positions))
+    high = float(np.max(positions))
+    if high <= low:
+        return 0.0 * positions
+    return 2.0 * (positions - low) / (high - low) - 1.0

@@ -1,0 +1,247 @@
+"""The planning stage: design or check a motion, predict an identification from it, write it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import numpy as np
+
+from robot_sysid.config import SysidConfig
+from robot_sysid.export import MotorFile
+from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
+from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.pipeline.outcome import Outcome
+from robot_sysid.records import MotionPlan, RobotModel
+from robot_sysid.records.atomic_files import DAMIAO_NAME, WholeFiles, whole_files
+from robot_sysid.records.options import per_joint
+from robot_sysid.records.plan_settings import WEIGHT
+from robot_sysid.records.progress import Progress
+from robot_sysid.results.console import clamping_lines
+from robot_sysid.results.verdict import plan_verdict, shortfalls_of_plan
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import motion_chunks
+
+if TYPE_CHECKING:
+    from robot_sysid.config import MotorOptions
+    from robot_sysid.damiao.trajectory import DamiaoExportReport, MotionChunk
+    from robot_sysid.motion.prediction import Prediction
+
+_SMOOTH_REVERSAL = 0.01
+"""Speed at which exported dry friction has reached 76 % of its size [rad/s]. A wider transition is
+gentler, but an arm that sticks longer at its reversals shows less: 0.03 costs a millimetre more."""
+
+
+def design_motion(
+    config: SysidConfig, robot: RobotModel, progress: Progress
+) -> tuple[CheckedPlan, int]:
+    """Return the motion of a run with its limit check, and the seed it was drawn with."""
+    seed = config.seeded().trajectory.seed or 0
+    limits = _limits_with_motors(config.limits, config.motors, robot.n_joints)
+    estimation = config.estimation
+    request = MotionRequest(
+        config.trajectory,
+        config.excitation,
+        limits,
+        torques=estimation.torques,
+        noise_torque=config.arm.noise_torque,
+        played=config.motors.export_damiao,
+        poses=config.poses,
+        link_uncertainty=estimation.link_uncertainty,
+    )
+    if config.excitation.kind == "optimal":
+        from robot_sysid.motion.expected_errors import known_of, outlook
+
+        asked = config.poses.asked
+        settings = config.trajectory.sample_rate, estimation, asked
+        request = replace(
+            request,
+            known=partial(known_of, options=estimation, asked=asked),
+            outlook=partial(outlook, how=settings),
+        )
+    return make_plan(request, robot, seed, progress), seed
+
+
+def _limits_with_motors(
+    limits: LimitOptions, motors: MotorOptions, n_joints: int
+) -> LimitOptions:
+    """Return torque limits that the motors of an export can keep too; without one the limits."""
+    if not motors.export_damiao:
+        return limits
+    from robot_sysid.damiao.protocol.motors import motor_spec
+
+    option_limits = per_joint(limits.max_torque or np.inf, n_joints, "--max-torque")
+    max_torque = []
+    for motor_type, option_limit in zip(motors.motor_type, option_limits.tolist()):
+        spec = motor_spec(motor_type)
+        max_torque.append(min(spec.peak_torque, spec.limits[2], option_limit))
+    return replace(limits, max_torque=tuple(max_torque))
+
+
+def predict_identification(
+    config: SysidConfig, checked: CheckedPlan
+) -> Prediction | None:
+    """Return what an identification from a motion will state; None of sweeps and resting poses."""
+    from robot_sysid.motion.expected_errors import expect
+
+    if config.poses.sets_its_time:
+        return None
+    assert checked.problem is not None
+    return expect(
+        checked.problem,
+        checked.plan,
+        config.trajectory.sample_rate,
+        config.estimation,
+        config.poses.asked,
+    )
+
+
+def plan_lines(
+    config: SysidConfig, checked: CheckedPlan, prediction: Prediction | None
+) -> Iterator[str]:
+    """Yield the printed lines on a checked motion: its limits and the errors to expect of it."""
+    from robot_sysid.motion import prediction as predictions
+    from robot_sysid.motion.expected_errors import friction_lines
+    from robot_sysid.motion.static import pose_lines, sweep_lines
+
+    problem = checked.problem
+    plan = checked.plan
+    assert problem is not None and checked.check is not None
+    if prediction is not None:
+        yield from predictions.plan_lines(problem, plan, checked.check, prediction)
+        return
+    yield from predictions.kept_lines(problem, plan, checked.check)
+    if config.poses.static:
+        yield from pose_lines(problem, plan)
+    else:
+        yield from sweep_lines(problem, plan)
+        rate = config.trajectory.sample_rate
+        yield from friction_lines(problem, plan, rate, config.estimation)
+    yield from predictions.motion_lines(problem, plan, checked.check)
+
+
+def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
+    """Write a planned motion, unless it breaks a limit, and return the outcome of the command."""
+    prediction = predict_identification(config, checked)
+    lines = [*plan_lines(config, checked, prediction)]
+    failure = checked.failure
+    paths: tuple[Path, ...] = ()
+    if failure:
+        failure = f"{failure}; nothing was written"
+    else:
+        with whole_files() as files:
+            paths = draft_plan(files, config, robot, checked.plan)
+            motor_file = motor_writer(config, robot, checked.plan)
+            if motor_file is not None:
+                paths = (*paths, config.output.output_dir / DAMIAO_NAME)
+                with files.open(paths[-1]) as file:
+                    report = motor_file(file)
+                lines += clamping_lines(report, robot.joint_names)
+    arm_words, limit_words = config.words
+    shortfalls, command = _shortfalls(config, checked, prediction)
+    verdict = plan_verdict(
+        arm_words,
+        paths,
+        failure,
+        config.poses.purpose,
+        limit_words,
+        shortfalls,
+        command,
+    )
+    return Outcome(tuple(lines), verdict, failure, paths, checked=checked)
+
+
+def _shortfalls(
+    config: SysidConfig, checked: CheckedPlan, prediction: Prediction | None
+) -> tuple[list[str], str]:
+    """Return what keeps a motion from its purpose, and the command that plans a better one."""
+    from robot_sysid.motion.prediction import contact_before
+
+    if checked.problem is None or checked.failure:
+        return [], ""
+    mass_share = None
+    if prediction is not None and config.poses.purpose != WEIGHT:
+        mass_share = prediction.mass_share
+    body_name = "" if prediction is None else prediction.of
+    contact = contact_before(checked.problem, checked.plan)
+    shortfalls = shortfalls_of_plan(body_name, mass_share, contact)
+    # Another motion shows more of a mass; it does not clear the way.
+    is_mass_unknown = bool(shortfalls_of_plan(body_name, mass_share, None))
+    if prediction is None or not is_mass_unknown or config.plan_file is None:
+        return shortfalls, ""
+    options = prediction.remedy_options()
+    if not options:
+        return shortfalls, ""
+    arm_words, limit_words = config.words
+    source = [*arm_words, *limit_words]
+    # The settings of a motion from a file ask for that motion again.
+    if config.trajectory.file is None:
+        source = ["--config", str(config.plan_file.with_suffix(".toml"))]
+    folder = str(config.output.output_dir / "again")
+    command = ["robot-sysid", "plan", *source, *options, "--output-dir", folder]
+    return shortfalls, shlex.join(command)
+
+
+def draft_plan(
+    files: WholeFiles, config: SysidConfig, robot: RobotModel, plan: MotionPlan
+) -> tuple[Path, ...]:
+    """Draft the trajectory and its samples among ``files``; return the paths they will have.
+
+    Empty where no option asks for these files.
+    """
+    path = config.plan_file
+    if path is None:
+        return ()
+    from robot_sysid.motion.trajectories import save_samples, save_trajectory
+
+    samples_path = path.with_suffix(".csv")
+    with files.open(path) as file:
+        save_trajectory(file, plan, robot.joint_names, robot.sha256)
+    with files.open(samples_path) as file:
+        save_samples(file, plan, robot.joint_names, config.trajectory.sample_rate)
+    return path, samples_path
+
+
+def motor_writer(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan
+) -> MotorFile | None:
+    """Return the function that writes a motion for Damiao motors; None without that option."""
+    motors = config.motors
+    if not motors.export_damiao:
+        return None
+    from robot_sysid.damiao.trajectory import export_damiao_trajectory
+
+    rate = config.trajectory.sample_rate
+
+    def write(file: TextIO) -> DamiaoExportReport:
+        return export_damiao_trajectory(
+            motor_commands(robot, plan, rate),
+            motors.motor_type,
+            file,
+            motors.can_id,
+            motors.master_id,
+            joint_names=robot.joint_names,
+        )
+
+    return write
+
+
+def motor_commands(
+    robot: RobotModel, plan: MotionPlan, rate: float
+) -> Iterator[MotionChunk]:
+    """Yield time, positions, speeds and feed-forward torques of a motion, sampled at a rate [Hz].
+
+    The step of dry friction at a reversal would be a blow to the arm, so it is made smooth:
+    coulomb tanh(qd / 0.01 rad/s) in place of coulomb sign(qd).
+    """
+    torque = ArmTorque(robot)
+    for motion in motion_chunks(plan, rate):
+        smooth = robot.friction.dry(
+            motion.qd, lambda qd: np.tanh(qd / _SMOOTH_REVERSAL)
+        )
+        tau = torque(motion) + smooth - robot.friction.dry(motion.qd)
+        yield motion.time, motion.q, motion.qd, tau

@@ -1,0 +1,266 @@
+"""Identification from recorded motions: logs of a real arm, or another model that plays one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.config import SysidConfig
+from robot_sysid.diagnosis.run import look_at
+from robot_sysid.estimation.answer import traces_of
+from robot_sysid.estimation.dataset import Dataset
+from robot_sysid.estimation.fit import release_memory
+from robot_sysid.estimation.identify import (
+    Piece,
+    answer_link,
+    low_pass_recordings,
+    refit,
+    shared_notes,
+)
+from robot_sysid.estimation.result import result_of
+from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
+from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
+from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.pipeline.outcome import Identification
+from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
+from robot_sysid.records.arm import InertialParameters
+from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
+from robot_sysid.records.data import Traces
+from robot_sysid.records.progress import Progress
+from robot_sysid.records.results import RolloutTest
+from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
+from robot_sysid.results.record import Result
+from robot_sysid.results.rollout import (
+    LAST_FIFTH,
+    fitted_rows,
+    play,
+    split_time,
+    torque_error,
+)
+from robot_sysid.signals.resampling import MOST_KEPT, bounded
+from robot_sysid.simulation.plant import PlantSimulation, load_plant
+from robot_sysid.trajectory import CHUNK, sample_count
+
+_NOISE_STREAM = 1
+"""Separates the random numbers of simulated noise from those of the motion, drawn by one seed."""
+
+
+@dataclass(frozen=True)
+class _FilteredRecordings:
+    """Low-passed recordings of one run; their raw samples are no longer held.
+
+    Attributes:
+        datasets: recordings to identify the arm from.
+        tests: log name to recordings that only test the result.
+        origin: where the recordings come from.
+        notes: what reading and filtering had to say, one sentence each.
+    """
+
+    datasets: Sequence[Dataset]
+    tests: Mapping[str, Sequence[Dataset]]
+    origin: DataOrigin
+    notes: tuple[str, ...]
+
+
+def identify_logs(
+    config: SysidConfig, robot: RobotModel, progress: Progress
+) -> Identification:
+    """Read the logs, diagnose each of them, and identify the arm from all."""
+    recordings = _read_logs(config, robot, progress)
+    return _identify_recordings(config, robot, recordings, progress)
+
+
+def _read_logs(
+    config: SysidConfig, robot: RobotModel, progress: Progress
+) -> _FilteredRecordings:
+    options = config.log
+    logs = []
+    for path in options.measurements:
+        progress.stage(f"Reading measurements from {path}...")
+        logs.append(open_log(robot, path, options, progress))
+    if config.arm.save_measurements is not None:
+        write_measurement_csv(
+            config.arm.save_measurements, robot.joint_names, [logs[0].samples]
+        )
+    tests = []
+    if options.validation_measurements is not None:
+        test = open_log(robot, options.validation_measurements, options, progress)
+        tests.append(test)
+        progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
+    diagnose_logs(config, robot, [*logs, *tests], progress)
+    pieces = []
+    for log in logs:
+        for samples in log.pieces:
+            pieces.append(Piece(str(log.path), samples.without_velocities()))
+    notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
+    origin = origin_of(logs)
+    del logs  # frees the recorded velocities before signals are made
+    return _filter_recordings(config, robot, pieces, origin, notes, tests)
+
+
+def identify_plant(
+    config: SysidConfig,
+    robot: RobotModel,
+    plan: MotionPlan,
+    seed: int,
+    progress: Progress,
+) -> Identification:
+    """Let another model play the real arm along a motion, and identify from its sensors."""
+    arm = config.arm
+    rate = config.trajectory.sample_rate
+    assert arm.plant_model is not None
+    plant = load_plant(robot, arm.plant_model, config.model.mesh_dir)
+    progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")
+    rng = np.random.default_rng([seed, _NOISE_STREAM])
+    simulation = PlantSimulation(plant, plan, arm, rate, rng)
+    n_samples = sample_count(plan.duration, rate)
+    n_chunks = math.ceil(n_samples / CHUNK)
+    chunks = progress.track(iter(simulation), "Collecting measurements", n_chunks)
+    stretches, cut_notes = bounded(chunks, n_samples)
+    if arm.save_measurements is not None:
+        samples = simulation if n_samples > MOST_KEPT else stretches
+        write_measurement_csv(arm.save_measurements, robot.joint_names, samples)
+    name = str(arm.plant_model)
+    origin = DataOrigin(Source.SIMULATED_ARM, name, plan.duration, rate, seed)
+    pieces = [Piece(name, samples) for samples in stretches]
+    notes = (*plant.notes, *cut_notes)
+    recordings = _filter_recordings(config, robot, pieces, origin, notes)
+    del stretches, pieces  # frees the raw samples before the estimate
+    identification = _identify_recordings(config, robot, recordings, progress)
+    traces = partial(_traces_with_truth, identification.traces, plant.prior)
+    return replace(identification, traces=traces)
+
+
+def _traces_with_truth(
+    traces: Callable[[], Traces], truth: InertialParameters
+) -> Traces:
+    """Return computed traces that also hold the true parameters of a simulated arm."""
+    return replace(traces(), truth=truth)
+
+
+def diagnose_logs(
+    config: SysidConfig,
+    robot: RobotModel,
+    logs: Sequence[MeasurementLog],
+    progress: Progress,
+) -> None:
+    """Compare each log with the model; InputError where its numbers must not be used."""
+    accepted = config.log.accept
+    if config.estimation.delay == "auto":
+        accepted = (*accepted, "delay")
+    label = "Looking for what is wrong with the logs"
+    for n_done, log in enumerate(logs):
+        progress.advance(label, n_done, len(logs), "")
+        release_memory()
+        look_at(robot, log, accepted, progress, config.estimation)
+
+
+def _filter_recordings(
+    config: SysidConfig,
+    robot: RobotModel,
+    pieces: Sequence[Piece],
+    origin: DataOrigin,
+    notes: Sequence[str],
+    tests: Sequence[MeasurementLog] = (),
+) -> _FilteredRecordings:
+    """Low-pass all recordings; those that test the result get the cut-off of the others."""
+    options = config.estimation
+    datasets, filter_notes = low_pass_recordings(robot, pieces, options)
+    signals = datasets[0].signals
+    test_options = replace(
+        options, cutoff=signals.cutoff if signals else options.cutoff
+    )
+    test_datasets = {}
+    for log in tests:
+        test_pieces = [Piece(str(log.path), samples) for samples in log.pieces]
+        filtered, _ = low_pass_recordings(robot, test_pieces, test_options)
+        test_datasets[str(log.path)] = filtered
+    return _FilteredRecordings(datasets, test_datasets, origin, (*notes, *filter_notes))
+
+
+def _identify_recordings(
+    config: SysidConfig,
+    robot: RobotModel,
+    recordings: _FilteredRecordings,
+    progress: Progress,
+) -> Identification:
+    options = config.estimation
+    datasets = recordings.datasets
+    notes = recordings.notes
+    progress.note(*notes)
+    model_parts = config.output.keep
+    if options.no_friction:
+        model_parts += (FILE_FRICTION, FILE_ROTORS)
+    answer = answer_link(
+        robot, datasets, options, progress, model_parts, recordings.tests
+    )
+    answer = replace(answer, notes=(*notes, *answer.notes))
+    result = result_of(answer, recordings.origin)
+    printed = {*robot.notes, *notes}
+    progress.note(*(note for note in result.notes if note not in printed))
+    signals = datasets[0].signals
+    assert signals is not None
+    checkpoints = signals.motion(signals.spread(CHECKPOINTS))
+    tests = tuple(
+        dataset
+        for log_datasets in recordings.tests.values()
+        for dataset in log_datasets
+    )
+    result = _with_file_tests(result, tests, checkpoints, config.model.mesh_dir)
+    return Identification(
+        result, checkpoints, partial(traces_of, answer), answer, tests
+    )
+
+
+def _with_file_tests(
+    result: Result, tests: Sequence[Dataset], checkpoints: Motion, mesh_dir: Path | None
+) -> Result:
+    """Return the result with the written file's own error on other logs, by inverse dynamics."""
+    if result.file is None or not tests or not result.verdict.writes_model:
+        return result
+    robot = result.robot
+    error_pairs = []
+    with temporary_folder() as folder:
+        path = folder / MODEL_NAMES["mjcf"]  # the content tells MJCF from URDF
+        with whole_files() as files:
+            rmse = result.estimate.rmse
+            write_model(result, ModelTarget(files, path, checkpoints, rmse, mesh_dir))
+        for dataset in tests:
+            assert dataset.signals is not None
+            error_before = torque_error(
+                robot.path, robot, dataset.signals, dataset.name
+            )
+            error_after = torque_error(path, robot, dataset.signals, dataset.name)
+            error_pairs.append((error_before, error_after))
+    return replace(result, file=replace(result.file, others=tuple(error_pairs)))
+
+
+def play_models(config: SysidConfig, identification: Identification) -> RolloutTest:
+    """Simulate the model before and the one to be written beside the recorded motion.
+
+    Where logs were given that only test the result, those are played; else the last fifth of every
+    log, with a model identified from the first four fifths.
+    """
+    answer = identification.answer
+    result = identification.result
+    mesh_dir = config.model.mesh_dir
+    assert answer is not None
+    datasets = identification.tests or answer.fit.columns.datasets
+    signals = [dataset.signals for dataset in datasets if dataset.signals is not None]
+    if identification.tests:
+        return play(result.robot, signals, partial(write_model, result), mesh_dir)
+
+    def write_from_beginnings(target: ModelTarget) -> None:
+        """Make every choice and the estimate from the beginnings of the logs; write that model."""
+        rows = [fitted_rows(log_signals) for log_signals in signals]
+        early = refit(answer, rows, config.output.keep)
+        write_model(result_of(early, result.data), target)
+
+    return play(
+        result.robot, signals, write_from_beginnings, mesh_dir, split_time, LAST_FIFTH
+    )

@@ -1,0 +1,220 @@
+"""The stages of a run in order: load, plan, simulate or read, identify, write.
+
+Modules that only some runs need are imported where they are used: the self-test starts in half the
+time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.config import Config, PayloadConfig, SysidConfig
+from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
+from robot_sysid.estimation.itself import identify_itself
+from robot_sysid.export import locked_folder, save
+from robot_sysid.model.compilation import meshes_not_kept
+from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline.outcome import Identification, Outcome
+from robot_sysid.pipeline.planning import (
+    design_motion,
+    draft_plan,
+    motor_writer,
+    write_plan,
+)
+from robot_sysid.records import MotionPlan, RobotModel
+from robot_sysid.records.atomic_files import MODEL_NAMES, whole_files
+from robot_sysid.records.plan_settings import command_after_weighing
+from robot_sysid.records.progress import Detail, Progress
+from robot_sysid.records.torque_scale import write_torque_scale
+from robot_sysid.results.console import (
+    block_lines,
+    clamping_lines,
+    folder_text,
+    more_lines,
+)
+from robot_sysid.results.model import CHECKPOINTS
+from robot_sysid.results.verdict import verdict_lines
+from robot_sysid.trajectory import motion_chunks
+
+
+def run(config: Config, progress: Progress | None = None) -> Outcome:
+    """Run a command on one arm and write its files.
+
+    Args:
+        config: the options of the command.
+        progress: receives stages and notes while the run goes on; None keeps it silent.
+
+    Raises:
+        SysidError: with the exit code that fits, see ``errors``.
+    """
+    progress = progress or Progress()
+    if isinstance(config, SysidConfig) and config.estimation.torque_from is not None:
+        from robot_sysid.servo.run import run_servo
+
+        with meshes_not_kept():
+            robot = load_arm(config, progress)
+            return run_servo(
+                robot,
+                config.log,
+                config.output.output_dir,
+                config.model.mesh_dir,
+                progress,
+                config.read_files(),
+            )
+    with locked_folder(config.output.output_dir, progress):
+        robot = load_arm(config, progress)
+        if isinstance(config, SysidConfig) and config.trajectory.plan_only:
+            with ignore_repeated_ctrl_c():
+                checked, _ = design_motion(config, robot, progress)
+                return write_plan(config, robot, checked)
+        identification = identify(config, robot, progress)
+        return write_results(config, identification, progress)
+
+
+def load_arm(config: Config, progress: Progress) -> RobotModel:
+    """Load the model, find its terminal joint, and report both."""
+    model = config.model
+    progress.stage(f"Loading robot model from {model.path}...")
+    limits = config.limits if isinstance(config, SysidConfig) else LimitOptions()
+    robot = load_robot_model(
+        model.path, model.mesh_dir, model.joint, limits.max_velocity, model.keyframe
+    )
+    progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
+    progress.note(*robot.notes)
+    progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
+    if isinstance(config, SysidConfig) and config.motors.export_damiao:
+        from robot_sysid.damiao.protocol.joints import damiao_joints
+
+        # An export that is impossible is refused before any work.
+        motors = config.motors
+        damiao_joints(
+            motors.motor_type, robot.n_joints, motors.can_id, motors.master_id
+        )
+    return robot
+
+
+def identify(config: Config, robot: RobotModel, progress: Progress) -> Identification:
+    """Identify an arm or a payload from logs or a simulation; no result file is written."""
+    config = config.calibrated(robot.joint_names)
+    if isinstance(config, PayloadConfig):
+        from robot_sysid.pipeline.payload import identify_payload
+
+        return identify_payload(config, robot, progress)
+    assert isinstance(config, SysidConfig)
+    if config.log.measurements:
+        from robot_sysid.pipeline.recordings import identify_logs
+
+        return identify_logs(config, robot, progress)
+    with ignore_repeated_ctrl_c():
+        checked, seed = design_motion(config, robot, progress)
+        if checked.failure:
+            remedy = "try another --seed, or use --excitation optimal"
+            if config.trajectory.file is not None:
+                remedy = "slow the motion down with --speed, or design one for this arm"
+            raise InputError(f"{checked.failure}; relax that limit, {remedy}")
+        with whole_files() as files:
+            draft_plan(files, config, robot, checked.plan)
+    plan = checked.plan
+    if config.arm.plant_model is None:
+        identification = _self_test(config, robot, plan, seed, progress)
+    else:
+        from robot_sysid.pipeline.recordings import identify_plant
+
+        identification = identify_plant(config, robot, plan, seed, progress)
+    return replace(identification, plan=plan)
+
+
+def _self_test(
+    config: SysidConfig,
+    robot: RobotModel,
+    plan: MotionPlan,
+    seed: int,
+    progress: Progress,
+) -> Identification:
+    """Simulate the model along the trajectory and identify it, in constant memory."""
+    rate = config.trajectory.sample_rate
+    result, traces = identify_itself(
+        robot, plan, rate, seed, config.estimation, progress
+    )
+    log_path = config.arm.save_measurements
+    if log_path is not None:
+        from robot_sysid.logs.text import write_measurement_csv
+        from robot_sysid.simulator import simulate_inverse
+
+        simulated = simulate_inverse(robot, motion_chunks(plan, rate))
+        write_measurement_csv(log_path, robot.joint_names, simulated)
+    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
+    return Identification(result, checkpoints, traces)
+
+
+def write_results(
+    config: Config, identification: Identification, progress: Progress
+) -> Outcome:
+    """Write all files of an identification and return the outcome of the command."""
+    result = identification.result
+    robot = result.robot
+    mesh_dir = config.model.mesh_dir
+    refusal = None
+    as_body = None
+    motor_file = None
+    scale_path = None
+    if isinstance(config, PayloadConfig):
+        as_body = config.payload.as_body
+        scale_path = config.payload.save_torque_scale
+    elif isinstance(config, SysidConfig):
+        if identification.plan is not None:
+            motor_file = motor_writer(config, robot, identification.plan)
+        has_model = result.file is not None and result.verdict.writes_model
+        if config.log.verify_rollout and has_model:
+            from robot_sysid.pipeline.recordings import play_models
+            from robot_sysid.results import rollout
+
+            progress.stage("Playing the model on held-out pieces...")
+            played = play_models(config, identification)
+            result = replace(result, rollout=played)
+            refusal = rollout.refusal(played, config.log.accept)
+    saved = save(
+        result,
+        config.output.output_dir,
+        identification.checkpoints,
+        mesh_dir=mesh_dir,
+        as_body=as_body,
+        motor_file=motor_file,
+        refused=refusal,
+        inputs=[Path(path) for path in config.read_files() if path is not None],
+    )
+    if scale_path is not None and saved.failure is None and result.payload:
+        write_torque_scale(scale_path, result.payload.torque_scale)
+    progress.note(*saved.notes)
+    lines = (
+        *block_lines(result),
+        f"Results saved to {folder_text(config.output.output_dir)}",
+        *more_lines(result, config.output.links),
+        *clamping_lines(saved.damiao, robot.joint_names),
+    )
+    command = _next_plan_command(config, saved.files)
+    verdict = verdict_lines(result, saved.failure, command)
+    return Outcome(
+        lines,
+        verdict,
+        saved.failure,
+        saved.files,
+        result,
+        identification.traces,
+        saved.result_hash,
+    )
+
+
+def _next_plan_command(config: Config, files: Sequence[Path]) -> str:
+    """Return the command that plans with the written model after a weighing motion, else ""."""
+    models = [path for path in files if path.name in MODEL_NAMES.values()]
+    if not models or not isinstance(config, SysidConfig) or not config.log.measurements:
+        return ""
+    return command_after_weighing(
+        config.output.output_dir, config.model.path, models[0]
+    )
