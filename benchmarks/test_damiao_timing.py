@@ -15,20 +15,19 @@ import threading
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.bus import BusAddress, GuardedLink, SystemClock, open_bus
+from robot_sysid.damiao.adapters import BusAddress, open_bus
+from robot_sysid.damiao.bus import GuardedLink, SystemClock, inspect_bus
 from robot_sysid.damiao.execution import run
-from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.joints import MOTORS, damiao_joints
+from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import Plan
-from robot_sysid.damiao.protocol.codec import (
+from robot_sysid.damiao.protocol import (
+    BusTiming,
     MitCommand,
     Scaling,
     decode_feedback,
     encode_mit,
 )
-from robot_sysid.damiao.protocol.frames import BusTiming
-from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.settings import PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import SimulatedArm, serve, simulated_motor
 from robot_sysid.damiao.trajectory import (

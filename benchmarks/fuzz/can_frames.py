@@ -12,26 +12,23 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fuzz.harness import Case
-from robot_sysid.damiao.bus import BusLink, GuardedLink, SimulatedClock
-from robot_sysid.damiao.inspection import inspect_bus
-from robot_sysid.damiao.protocol.codec import (
+from robot_sysid.damiao.adapters import BusLink, PacketReader
+from robot_sysid.damiao.bus import GuardedLink, SimulatedClock, inspect_bus
+from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.damiao.protocol import (
+    DISABLE,
+    ENABLE,
+    REFRESH,
+    REGISTER_ID,
+    Frame,
     MitCommand,
     Scaling,
     decode_feedback,
     decode_mit,
     encode_feedback,
     encode_mit,
-)
-from robot_sysid.damiao.protocol.frames import (
-    DISABLE,
-    ENABLE,
-    REFRESH,
-    REGISTER_ID,
-    Frame,
     is_special,
 )
-from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.serial_adapter import PacketReader
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import SysidError
 

@@ -9,7 +9,7 @@ from random import Random
 
 from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged, damaged_json, damaged_table, odd
-from robot_sysid.damiao.protocol.joints import damiao_joints, map_joints, read_joint_map
+from robot_sysid.damiao.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.table import LogTable, pieces_table

@@ -23,8 +23,8 @@ from robot_sysid.config import (
     PayloadConfig,
     SysidConfig,
 )
-from robot_sysid.damiao.bus import BusAddress
-from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.adapters import BusAddress
+from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import (
     Permissions,
     PlaySettings,

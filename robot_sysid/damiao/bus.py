@@ -1,22 +1,34 @@
-"""The bus: time, the guard that every frame we send goes through, python-can, and its log."""
+"""The bus: clocks, the guard that every sent frame passes, real-time priority, and asking motors.
+
+Motors are asked for registers and state, without any effect on them, and never while commands
+stream. Register replies and feedback come on the same id. They are told apart by the one request
+that is outstanding: a reply repeats its motor's id, an operation and the register's number.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import errno
-import re
+import gc
+import os
+import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import NamedTuple, Protocol
 
-from robot_sysid.damiao import serial_adapter
-from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
-from robot_sysid.errors import HardwareAbort, InputError, error_text
-from robot_sysid.records.options import OptionRecord, option
+import numpy as np
+
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.protocol import (
+    Feedback,
+    Frame,
+    Scaling,
+    decode_feedback,
+    refuse_harmful,
+)
+from robot_sysid.errors import HardwareAbort
 
 
 class SystemClock:
@@ -112,404 +124,335 @@ class GuardedLink:
             pass
 
 
-# Adapters on this computer only: nothing here may put motor commands on a network.
-INTERFACES = (
-    "socketcan",
-    "slcan",
-    "gs_usb",
-    "pcan",
-    "kvaser",
-    "vector",
-    "ixxat",
-    "canalystii",
-    "cantact",
-    "seeedstudio",
-    "damiao",
-    "virtual",
-)
+PRIORITY = 20
+"""Real-time priority of the thread that keeps time: below the kernel's own threads (50)."""
+# The other threads wait for the one that keeps time, but for no other program: whichever of them
+# holds Python's lock when it is interrupted holds up the control loop too.
+_PRIORITY_ASIDE = 10
+# A busy thread gives way after this long [s]; Python's own default is more than a control cycle.
+_SWITCH_INTERVAL = 2e-4
+
+
+@contextlib.contextmanager
+def undisturbed(live: bool = True) -> Iterator[bool]:
+    """Keep garbage collection, other threads and other programs from pausing the block.
+
+    A ``live`` block keeps to the computer's clock. It has to wait now and then: nothing else runs
+    on its processor meanwhile. It is told whether it has real-time priority; where the system
+    refuses that, or knows none, the rest still holds.
+    """
+    collects_garbage = gc.isenabled()
+    switch_interval = sys.getswitchinterval()
+    gc.collect()
+    gc.disable()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    try:
+        with (
+            _real_time_priority()
+            if live
+            else contextlib.nullcontext(False) as is_granted
+        ):
+            yield is_granted
+    finally:
+        sys.setswitchinterval(switch_interval)
+        if collects_garbage:
+            gc.enable()
+
+
+@contextlib.contextmanager
+def _real_time_priority() -> Iterator[bool]:
+    """Give the threads of this program real-time priority, where it is allowed, and take it back.
+
+    A policy that somebody has chosen already (by chrt) is left as it is.
+    """
+    policy = os.sched_getscheduler(0) if sys.platform == "linux" else None
+    if policy is None or policy != os.SCHED_OTHER:
+        yield policy is not None and policy in (os.SCHED_FIFO, os.SCHED_RR)
+        return
+    try:
+        is_granted = _schedule(0, os.SCHED_FIFO, PRIORITY)
+        for thread_id in _other_threads() if is_granted else ():
+            _schedule(thread_id, os.SCHED_FIFO, _PRIORITY_ASIDE)
+        yield is_granted
+    finally:
+        # Threads that were started meanwhile have inherited it.
+        for thread_id in (0, *_other_threads()):
+            _schedule(thread_id, os.SCHED_OTHER, 0)
+
+
+def lacks_priority() -> bool:
+    """Tell whether this system has real-time priority but has not given it to this thread."""
+    if sys.platform != "linux":
+        return False
+    return os.sched_getscheduler(0) not in (os.SCHED_FIFO, os.SCHED_RR)
+
+
+def _schedule(thread_id: int, policy: int, priority: int) -> bool:
+    """Set how a thread is scheduled, 0 for the calling one; return whether it was allowed."""
+    try:
+        os.sched_setscheduler(thread_id, policy, os.sched_param(priority))
+    except OSError:
+        # No right to it, or the thread has ended.
+        return False
+    return True
+
+
+def _other_threads() -> list[int]:
+    """Return the system's numbers of the threads beside the calling one."""
+    current = threading.get_native_id()
+    ids = [thread.native_id for thread in threading.enumerate()]
+    return [thread_id for thread_id in ids if thread_id not in (None, current)]
+
+
+# A frame may be lost on a bus that another program has just left.
+_TRIES = 3
+# Answers that take longer are of no use to a control loop [s].
+_LONGEST_CYCLE = 0.1
+
+
+class RegisterReply(NamedTuple):
+    """A register's value and the id it was answered on."""
+
+    value: float
+    reply_id: int
+
+
+class RegisterClient:
+    """Talks about registers over a link; an answer may take ``timeout`` [s]."""
+
+    def __init__(self, link: GuardedLink, timeout: float = 0.02) -> None:
+        self._link = link
+        self._clock = link.clock
+        self._timeout = timeout
+        self.error_frames = 0
+
+    def read(self, motor: protocol.Address, register: int) -> RegisterReply | None:
+        """Return a register's value, or None where the motor does not answer."""
+        return next(iter(self.answers(protocol.read_frame(motor, register), 1)), None)
+
+    def write(
+        self, motor: protocol.Address, register: int, value: float, heard: bool = True
+    ) -> None:
+        """Write a register (lost at power-off), or raise HardwareAbort.
+
+        A motor refuses a value by answering with the old one, so the answer is compared; unless it
+        cannot be ``heard`` any more.
+        """
+        raw = protocol.bytes_from_value(register, value)
+        name = protocol.NAMES[register]
+        request = protocol.write_frame(motor, register, raw)
+        if not heard:
+            return self._link.send(request)
+        replies = self.answers(request, 1)
+        if not replies:
+            raise HardwareAbort(
+                f"motor {motor.can_id} did not answer to writing {name}"
+            )
+        stored = replies[0].value
+        if protocol.bytes_from_value(register, stored) != raw:
+            raise HardwareAbort(
+                f"motor {motor.can_id} refused {name} = {value:g} and keeps {stored:g}"
+            )
+
+    def refresh(self, motor: protocol.Address, master_id: int) -> protocol.Frame | None:
+        """Return a feedback frame without any effect on the motor, or None."""
+        for _ in range(_TRIES):
+            for frame in self._frames_after(protocol.refresh_frame(motor)):
+                if frame.id == master_id and frame.data[0] & 0xF == motor.can_id & 0xF:
+                    return frame
+        return None
+
+    def state_of(self, motor: InspectedMotor) -> Feedback | None:
+        """Ask a motor for its state, without any effect on it; None where it does not tell."""
+        frame = self.refresh(motor.address, motor.reply_ids[0])
+        return None if frame is None else motor.meaning(frame.data)
+
+    def seconds_to_refresh(
+        self, motors: Sequence[tuple[protocol.Address, int]]
+    ) -> float | None:
+        """Return the time until all motors, asked at once, have answered [s], or None."""
+        self._link.drain()
+        start = self._clock.now()
+        for motor, _ in motors:
+            self._send(protocol.refresh_frame(motor))
+        missing = {(motor.bus, reply_id) for motor, reply_id in motors}
+        while (
+            missing
+            and (frame := self._link.receive(start + _LONGEST_CYCLE)) is not None
+        ):
+            if not frame.echo and not frame.error:
+                missing.discard((frame.bus, frame.id))
+        return None if missing else self._clock.now() - start
+
+    def answers(
+        self, request: protocol.Frame, limit: int | None = None
+    ) -> list[RegisterReply]:
+        """Return up to ``limit`` answers; more than one tells that motors share an id."""
+        tries = (list(islice(self._replies(request), limit)) for _ in range(_TRIES))
+        return next(filter(None, tries), [])
+
+    def _replies(self, request: protocol.Frame) -> Iterator[RegisterReply]:
+        # Most firmware answers a write with 0x55, some with 0x33.
+        codes = (
+            (protocol.READ, protocol.WRITE)
+            if request.data[2] == protocol.WRITE
+            else (protocol.READ,)
+        )
+        heads = [request.data[:2] + bytes([code, request.data[3]]) for code in codes]
+        for frame in self._frames_after(request):
+            if frame.data[:4] in heads:
+                value = protocol.value_from_bytes(request.data[3], frame.data[4:8])
+                yield RegisterReply(value, frame.id)
+
+    def _frames_after(self, request: protocol.Frame) -> Iterator[protocol.Frame]:
+        """Send a request and yield what motors say until the timeout."""
+        self._link.drain()
+        self._send(request)
+        until = self._clock.now() + self._timeout
+        while (frame := self._link.receive(until)) is not None:
+            self.error_frames += frame.error
+            sound = not frame.error and not frame.echo and len(frame.data) == 8
+            if sound and frame.bus == request.bus:
+                yield frame
+
+    def _send(self, request: protocol.Frame) -> None:
+        """Send a request, again where a busy computer or adapter did not take it in time."""
+        for _ in range(_TRIES - 1):
+            with contextlib.suppress(LinkError):
+                return self._link.send(request)
+        self._link.send(request)
+
+
+@contextlib.contextmanager
+def watchdogs_set_to(
+    client: RegisterClient,
+    motors: Sequence[InspectedMotor],
+    seconds: float,
+    is_off: Callable[[protocol.Address], bool],
+) -> Iterator[None]:
+    """Write the watchdog register of each motor, and its old value when the block ends.
+
+    A motor that may still be running keeps the new value: without a watchdog it would go on for
+    ever. Nothing is stored to flash: after a power cycle the motors have their own values again.
+    ``is_off`` tells, at the end, whether a motor is surely disabled.
+    """
+    old_values = {motor.address: motor.registers[protocol.TIMEOUT] for motor in motors}
+    try:
+        for address in old_values:
+            client.write(
+                address, protocol.TIMEOUT, float(round(seconds / protocol.TIMEOUT_UNIT))
+            )
+        yield
+    finally:
+        for address in filter(is_off, old_values):
+            # A motor that does not answer any more keeps the safer value until power-off.
+            with contextlib.suppress(BaseException):
+                client.write(address, protocol.TIMEOUT, old_values[address])
+
+
+_ALL_IDS = range(1, 16)
+# A program that streams at 40 Hz or more is heard in this time; a slow adapter answers in half of
+# the other (16 ms, see docs/damiao.md) [s].
+_LISTEN = 0.05
+_ASK_TIMEOUT = 0.03
+# How often all motors are asked at once, to know how long nine of ten times take.
+_ROUNDS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class InspectedMotor:
+    """What one motor said; several ids on which answers came mean several motors.
+
+    Only registers that were answered are there; feedback is None where it does not answer a
+    refresh, and the channel is named where there are several.
+    """
+
+    address: protocol.Address
+    reply_ids: tuple[int, ...]
+    registers: Mapping[int, float]
+    feedback: Feedback | None
+    channel: str = ""
+
+    @property
+    def can_id(self) -> int:
+        """Id it was asked under."""
+        return self.address.can_id
+
+    @property
+    def name(self) -> str:
+        """How messages call it."""
+        return f"motor {self.can_id}" + (f" on {self.channel}" if self.channel else "")
+
+    @property
+    def master_id(self) -> int:
+        """The reply id its register names."""
+        return int(self.registers.get(protocol.MST_ID, self.reply_ids[0]))
+
+    @property
+    def limits(self) -> tuple[float, float, float]:
+        """(PMAX, VMAX, TMAX) from its registers; 0 where it does not tell."""
+        position, velocity, torque = (
+            self.registers.get(k, 0.0) for k in protocol.SCALING
+        )
+        return position, velocity, torque
+
+    def meaning(self, feedback: bytes) -> Feedback | None:
+        """What a frame of its feedback says; None where its scaling is not known."""
+        if min(self.limits) <= 0.0:
+            return None
+        raw = np.frombuffer(feedback, dtype=np.uint8)[None]
+        return decode_feedback(raw, Scaling([self.limits]))
+
+    @property
+    def position(self) -> float:
+        """Where it is [rad]; NaN where it does not tell."""
+        return float(self.feedback.position[0]) if self.feedback else np.nan
 
 
 @dataclass(frozen=True)
-class BusAddress(OptionRecord):
-    """Where the bus is."""
+class Inspection:
+    """What the motors on a bus said; ``unsolicited`` frames came before anything was asked.
 
-    interface: str = option(
-        "socketcan",
-        "kind of adapter: " + ", ".join(INTERFACES),
-        "NAME",
-        choices=INTERFACES,
-    )
-    channel: tuple[str, ...] = option(
-        (),
-        "the bus, for instance can0 or /dev/ttyACM0; once per bus; left=/dev/ttyACM0 where the "
-        "joint map calls it left",
-        "CHANNEL",
-        repeats=True,
-    )
-    bus_option: tuple[str, ...] = option(
-        (),
-        "hand an option of the adapter's own to python-can, for instance f_clock_mhz=80",
-        "NAME=VALUE",
-        repeats=True,
-    )
-
-    @property
-    def buses(self) -> Mapping[str, str]:
-        """What messages and joint maps call each bus, and where it is; InputError for one twice."""
-        matches = [_NAMED.fullmatch(channel) for channel in self.channel]
-        pairs = [(match[1] or match[2], match[2]) for match in matches if match]
-        # One that fell out would leave its arm to the other's trajectory.
-        for names in zip(*pairs):
-            for name in names:
-                if names.count(name) > 1:
-                    raise InputError(
-                        f"--channel names {name} twice; give each bus once"
-                    )
-        return dict(pairs)
-
-
-# A name before the place: not the "=" that ends an address such as spy://COM3?file=log.
-_NAMED = re.compile(r"(?:([\w.-]+)=)?(.*)")
-SERIAL_ADAPTER = "damiao"
-# More than a busy computer keeps a program waiting (a cycle may be 20 ms late), and less than
-# motors on another bus can wait for their next command: watchdogs take 0.1 s or more [s].
-_SEND_TIMEOUT = 0.05
-# A queue that is full for longer than this is not going to empty within a control cycle.
-_FULL_PATIENCE = 1.5e-3
-_FULL_PAUSE = 2e-4
-_FULL = (
-    "the CAN bus takes no more frames because nobody acknowledges them: check the motors' power, "
-    "the wiring and the termination (60 ohm between the two wires)"
-)
-# Serial lines have no check sum. A line that was damaged on its way is a lost frame; so many of
-# them within that time [s] are a bad cable.
-_MOST_GARBLED = 3
-_GARBLED_TIME = 1.0
-_GARBLED = (
-    f"the adapter sent {_MOST_GARBLED} lines within a second that are no CAN frames; check its "
-    "cable and that nothing else reads from its port"
-)
-# Older than any frame that waited for us: stamped by another clock [s].
-_PLAUSIBLE_AGE = 1.0
-# A clock that PCAN's and Kvaser's CAN-FD controllers can be set to [Hz].
-_FD_CLOCK = 80_000_000
-
-
-def import_can() -> Any:
-    """Return the python-can module, or raise InputError saying how to get it."""
-    try:
-        import can
-    except ImportError:
-        raise InputError(
-            'talking to motors needs python-can: pip install "robot-sysid[can]"'
-        ) from None
-    return can
-
-
-def _driver_words(error: BaseException) -> str:
-    return repr(error) if isinstance(error, SystemExit) else error_text(error)
-
-
-def _message(can: Any, frame: Frame, **stamp: Any) -> Any:
-    fd = {"is_fd": frame.fd, "bitrate_switch": frame.fd}
-    flags = {"is_extended_id": False, "is_error_frame": frame.error, **fd}
-    return can.Message(arbitration_id=frame.id, data=frame.data, **flags, **stamp)
-
-
-# How often the watch looks [s], and after how many looks at the same call it says so, and ends.
-# The longest watchdog that a run allows is 5 s: by then no motor drives any more.
-_LOOK = 0.1
-_LOOKS_TO_SAY = 10
-_LOOKS_TO_END = 50
-# What opening an adapter may take in addition: python-can's slcan sleeps for 2 s [looks].
-_OPENING = 50
-Told = Callable[[str, bool], None]
-
-
-class DriverWatch:
-    """Watches the calls of adapters' drivers, because one that does not return stops everything.
-
-    ``tell`` is called from a thread of its own with what is happening, and whether it is the end:
-    no more can be said or sent then, and whoever is told should end the program. Looks are counted
-    and not seconds, so that a computer that was asleep accuses nobody.
+    Asked at once, all have answered within ``round_trip`` [s], nearly always; None if some did not.
     """
 
-    def __init__(self, tell: Told | None = None) -> None:
-        self._tell = tell
-        # Each call is an object of its own, and one stands for none.
-        self._no_call = object()
-        self._call = self._no_call
-        self._looks = 0
-        self._closed = threading.Event()
-        if tell is not None:
-            threading.Thread(target=self._look, daemon=True).start()
-
-    @contextlib.contextmanager
-    def during(self, more_looks: int = 0) -> Iterator[None]:
-        """Watch the call in the block, which may take so many looks more than a usual one."""
-        self._call = object()
-        self._looks = -more_looks
-        try:
-            yield
-        finally:
-            self._call = self._no_call
-
-    def close(self) -> None:
-        """Watch no more."""
-        self._closed.set()
-
-    def _look(self) -> None:
-        assert self._tell is not None
-        last_call = self._no_call
-        while self._looks < _LOOKS_TO_END and not self._closed.wait(_LOOK):
-            self._looks += self._call is last_call is not self._no_call
-            last_call = self._call
-            if last_call is not self._no_call and self._looks in (
-                _LOOKS_TO_SAY,
-                _LOOKS_TO_END,
-            ):
-                self._tell(
-                    f"the adapter's driver has not returned for {_LOOK * self._looks:.0f} s, and "
-                    "nothing can be sent meanwhile: motors that were enabled are stopped by their "
-                    "watchdogs; cut their power, and unplug the adapter and plug it in again",
-                    self._looks == _LOOKS_TO_END,
-                )
+    motors: Mapping[protocol.Address, InspectedMotor]
+    unsolicited: int
+    error_frames: int
+    round_trip: float | None = None
 
 
-# How long to leave several buses alone between two looks at them [s].
-_PAUSE = 1e-4
-
-
-class BusLink:
-    """Open python-can buses in the order of ``Frame.bus``, as one link in ``clock``'s time."""
-
-    def __init__(
-        self, buses: Sequence[Any], clock: SystemClock, watch: DriverWatch | None = None
-    ) -> None:
-        self._can = import_can()
-        self._buses = buses
-        self._clock = clock
-        self._watch = watch or DriverWatch()
-        self._garbled_at: deque[float] = deque(maxlen=_MOST_GARBLED)
-
-    def send(self, frame: Frame) -> None:
-        """Send a frame, or raise LinkError."""
-        message = _message(self._can, frame)
-        patience = self._clock.now() + _FULL_PATIENCE
-        while True:
-            try:
-                with self._watch.during():
-                    return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
-            except (Exception, SystemExit) as error:
-                # Whatever a driver raises: the caller has to go on with the other motors.
-                codes = (
-                    getattr(error, "error_code", None),
-                    getattr(error, "errno", None),
-                )
-                if errno.ENOBUFS not in codes:
-                    reason = _driver_words(error)
-                    raise LinkError(
-                        f"the CAN bus does not take frames: {reason}"
-                    ) from error
-                if self._clock.now() >= patience:
-                    raise LinkError(_FULL) from error
-            self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
-
-    def receive(self, until: float) -> Frame | None:
-        """Return the next standard frame of any bus, or None at ``until`` [s]."""
-        while True:
-            for number, bus in enumerate(self._buses):
-                # One bus can be waited for; several are looked at in turn.
-                wait = until if len(self._buses) == 1 else min(self._clock.now(), until)
-                message = self._next(bus, wait)
-                if message is not None:
-                    return self._frame(message, number)
-            if self._clock.now() >= until:
-                return None
-            self._clock.sleep_until(min(self._clock.now() + _PAUSE, until))
-
-    def _next(self, bus: Any, until: float) -> Any:
-        while True:
-            try:
-                with self._watch.during():
-                    message = bus.recv(max(until - self._clock.now(), 0.0))
-            except (ValueError, IndexError) as error:
-                self._note_garbled(error)
-                message = None
-            except (Exception, SystemExit) as error:
-                raise LinkError(
-                    f"the CAN bus cannot be read: {_driver_words(error)}"
-                ) from error
-            if message is None and self._clock.now() >= until:
-                return None
-            if message is not None and not message.is_extended_id:
-                return message
-
-    def _note_garbled(self, error: Exception) -> None:
-        now = self._clock.now()
-        self._garbled_at.append(now)
-        if (
-            len(self._garbled_at) == _MOST_GARBLED
-            and now - self._garbled_at[0] < _GARBLED_TIME
-        ):
-            raise LinkError(f"{_GARBLED} ({error_text(error)})") from error
-
-    def close(self) -> None:
-        """Release the adapters; one that has been unplugged is gone anyway.
-
-        Whatever a driver raises, it does not take the place of what happened to the motors.
-        """
-        for bus in self._buses:
-            with contextlib.suppress(BaseException), self._watch.during():
-                bus.shutdown()
-        self._watch.close()
-
-    def _frame(self, message: Any, bus: int) -> Frame:
-        age = time.time() - message.timestamp
-        # Where the adapter has another clock, a frame counts as just come.
-        then = self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
-        return Frame(
-            message.arbitration_id,
-            bytes(message.data),
-            then,
-            message.is_fd,
-            message.is_error_frame,
-            not message.is_rx,
-            bus,
-        )
-
-
-def open_bus(
-    address: BusAddress, timing: BusTiming, clock: SystemClock, tell: Told | None = None
-) -> Link:
-    """Open one CAN bus or several, or raise InputError; ``ip link`` sets the rates of socketcan.
-
-    ``tell`` is told of a driver that does not return, see ``DriverWatch``.
-    """
-    if timing.fd and address.interface == SERIAL_ADAPTER:
-        raise InputError(
-            "the maker's serial adapter sends classic CAN frames only; leave --fd off"
-        )
-    buses: list[Any] = []
-    watch = DriverWatch(tell)
-    link = BusLink(buses, clock, watch)
-    with contextlib.ExitStack() as opened:
-        opened.callback(link.close)
-        for channel in address.buses.values():
-            with watch.during(_OPENING):
-                buses.append(_open_one(address, channel, timing))
-        opened.pop_all()
-    return link
-
-
-def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
-    can = import_can()
-    interface = address.interface
-    options = _bus_options(can, interface, timing)
-    for text in address.bus_option:
-        name, equals, value = text.partition("=")
-        if not equals or not name.isidentifier():
-            raise InputError(f"--bus-option takes NAME=VALUE, got {text!r}")
-        options[name] = _value(value)
-    try:
-        if interface == SERIAL_ADAPTER:
-            return serial_adapter.DamiaoSerialBus(channel, **options)
-        bus = can.Bus(
-            channel=channel, interface=interface, ignore_config=True, **options
-        )
-        if interface == "slcan":
-            serial_adapter.read_in_pieces(bus, len(address.buses) == 1, _SEND_TIMEOUT)
-        return bus
-    except (Exception, SystemExit) as error:
-        # Each adapter's driver raises what it likes.
-        reason = _driver_words(error)
-        raise InputError(
-            f"cannot open {interface} channel {channel}: {reason}"
-        ) from error
-
-
-def _value(text: str) -> Any:
-    """Return a number, True or False where a text is one."""
-    for number_type in (int, float):
-        with contextlib.suppress(ValueError):
-            return number_type(text)
-    return {"true": True, "false": False}.get(text.lower(), text)
-
-
-def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
-    if interface == SERIAL_ADAPTER:
-        return {}
-    if interface == "socketcan":
-        return {"receive_own_messages": True, "fd": timing.fd}
-    if interface == "virtual":
-        protocol = can.CanProtocol.CAN_FD if timing.fd else can.CanProtocol.CAN_20
-        return {"receive_own_messages": True, "protocol": protocol}
-    if not timing.fd:
-        return {"bitrate": int(timing.bitrate)}
-    rates = {
-        "nom_bitrate": int(timing.bitrate),
-        "data_bitrate": int(timing.data_bitrate),
-    }
-    points = {"nom_sample_point": 80.0, "data_sample_point": 75.0}
-    return {
-        "timing": can.BitTimingFd.from_sample_point(
-            f_clock=_FD_CLOCK, **rates, **points
-        )
-    }
-
-
-class RawFrameLog:
-    """Observes a link in its block and writes all frames to a file, replacing one that is there.
-
-    The format follows the file's suffix: .log (candump), .asc, .blf, .csv, .trc, ... Time stamps
-    are seconds since 1970.
-    """
-
-    def __init__(self, path: Path, link: GuardedLink) -> None:
-        self._can = import_can()
-        self._link = link
-        try:
-            self._writer: Any = self._can.Logger(str(path))
-        except ValueError as error:
-            raise InputError(f"cannot log frames to {path}: {error}") from None
-        except OSError as error:
-            raise InputError(f"cannot write {path}: {error.strerror}") from None
-        self._offset = time.time() - link.clock.now()
-        self._waiting: list[tuple[Frame, bool]] = []
-
-    def __enter__(self) -> RawFrameLog:
-        self._link.observer = self
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._link.observer = None
-        # What a recorder did not take: without one, everything; if there is room for it.
-        with contextlib.suppress(Exception):
-            self.write(self.take_frames())
-        with contextlib.suppress(Exception):
-            self._writer.stop()
-
-    def __call__(self, frame: Frame, sent: bool) -> None:
-        """Take a frame."""
-        self._waiting.append((frame, sent))
-
-    def take_frames(self) -> list[tuple[Frame, bool]]:
-        """Return the frames that came since the last call, for ``write``."""
-        frames = self._waiting
-        self._waiting = []
-        return frames
-
-    def write(self, frames: list[tuple[Frame, bool]]) -> None:
-        """Write frames in order of time; may be called from another thread than the rest."""
-        for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
-            message = _message(
-                self._can,
-                frame,
-                timestamp=frame.time + self._offset,
-                is_rx=not sent,
-                channel=self._link.channels[frame.bus],
-            )
-            self._writer.on_message_received(message)
-        file: Any = getattr(self._writer, "file", None)
-        if file is not None:
-            file.flush()
+def inspect_bus(link: GuardedLink) -> Inspection:
+    """Ask every id on every bus for its registers and state; enables nothing."""
+    until = link.clock.now() + _LISTEN
+    unsolicited = 0
+    while (frame := link.receive(until)) is not None:
+        unsolicited += not frame.echo
+    client = RegisterClient(link, timeout=_ASK_TIMEOUT)
+    motors = {}
+    for address in (
+        protocol.Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS
+    ):
+        answers = client.answers(protocol.read_frame(address, protocol.ESC_ID))
+        if not answers:
+            continue
+        replies = {number: client.read(address, number) for number in protocol.LOGGED}
+        registers = {
+            number: reply.value
+            for number, reply in replies.items()
+            if reply is not None
+        }
+        reply_ids = tuple(answer.reply_id for answer in answers)
+        channel = link.channels[address.bus] if len(link.channels) > 1 else ""
+        motor = InspectedMotor(address, reply_ids, registers, None, channel)
+        motors[address] = replace(motor, feedback=client.state_of(motor))
+    round_trip = None
+    if all(motor.feedback for motor in motors.values()):
+        addresses = [(motor.address, motor.reply_ids[0]) for motor in motors.values()]
+        # As in the run that it is for.
+        with undisturbed(link.clock.live):
+            times = [client.seconds_to_refresh(addresses) for _ in range(_ROUNDS)]
+        answered = [time for time in times if time is not None]
+        if len(answered) > _ROUNDS // 2:
+            round_trip = float(np.percentile(answered, 90.0))
+    return Inspection(motors, unsolicited, client.error_frames, round_trip)

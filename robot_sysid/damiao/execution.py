@@ -12,27 +12,37 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao import bus, preflight
+from robot_sysid.damiao import preflight
 from robot_sysid.damiao import trajectory as motion
-from robot_sysid.damiao.centring import Centring, SamplingRipple
-from robot_sysid.damiao.inspection import (
+from robot_sysid.damiao.adapters import BusAddress, Told, open_bus
+from robot_sysid.damiao.bus import (
+    GuardedLink,
     InspectedMotor,
     Inspection,
+    Link,
     RegisterClient,
+    SimulatedClock,
+    SystemClock,
     watchdogs_set_to,
 )
-from robot_sysid.damiao.player import Player, PlayReport
-from robot_sysid.damiao.preflight import Check, Plan
-from robot_sysid.damiao.protocol.codec import Scaling
-from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
-from robot_sysid.damiao.protocol.joints import (
+from robot_sysid.damiao.joints import (
     DamiaoJoint,
     JointSpace,
     map_joints,
+    matching_types,
     read_joint_map,
 )
-from robot_sysid.damiao.protocol.motors import matching_types
-from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, head_lines
+from robot_sysid.damiao.player import Player, PlayReport, StopRequest
+from robot_sysid.damiao.preflight import Check, Plan
+from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, refuse_harmful
+from robot_sysid.damiao.recorder import (
+    Aside,
+    Centring,
+    MeasurementRecorder,
+    RawFrameLog,
+    SamplingRipple,
+    head_lines,
+)
 from robot_sysid.damiao.references import (
     STRAIGHT,
     FileHolding,
@@ -40,8 +50,7 @@ from robot_sysid.damiao.references import (
     alongside,
     reference_along,
 )
-from robot_sysid.damiao.safety.bounds import Overload
-from robot_sysid.damiao.safety.stop_request import StopRequest
+from robot_sysid.damiao.safety.guards import Overload
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
     Permissions,
@@ -61,14 +70,14 @@ from robot_sysid.records.options import given_options, record_from
 class MotorRun:
     """What a run on motors was asked for, key of an option to value, as records.
 
-    ``tell`` is told of a driver that does not return, see ``bus.DriverWatch``.
+    ``tell`` is told of a driver that does not return, see ``adapters.DriverWatch``.
     """
 
-    def __init__(self, values: Mapping[str, Any], tell: bus.Told) -> None:
+    def __init__(self, values: Mapping[str, Any], tell: Told) -> None:
         self.values = values
-        self.clock = bus.SystemClock()
+        self.clock = SystemClock()
         self._tell = tell
-        self.address = record_from(bus.BusAddress, values)
+        self.address = record_from(BusAddress, values)
         self.timing = record_from(BusTiming, values)
         self._order_between: dict[tuple[bytes, bytes], tuple[str, str]] = {}
 
@@ -260,7 +269,7 @@ class MotorRun:
 
     def play(
         self,
-        link: bus.GuardedLink,
+        link: GuardedLink,
         plan: Plan,
         inspection: Inspection,
         stop: StopRequest,
@@ -343,33 +352,29 @@ class MotorRun:
         )
 
     @contextlib.contextmanager
-    def simulated_bus(self, arm: SimulatedArm) -> Iterator[bus.GuardedLink]:
+    def simulated_bus(self, arm: SimulatedArm) -> Iterator[GuardedLink]:
         """Open a bus with a simulated arm on it, in simulated time."""
-        clock = bus.SimulatedClock()
+        clock = SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
-        yield bus.GuardedLink(
-            wire, clock, self.timing.fd, self.channels or ("simulated",)
-        )
+        yield GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
 
-    def open(self, timing: BusTiming | None = None) -> bus.Link:
+    def open(self, timing: BusTiming | None = None) -> Link:
         """Open the bus, with other bit rates than those asked for if given."""
-        return bus.open_bus(self.address, timing or self.timing, self.clock, self._tell)
+        return open_bus(self.address, timing or self.timing, self.clock, self._tell)
 
     @contextlib.contextmanager
     def bus(
         self,
         refuse: Callable[[Frame], None] = refuse_harmful,
         timing: BusTiming | None = None,
-    ) -> Iterator[bus.GuardedLink]:
+    ) -> Iterator[GuardedLink]:
         """Open the bus for as long as the block runs; what ``refuse`` raises for is not sent."""
         if not self.address.channel:
             raise InputError(
                 "this command needs --channel, for instance --channel can0"
             )
         with contextlib.closing(self.open(timing)) as link:
-            yield bus.GuardedLink(
-                link, self.clock, self.timing.fd, self.channels, refuse
-            )
+            yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
 
 
 def lasting(plan: Plan, seconds: float) -> Plan:
@@ -379,7 +384,7 @@ def lasting(plan: Plan, seconds: float) -> Plan:
 
 
 def run(
-    link: bus.GuardedLink,
+    link: GuardedLink,
     plan: Plan,
     inspection: Inspection,
     stop: StopRequest,
@@ -488,7 +493,7 @@ def _require_complete(console: Aside, writer: Aside) -> None:
 
 @contextlib.contextmanager
 def _recorder(
-    link: bus.GuardedLink, plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
+    link: GuardedLink, plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
     path = plan.recording.frames
     record = plan.recording.record
@@ -503,7 +508,7 @@ def _recorder(
     ]
     # Frames alone are written as the run goes on too: kept until its end, they fill the memory.
     with contextlib.ExitStack() as stack:
-        frames = stack.enter_context(bus.RawFrameLog(path, link))
+        frames = stack.enter_context(RawFrameLog(path, link))
         centring = Centring(plan.settings.period, plan.ripple)
         may_replace = plan.recording.overwrite or record is None
         file = record or Path(os.devnull)

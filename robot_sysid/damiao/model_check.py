@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check, Plan
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.references import (
     ORDERS,
     STRAIGHT,
@@ -27,7 +27,7 @@ from robot_sysid.damiao.references import (
     poses_between,
     torque_doubt,
 )
-from robot_sysid.damiao.safety.zeros import MovedZeroCheck
+from robot_sysid.damiao.safety.causes import MovedZeroCheck
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError

@@ -7,30 +7,33 @@ answers makes no difference to it.
 from __future__ import annotations
 
 import contextlib
+import signal
+import time
 from array import array
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from robot_sysid.damiao import references as paths
-from robot_sysid.damiao.bus import SystemClock
-from robot_sysid.damiao.protocol.codec import MitCommand
+from robot_sysid.damiao.bus import SystemClock, lacks_priority, undisturbed
+from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import (
+    CarriedStop,
     HoldingCheck,
     Reference,
     ReferenceFunction,
+    StopStart,
     hold,
 )
+from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.damiao.safety.observer import Fault, Observer
-from robot_sysid.damiao.safety.realtime import lacks_priority, undisturbed
-from robot_sysid.damiao.safety.samples import Replies
-from robot_sysid.damiao.safety.stop_request import StopRequest
-from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.errors import HardwareAbort, error_text
+from robot_sysid.errors import HardwareAbort, error_text, handle_stop_signals
 from robot_sysid.records import Array
 
 
@@ -456,3 +459,41 @@ class Player:
         self._note(replies, acted)
         if self._recorder:
             self._recorder.end_cycle()
+
+
+# One key press may arrive twice: from the terminal, and passed on by a program that started us.
+# Longer than a busy computer takes to pass it on, shorter than pressing a key twice on purpose [s].
+_SAME_WISH = 0.2
+
+
+class StopRequest:
+    """Remembers whether somebody wants the run to end, and whether he insists.
+
+    The first wish brings the arm to rest before it is disabled. Only a person who asks again is
+    taken to mean "at once, even if the arm drops": hang-ups and terminations come in bursts when a
+    terminal is closed or a computer shuts down. ``reason`` is the first wish in words.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.reason = ""
+        self.insisted = False
+        self._interrupted_at = float("inf")
+
+    def __call__(self, reason: str, insist: bool = False) -> None:
+        """Ask for a stop."""
+        self.count += 1
+        self.reason = self.reason or reason
+        self.insisted |= insist
+
+    def on_signals(self) -> AbstractContextManager[None]:
+        """Return a block in which signals that ask a program to end are wishes."""
+        return handle_stop_signals(self._handle)
+
+    def _handle(self, number: int, frame: Any) -> None:
+        again = False
+        if number == signal.SIGINT:
+            now = time.monotonic()
+            self._interrupted_at = min(self._interrupted_at, now)
+            again = now - self._interrupted_at > _SAME_WISH
+        self(f"stopped by {signal.Signals(number).name}", again)

@@ -13,20 +13,25 @@ from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.damiao import protocol
 from robot_sysid.damiao import trajectory as motion
-from robot_sysid.damiao.centring import SamplingRipple
-from robot_sysid.damiao.inspection import InspectedMotor, Inspection
-from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.codec import Scaling
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_problems
-from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
+from robot_sysid.damiao.bus import InspectedMotor, Inspection
+from robot_sysid.damiao.joints import (
+    DamiaoJoint,
+    JointSpace,
+    id_problems,
+    limits_agree,
+    matching_types,
+)
+from robot_sysid.damiao.protocol import Scaling
+from robot_sysid.damiao.recorder import SamplingRipple
 from robot_sysid.damiao.references import (
     FileHolding,
     HoldingCheck,
     torque_doubt,
     way_rows,
 )
-from robot_sysid.damiao.safety.bounds import CommandRange
+from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import (
     LONGEST_SET_WATCHDOG,
@@ -90,7 +95,7 @@ class Plan:
 
     trajectory: motion.DamiaoTrajectory
     settings: PlaySettings = PlaySettings()
-    timing: frames.BusTiming = frames.BusTiming()
+    timing: protocol.BusTiming = protocol.BusTiming()
     allowed: Permissions = Permissions()
     recording: RecordingOptions = RecordingOptions()
     inertia: Array | None = None
@@ -284,17 +289,17 @@ def _motors(plan: Plan) -> Iterator[Check]:
 
 
 def _load(
-    addresses: Iterable[frames.Address],
+    addresses: Iterable[protocol.Address],
     settings: PlaySettings,
-    timing: frames.BusTiming,
+    timing: protocol.BusTiming,
 ) -> Check:
     buses = [bus for bus, _ in addresses]
-    limit = frames.PLANNING_LIMIT
+    limit = protocol.PLANNING_LIMIT
     n_motors = max(buses.count(bus) for bus in buses)
-    load = frames.bus_load(n_motors, 1.0 / settings.period, timing)
+    load = protocol.bus_load(n_motors, 1.0 / settings.period, timing)
     bus_type = "CAN-FD" if timing.fd else "classic CAN"
     text = f"{n_motors} motors at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %"
-    suggested_rate = frames.suggested_rate(n_motors, timing)
+    suggested_rate = protocol.suggested_rate(n_motors, timing)
     full = f"{text}, limit {100 * limit:.0f} %; use --rate {suggested_rate:g}"
     return _first((OK, load <= limit, text), (STOP, True, full))
 
@@ -336,7 +341,7 @@ def _within_limits(
 
 
 def general_checks(
-    inspection: Inspection, settings: PlaySettings, timing: frames.BusTiming
+    inspection: Inspection, settings: PlaySettings, timing: protocol.BusTiming
 ) -> list[Check]:
     """Return what motors say on their own, without a trajectory to compare them with."""
     motors = inspection.motors.values()
@@ -367,7 +372,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
             )
         else:
             checks += _condition(motor, settings, plan.allowed, joint)
-    limits = [m.limits for m in present if set(frames.SCALING) <= set(m.registers)]
+    limits = [m.limits for m in present if set(protocol.SCALING) <= set(m.registers)]
     if len(limits) == len(joints):
         checks += _within_limits(plan, limits, "its registers'")
         checks += _in_time(inspection.round_trip, settings)
@@ -415,7 +420,7 @@ def _left_alone(motor: InspectedMotor) -> Iterator[Check]:
         yield _stop(
             f"{motor.name} does not tell whether it is enabled; take it off the bus"
         )
-    elif motor.feedback.status[0] == frames.ENABLED:
+    elif motor.feedback.status[0] == protocol.ENABLED:
         yield _stop(
             f"{motor.name} is enabled by another program and not in the trajectory; end that "
             "program and power-cycle the motor, or take it over with --others hold"
@@ -434,7 +439,9 @@ def _condition(
     if len(motor.reply_ids) > 1:
         yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
     lacking = [
-        frames.NAMES[number] for number in frames.REQUIRED if number not in registers
+        protocol.NAMES[number]
+        for number in protocol.REQUIRED
+        if number not in registers
     ]
     if lacking:
         yield _stop(f"{name} does not answer for {', '.join(lacking)}; try again")
@@ -442,18 +449,18 @@ def _condition(
     if joint:
         yield from _identity(motor, joint, name)
         yield _scaling(motor, joint, allow)
-    mode = int(registers[frames.CTRL_MODE])
-    if mode != frames.MIT_MODE:
-        mode_name = frames.MODES.get(mode, "unknown")
+    mode = int(registers[protocol.CTRL_MODE])
+    if mode != protocol.MIT_MODE:
+        mode_name = protocol.MODES.get(mode, "unknown")
         yield _stop(f"{name} is in mode {mode} ({mode_name}); set CTRL_MODE to 1 (MIT)")
-    stored = registers[frames.TIMEOUT] * frames.TIMEOUT_UNIT
+    stored = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
     yield _watchdog(name, stored if allow.watchdog is None else allow.watchdog, play)
     yield from _state(motor, play, name, taken_over)
 
 
 def _identity(motor: InspectedMotor, joint: DamiaoJoint, name: str) -> Iterator[Check]:
-    can_id = int(motor.registers[frames.ESC_ID])
-    master_id = int(motor.registers[frames.MST_ID])
+    can_id = int(motor.registers[protocol.ESC_ID])
+    master_id = int(motor.registers[protocol.MST_ID])
     if can_id != joint.can_id:
         yield _stop(f"{name} says that its CAN id is {can_id}; power-cycle it")
     if master_id != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
@@ -515,14 +522,14 @@ def _state(
         yield _stop(f"{name} does not tell its state; its firmware may be too old")
         return
     code = int(feedback.status[0])
-    if code == frames.ENABLED and taken_over:
+    if code == protocol.ENABLED and taken_over:
         yield _note(
             f"{name} is enabled by another program: it is taken over, and disabled at the end"
         )
-    elif code == frames.ENABLED:
+    elif code == protocol.ENABLED:
         yield _stop(f"{name} is enabled already; end the program that uses it")
-    elif code != frames.DISABLED:
-        fault = frames.describe(code)
+    elif code != protocol.DISABLED:
+        fault = protocol.describe(code)
         yield _stop(
             f"{name} reports {fault}; find the cause, then clear it or power-cycle"
         )
@@ -538,7 +545,7 @@ def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
     if took is None:
         return
     text = f"all motors have answered after {1e3 * took:.1f} ms"
-    rates = frames.HANDY_RATES
+    rates = protocol.HANDY_RATES
     fits = next((rate for rate in rates if rate * took <= _ANSWER_SHARE), rates[-1])
     late = (
         f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "

@@ -8,6 +8,25 @@ and temperatures. Cells of a joint that did not answer, or whose answer was not 
 Printing and recording happen beside a run. A terminal that is gone, held (Ctrl-S) or full, a disk
 that is full or does not answer: a control loop that printed by itself would fail or wait with it,
 and the motors' watchdogs would let the arm go. So what is to be said and written is handed over.
+
+The recorded torque is the mean torque of held commands.
+A motor samples its torque when the next command arrives, after the joint has used up what the last
+one asked for; then that command steps the torque up again. What acts on the arm at frequencies far
+below those of the commands differs from the samples in three ways:
+
+- Half a step is missing: kp qd / (2 rate) for a steadily moving joint, which passes for negative
+  viscous friction. It is known exactly, because position and velocity do not jump.
+- Where steps grow, both sides of one are on average above the commands' mean, by a twelfth of the
+  growth: an apparent armature of kp / (12 rate^2).
+- Between commands the torque falls by a step. The joints' velocities follow, by up to
+  step / (12 rate inertia) at the moment of sampling, and damping makes torque of it. That passes
+  for viscous friction of kd kp / (12 rate^2 inertia), and for armature in proportion. A joint so
+  light that it swings on its stiffness within a few periods (0.001 kg m^2 on 180 N m/rad: 15 ms)
+  takes back most of a step before it is sampled. Where joints are coupled and sampled one after the
+  other, their positions follow each other's steps too.
+
+Commands tell the first two; the third takes the arm's inertia. Measured velocities would show it
+too, but a motor's filter delays them by an unknown time, which would pass for armature.
 """
 
 from __future__ import annotations
@@ -15,19 +34,21 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.bus import RawFrameLog
-from robot_sysid.damiao.centring import Centring
-from robot_sysid.damiao.protocol.codec import MitCommand
-from robot_sysid.damiao.protocol.frames import text_of
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.adapters import can_message, import_can
+from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao.joints import DamiaoJoint
+from robot_sysid.damiao.protocol import Frame, MitCommand, text_of
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import InputError
+from robot_sysid.records import Array
 
 Action = Callable[[], object]
 # A judgement: longer than a healthy disk takes, shorter than a person waits for the end of a run.
@@ -114,6 +135,63 @@ def head_lines(
         "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
         "jN_doubted=1: an answer came that cannot be true; it is left out here",
     ]
+
+
+class RawFrameLog:
+    """Observes a link in its block and writes all frames to a file, replacing one that is there.
+
+    The format follows the file's suffix: .log (candump), .asc, .blf, .csv, .trc, ... Time stamps
+    are seconds since 1970.
+    """
+
+    def __init__(self, path: Path, link: GuardedLink) -> None:
+        self._can = import_can()
+        self._link = link
+        try:
+            self._writer: Any = self._can.Logger(str(path))
+        except ValueError as error:
+            raise InputError(f"cannot log frames to {path}: {error}") from None
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {error.strerror}") from None
+        self._offset = time.time() - link.clock.now()
+        self._waiting: list[tuple[Frame, bool]] = []
+
+    def __enter__(self) -> RawFrameLog:
+        self._link.observer = self
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._link.observer = None
+        # What a recorder did not take: without one, everything; if there is room for it.
+        with contextlib.suppress(Exception):
+            self.write(self.take_frames())
+        with contextlib.suppress(Exception):
+            self._writer.stop()
+
+    def __call__(self, frame: Frame, sent: bool) -> None:
+        """Take a frame."""
+        self._waiting.append((frame, sent))
+
+    def take_frames(self) -> list[tuple[Frame, bool]]:
+        """Return the frames that came since the last call, for ``write``."""
+        frames = self._waiting
+        self._waiting = []
+        return frames
+
+    def write(self, frames: list[tuple[Frame, bool]]) -> None:
+        """Write frames in order of time; may be called from another thread than the rest."""
+        for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
+            message = can_message(
+                self._can,
+                frame,
+                timestamp=frame.time + self._offset,
+                is_rx=not sent,
+                channel=self._link.channels[frame.bus],
+            )
+            self._writer.on_message_received(message)
+        file: Any = getattr(self._writer, "file", None)
+        if file is not None:
+            file.flush()
 
 
 class MeasurementRecorder:
@@ -208,3 +286,122 @@ class MeasurementRecorder:
 
 def _numbers(values: Iterable[float]) -> list[str]:
     return [f"{value:.6f}" if np.isfinite(value) else "" for value in values]
+
+
+# Product of a mode's rate and the period below which its change is lost in rounding.
+_SLOWEST_CHANGE = 1e-3
+
+
+class SamplingRipple:
+    """What steps of torque that recur add to the motion of an arm at the moments of sampling.
+
+    Args:
+        mobility: returns the inverse mass matrix (n, n) at positions (n,).
+        viscous: (n,) the joints' own viscous friction [N m s/rad].
+    """
+
+    def __init__(self, mobility: Callable[[Array], Array], viscous: Array) -> None:
+        self.n_joints = len(viscous)
+        self._mobility = mobility
+        self._viscous = viscous
+
+    def motion(
+        self,
+        q: Array,
+        acted: MitCommand,
+        step: Array,
+        growth: Array,
+        time: Array,
+        period: float,
+    ) -> tuple[Array, Array]:
+        """Return the positions and velocities (n,) that are added [rad, rad/s].
+
+        At positions q (n,) and under a command (n,) each joint is sampled at its ``time`` (n,), and
+        has its torque step (n,) then, every period, by ``growth`` (n,) more each time. A period
+        after its step, at a share u of it, joint j has the torque
+        -step_j B1(u) + growth_j / 2 B2(u) beside the mean of held commands, with Bernoulli's
+        polynomials B1(u) = u - 1/2 and B2(u) = u^2 - u + 1/6.
+        """
+        n = self.n_joints
+        mobility = self._mobility(q)
+        if not (
+            np.all(np.isfinite(mobility)) and np.linalg.eigvalsh(mobility)[0] > 0.0
+        ):
+            # The model states no inertia that could tell.
+            return np.zeros(n), np.zeros(n)
+
+        # Positions and velocities (2n,) change at the rates of these modes, driven by torques.
+        stiffness = mobility * acted.kp[:n]
+        damping = mobility * (acted.kd[:n] + self._viscous)
+        system = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
+        rates, modes = np.linalg.eig(system)
+        try:
+            drive = np.linalg.solve(modes, np.vstack((np.zeros((n, n)), mobility)))
+        except np.linalg.LinAlgError:
+            # Two modes in one, as of a joint without gains: a sample is not worth the run.
+            return np.zeros(n), np.zeros(n)
+        change = rates * period
+        change = np.where(np.abs(change) < _SLOWEST_CHANGE, -_SLOWEST_CHANGE, change)
+
+        # The periodic response (n, n, modes) of each mode to -B1, and to B2 / 2 by way of it, at
+        # the share of a period that has passed when joint i is sampled since j was.
+        share = ((time[:, None] - time) / period % 1.0)[..., None]
+        fading = np.exp(change * share) / -np.expm1(change)
+        to_step = period / change * (share - 0.5 + 1.0 / change + fading)
+        second = share**2 - share + 1.0 / 6.0
+        to_growth = -(0.5 * period * second + to_step) / change
+
+        response = to_step * step[:, None] + to_growth * growth[:, None]
+        amplitudes = np.sum(response * drive.T, axis=1)
+        added = np.sum(modes.reshape(2, n, -1) * amplitudes, axis=-1).real
+        return added[0], added[1]
+
+
+class Centring:
+    """Makes mean torques of the samples of a run, cycle by cycle.
+
+    Without a ``ripple``, where the arm's inertia is not known, the module's third part is left out.
+    """
+
+    def __init__(self, period: float, ripple: SamplingRipple | None = None) -> None:
+        self._period = period
+        self._ripple = ripple
+        self._last: Array | None = None
+
+    def torques(self, replies: Replies, acted: MitCommand) -> tuple[Array, Array]:
+        """Return a cycle's torque steps, and what to add to its sampled torques (n,) [N m]."""
+        step = torque_step(replies, acted)
+        state = np.array([replies.feedback.position, replies.time, step])
+        last = state if self._last is None else self._last
+        # A joint that did not answer is where it was, and steps as it did.
+        state = np.where(np.isfinite(state), state, last)
+        growth = np.nan_to_num(state[2] - last[2])
+        self._last = state
+        rippling = self._ripple_torque(state, growth, acted)
+        return step, 0.5 * step - growth / 12.0 + rippling
+
+    def _ripple_torque(self, state: Array, growth: Array, acted: MitCommand) -> Array:
+        """Return what ripple takes from the samples (n,) at positions, times and steps (3, n).
+
+        The steps have grown by ``growth`` (n,) since the last cycle.
+        """
+        torque = np.zeros(state.shape[1])
+        if self._ripple is None:
+            return torque
+        arm = slice(self._ripple.n_joints)
+        q, time, step = state[:, arm]
+        if np.all(np.isfinite(state[:, arm])):
+            steps = step, growth[arm]
+            position, velocity = self._ripple.motion(
+                q, acted, *steps, time, self._period
+            )
+            torque[arm] = acted.kp[arm] * position + acted.kd[arm] * velocity
+        return torque
+
+
+def torque_step(replies: Replies, acted: MitCommand) -> Array:
+    """Return the torque step (n,) that the command just sent makes in each motor [N m]."""
+    command = replies.command or acted
+    q = replies.feedback.position
+    qd = replies.feedback.velocity
+    return command.motor_torque(q, qd) - acted.motor_torque(q, qd)

@@ -8,12 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.protocol import codec, frames
-from robot_sysid.damiao.protocol.frames import ENABLED, Address, Frame
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
-from robot_sysid.damiao.safety.bounds import CommandBounds, CommandRange
-from robot_sysid.damiao.safety.samples import NO_STATUS, Mask, Replies, SampleFilter
+from robot_sysid.damiao.joints import DamiaoJoint, JointSpace
+from robot_sysid.damiao.protocol import ENABLED, Address, Frame
+from robot_sysid.damiao.safety.guards import (
+    NO_STATUS,
+    CommandBounds,
+    CommandRange,
+    Mask,
+    Replies,
+    SampleFilter,
+)
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
@@ -95,7 +101,7 @@ class MotorSession:
         self,
         link: GuardedLink,
         joints: Sequence[DamiaoJoint],
-        scaling: codec.Scaling,
+        scaling: protocol.Scaling,
         command_range: CommandRange | None = None,
     ) -> None:
         self._link = link
@@ -112,7 +118,7 @@ class MotorSession:
         self.peak_torque: Array = peaks * self.space.ratio
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
-        self._command: codec.MitCommand | None = None
+        self._command: protocol.MitCommand | None = None
         scale = self._scale()
         # In a stop a command that fits into no frame would not be sent at all.
         sendable = scale if command_range is None else command_range.within(scale)
@@ -185,7 +191,7 @@ class MotorSession:
         Where a motor stands is believed when two of its answers agree.
         """
         self.unconfirmed = self.joints
-        requests = [frames.refresh_frame(joint.address) for joint in self.joints]
+        requests = [protocol.refresh_frame(joint.address) for joint in self.joints]
         answers = [self._ask(j, request) for j, request in enumerate(requests)]
         position = np.empty(self.n_joints)
         for j, joint in enumerate(self.joints):
@@ -203,13 +209,13 @@ class MotorSession:
         for _ in range(_ENABLE_TRIES):
             last_status = status
             last_position = position
-            status, position = self._ask(j, frames.enable_frame(joint.address))
+            status, position = self._ask(j, protocol.enable_frame(joint.address))
             agree = abs(position - last_position) <= _SAME_PLACE
             if status == ENABLED and agree:
                 return position
-            if frames.is_fault(status) and status == last_status != NO_STATUS:
+            if protocol.is_fault(status) and status == last_status != NO_STATUS:
                 break
-        reason = "no answer" if status == NO_STATUS else frames.describe(status)
+        reason = "no answer" if status == NO_STATUS else protocol.describe(status)
         if status == ENABLED:
             reason = f"its answers disagree, {last_position:.3f} and {position:.3f} rad"
         raise HardwareAbort(f"{joint.label} did not enable: {reason}")
@@ -226,7 +232,7 @@ class MotorSession:
 
     def exchange(
         self,
-        command: codec.MitCommand,
+        command: protocol.MitCommand,
         until: float,
         joints: Mask | None = None,
         braking: bool = False,
@@ -250,14 +256,16 @@ class MotorSession:
                 self._outstanding.heard(sender)
         now = self.clock.now()
         command = self._bound(command, now, braking)
-        packed = codec.encode_mit(self.space.command_to_motors(command), self.scaling)
+        packed = protocol.encode_mit(
+            self.space.command_to_motors(command), self.scaling
+        )
         commanded = motors if braking else self._outstanding.may_be_commanded(motors)
         # As the motors read it; one that gets no command stays under its old one.
-        new = self.space.command_to_joints(codec.decode_mit(packed, self.scaling))
+        new = self.space.command_to_joints(protocol.decode_mit(packed, self.scaling))
         acted = self._command
         old = acted or new
         in_force = (np.where(commanded, *pair) for pair in zip(new, old))
-        self._command = codec.MitCommand(*in_force)
+        self._command = protocol.MitCommand(*in_force)
         used = (
             np.abs(new.position - self._sent_position)
             / self._bounds.command_range.speed
@@ -283,8 +291,8 @@ class MotorSession:
         return np.minimum(now - self._sent_at, _LONGEST_PAUSE) + self._credit
 
     def _bound(
-        self, command: codec.MitCommand, now: float, braking: bool
-    ) -> codec.MitCommand:
+        self, command: protocol.MitCommand, now: float, braking: bool
+    ) -> protocol.MitCommand:
         """Return a command within the bounds, or raise BeyondBounds unless ``braking``."""
         last = np.where(
             np.isnan(self._sent_position), command.position, self._sent_position
@@ -316,7 +324,7 @@ class MotorSession:
     def _tell_off(self, joint: DamiaoJoint) -> None:
         # The next of the five attempts, and the confirmation, tell whether it worked.
         with contextlib.suppress(BaseException):
-            self._link.send(frames.disable_frame(joint.address))
+            self._link.send(protocol.disable_frame(joint.address))
 
     def _confirm(self) -> None:
         running = np.ones(self.n_joints, bool)
@@ -338,8 +346,8 @@ class MotorSession:
         self,
         motors: Mask,
         until: float,
-        command: codec.MitCommand | None = None,
-        acted: codec.MitCommand | None = None,
+        command: protocol.MitCommand | None = None,
+        acted: protocol.MitCommand | None = None,
         believe: bool = False,
     ) -> Replies:
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
@@ -351,7 +359,7 @@ class MotorSession:
                 missing -= self._take(frame, motors, raw, received, sent)
         finally:
             answered = np.isfinite(received)
-            decoded = codec.decode_feedback(raw, self.scaling, half_step=True)
+            decoded = protocol.decode_feedback(raw, self.scaling, half_step=True)
             measured = self.space.to_joints(
                 decoded.position, decoded.velocity, decoded.torque
             )
@@ -372,7 +380,12 @@ class MotorSession:
         return replies
 
     def _take(
-        self, frame: Frame, motors: Mask, raw: codec.Bytes, received: Array, sent: Array
+        self,
+        frame: Frame,
+        motors: Mask,
+        raw: protocol.Bytes,
+        received: Array,
+        sent: Array,
     ) -> bool:
         """File a frame where it belongs; return whether it is a missing answer of a motor (n,)."""
         commanded = self._by_command.get(Address(frame.bus, frame.id))

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.protocol.codec import KD_MAX, KD_STEP, KP_MAX
-from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
-from robot_sysid.damiao.protocol.motors import MotorSpec
+from robot_sysid.damiao.joints import MotorSpec
+from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, default_rate
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option, per_joint, speed_factor

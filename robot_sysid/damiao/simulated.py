@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.damiao.bus import Link, SimulatedClock, SystemClock
-from robot_sysid.damiao.protocol import codec, frames
-from robot_sysid.damiao.protocol.frames import BusTiming, Frame
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
-from robot_sysid.damiao.safety.realtime import undisturbed
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.bus import Link, SimulatedClock, SystemClock, undisturbed
+from robot_sysid.damiao.joints import DamiaoJoint, JointSpace
+from robot_sysid.damiao.protocol import BusTiming, Frame
 from robot_sysid.records import Array
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ class SimulatedMotor:
     registers: dict[int, float]
     peak_torque: float
     brake: float
-    status: int = frames.DISABLED
+    status: int = protocol.DISABLED
     position: float = 0.0
     velocity: float = 0.0
     torque: float = 0.0
@@ -71,18 +70,18 @@ class SimulatedMotor:
     @property
     def can_id(self) -> int:
         """Id it listens to."""
-        return int(self.registers[frames.ESC_ID])
+        return int(self.registers[protocol.ESC_ID])
 
     @property
     def driving(self) -> bool:
         """Whether it follows commands."""
-        return self.status == frames.ENABLED
+        return self.status == protocol.ENABLED
 
     def tick(self, time: float) -> bool:
         """Check the watchdog; return whether the motor has just stopped driving."""
-        timeout = self.registers[frames.TIMEOUT] * frames.TIMEOUT_UNIT
+        timeout = self.registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
         if self.driving and 0.0 < timeout < time - self.fed_at:
-            self.fail(frames.LOST_COMMUNICATION)
+            self.fail(protocol.LOST_COMMUNICATION)
             return True
         return False
 
@@ -91,42 +90,42 @@ class SimulatedMotor:
         self.status = code
         self.command = _NOTHING
 
-    def handle(self, frame: frames.Frame, time: float) -> frames.Frame | None:
+    def handle(self, frame: protocol.Frame, time: float) -> protocol.Frame | None:
         """Take a frame from the bus and return the answer, if there is one."""
         data = None
         if frame.bus != self.joint.bus or len(frame.data) < 4:
             return None
-        if frame.id == frames.REGISTER_ID:
+        if frame.id == protocol.REGISTER_ID:
             data = self._register_answer(frame.data)
         elif frame.id & 0xFF == self.can_id & 0xFF and len(frame.data) == 8:
             data = self._command_answer(frame.data, time)
         if data is None:
             return None
-        fd = self.registers[frames.CAN_BR] > frames.FD_BITRATE_CODES_ABOVE
-        return frames.Frame(
-            int(self.registers[frames.MST_ID]), data, fd=fd, bus=self.joint.bus
+        fd = self.registers[protocol.CAN_BR] > protocol.FD_BITRATE_CODES_ABOVE
+        return protocol.Frame(
+            int(self.registers[protocol.MST_ID]), data, fd=fd, bus=self.joint.bus
         )
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         self.fed_at = time
-        if frames.is_special(data):
+        if protocol.is_special(data):
             self._special(data[7])
             return self._feedback()
         # The answer to a command is the state before it acts.
         answer = self._feedback()
-        if self.driving and self.registers[frames.CTRL_MODE] == frames.MIT_MODE:
+        if self.driving and self.registers[protocol.CTRL_MODE] == protocol.MIT_MODE:
             self.command = self._unpack(data)
         return answer
 
     def _special(self, code: int) -> None:
-        if frames.is_fault(self.status) and code != frames.CLEAR_ERROR:
+        if protocol.is_fault(self.status) and code != protocol.CLEAR_ERROR:
             return
-        if code == frames.ENABLE:
-            self.status = frames.ENABLED
-        elif code == frames.SET_ZERO and not self.driving:
+        if code == protocol.ENABLE:
+            self.status = protocol.ENABLED
+        elif code == protocol.SET_ZERO and not self.driving:
             self.shift = -self.position
-        elif code in (frames.DISABLE, frames.CLEAR_ERROR):
-            self.status = frames.DISABLED
+        elif code in (protocol.DISABLE, protocol.CLEAR_ERROR):
+            self.status = protocol.DISABLED
             self.command = _NOTHING
 
     def _register_answer(self, data: bytes) -> bytes | None:
@@ -134,16 +133,19 @@ class SimulatedMotor:
             return None
         operation = data[2]
         number = data[3]
-        if operation == frames.REFRESH:
+        if operation == protocol.REFRESH:
             return self._feedback()
-        if operation == frames.STORE and not self.driving:
+        if operation == protocol.STORE and not self.driving:
             self.stored = dict(self.registers)
             return data
-        if operation not in (frames.READ, frames.WRITE) or number not in self.registers:
+        if (
+            operation not in (protocol.READ, protocol.WRITE)
+            or number not in self.registers
+        ):
             return None
-        if operation == frames.WRITE and number in frames.WRITABLE:
-            self.registers[number] = frames.value_from_bytes(number, data[4:8])
-        return data[:4] + frames.bytes_from_value(number, self.registers[number])
+        if operation == protocol.WRITE and number in protocol.WRITABLE:
+            self.registers[number] = protocol.value_from_bytes(number, data[4:8])
+        return data[:4] + protocol.bytes_from_value(number, self.registers[number])
 
     def _feedback(self) -> bytes:
         return self._pack(self.position, self.velocity, self.torque)
@@ -151,13 +153,13 @@ class SimulatedMotor:
     def _pack(self, *measured: float) -> bytes:
         """Return the frame of a position [rad], velocity [rad/s] and torque [N m].
 
-        It is what ``codec.encode_feedback`` makes of whole arrays, forty times as fast for one
+        It is what ``protocol.encode_feedback`` makes of whole arrays, forty times as fast for one
         motor: an arm in real time has tenths of a millisecond for an answer.
         """
         position, velocity, torque = measured
         values = position + self.shift, velocity, torque
         word = int(self.status) << 4 | (self.can_id & 0xF)
-        for value, register, bits in zip(values, frames.SCALING, _MEASURED_BITS):
+        for value, register, bits in zip(values, protocol.SCALING, _MEASURED_BITS):
             limit = self.registers[register]
             full = (1 << bits) - 1
             code = math.floor((value + limit) * (full / (2.0 * limit)))
@@ -167,13 +169,13 @@ class SimulatedMotor:
         )
 
     def _unpack(self, data: bytes) -> list[float]:
-        """Return p, v, kp, kd and t of a command's frame, as ``codec.decode_mit`` reads them."""
-        pmax, vmax, tmax = (self.registers[number] for number in frames.SCALING)
+        """Return p, v, kp, kd and t of a command's frame, as ``protocol.decode_mit`` reads them."""
+        pmax, vmax, tmax = (self.registers[number] for number in protocol.SCALING)
         ranges = (
             (-pmax, pmax),
             (-vmax, vmax),
-            (0.0, codec.KP_MAX),
-            (0.0, codec.KD_MAX),
+            (0.0, protocol.KP_MAX),
+            (0.0, protocol.KD_MAX),
         )
         word = int.from_bytes(data, "big")
         values = []
@@ -194,13 +196,13 @@ def simulated_motor(
     gear = joint.spec.gear_ratio
     registers: dict[int, float] = {
         0: 15.0, 1: 0.0, 2: 100.0, 3: 0.8, 11: 1.96e-4, 12: 1.97e-5, 14: 5013.0, 16: 14.0,
-        17: 0.84, 19: 5.16e-3, 29: 32.0, 30: 1.0, frames.CAN_BR: 4.0, frames.GR: gear,
-        frames.MST_ID: float(joint.master_id), frames.ESC_ID: float(joint.can_id),
-        frames.CTRL_MODE: float(frames.MIT_MODE),
-        frames.TIMEOUT: float(round(watchdog / frames.TIMEOUT_UNIT)),
+        17: 0.84, 19: 5.16e-3, 29: 32.0, 30: 1.0, protocol.CAN_BR: 4.0, protocol.GR: gear,
+        protocol.MST_ID: float(joint.master_id), protocol.ESC_ID: float(joint.can_id),
+        protocol.CTRL_MODE: float(protocol.MIT_MODE),
+        protocol.TIMEOUT: float(round(watchdog / protocol.TIMEOUT_UNIT)),
     }  # fmt: skip
     registers.update(
-        zip(frames.SCALING, np.array(joint.spec.limits, np.float32).tolist())
+        zip(protocol.SCALING, np.array(joint.spec.limits, np.float32).tolist())
     )
     # Shorted windings brake strongly: a full peak torque sinks at about 2 rad/s.
     return SimulatedMotor(joint, registers, peak, brake=0.5 * peak)
@@ -246,12 +248,12 @@ class SimulatedArm:
         self.time = until
         self._has_moved = True
 
-    def handle(self, frame: frames.Frame, time: float) -> list[frames.Frame]:
+    def handle(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
         """Let all motors take a frame at ``time`` [s]; return their answers."""
         self.advance(time)
         return self.answers(frame, time)
 
-    def answers(self, frame: frames.Frame, time: float) -> list[frames.Frame]:
+    def answers(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
         """Return all motors' answers to a frame at ``time`` [s]; no physics are computed.
 
         Sensors read what the joints' speeds have made of their positions since the last step.
@@ -280,7 +282,7 @@ class SimulatedArm:
         driving = np.array([m.driving for m in motors])
         *commands, brake, peak = table.T
         self._p, v, kp, kd, t = self._space.command_to_joints(
-            codec.MitCommand(*commands)
+            protocol.MitCommand(*commands)
         )
         self._peak = peak * self._space.ratio
         self._kd = np.where(driving, kd, brake)

@@ -36,18 +36,19 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.protocol.frames import (
+from robot_sysid.damiao.joints import (
+    MASTER_ID_OFFSET,
+    RPM,
+    DamiaoJoint,
+    damiao_joints,
+    motor_spec,
+)
+from robot_sysid.damiao.protocol import (
     PLANNING_LIMIT,
     BusTiming,
     bus_load,
     suggested_rate,
 )
-from robot_sysid.damiao.protocol.joints import (
-    MASTER_ID_OFFSET,
-    DamiaoJoint,
-    damiao_joints,
-)
-from robot_sysid.damiao.protocol.motors import RPM, motor_spec
 from robot_sysid.errors import InputError
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import Array

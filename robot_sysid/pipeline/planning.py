@@ -72,7 +72,7 @@ def _limits_with_motors(
     """Return torque limits that the motors of an export can keep too; without one the limits."""
     if not motors.export_damiao:
         return limits
-    from robot_sysid.damiao.protocol.motors import motor_spec
+    from robot_sysid.damiao.joints import motor_spec
 
     option_limits = per_joint(limits.max_torque or np.inf, n_joints, "--max-torque")
     max_torque = []

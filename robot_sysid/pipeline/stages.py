@@ -88,7 +88,7 @@ def load_arm(config: Config, progress: Progress) -> RobotModel:
     progress.note(*robot.notes)
     progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
     if isinstance(config, SysidConfig) and config.motors.export_damiao:
-        from robot_sysid.damiao.protocol.joints import damiao_joints
+        from robot_sysid.damiao.joints import damiao_joints
 
         # An export that is impossible is refused before any work.
         motors = config.motors

@@ -12,7 +12,7 @@ import robot_sysid as rs
 from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
 from robot_sysid.damiao import execution
-from robot_sysid.damiao.protocol.frames import DISABLED, REFRESH, REGISTER_ID
+from robot_sysid.damiao.protocol import DISABLED, REFRESH, REGISTER_ID
 from tests.support import arms
 from tests.support.clocks import ScriptedClock
 from tests.support.damiao_rig import (

@@ -22,9 +22,9 @@ from robot_sysid import parser
 from robot_sysid.cli import main
 from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.damiao.bus import SystemClock
+from robot_sysid.damiao.joints import damiao_joints, write_joint_map
 from robot_sysid.damiao.model_check import gravity_check
-from robot_sysid.damiao.protocol.frames import DISABLED, ESC_ID, MST_ID, TIMEOUT
-from robot_sysid.damiao.protocol.joints import damiao_joints, write_joint_map
+from robot_sysid.damiao.protocol import DISABLED, ESC_ID, MST_ID, TIMEOUT
 from robot_sysid.motion.limit_check import as_one
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.forward_dynamics import ArmStepper

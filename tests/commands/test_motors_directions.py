@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.commands.motors import directions
-from robot_sysid.damiao.protocol.joints import damiao_joints, read_joint_map
+from robot_sysid.damiao.joints import damiao_joints, read_joint_map
 from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.parser import load_robot_model

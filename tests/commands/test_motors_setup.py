@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.frames import (
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.joints import read_joint_map
+from robot_sysid.damiao.protocol import (
     DISABLED,
     ENABLE,
     ENABLED,
@@ -16,7 +17,6 @@ from robot_sysid.damiao.protocol.frames import (
     STORE,
     is_special,
 )
-from robot_sysid.damiao.protocol.joints import read_joint_map
 from tests.support import arms
 from tests.support.command_line import run_motors as run
 from tests.support.damiao_rig import only_asks
@@ -39,7 +39,7 @@ def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
 
 def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     motor = bus.motors[0]
-    motor.registers[frames.CTRL_MODE] = 2.0
+    motor.registers[protocol.CTRL_MODE] = 2.0
     words = (
         "--motor",
         1,
@@ -60,7 +60,12 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     assert "MST_ID=17 is now MST_ID=21" in out and "keeps its values" in out
     found = [
         motor.registers[n]
-        for n in (frames.ESC_ID, frames.MST_ID, frames.CTRL_MODE, frames.TIMEOUT)
+        for n in (
+            protocol.ESC_ID,
+            protocol.MST_ID,
+            protocol.CTRL_MODE,
+            protocol.TIMEOUT,
+        )
     ]
     assert found == [5.0, 21.0, 1.0, 4000.0] and motor.stored == motor.registers
     assert bus.motors[1].stored == {} and drives_nothing(bus.wire.sent)
@@ -69,7 +74,8 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
 def test_nothing_is_stored_unless_asked_for(capsys, bus):
     assert run(capsys, "setup", *CAN0, "--motor", 1, "--watchdog", "0.2")[0] == 0
     assert (
-        bus.motors[0].registers[frames.TIMEOUT] == 4000.0 and bus.motors[0].stored == {}
+        bus.motors[0].registers[protocol.TIMEOUT] == 4000.0
+        and bus.motors[0].stored == {}
     )
     assert not any(f.id == REGISTER_ID and f.data[2] == STORE for f in bus.wire.sent)
 
@@ -79,7 +85,7 @@ def test_nothing_is_stored_unless_asked_for(capsys, bus):
 )
 def test_an_enabled_motor_is_never_changed(capsys, bus, person, change):
     bus.motors[0].status = ENABLED
-    bus.motors[0].registers[frames.TIMEOUT] = 0.0
+    bus.motors[0].registers[protocol.TIMEOUT] = 0.0
     before = dict(bus.motors[0].registers)
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, *change)
     assert code == 3 and "motor 1 is enabled" in err
@@ -100,7 +106,7 @@ def test_a_zero_is_set_after_two_questions(capsys, bus, person):
 
 def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, person):
     motor = bus.motors[0]
-    asked = bytes([READ, frames.PMAX])
+    asked = bytes([READ, protocol.PMAX])
     answer = motor.handle
     motor.handle = lambda frame, time: (
         None if frame.data[2:4] == asked else answer(frame, time)
@@ -169,8 +175,8 @@ def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
 ):
     """As they come from the factory: all answer on 0, and one's answers are another's commands."""
     for each in bus.motors:
-        each.registers[frames.MST_ID] = 0.0
-    bus.motors[1].registers[frames.MST_ID] = 0x101
+        each.registers[protocol.MST_ID] = 0.0
+    bus.motors[1].registers[protocol.MST_ID] = 0x101
     assert run(capsys, "setup", *CAN0, "--motor", 1, *words)[0] == 0
 
 
@@ -180,7 +186,7 @@ def test_an_id_is_free_where_only_another_bus_has_it(capsys, bus):
     both = ("setup", *CAN0, "--channel", "can1")
     words = ("--motor", 2, "--new-id", 1, "--new-master-id", "0x11")
     assert run(capsys, *both, *words)[0] == 0
-    assert bus.motors[1].registers[frames.ESC_ID] == 1.0
+    assert bus.motors[1].registers[protocol.ESC_ID] == 1.0
     code, _, err = run(capsys, *both, "--motor", 1, "--mit")
     assert (
         code == 3
@@ -194,7 +200,7 @@ def test_a_bit_rate_is_changed_with_one_motor_on_the_bus(capsys, bus):
         capsys, "setup", *CAN0, "--motor", 1, "--motor-bitrate", 500000, "--store"
     )
     assert code == 0 and "can_br=4 is now can_br=3" in out and "not stored" in out
-    assert bus.motors[0].registers[frames.CAN_BR] == 3.0
+    assert bus.motors[0].registers[protocol.CAN_BR] == 3.0
 
 
 def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):

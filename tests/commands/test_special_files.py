@@ -13,7 +13,7 @@ import pytest
 
 from robot_sysid.cli import main
 from robot_sysid.commands import example, log, motors, report, run
-from robot_sysid.damiao.protocol.joints import write_joint_map
+from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.parser import load_robot_model
 from tests.support import arms, log_files
 from tests.support.damiao_rig import map_line, swing, trajectory_file

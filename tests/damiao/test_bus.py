@@ -14,21 +14,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.bus import (
+from robot_sysid.damiao.adapters import (
     INTERFACES,
     SERIAL_ADAPTER,
     BusAddress,
     BusLink,
     DriverWatch,
-    GuardedLink,
-    LinkError,
-    RawFrameLog,
-    SimulatedClock,
-    SystemClock,
     open_bus,
 )
-from robot_sysid.damiao.inspection import inspect_bus
-from robot_sysid.damiao.protocol.frames import BusTiming, Frame
+from robot_sysid.damiao.bus import (
+    GuardedLink,
+    LinkError,
+    SimulatedClock,
+    SystemClock,
+    inspect_bus,
+)
+from robot_sysid.damiao.protocol import BusTiming, Frame
+from robot_sysid.damiao.recorder import RawFrameLog
 from robot_sysid.errors import InputError, SysidError
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.motor_bench import Bench
@@ -171,7 +173,7 @@ def test_a_garbled_line_is_a_lost_frame_and_several_within_a_second_are_an_error
 
 
 def test_a_driver_that_does_not_return_is_told_and_a_busy_one_is_not(monkeypatch):
-    monkeypatch.setattr("robot_sysid.damiao.bus._LOOK", 1e-3)
+    monkeypatch.setattr("robot_sysid.damiao.adapters._LOOK", 1e-3)
     told = []
     ended = threading.Event()
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.centring import Centring, SamplingRipple
-from robot_sysid.damiao.protocol.codec import Feedback, MitCommand
+from robot_sysid.damiao.protocol import Feedback, MitCommand
+from robot_sysid.damiao.recorder import Centring, SamplingRipple
 from robot_sysid.damiao.session import Replies
 
 PERIOD = 0.01

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.protocol.codec import (
+from robot_sysid.damiao.joints import MOTORS
+from robot_sysid.damiao.protocol import (
     KD_MAX,
     KP_MAX,
     Feedback,
@@ -18,7 +19,6 @@ from robot_sysid.damiao.protocol.codec import (
     encode_feedback,
     encode_mit,
 )
-from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.errors import InputError
 
 TYPES = sorted(MOTORS)

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from robot_sysid.damiao import execution
-from robot_sysid.damiao.safety.bounds import BeyondBounds, Overload
-from robot_sysid.damiao.safety.stop_request import StopRequest
+from robot_sysid.damiao.player import StopRequest
+from robot_sysid.damiao.safety.guards import BeyondBounds, Overload
 from robot_sysid.errors import HardwareAbort
 from tests.support.arms import THREE
 from tests.support.damiao_rig import swing, trajectory_file

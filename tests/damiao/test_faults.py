@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.damiao.protocol import Frame
 from tests.support.arm_pair import play_openarms
 from tests.support.damaged_links import Damage, frame_of_line, slcan_line
 from tests.support.fault_bench import Case, SetUp, loaded_joint, outcomes_of

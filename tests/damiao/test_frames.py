@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.protocol.frames import (
+from robot_sysid.damiao.protocol import (
     INTEGERS,
     NAMES,
     REGISTER_ID,

@@ -9,15 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.protocol.joints import (
+from robot_sysid.damiao.joints import (
+    MOTORS,
     DamiaoJoint,
     JointSpace,
     damiao_joints,
     id_problems,
+    matching_types,
+    motor_spec,
     read_joint_map,
     write_joint_map,
 )
-from robot_sysid.damiao.protocol.motors import MOTORS, matching_types, motor_spec
 from robot_sysid.errors import InputError
 from tests.support.damiao_rig import map_line
 
@@ -92,7 +94,7 @@ def test_to_the_motors_and_back_is_nothing(space, values):
 @given(spaces(), st.lists(NUMBERS, min_size=15, max_size=15))
 def test_a_motor_makes_the_torque_that_its_joint_is_told(space, numbers):
     """The motor's law with the motor's numbers gives the joint's torque with the joint's."""
-    from robot_sysid.damiao.protocol.codec import MitCommand
+    from robot_sysid.damiao.protocol import MitCommand
 
     position, velocity, torque, q, qd = np.array(numbers).reshape(5, 3)
     told = MitCommand(position, velocity, np.full(3, 20.0), np.full(3, 1.0), torque)

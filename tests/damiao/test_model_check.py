@@ -16,7 +16,7 @@ from robot_sysid.damiao.model_check import (
     way_check,
 )
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Plan
-from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.references import ORDERS, STRAIGHT
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS

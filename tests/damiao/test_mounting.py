@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.bus import inspect_bus
+from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.preflight import bus_checks, stops
-from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, TIMEOUT
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, map_joints
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, TIMEOUT
 from robot_sysid.damiao.references import ORDERS, FileHolding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError

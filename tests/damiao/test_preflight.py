@@ -12,10 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, _watchdog, plan_checks, stops
-from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
-from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.protocol import BusTiming, bus_load
 from robot_sysid.damiao.settings import Permissions, PlaySettings
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.records.options import record_from

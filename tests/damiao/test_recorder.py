@@ -11,17 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.centring import Centring
-from robot_sysid.damiao.protocol.codec import (
+from robot_sysid.damiao.joints import MOTORS, damiao_joints
+from robot_sysid.damiao.protocol import (
     Feedback,
     MitCommand,
     Scaling,
     decode_feedback,
     encode_feedback,
 )
-from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, head_lines
+from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder, head_lines
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor

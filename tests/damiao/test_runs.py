@@ -16,17 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import LinkError
+from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.preflight import stops
-from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.frames import (
-    DISABLED,
-    ENABLED,
-    BusTiming,
-    Frame,
-    is_special,
-)
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming, Frame, is_special
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import reference_along
 from robot_sysid.damiao.session import MotorSession
@@ -129,7 +123,7 @@ def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, opcode):
     for each in run.motors:
         answering_writes_with(opcode, each)
     seen = []
-    timeout = frames.TIMEOUT
+    timeout = protocol.TIMEOUT
     run.during(
         "playing", 0.1, lambda r: seen.append(r.motors[1].registers[timeout])
     ).run()
@@ -151,7 +145,7 @@ def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(rig
 
 def test_can_fd_motors_play_on_an_fd_host(rig):
     run = rig(timing=BusTiming(fd=True))
-    run.motors[0].registers[frames.CAN_BR] = (
+    run.motors[0].registers[protocol.CAN_BR] = (
         9.0  # the other one answers in classic frames
     )
     run.run()
@@ -200,11 +194,11 @@ WRONG = (
     (fault("lost_replies", 10), "motor 11 does not answer"),
     (fault("status", 11, ENABLED), "motor 12 is enabled already"),
     (
-        lambda rig: rig.motors[12].registers.update({frames.MST_ID: 0x21}),
+        lambda rig: rig.motors[12].registers.update({protocol.MST_ID: 0x21}),
         "answers on 0x21 (MST_ID 0x21) but the trajectory expects 0x1d",
     ),
     (
-        lambda rig: rig.motors[13].registers.pop(frames.CTRL_MODE),
+        lambda rig: rig.motors[13].registers.pop(protocol.CTRL_MODE),
         "answer for CTRL_MODE; try again",
     ),
 )
@@ -212,7 +206,7 @@ WRONG = (
 
 def test_every_motor_that_is_not_as_expected_is_named_with_what_is_wrong(rig):
     run = rig(14, motion=swing(14), faults=[cause for cause, _ in WRONG])
-    run.motors[11].registers[frames.TIMEOUT] = 6e4
+    run.motors[11].registers[protocol.TIMEOUT] = 6e4
     run.states_before = run.states()
     run.run()
     said = stops(run.checks)
@@ -233,7 +227,7 @@ def as_if_somebody_talked(run):
 
 
 def answers_in_fd(run):
-    run.motors[0].registers[frames.CAN_BR] = 9.0
+    run.motors[0].registers[protocol.CAN_BR] = 9.0
 
 
 def extra(*joint):
@@ -608,7 +602,7 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
     assert enabled == 2
     if line.options is KEPT:
         # The one that was seen to be off has its old value back, the other one keeps its watchdog.
-        assert [m.registers[frames.TIMEOUT] for m in run.motors] == [0.0, 2000.0]
+        assert [m.registers[protocol.TIMEOUT] for m in run.motors] == [0.0, 2000.0]
 
 
 def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):

@@ -9,9 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.bus import BusAddress, LinkError, SystemClock, open_bus
-from robot_sysid.damiao.protocol.frames import Address, BusTiming, Frame, disable_frame
-from robot_sysid.damiao.serial_adapter import PacketReader, slcan_terminal
+from robot_sysid.damiao.adapters import (
+    BusAddress,
+    PacketReader,
+    open_bus,
+    slcan_terminal,
+)
+from robot_sysid.damiao.bus import LinkError, SystemClock
+from robot_sysid.damiao.protocol import Address, BusTiming, Frame, disable_frame
 from robot_sysid.errors import InputError
 
 FRAMES = st.lists(

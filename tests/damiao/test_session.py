@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.bus import LinkError
-from robot_sysid.damiao.inspection import inspect_bus
-from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.frames import (
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.bus import LinkError, inspect_bus
+from robot_sysid.damiao.protocol import (
     DISABLED,
     ENABLED,
     LOST_COMMUNICATION,
@@ -29,7 +28,7 @@ def test_inspection_reads_everything_and_changes_nothing():
     before = [dict(m.registers) for m in bench.motors]
     found = inspect_bus(bench.link)
     assert sorted(found.motors) == [(0, 1), (0, 2)]
-    assert set(found.motors[0, 1].registers) == set(frames.LOGGED)
+    assert set(found.motors[0, 1].registers) == set(protocol.LOGGED)
     assert found.motors[0, 2].limits == (12.5, 10.0, 28.0)
     assert found.motors[0, 2].feedback.temperature_mos[0] == 31
     assert [m.registers for m in bench.motors] == before
@@ -47,11 +46,11 @@ def test_a_refused_write_is_noticed():
 
 def test_a_motor_that_is_not_there_does_not_answer():
     bench = Bench()
-    assert bench.client.read(Address(0, 9), frames.PMAX) is None
+    assert bench.client.read(Address(0, 9), protocol.PMAX) is None
     with pytest.raises(
         HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"
     ):
-        bench.client.write(Address(0, 9), frames.TIMEOUT, 1.0)
+        bench.client.write(Address(0, 9), protocol.TIMEOUT, 1.0)
 
 
 @pytest.mark.parametrize(("failures", "is_told"), [(2, True), (3, False)])
@@ -69,10 +68,10 @@ def test_a_request_that_is_not_taken_in_time_is_sent_again(failures, is_told):
 
     bench.bus.send = busy
     if is_told:
-        assert bench.client.read(Address(0, 1), frames.PMAX).value == 12.5
+        assert bench.client.read(Address(0, 1), protocol.PMAX).value == 12.5
     else:
         with pytest.raises(LinkError):
-            bench.client.read(Address(0, 1), frames.PMAX)
+            bench.client.read(Address(0, 1), protocol.PMAX)
 
 
 def test_feedback_is_not_taken_for_a_register_reply():
@@ -85,7 +84,7 @@ def test_feedback_is_not_taken_for_a_register_reply():
         return [feedback, *ours(frame, time)]
 
     bench.arm.handle = with_feedback_first
-    assert bench.client.read(Address(0, 1), frames.PMAX).value == 12.5
+    assert bench.client.read(Address(0, 1), protocol.PMAX).value == 12.5
 
 
 def test_leaving_without_having_enabled_sends_nothing():

@@ -7,20 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.protocol.codec import (
+from robot_sysid.damiao.joints import MOTORS
+from robot_sysid.damiao.protocol import (
     KD_MAX,
     KP_MAX,
-    MitCommand,
-    Scaling,
-    encode_mit,
-)
-from robot_sysid.damiao.protocol.frames import (
     PLANNING_LIMIT,
     BusTiming,
+    MitCommand,
+    Scaling,
     bus_load,
     default_rate,
+    encode_mit,
 )
-from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import InputError
 from robot_sysid.records.options import options_of

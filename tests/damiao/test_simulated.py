@@ -8,23 +8,21 @@ import can
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.bus import BusLink, SimulatedClock, SystemClock
-from robot_sysid.damiao.protocol.codec import (
+from robot_sysid.damiao.adapters import BusLink, slcan_terminal
+from robot_sysid.damiao.bus import SimulatedClock, SystemClock
+from robot_sysid.damiao.joints import DamiaoJoint
+from robot_sysid.damiao.protocol import (
+    Address,
     Feedback,
+    Frame,
     Scaling,
     decode_mit,
-    encode_feedback,
-)
-from robot_sysid.damiao.protocol.frames import (
-    Address,
-    Frame,
     disable_frame,
     enable_frame,
+    encode_feedback,
     refresh_frame,
     set_zero_frame,
 )
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
-from robot_sysid.damiao.serial_adapter import slcan_terminal
 from robot_sysid.damiao.simulated import serve, simulated_motor
 from tests.support.damiao_rig import two_motor_arm
 

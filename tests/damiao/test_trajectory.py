@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.damiao.trajectory import (
     NO_LIMITS,

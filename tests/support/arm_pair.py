@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.damiao.bus import GuardedLink, SimulatedClock
+from robot_sysid.damiao.bus import GuardedLink, SimulatedClock, inspect_bus
 from robot_sysid.damiao.execution import run as play_plan
-from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.model_check import gravity_check
+from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import Plan
-from robot_sysid.damiao.protocol.frames import BusTiming
-from robot_sysid.damiao.safety.stop_request import StopRequest
+from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import (

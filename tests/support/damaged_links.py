@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.damiao.protocol import frames
+from robot_sysid.damiao import protocol
 
 _SPANS = {
     "arbitration id": (1, 4),
@@ -136,15 +136,15 @@ class FaultyLink:
         if joint_index is None or len(frame.data) != 8:
             return
         now = self._clock.now()
-        if not frames.is_special(frame.data):
+        if not protocol.is_special(frame.data):
             limit = self._joints[joint_index].spec.limits[0]
             code = int.from_bytes(frame.data[:2], "big")
             self.commands.append(
                 (now, joint_index, code / 0xFFFF * 2.0 * limit - limit)
             )
-        elif frame.data[7] == frames.ENABLE and self.enabled_at is None:
+        elif frame.data[7] == protocol.ENABLE and self.enabled_at is None:
             self.enabled_at = now
-        elif frame.data[7] == frames.DISABLE and self.disabled_at is None:
+        elif frame.data[7] == protocol.DISABLE and self.disabled_at is None:
             self.disabled_at = now
 
     def receive(self, until):

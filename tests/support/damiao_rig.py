@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.execution import MotorRun, run
-from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints
+from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import Plan, bus_checks
-from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.references import STRAIGHT
-from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import (
     DEFAULT_WATCHDOG,
@@ -32,7 +31,7 @@ from tests.support.recordings import read_recording
 
 INERTIA = 0.1
 GRAVITY = 2.0
-CLASSIC = frames.BusTiming()
+CLASSIC = protocol.BusTiming()
 
 
 class Pendulums:
@@ -86,7 +85,7 @@ def motor(joint, watchdog=0.1):
     return FaultyMotor(**vars(simulated_motor(joint, watchdog)))
 
 
-REGISTERS = {"tmax": frames.TMAX, "vmax": frames.VMAX, "mode": frames.CTRL_MODE}
+REGISTERS = {"tmax": protocol.TMAX, "vmax": protocol.VMAX, "mode": protocol.CTRL_MODE}
 
 
 def fault(kind, joint, value=1):
@@ -97,7 +96,7 @@ def fault(kind, joint, value=1):
         if kind == "status":
             hit.fail(int(value))
         elif kind == "watchdog":
-            hit.registers[frames.TIMEOUT] = round(value / frames.TIMEOUT_UNIT)
+            hit.registers[protocol.TIMEOUT] = round(value / protocol.TIMEOUT_UNIT)
         elif kind in REGISTERS:
             hit.registers[REGISTERS[kind]] = float(value)
         elif kind == "jammed":
@@ -146,8 +145,8 @@ def with_coarse_physics(monkeypatch):
 
 def only_asks(sent):
     """Whether none of these frames can move a motor or change what it holds."""
-    asking = frames.READ, frames.REFRESH
-    return all(f.id == frames.REGISTER_ID and f.data[2] in asking for f in sent)
+    asking = protocol.READ, protocol.REFRESH
+    return all(f.id == protocol.REGISTER_ID and f.data[2] in asking for f in sent)
 
 
 class Rig:
@@ -215,8 +214,8 @@ class Rig:
         }
         self.motors[j].joint = joints[j] = replace(joints[j], **ids, **how)
         held = self.motors[j].registers
-        held[frames.ESC_ID] = ids["can_id"]
-        held[frames.MST_ID] = ids["master_id"]
+        held[protocol.ESC_ID] = ids["can_id"]
+        held[protocol.MST_ID] = ids["master_id"]
         trajectory = replace(self.plan.trajectory, joints=tuple(joints))
         self.plan = replace(self.plan, trajectory=trajectory)
         self.bus.arm = self.arm = SimulatedArm(self.arm.mechanism, self.arm.motors)
@@ -285,7 +284,7 @@ class Rig:
         """The run ended with this cause, all motors in these states, nothing harmful was sent."""
         assert self.error is not None and cause in str(self.error), self.error
         assert "\n" not in str(self.error) and self.error.exit_code == 3
-        expected = [frames.DISABLED] * len(self.arm.motors)
+        expected = [protocol.DISABLED] * len(self.arm.motors)
         for joint, code in (states or {}).items():
             expected[joint] = code
         assert self.states() == expected
@@ -295,9 +294,9 @@ class Rig:
     def assert_harmless(self):
         """Nothing was sent that stores something in a motor or clears an error."""
         special = [
-            frame.data[7] for frame in self.wire.sent if frames.is_special(frame.data)
+            frame.data[7] for frame in self.wire.sent if protocol.is_special(frame.data)
         ]
-        assert set(special) <= {frames.ENABLE, frames.DISABLE}
+        assert set(special) <= {protocol.ENABLE, protocol.DISABLE}
 
     def assert_nothing_lost(self):
         """Every reply that arrived while the trajectory played is in the recording."""

@@ -19,15 +19,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.execution import run as play_plan
-from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.model_check import gravity_check
+from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import Plan
-from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.frames import BusTiming
-from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.safety.stop_request import StopRequest
+from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.damiao.trajectory import (
@@ -327,7 +326,7 @@ class BenchRun:
         mechanism = ArmStepper(true_robot(setup.arm), start, PHYSICS_STEP)
         self.arm = FaultyArm(mechanism, self.motors)
         for motor in self.motors:
-            motor.registers[frames.CAN_BR] = 9.0 if setup.timing.fd else 4.0
+            motor.registers[protocol.CAN_BR] = 9.0 if setup.timing.fd else 4.0
         wire = SimulatedLink(self.clock, self.arm, setup.timing, echo=True)
         self.link = FaultyLink(wire, self.clock, joints)
         self.stop = StopRequest()

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from robot_sysid.damiao.protocol.frames import DISABLED
+from robot_sysid.damiao.protocol import DISABLED
 from tests.support.fault_bench import BenchRun, Case, SetUp
 from tests.support.motor_causes import (
     FailedMotor,

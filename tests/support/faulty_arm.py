@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from robot_sysid.damiao.protocol import frames
+from robot_sysid.damiao import protocol
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, SimulatedArm, simulated_motor
 from tests.support.damiao_rig import FaultyMotor
 
@@ -240,7 +240,7 @@ class FaultyArm(SimulatedArm):
 
 def _listens(motor, frame):
     """Tell whether a frame is about a motor: by its id, or by the id in a question's data."""
-    if frame.id == frames.REGISTER_ID:
+    if frame.id == protocol.REGISTER_ID:
         return frame.data[0] | frame.data[1] << 8 == motor.can_id
     return frame.id & 0xFF == motor.can_id & 0xFF
 

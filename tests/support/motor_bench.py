@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.inspection import RegisterClient
-from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
-from robot_sysid.damiao.protocol.frames import REGISTER_ID, WRITE, BusTiming
-from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.bus import GuardedLink, RegisterClient
+from robot_sysid.damiao.joints import MOTORS, damiao_joints
+from robot_sysid.damiao.protocol import (
+    REGISTER_ID,
+    WRITE,
+    BusTiming,
+    MitCommand,
+    Scaling,
+)
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink
 from tests.support.clocks import ScriptedClock

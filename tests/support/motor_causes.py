@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.damiao.protocol import codec, frames
-from robot_sysid.damiao.protocol.frames import ENABLED
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.protocol import ENABLED
 from tests.support.damaged_links import Damage
 from tests.support.faulty_arm import JAM_DAMPING, bench_motor
 
@@ -114,10 +114,10 @@ class SecondMaster:
     def _send(self, run, target):
         joint = run.motors[self.joint].joint
         fields = (np.array([value]) for value in (target, 0.0, self.kp, 1.0, 0.0))
-        scaling = codec.Scaling([joint.spec.limits])
-        data = codec.encode_mit(codec.MitCommand(*fields), scaling)[0].tobytes()
+        scaling = protocol.Scaling([joint.spec.limits])
+        data = protocol.encode_mit(protocol.MitCommand(*fields), scaling)[0].tobytes()
         run.link.send_foreign(
-            frames.Frame(joint.can_id, data, bus=joint.bus), self.is_seen
+            protocol.Frame(joint.can_id, data, bus=joint.bus), self.is_seen
         )
         run.at(_FOREIGN_PERIOD, lambda: self._send(run, target))
 
@@ -220,7 +220,7 @@ def named_causes(loaded, light):
         "motor reports a fault": FailedMotor(loaded),
         "second motor, enabled": SecondMotor(light, 0.7),
         "second motor, answers last": SecondMotor(light, 0.7, is_first=False),
-        "second motor, disabled": SecondMotor(light, 0.7, status=frames.DISABLED),
+        "second motor, disabled": SecondMotor(light, 0.7, status=protocol.DISABLED),
         "second motor at the shoulder": SecondMotor(loaded, 0.7),
         "second master, seen": SecondMaster(light, 0.5, is_seen=True),
         "second master, not seen": SecondMaster(light, 0.5, is_seen=False),

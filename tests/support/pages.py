@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.cli import main
-from robot_sysid.damiao.protocol.joints import write_joint_map
+from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.motion.plan import MotionRequest, make_plan

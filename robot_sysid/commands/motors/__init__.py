@@ -21,13 +21,12 @@ from robot_sysid.commands.motors.asked import (
 )
 from robot_sysid.commands.motors.directions import DirectionChoices, verify
 from robot_sysid.commands.motors.setup import LifetimeOptions
-from robot_sysid.damiao import bus, preflight, simulated
-from robot_sysid.damiao.bus import BusAddress, BusLink, GuardedLink
+from robot_sysid.damiao import preflight, simulated
+from robot_sysid.damiao.adapters import BusAddress, BusLink, import_can, slcan_terminal
+from robot_sysid.damiao.bus import GuardedLink, Link, inspect_bus
 from robot_sysid.damiao.execution import lasting
-from robot_sysid.damiao.inspection import inspect_bus
-from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
-from robot_sysid.damiao.safety.stop_request import StopRequest
-from robot_sysid.damiao.serial_adapter import slcan_terminal
+from robot_sysid.damiao.player import StopRequest
+from robot_sysid.damiao.protocol import BusTiming, default_rate
 from robot_sysid.damiao.settings import (
     Permissions,
     PlaySettings,
@@ -447,7 +446,7 @@ def _identify_command(
     return [PROGRAM, "identify", str(model), str(record), *arm_options, *folder]
 
 
-def _simulated_end(asked: Asked) -> bus.Link:
+def _simulated_end(asked: Asked) -> Link:
     """Open the simulated arm's end of the bus and say how to reach it."""
     interface = asked.address.interface
     channels = asked.address.channel
@@ -456,7 +455,7 @@ def _simulated_end(asked: Asked) -> bus.Link:
     elif "interface" in asked.values:
         raise InputError("--interface needs --channel")
     else:
-        bus.import_can()
+        import_can()
         names = asked.channels
         ends = [slcan_terminal() for _ in names or ("",)]
         devices = [device for _, device in ends]

@@ -15,15 +15,14 @@ import numpy as np
 from robot_sysid.commands.arguments import PROGRAM
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
-from robot_sysid.damiao.bus import BusAddress
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.adapters import BusAddress
+from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.execution import MotorRun
-from robot_sysid.damiao.inspection import InspectedMotor, Inspection
+from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
 from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import OK, Check
-from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.codec import Feedback
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
-from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
+from robot_sysid.damiao.protocol import Feedback
 from robot_sysid.damiao.recorder import Aside
 from robot_sysid.damiao.settings import (
     Permissions,
@@ -74,7 +73,7 @@ def _hanging(words: str, last: bool) -> None:
         os._exit(HardwareAbort.exit_code)
 
 
-_WHERE = BusAddress, frames.BusTiming
+_WHERE = BusAddress, protocol.BusTiming
 _HOW = ModelOptions, SecondArm, PlaySettings, Permissions, RecordingOptions
 
 
@@ -160,7 +159,9 @@ def state_table(
         measured = state.position[0], state.velocity[0], state.torque[0]
         heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
         numbers = (f"{value:8.3f}" for value in measured)
-        rows.append((motor.name, *numbers, heat, frames.describe(int(state.status[0]))))
+        rows.append(
+            (motor.name, *numbers, heat, protocol.describe(int(state.status[0])))
+        )
     yield from _columns(rows)
 
 
@@ -194,7 +195,7 @@ def run_lines(report: PlayReport) -> Iterator[str]:
 def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
     registers = motor.registers
     limits = motor.limits
-    mode = int(registers.get(frames.CTRL_MODE, 0))
+    mode = int(registers.get(protocol.CTRL_MODE, 0))
     replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
     feedback = motor.feedback
     return (
@@ -202,15 +203,15 @@ def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
         replies
         if len(motor.reply_ids) == 1
         else f"{replies} (x{len(motor.reply_ids)})",
-        frames.MODES.get(mode, "?"),
+        protocol.MODES.get(mode, "?"),
         *(f"{value or np.nan:g}" for value in limits),
         _type_name(limits, joint),
-        f"{1e3 * registers.get(frames.TIMEOUT, 0.0) * frames.TIMEOUT_UNIT:g} ms",
-        f"{registers.get(frames.GR, np.nan):g}",
+        f"{1e3 * registers.get(protocol.TIMEOUT, 0.0) * protocol.TIMEOUT_UNIT:g} ms",
+        f"{registers.get(protocol.GR, np.nan):g}",
         f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}"
         if feedback
         else "?",
-        frames.describe(int(feedback.status[0])) if feedback else "does not tell",
+        protocol.describe(int(feedback.status[0])) if feedback else "does not tell",
     )
 
 

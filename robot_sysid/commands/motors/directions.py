@@ -15,12 +15,11 @@ import numpy as np
 
 from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.setup import positive_ways
-from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.bus import GuardedLink, inspect_bus
+from robot_sysid.damiao.joints import BY_MOTION, DamiaoJoint, write_joint_map
+from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import Plan, require_no_stop
-from robot_sysid.damiao.protocol.joints import BY_MOTION, DamiaoJoint, write_joint_map
 from robot_sysid.damiao.references import WAY_RATE, way_rows
-from robot_sysid.damiao.safety.stop_request import StopRequest
 from robot_sysid.damiao.settings import RecordingOptions
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array

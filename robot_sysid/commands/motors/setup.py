@@ -26,21 +26,16 @@ from robot_sysid.commands.motors.asked import (
     said_yes,
     state_table,
 )
-from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.inspection import (
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.bus import (
+    GuardedLink,
     InspectedMotor,
     Inspection,
     RegisterClient,
     inspect_bus,
 )
-from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.frames import refuse_motion
-from robot_sysid.damiao.protocol.joints import (
-    BY_HAND,
-    DamiaoJoint,
-    id_problems,
-    write_joint_map,
-)
+from robot_sysid.damiao.joints import BY_HAND, DamiaoJoint, id_problems, write_joint_map
+from robot_sysid.damiao.protocol import refuse_motion
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.options import (
@@ -59,7 +54,7 @@ def _within(low: float, high: float, words: str) -> Callable[[float], str | None
     return lambda value: None if low <= value <= high else f"must be from {words}"
 
 
-_BIT_RATES = f"must be one of {', '.join(map(str, frames.BIT_RATES))}"
+_BIT_RATES = f"must be one of {', '.join(map(str, protocol.BIT_RATES))}"
 _ID: dict[str, Any] = {
     "metavar": "ID",
     "parse": whole_number,
@@ -90,7 +85,7 @@ class SetupOptions(OptionRecord):
         "set its bit rate; it listens at the new one from then on",
         "RATE [bit/s]",
         parse=whole_number,
-        check=lambda rate: None if rate in frames.BIT_RATES else _BIT_RATES,
+        check=lambda rate: None if rate in protocol.BIT_RATES else _BIT_RATES,
     )
     set_zero: bool = option(False, "make where it stands its zero; asks twice")
     clear_error: bool = option(False, "clear its error, once you know its cause")
@@ -120,25 +115,25 @@ class MotorSetup:
         if asked.clear_error:
             yield self._cleared()
         if asked.mit:
-            yield self._written(frames.CTRL_MODE, frames.MIT_MODE)
+            yield self._written(protocol.CTRL_MODE, protocol.MIT_MODE)
         if asked.watchdog is not None:
             yield self._written(
-                frames.TIMEOUT, float(round(asked.watchdog / frames.TIMEOUT_UNIT))
+                protocol.TIMEOUT, float(round(asked.watchdog / protocol.TIMEOUT_UNIT))
             )
         if asked.set_zero:
             yield self._zeroed()
         if asked.new_master_id is not None:
-            yield self._written(frames.MST_ID, asked.new_master_id)
+            yield self._written(protocol.MST_ID, asked.new_master_id)
             self._master = asked.new_master_id
         if asked.new_id is not None:
-            yield self._written(frames.ESC_ID, asked.new_id)
-            self._address = frames.Address(self._address.bus, asked.new_id)
+            yield self._written(protocol.ESC_ID, asked.new_id)
+            self._address = protocol.Address(self._address.bus, asked.new_id)
         if asked.store and asked.motor_bitrate is None:
-            self._send_off(frames.store_frame(self._address))
+            self._send_off(protocol.store_frame(self._address))
             yield f"{self._motor.name} keeps its values when the power goes off"
         if asked.motor_bitrate is not None:
             yield self._written(
-                frames.CAN_BR, frames.BIT_RATES[asked.motor_bitrate], heard=False
+                protocol.CAN_BR, protocol.BIT_RATES[asked.motor_bitrate], heard=False
             )
             if asked.store:
                 yield "not stored: open the bus at the new bit rate and give --store again"
@@ -147,19 +142,19 @@ class MotorSetup:
         self._require_off()
         before = self._client.read(self._address, register)
         self._client.write(self._address, register, value, heard)
-        old = "unknown" if before is None else frames.text_of(register, before.value)
-        return f"{self._motor.name}: {old} is now {frames.text_of(register, value)}"
+        old = "unknown" if before is None else protocol.text_of(register, before.value)
+        return f"{self._motor.name}: {old} is now {protocol.text_of(register, value)}"
 
     def _cleared(self) -> str:
         name = self._motor.name
         before = self._feedback()[0] >> 4
-        if not frames.is_fault(before):
-            return f"{name} has no error to clear ({frames.describe(before)})"
-        self._link.send(frames.clear_error_frame(self._address))
+        if not protocol.is_fault(before):
+            return f"{name} has no error to clear ({protocol.describe(before)})"
+        self._link.send(protocol.clear_error_frame(self._address))
         after = self._feedback()[0] >> 4
-        if frames.is_fault(after):
-            raise HardwareAbort(f"{name} still reports {frames.describe(after)}")
-        return f"{name}: {frames.describe(before)} is cleared"
+        if protocol.is_fault(after):
+            raise HardwareAbort(f"{name} still reports {protocol.describe(after)}")
+        return f"{name}: {protocol.describe(before)} is cleared"
 
     def _zeroed(self) -> str:
         name = self._motor.name
@@ -170,17 +165,17 @@ class MotorSetup:
         ):
             if not said_yes(question):
                 raise InputError("not confirmed; the zero is as it was")
-        self._send_off(frames.set_zero_frame(self._address))
+        self._send_off(protocol.set_zero_frame(self._address))
         return f"{name}: {before:.4f} rad is now {self._position():.4f} rad; the motor keeps it"
 
-    def _send_off(self, frame: frames.Frame) -> None:
+    def _send_off(self, frame: protocol.Frame) -> None:
         """Send what a motor that is off writes to its flash memory."""
         self._require_off()
         self._link.send(frame)
         self._link.clock.sleep_until(self._link.clock.now() + _STORE_TIME)
 
     def _require_off(self) -> None:
-        if self._feedback()[0] >> 4 == frames.ENABLED:
+        if self._feedback()[0] >> 4 == protocol.ENABLED:
             raise HardwareAbort(
                 f"{self._motor.name} is enabled; end the program that uses it, nothing was changed"
             )
@@ -203,7 +198,7 @@ class MotorSetup:
         return frame.data
 
 
-Positions = Mapping[frames.Address, float]
+Positions = Mapping[protocol.Address, float]
 # Half of the 20 degrees that are asked for [rad]; the motor that was meant turns three times as far
 # as any that a limp arm drags along. Judgements.
 _MOVED = 0.15
@@ -257,7 +252,7 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
             f"{len(by_address)} motors answer but the model's chain has {robot.n_joints} joints"
         )
     for motor in by_address.values():
-        if motor.feedback is None or motor.feedback.status[0] == frames.ENABLED:
+        if motor.feedback is None or motor.feedback.status[0] == protocol.ENABLED:
             raise HardwareAbort(
                 f"{motor.name} is enabled or does not tell; the arm has to be limp"
             )
@@ -269,7 +264,7 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
             raise HardwareAbort("a motor does not answer any more; nothing was written")
         return dict(zip(by_address, told))
 
-    found: dict[frames.Address, tuple[str, int]] = {}
+    found: dict[protocol.Address, tuple[str, int]] = {}
     for name, way in zip(robot.joint_names, positive_ways(robot)):
         address, direction = _moved_one(
             name, way, set(by_address) - set(found), positions
@@ -292,8 +287,8 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
 
 
 def _moved_one(
-    name: str, way: str, left: set[frames.Address], positions: Callable[[], Positions]
-) -> tuple[frames.Address, int]:
+    name: str, way: str, left: set[protocol.Address], positions: Callable[[], Positions]
+) -> tuple[protocol.Address, int]:
     again = ""
     for _ in range(_TRIES):
         before = positions()
@@ -380,7 +375,7 @@ def _scan(asked: Asked) -> int:
         )
     heard = 0
     refused = []
-    rates = [rate for rate in frames.BIT_RATES if rate <= 1_000_000]
+    rates = [rate for rate in protocol.BIT_RATES if rate <= 1_000_000]
     for rate in sorted(rates, reverse=True):
         try:
             with asked.bus(

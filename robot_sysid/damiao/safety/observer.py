@@ -21,13 +21,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from robot_sysid.damiao.protocol.codec import MitCommand
-from robot_sysid.damiao.protocol.frames import ENABLED, describe
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.joints import DamiaoJoint
+from robot_sysid.damiao.protocol import ENABLED, MitCommand, describe
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.causes import EffortChange, explain_change
-from robot_sysid.damiao.safety.samples import NO_STATUS, Mask, Replies
-from robot_sysid.damiao.safety.scales import (
+from robot_sysid.damiao.safety.guards import (
+    NO_STATUS,
+    Mask,
+    Replies,
     Slip,
     TorqueScalingCheck,
     VelocityScalingCheck,

@@ -7,12 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.protocol import codec
-from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
-from robot_sysid.damiao.protocol.frames import REGISTER_ID, Frame, is_special
-from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.safety.bounds import (
+from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.damiao.protocol import (
+    REGISTER_ID,
+    Frame,
+    MitCommand,
+    Scaling,
+    is_special,
+)
+from robot_sysid.damiao.safety.guards import (
     BeyondBounds,
     CommandBounds,
     CommandRange,
@@ -112,7 +117,9 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
             j = frame.id - 1
             raw = np.frombuffer(frame.data, dtype=np.uint8)[None]
             one = Scaling([JOINTS[j].spec.limits])
-            p, v, kp, _, t = (float(value[0]) for value in codec.decode_mit(raw, one))
+            p, v, kp, _, t = (
+                float(value[0]) for value in protocol.decode_mit(raw, one)
+            )
             # A late cycle's share may be used by the next one, and no more than 20 ms of it.
             reach = SPEED[j] * (min(moment - sent_at[j], 0.2) + 0.02)
             whole = SPEED[j] * (moment - enabled_at + 0.02)

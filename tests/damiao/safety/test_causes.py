@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.damiao.safety.causes import EffortChange, explain_change
 

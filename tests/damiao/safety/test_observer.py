@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.protocol.codec import Feedback, MitCommand
-from robot_sysid.damiao.protocol.frames import BusTiming
-from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand
 from robot_sysid.damiao.references import HoldingCheck
+from robot_sysid.damiao.safety.guards import NO_STATUS, Replies
 from robot_sysid.damiao.safety.observer import Observer
-from robot_sysid.damiao.safety.samples import NO_STATUS, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 

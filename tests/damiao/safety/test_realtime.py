@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from robot_sysid.damiao.safety.realtime import PRIORITY, lacks_priority, undisturbed
+from robot_sysid.damiao.bus import PRIORITY, lacks_priority, undisturbed
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
 

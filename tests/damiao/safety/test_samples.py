@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.protocol.codec import Feedback, MitCommand
-from robot_sysid.damiao.safety.samples import Replies, SampleFilter
+from robot_sysid.damiao.protocol import Feedback, MitCommand
+from robot_sysid.damiao.safety.guards import Replies, SampleFilter
 
 PEAK = 27.0
 STEP = 0.005

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.safety.scales import TorqueScalingCheck, VelocityScalingCheck
+from robot_sysid.damiao.safety.guards import TorqueScalingCheck, VelocityScalingCheck
 
 
 def watched_swing(factor, noise=0.0, step=0.005, gone=0.0, fades=1e-6):

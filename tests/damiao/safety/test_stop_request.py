@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from robot_sysid.damiao.safety.stop_request import StopRequest
+from robot_sysid.damiao.player import StopRequest
 from robot_sysid.errors import STOP_SIGNALS
 
 

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.references import Reference
-from robot_sysid.damiao.safety.bounds import CommandRange
-from robot_sysid.damiao.safety.stopping import CarriedStop, StopStart
+from robot_sysid.damiao.references import CarriedStop, Reference, StopStart
+from robot_sysid.damiao.safety.guards import CommandRange
 
 FAR = CommandRange(np.full(2, -9.0), np.full(2, 9.0), np.full(2, 9.0))
 KP = 180.0

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.safety import zeros
-from robot_sysid.damiao.safety.zeros import MovedZeroCheck
+from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.damiao.safety import causes
+from robot_sysid.damiao.safety.causes import MovedZeroCheck
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
@@ -148,7 +148,7 @@ def test_a_real_arm_that_nothing_happens_to_is_left_alone(
     log, model, peak, monkeypatch
 ):
     """With friction and rotors that no model has, and with a table of links that is wrong."""
-    monkeypatch.setattr(zeros, "torque_doubt", lambda joints: 0.06 * np.array(joints))
+    monkeypatch.setattr(causes, "torque_doubt", lambda joints: 0.06 * np.array(joints))
     table = np.loadtxt(DATA / log, delimiter=",", skiprows=1)
     time = table[:, 0]
     q, tau = np.split(table[:, 1:], 2, axis=1)

@@ -1,1 +1,0 @@
-"""What Damiao motors are and what their CAN frames mean; needs no bus."""

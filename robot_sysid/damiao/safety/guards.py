@@ -1,0 +1,543 @@
+"""Which answers of motors are believed, whether they are scaled right, and bounds of commands.
+
+Serial adapters have no checksum between the bus and the computer, so one damaged character makes a
+position radians wrong or a healthy motor faulty. A sample is believed when it follows from the last
+believed one: how far the joint came agrees with its speeds, the speed changed no faster than a
+motor can change it, and the reported torque changed as the command did. One that does not follow is
+set aside; nothing uses it. When the next one follows from it, both were true: that is a finding.
+
+Positions, velocities and torques are scaled by numbers stored in the motor. If one is wrong, every
+value is wrong by the same factor and nothing else seems odd.
+
+Every command to a motor passes ``CommandBounds``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.damiao import protocol
+from robot_sysid.damiao.protocol import ENABLED, MitCommand
+from robot_sysid.errors import HardwareAbort
+from robot_sysid.records import Array
+
+NO_STATUS = -1
+Mask = NDArray[np.bool_]
+Counts = NDArray[np.int64]
+
+# What joints do at most from one sample to the next, beside going on as they were: judgements
+# [rad, rad/s^2, share]. 200 rad/s^2 is 7 N m (a DM4310) on a light 0.035 kg m^2; a slip of 0.15 rad
+# has to be seen.
+_LEAST_JUMP = 0.05
+_TOP_ACCELERATION = 200.0
+_SPEED_DOUBT = 0.5
+# A blow or a stop within one cycle of 4 ms takes this much speed at least [rad/s].
+_LEAST_SPEED_CHANGE = 1.0
+# Of the peak torque: how far a reported torque changes beside the command's own change.
+_TORQUE_DOUBT = 0.3
+# Windings warm up by a degree in seconds [deg C].
+_HEAT_CHANGE = 5.0
+
+
+@dataclass(frozen=True)
+class Replies:
+    """What came back in one cycle; status -1 and NaN values where a joint has no believed answer.
+
+    Attributes:
+        answered: (n,) joints whose answer came in time and is believed.
+        time: (n,) when each joint took its sample, in the link's clock [s]: when its command was on
+            the bus where the adapter reports that, else when the reply arrived.
+        feedback: what the joints answered, each (n,), in joint space.
+        asked: (n,) joints that were sent something.
+        command: what each joint is under now, as the motors read it.
+        doubted: (n,) joints whose answer came but was set aside.
+        jump: (n,) how far a joint's position jumped, as two samples in a row say; else 0 [rad].
+        surplus: (n,) answers beyond the one that was due.
+        foreign: (n,) commands to this joint's motor that another program sent.
+    """
+
+    answered: Mask
+    time: Array
+    feedback: protocol.Feedback
+    asked: Mask
+    command: protocol.MitCommand | None = None
+    doubted: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    jump: Array = field(default_factory=lambda: np.zeros(0))
+    surplus: Counts = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    foreign: Counts = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        n_joints = len(self.answered)
+        for name, dtype in (
+            ("doubted", bool),
+            ("jump", float),
+            ("surplus", int),
+            ("foreign", int),
+        ):
+            if len(getattr(self, name)) != n_joints:
+                object.__setattr__(self, name, np.zeros(n_joints, dtype=dtype))
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """One sample per joint, each (n,), with the torque it should report by the command in force."""
+
+    time: Array
+    q: Array
+    qd: Array
+    torque_error: Array
+    enabled: Mask
+    heat: Array
+
+    def where(self, selected: Mask, other: _Samples) -> _Samples:
+        """Return these samples for the joints ``selected`` (n,), and others for the rest."""
+        names = vars(self)
+        pairs = {name: (getattr(self, name), getattr(other, name)) for name in names}
+        return _Samples(
+            **{name: np.where(selected, *pair) for name, pair in pairs.items()}
+        )
+
+
+class _Change(NamedTuple):
+    """What joints (n,) did between two samples: whether a position or a torque error changed more
+    than it can, and whether all is plausible.
+    """
+
+    jumps: Mask
+    bends: Mask
+    is_plausible: Mask
+
+
+class SampleFilter:
+    """Decides which answers of n motors are believed, and keeps the last believed ones.
+
+    Args:
+        peak_torque: (n,) of each joint [N m].
+        velocity_step: (n,) one quantisation step of each joint's velocity [rad/s].
+    """
+
+    def __init__(self, peak_torque: Array, velocity_step: Array) -> None:
+        self._peak = peak_torque
+        self._velocity_step = velocity_step
+        n_joints = len(peak_torque)
+        unknown = np.full(n_joints, np.nan)
+        enabled = np.ones(n_joints, dtype=bool)
+        self._last = _Samples(unknown, unknown, unknown, unknown, enabled, unknown)
+        self._suspect = self._last
+        self._is_suspected = np.zeros(n_joints, dtype=bool)
+
+    @property
+    def q(self) -> Array:
+        """Last believed positions (n,) [rad]."""
+        return self._last.q
+
+    @property
+    def qd(self) -> Array:
+        """Last believed velocities (n,) [rad/s]."""
+        return self._last.qd
+
+    def start(self, time: float, q: Array) -> None:
+        """Begin with an arm that stands at q (n,) [rad]."""
+        zero_speed = np.zeros_like(q)
+        self._last = replace(
+            self._last, time=zero_speed + time, q=q.copy(), qd=zero_speed
+        )
+
+    def believe(self, replies: Replies, acted: protocol.MitCommand | None) -> Replies:
+        """Return replies without the answers that are not believed.
+
+        ``acted`` is the command in force when the samples were taken.
+        """
+        feedback = replies.feedback
+        q = feedback.position
+        qd = feedback.velocity
+        tau = feedback.torque
+        expected = tau if acted is None else acted.motor_torque(q, qd)
+        error = tau - np.clip(expected, -self._peak, self._peak)
+        heat = np.maximum(feedback.temperature_mos, feedback.temperature_rotor).astype(
+            float
+        )
+        now = _Samples(replies.time, q, qd, error, feedback.status == ENABLED, heat)
+        came = replies.answered
+        change = self._compare(self._last, now)
+        follows = change.is_plausible & (now.enabled | ~self._last.enabled)
+        repeated = self._compare(self._suspect, now).is_plausible & self._is_suspected
+        repeated &= now.enabled == self._suspect.enabled
+        # A position that the motor's own control does not see is none, however often it comes; and
+        # a motor that switches itself off does not jump.
+        repeated &= ~(change.jumps & (change.bends | ~now.enabled))
+        believed = came & (follows | repeated)
+        jumped = believed & ~follows & change.jumps
+        jump = np.where(jumped, q - self._last.q, 0.0)
+        self._is_suspected = np.where(came, ~believed, self._is_suspected)
+        self._suspect = now.where(came, self._suspect)
+        self._last = now.where(believed, self._last)
+        return _hide_doubted(replies, came & ~believed, np.nan_to_num(jump))
+
+    def _compare(self, previous: _Samples, now: _Samples) -> _Change:
+        """Return what is not plausible about samples after those previous.
+
+        What is not known of the sample before is not compared.
+        """
+        passed = np.maximum(np.nan_to_num(now.time - previous.time), 0.0)
+        expected_change = 0.5 * (now.qd + previous.qd) * passed
+        distance = np.abs(now.q - previous.q - expected_change)
+        accelerated = _TOP_ACCELERATION * passed
+        tolerance = (
+            _LEAST_JUMP
+            + _SPEED_DOUBT * np.abs(expected_change)
+            + 0.5 * accelerated * passed
+        )
+        jumps = distance > tolerance
+        change = np.abs(now.qd - previous.qd)
+        throws = change > _LEAST_SPEED_CHANGE + 4.0 * self._velocity_step + accelerated
+        bends = (
+            np.abs(now.torque_error - previous.torque_error)
+            > _TORQUE_DOUBT * self._peak
+        )
+        heats = np.abs(now.heat - previous.heat) > _HEAT_CHANGE
+        return _Change(jumps, bends, ~(jumps | throws | bends | heats))
+
+
+def _hide_doubted(replies: Replies, doubted: Mask, jump: Array) -> Replies:
+    feedback = replies.feedback
+    hidden = replace(
+        feedback,
+        status=np.where(doubted, NO_STATUS, feedback.status),
+        position=np.where(doubted, np.nan, feedback.position),
+        velocity=np.where(doubted, np.nan, feedback.velocity),
+        torque=np.where(doubted, np.nan, feedback.torque),
+    )
+    answered = replies.answered & ~doubted
+    return replace(
+        replies, answered=answered, feedback=hidden, doubted=doubted, jump=jump
+    )
+
+
+# Long beside a cycle and short beside a swing; ten of them give a scatter [s].
+_WINDOW = 0.2
+_LEAST_WINDOWS = 10
+# How far the slope may be from 1: two types' VMAX differ by a tenth or more (45 and 50).
+_SLOPE_TOLERANCE = 0.03
+# Within one window: how far a joint may come beside its velocity, plus a share of that way [rad].
+_LEAST_SLIP = 0.02
+_SLIP_SHARE = 0.05
+# Where a mean speed may be so much more than the last one of a cycle, slip cannot be told.
+_COARSE = 1.3
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A joint that came another way than its velocity says, within one window.
+
+    Attributes:
+        joint: which one.
+        integral: what its velocities added up to [rad].
+        change: how far it came [rad].
+        speed: how fast it left its velocity [rad/s].
+    """
+
+    joint: int
+    integral: float
+    change: float
+    speed: float
+
+
+class VelocityScalingCheck:
+    """Tells whether the velocity channel integrates to the position channel.
+
+    The slope of position change against integrated velocity, over short windows, has to be 1. How
+    well it can be known depends on the scatter and on the steps (n,) of the velocity channel
+    [rad/s]: an error of up to half a step, the same all through a window, is allowed for.
+
+    Velocities are sampled at the end of each command's time, when a joint of little inertia has
+    slowed down. Without any it is v = v_des + k (p_des - p), k = kp / kd, so that in steady motion
+    the mean over a cycle T is (exp(kT) - 1) / (kT) times the last velocity; with inertia it is
+    between 1 and this. ``fades`` (n,) is kT.
+
+    Attributes:
+        explained: (n,) the largest mean velocity of a cycle over its last one.
+    """
+
+    def __init__(self, velocity_step: Array, fades: Array) -> None:
+        n_joints = len(velocity_step)
+        self.explained: Array = np.expm1(fades) / fades
+        self._rounding = 0.5 * velocity_step * _WINDOW
+        self._last: tuple[Array, Array, Array] | None = None
+        self._begin_time = np.zeros(n_joints)
+        self._begin_q = np.zeros(n_joints)
+        self._sum = np.zeros(n_joints)
+        self._path = np.zeros(n_joints)
+        # Per joint: count and sums of x, y, xx, xy, yy.
+        self._sums = np.zeros((6, n_joints))
+
+    def add(self, time: Array, q: Array, qd: Array) -> Slip | None:
+        """Add one sample (n,) per joint [s, rad, rad/s]; NaN where a joint did not answer.
+
+        Returns a joint that slipped in a window which this sample completes.
+        """
+        fresh = np.isfinite(time) & np.isfinite(q)
+        if self._last is None:
+            if np.all(fresh):
+                self._last = time, q, qd
+                self._begin_time = time
+                self._begin_q = q
+            return None
+        last_time, last_q, last_qd = self._last
+        step = np.where(fresh, 0.5 * (qd + last_qd) * (time - last_time), 0.0)
+        self._sum += step
+        self._path += np.abs(step)
+        time = np.where(fresh, time, last_time)
+        q = np.where(fresh, q, last_q)
+        self._last = time, q, np.where(fresh, qd, last_qd)
+        full = fresh & (time - self._begin_time >= _WINDOW)
+        if not np.any(full):
+            return None
+        x = np.where(full, self._sum, 0.0)
+        y = np.where(full, q - self._begin_q, 0.0)
+        slip = self._slip(x, y, np.where(full, self._path, 0.0))
+        self._sums += np.stack([full.astype(float), x, y, x * x, x * y, y * y])
+        self._sum = np.where(full, 0.0, self._sum)
+        self._path = np.where(full, 0.0, self._path)
+        self._begin_time = np.where(full, time, self._begin_time)
+        self._begin_q = np.where(full, q, self._begin_q)
+        return slip
+
+    def _slip(self, integral: Array, change: Array, path: Array) -> Slip | None:
+        """Return the joint that slipped, of integrals, changes and lengths of paths (n,) [rad]."""
+        fastest = integral * self.explained
+        lower = np.minimum(integral, fastest)
+        upper = np.maximum(integral, fastest)
+        mismatch = change - np.clip(change, lower, upper)
+        # Where a joint slows down within a cycle, its mean speed is known less well.
+        doubt = _SLIP_SHARE + 0.5 * (self.explained - 1.0)
+        tolerance = _LEAST_SLIP + doubt * path + 2.0 * self._rounding
+        tolerance = np.where(self.explained > _COARSE, np.inf, tolerance)
+        j = int(np.argmax(np.abs(mismatch) - tolerance))
+        if abs(mismatch[j]) <= tolerance[j]:
+            return None
+        return Slip(
+            j, float(integral[j]), float(change[j]), float(mismatch[j] / _WINDOW)
+        )
+
+    def worst(self) -> tuple[int, float] | None:
+        """Return (joint, slope) of a joint whose slope is surely off, or None.
+
+        The doubt is three standard errors plus the largest effect of rounded velocities.
+        """
+        count, x, y, xx, xy, yy = self._sums
+        n = np.maximum(count, 1.0)
+        cxx = xx - x * x / n
+        cxy = xy - x * y / n
+        cyy = yy - y * y / n
+        spread = np.sqrt(np.maximum(cxx, 0.0) / n)
+        moved = (count >= _LEAST_WINDOWS) & (spread > self._rounding)
+        variation = np.where(moved, cxx, 1.0)
+        slope = np.where(moved, cxy / variation, 1.0)
+        residual = np.maximum(cyy - slope * cxy, 0.0) / np.maximum(count - 2.0, 1.0)
+        error = 3.0 * np.sqrt(residual / variation)
+        doubt = error + self._rounding / np.where(moved, spread, 1.0)
+        unexplained = slope / np.clip(slope, 1.0, self.explained)
+        worst = _farthest_from_one(
+            unexplained, np.where(moved, doubt, np.inf), _SLOPE_TOLERANCE
+        )
+        return None if worst is None else (worst[0], float(slope[worst[0]]))
+
+
+def _farthest_from_one(
+    ratio: Array, doubt: Array, tolerance: float
+) -> tuple[int, float] | None:
+    excess = np.abs(ratio - 1.0) - doubt
+    j = int(np.argmax(excess))
+    return (j, float(ratio[j])) if excess[j] > tolerance else None
+
+
+# A tenth of a second at 250 Hz.
+_ENOUGH_SAMPLES = 25
+# Torque is an estimate from the current; but both directions use the same constant. Two types' TMAX
+# differ by a fifth or more (10 and 12).
+_RATIO_TOLERANCE = 0.15
+# Half the speed on the way to the first point [rad/s].
+_SLOW = 0.1
+
+
+class TorqueScalingCheck:
+    """Tells whether motors report the torque they were commanded to make.
+
+    A motor makes kp (p - q) + kd (v - qd) + t and reports what it makes. Both numbers are known in
+    each cycle, so their ratio is; a motor whose TMAX is another than its register says, or that
+    counts before its gear, shows by it, and so would every mass identified from it.
+
+    Both arguments are (n,) [N m]; beyond its peak torque a motor does not do as commanded.
+    """
+
+    def __init__(self, torque_step: Array, peak: Array) -> None:
+        self._peak = 0.9 * peak
+        self._doubt = np.maximum(4.0 * torque_step, 0.005 * peak)
+        # Per joint: count and sums of xx, xy.
+        self._sums = np.zeros((3, len(peak)))
+
+    def add(self, commanded: Array, measured: Array, qd: Array) -> None:
+        """Add one sample (n,) per joint [N m, N m, rad/s]; NaN where a joint did not answer.
+
+        Samples of a joint that moves fast are left out, because a velocity that is wrong or late
+        would make ``commanded`` wrong.
+        """
+        usable = (
+            np.isfinite(measured)
+            & (np.abs(commanded) < self._peak)
+            & (np.abs(qd) < _SLOW)
+        )
+        x = np.where(usable, commanded, 0.0)
+        y = np.where(usable, measured, 0.0)
+        self._sums += np.stack([usable.astype(float), x * x, x * y])
+
+    def worst(self) -> tuple[int, float] | None:
+        """Return (joint, ratio) of a joint that surely reports another torque, or None.
+
+        The doubt of a ratio is what rounding makes of the size of the torques seen so far.
+        """
+        count, xx, xy = self._sums
+        size = np.sqrt(xx / np.maximum(count, 1.0))
+        enough = (count >= _ENOUGH_SAMPLES) & (size > 2.0 * self._doubt)
+        ratio = np.where(enough, xy / np.where(enough, xx, 1.0), 1.0)
+        doubt = np.where(enough, self._doubt / np.maximum(size, 1e-9), np.inf)
+        return _farthest_from_one(ratio, doubt, _RATIO_TOLERANCE)
+
+
+# Relative; what rounding to frames and back leaves of a command that is at its bound.
+_ROUNDING = 1e-6
+
+
+class BeyondBounds(HardwareAbort):
+    """A command that asks too much of a joint was not sent."""
+
+
+class Overload(BeyondBounds):
+    """It asks for more torque than the joint's motor makes."""
+
+
+@dataclass(frozen=True)
+class CommandRange:
+    """Where commands of n joints may go, each (n,).
+
+    Attributes:
+        lower, upper: positions: the model's range, or else that of the file [rad].
+        speed: how fast a commanded position may move, and may be told to [rad/s].
+    """
+
+    lower: Array
+    upper: Array
+    speed: Array
+
+    def within(self, other: CommandRange) -> CommandRange:
+        """Return the part of this range that is also in another one."""
+        lower = np.maximum(self.lower, other.lower)
+        upper = np.minimum(self.upper, other.upper)
+        return CommandRange(lower, upper, np.minimum(self.speed, other.speed))
+
+
+@dataclass(frozen=True)
+class CommandBounds:
+    """What commands of n joints stay within, each (n,).
+
+    Attributes:
+        command_range: how far and how fast positions may go.
+        torque: what kp times error and feed-forward may add up to [N m].
+        position_step: one quantisation step of a commanded position [rad].
+        velocity_step: one quantisation step of a commanded velocity [rad/s].
+        torque_step: one quantisation step of a commanded torque [N m].
+    """
+
+    command_range: CommandRange
+    torque: Array
+    position_step: Array
+    velocity_step: Array
+    torque_step: Array
+
+    def including(self, q: Array) -> CommandBounds:
+        """Return bounds whose range also holds the positions q (n,): where an arm stands."""
+        current = self.command_range
+        lower = np.fmin(current.lower, q)
+        upper = np.fmax(current.upper, q)
+        return replace(self, command_range=CommandRange(lower, upper, current.speed))
+
+    def _reach(self, last: Array, elapsed: Array) -> tuple[Array, Array]:
+        """Return the least and the greatest position (n,) that may be commanded now [rad]."""
+        current = self.command_range
+        reach = current.speed * elapsed
+        last = np.clip(last, current.lower, current.upper)
+        return np.maximum(current.lower, last - reach), np.minimum(
+            current.upper, last + reach
+        )
+
+    def require(
+        self,
+        labels: Sequence[str],
+        command: MitCommand,
+        last: Array,
+        elapsed: Array,
+        q: Array,
+    ) -> None:
+        """Raise BeyondBounds for the first joint that a command asks too much of.
+
+        Args:
+            labels: names of the n joints, for messages.
+            command: what is to be sent.
+            last: (n,) positions commanded last [rad].
+            elapsed: (n,) time since then [s].
+            q: (n,) where the joints are believed to be [rad].
+
+        Raises:
+            Overload: it asks for more torque than the motor makes.
+        """
+        lowest, highest = self._reach(last, elapsed)
+        slack = self.position_step + _ROUNDING
+        below = lowest - slack - command.position
+        beyond = np.maximum(below, command.position - highest - slack)
+        # Written so that a NaN counts as too much.
+        for j in np.flatnonzero(~(beyond <= 0.0)).tolist():
+            raise BeyondBounds(
+                f"{labels[j]} would be sent to {command.position[j]:.3f} rad; from the last "
+                f"command it may go from {lowest[j]:.3f} to {highest[j]:.3f}"
+            )
+        too_fast = ~(
+            np.abs(command.velocity) <= self.command_range.speed + self.velocity_step
+        )
+        for j in np.flatnonzero(too_fast).tolist():
+            limit = self.command_range.speed[j]
+            told = f"would be told {command.velocity[j]:.2f} rad/s, limit {limit:.2f}"
+            raise BeyondBounds(f"{labels[j]} {told}")
+        # Where a joint has never been heard, nothing is known of its error.
+        error = np.nan_to_num(command.position - q)
+        requested = np.abs(command.kp * error + command.torque)
+        available = self.torque + self.torque_step + command.kp * self.position_step
+        for j in np.flatnonzero(~(requested <= available * (1.0 + _ROUNDING))).tolist():
+            raise Overload(
+                f"{labels[j]} would be asked for {requested[j]:.1f} N m and makes "
+                f"{self.torque[j]:.1f} at most: the arm needs more than this motor has, or "
+                "something holds it back"
+            )
+
+    def confine(
+        self, command: MitCommand, last: Array, elapsed: Array, q: Array
+    ) -> MitCommand:
+        """Return the nearest command within the bounds; for the arguments see ``require``."""
+        lowest, highest = self._reach(last, elapsed)
+        position = np.where(np.isfinite(command.position), command.position, last)
+        position = np.clip(position, lowest, highest)
+        top_speed = self.command_range.speed
+        velocity = np.clip(np.nan_to_num(command.velocity), -top_speed, top_speed)
+        error = np.nan_to_num(position - q)
+        stiffness = np.minimum(
+            command.kp, self.torque / np.maximum(np.abs(error), 1e-9)
+        )
+        pull = stiffness * error
+        fed = np.clip(np.nan_to_num(command.torque), -self.torque, self.torque)
+        fed = np.clip(fed, -self.torque - pull, self.torque - pull)
+        return MitCommand(position, velocity, stiffness, command.kd, fed)
