@@ -1,4 +1,4 @@
-"""Motors that turn with several joints."""
+"""Motors that turn several joints."""
 
 from __future__ import annotations
 
@@ -25,19 +25,14 @@ from tests.support.releases import since
 
 
 @pytest.fixture(scope="module")
-def robot():
-    return arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X)))
-
-
-@pytest.fixture(scope="module")
 def wrist():
-    """An arm whose model has a motor that turns two joints."""
+    """Return an arm whose model has a motor that turns two joints."""
     return arms.robot_of(arms.SHARED_MOTOR)
 
 
 @since(3, 3)
 @pytest.mark.parametrize("friction", [NO_FRICTION, friction_model(DEFAULT_MEASURED)])
-def test_a_motor_of_the_model_is_in_the_torque_whether_it_is_sought_or_not(
+def test_a_motor_of_the_model_is_in_the_torque_whether_estimated_or_not(
     wrist, friction
 ):
     (motor,) = couplings_of_model(wrist)
@@ -54,63 +49,62 @@ def test_a_motor_of_the_model_is_in_the_torque_whether_it_is_sought_or_not(
 
 
 @since(3, 3)
-def test_what_the_model_has_is_neither_offered_nor_counted_twice(wrist, tmp_path):
-    every, offered = couplings_of(wrist, EstimationOptions())
-    assert [motor.tendon for motor in every] == [0, *(None,) * 4] and every[
-        1:
-    ] == offered
-    path = written(
-        tmp_path,
-        {"m": {"joint1": -1.5, "joint2": 3.0}, "n": {"joint0": 1, "joint1": 1}},
-    )
-    every, offered = couplings_of(wrist, EstimationOptions(coupling=path))
-    assert [motor.name for motor in every] == [
-        "joint1-2*joint2",
-        "joint0+joint1",
-    ] and not offered
+def test_motors_of_the_model_are_neither_candidates_nor_counted_twice(wrist, tmp_path):
+    motors, candidates = couplings_of(wrist, EstimationOptions())
+    assert [motor.tendon for motor in motors] == [0, None, None, None, None]
+    assert motors[1:] == candidates
+    content = {"m": {"joint1": -1.5, "joint2": 3.0}, "n": {"joint0": 1, "joint1": 1}}
+    options = EstimationOptions(coupling=write_couplings(tmp_path, content))
+    motors, candidates = couplings_of(wrist, options)
+    names = [motor.name for motor in motors]
+    assert names == ["joint1-2*joint2", "joint0+joint1"] and not candidates
 
 
-def test_a_tendon_that_only_pulls_or_leads_elsewhere_is_no_motor():
+def test_a_spring_or_a_tendon_to_a_held_joint_is_no_motor():
     spring = arms.TENDON_SPRING.replace('damping="3"', "")
     assert couplings_of_model(arms.robot_of(spring)) == ()
     (damper,) = couplings_of_model(arms.robot_of(arms.TENDON_SPRING))
     assert damper.model[1] == 3.0 and not np.any(damper.model[[0, 2]])
-    # Of a shorter arm, the other joint is held.
-    assert couplings_of_model(arms.robot_of(arms.TENDON_SPRING, joint="joint1")) == ()
+    shorter_arm = arms.robot_of(arms.TENDON_SPRING, joint="joint1")
+    assert couplings_of_model(shorter_arm) == ()
 
 
-def written(tmp_path, content):
-    path = tmp_path / "coupling.json"
+def write_couplings(folder, content):
+    """Write JSON, or text as it is, and return the path."""
+    path = folder / "coupling.json"
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     return path
 
 
-def test_power_is_the_same_on_both_sides(robot):
+def test_joints_and_motor_have_the_same_power(three_joint_arm):
     """tau^T qd = tau_motor s, whatever the ratios."""
     qd, qdd, q, tau = np.random.default_rng(0).normal(size=(4, 5, 3))
-    each = coupling(robot, np.array([0.5, 0.0, -2.0]))
-    equations = Equations(robot, "chain", (NO_FRICTION,) * 3, (each,))
-    rows = equations.rows(Measurement(np.arange(5.0), q, qd, tau, qdd))
-    power = dict.fromkeys(each.parameter_names, 0.0)
-    for joint, ((block, _), columns) in enumerate(zip(rows, equations.columns)):
-        for column, place in zip(block.T, columns):
-            if equations.names[place] in power:
-                power[equations.names[place]] += column * qd[:, joint]
-    speed = qd @ each.ratios
-    assert power[f"viscous[{each.name}]"] == pytest.approx(speed**2)
-    assert power[f"coulomb[{each.name}]"] == pytest.approx(np.abs(speed))
-
-
-def test_a_file_may_name_motors_or_hold_a_matrix(robot, tmp_path):
-    named = {"motor_3": {"joint1": 1, "joint2": 1.0}, "motor_1": {"joint0": 3.0}}
-    matrix = [[1, 0, 0], [0, 1, 0], [0, 1, 1]]
-    for content in (named, matrix):
-        (found,) = read_couplings(written(tmp_path, content), robot)
-        assert found.name == "joint1+joint2"
+    motor = coupling(three_joint_arm, np.array([0.5, 0.0, -2.0]))
+    equations = Equations(three_joint_arm, "chain", (NO_FRICTION,) * 3, (motor,))
+    rows_of_joints = equations.rows(Measurement(np.arange(5.0), q, qd, tau, qdd))
+    power = np.zeros((len(equations.names), 5))
+    for joint, (rows, _) in enumerate(rows_of_joints):
+        power[equations.columns[joint]] += rows.T * qd[:, joint]
+    speed = qd @ motor.ratios
+    for term, expected in (("viscous", speed**2), ("coulomb", np.abs(speed))):
+        index = equations.names.index(f"{term}[{motor.name}]")
+        assert power[index] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    "content",
+    [
+        {"motor_3": {"joint1": 1, "joint2": 1.0}, "motor_1": {"joint0": 3.0}},
+        [[1, 0, 0], [0, 1, 0], [0, 1, 1]],
+    ],
+)
+def test_a_file_names_motors_or_holds_a_matrix(three_joint_arm, tmp_path, content):
+    (motor,) = read_couplings(write_couplings(tmp_path, content), three_joint_arm)
+    assert motor.name == "joint1+joint2"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
     [
         ("{", "not JSON"),
         ({"m": {"wrist": 1.0}}, "no joint of the arm: joint0, joint1, joint2"),
@@ -121,6 +115,6 @@ def test_a_file_may_name_motors_or_hold_a_matrix(robot, tmp_path):
         ("3", "must be like"),
     ],
 )
-def test_what_does_not_fit_is_refused(robot, tmp_path, content, said):
-    with pytest.raises(InputError, match=said):
-        read_couplings(written(tmp_path, content), robot)
+def test_a_wrong_file_is_refused(three_joint_arm, tmp_path, content, message):
+    with pytest.raises(InputError, match=message):
+        read_couplings(write_couplings(tmp_path, content), three_joint_arm)
