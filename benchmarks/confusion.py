@@ -43,9 +43,9 @@ import numpy as np
 from benchmarks.confusion_causes import CAUSES, RIGHT, Scene, draw_scene
 from benchmarks.real_arms import ARMS, KINDS, USUAL_ARMS
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.run import check_against_model
+from robot_sysid.diagnosis.log_checks import check_against_model
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel
 from robot_sysid.signals.resampling import pieces_of

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.example_study import NoiseStudy, designed_plan, random_plan
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, with_gravity
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import DELAY_NAME
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.resampling import join_measurements

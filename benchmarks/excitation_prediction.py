@@ -30,12 +30,12 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, turned, with_gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.consistent_bodies import possible_covariance
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.priors import own_errors
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.unknowns import LINKS, Question, build_unknowns
+from robot_sysid.estimation.question import EstimationOptions, Question
+from robot_sysid.estimation.unknowns import LINKS, build_unknowns
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.expected_errors import NOISE, _choice, _posterior, known_of

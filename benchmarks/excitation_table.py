@@ -21,7 +21,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation

@@ -21,7 +21,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions

@@ -35,11 +35,10 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.priors import link_factor
+from robot_sysid.estimation.build_result import WIDER, payload_of
 from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
-from robot_sysid.estimation.result import WIDER, payload_of
-from robot_sysid.estimation.unknowns import Question
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.model.flange import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel

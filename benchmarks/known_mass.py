@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.payload_by_difference import MODELS, recordings, rms, weighed
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 

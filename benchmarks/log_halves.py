@@ -25,12 +25,12 @@ import numpy as np
 
 from benchmarks.real_logs import EMPTY, KUKA, LOADED, LWR4, TX40, UR10E
 from robot_sysid.dynamics.friction import TERMS
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.unknowns import FRICTION, Question
+from robot_sysid.estimation.question import EstimationOptions, Question
+from robot_sysid.estimation.unknowns import FRICTION
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model

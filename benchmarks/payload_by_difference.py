@@ -19,10 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.build_result import payload_of
 from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
-from robot_sysid.estimation.result import payload_of
-from robot_sysid.estimation.unknowns import Question
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.model.flange import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.progress import Progress

@@ -34,8 +34,8 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.priors import model_link_factor
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.simulator import simulate_inverse

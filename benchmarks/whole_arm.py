@@ -19,12 +19,12 @@ import numpy as np
 from benchmarks import whole_arm_runs as runs_of
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.identifiability import base_combinations
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import parameter_scale, structural_base
 from robot_sysid.estimation.choices import CANDIDATES
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress

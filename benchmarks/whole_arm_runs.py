@@ -6,7 +6,7 @@ import numpy as np
 
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Measurement
 from tests.support.core_fits import BASIC, result_of_logs
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from benchmarks.wrong_logs import ARMS, KINDS, robot_of
 from robot_sysid.config import SysidConfig
 from robot_sysid.diagnosis import Level
-from robot_sysid.diagnosis.run import check_against_model
+from robot_sysid.diagnosis.log_checks import check_against_model
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.pipeline.stages import identify

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions

@@ -11,11 +11,7 @@ from hypothesis import strategies as st
 from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.options import (
-    CHOSEN,
-    DEFAULT_TERMINAL,
-    EstimationOptions,
-)
+from robot_sysid.estimation.question import CHOSEN, DEFAULT_TERMINAL, EstimationOptions
 from robot_sysid.records.sampling import MOST_SAMPLES
 from robot_sysid.records.torque_scale import write_torque_scale
 from tests.support import option_samples

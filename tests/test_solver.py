@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
-from robot_sysid.estimation.itself import of_own_simulation
+from robot_sysid.pipeline.self_test import of_own_simulation
 from robot_sysid.records import Identifiability, SquareRootInformation
 from robot_sysid.results.record import Verdict
 from robot_sysid.solver import identify_parameters

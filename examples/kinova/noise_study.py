@@ -20,13 +20,12 @@ from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.identifiability import visible_space
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer, estimate_of
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, mean_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.fit import evidence, solve
-from robot_sysid.estimation.unknowns import Choice, Question
+from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import (
     Estimate,

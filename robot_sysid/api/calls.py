@@ -20,10 +20,10 @@ from robot_sysid.api.keywords import Model, arm_of, path_of, python_words, with_
 from robot_sysid.api.results import Identified, PlanResult, one_thread
 from robot_sysid.config import PLANNED, Config, PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
-from robot_sysid.estimation import sums
-from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.result import result_of
-from robot_sysid.estimation.sums import LogInformation
+from robot_sysid.estimation import log_information as log_sums
+from robot_sysid.estimation.build_result import result_of
+from robot_sysid.estimation.log_information import LogInformation
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable, arrays_table
@@ -251,7 +251,7 @@ def information(
     values = {**options, "measurements": _log_sources(log)}
     robot = arm_of(model, values)
     log_options = record_from(LogOptions, values)
-    estimation = sums.settled_options(record_from(EstimationOptions, values))
+    estimation = log_sums.settled_options(record_from(EstimationOptions, values))
     config = SysidConfig(
         ModelOptions(path_of(model)), log=log_options, estimation=estimation
     )
@@ -261,7 +261,7 @@ def information(
         for source in log_options.measurements:
             opened = open_log(robot, source, log_options, notes)
             diagnose_logs(config, robot, [opened], notes)
-            record = sums.log_information(
+            record = log_sums.log_information(
                 robot, opened.pieces, config.estimation, around, opened.notes
             )
             records.append(record)
@@ -299,7 +299,7 @@ def identify_from(
         estimation=information.settled.estimation,
     )
     with _quietly() as notes:
-        answer = sums.answer_from(robot, information, validation)
+        answer = log_sums.answer_from(robot, information, validation)
         result = result_of(answer, information.origin)
         identification = Identification(
             result, information.checkpoints, _no_traces, answer

@@ -33,7 +33,7 @@ from robot_sysid.damiao.settings import (
 )
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import (

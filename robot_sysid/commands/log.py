@@ -69,7 +69,7 @@ def _checked(
     preview: PreviewOptions,
     console: Console,
 ) -> int:
-    from robot_sysid.diagnosis.run import check_against_model, require_acceptable
+    from robot_sysid.diagnosis.log_checks import check_against_model, require_acceptable
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 

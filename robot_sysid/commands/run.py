@@ -26,7 +26,7 @@ from robot_sysid.config import (
     SysidConfig,
 )
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions

@@ -24,13 +24,12 @@ from robot_sysid.dynamics.spatial import (
     characteristic_length,
     parameter_scale,
 )
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.priors import EXPECTED
-from robot_sysid.estimation.choices import WITH_ALL
+from robot_sysid.estimation.choices import WITH_ALL, neighbours
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.couplings import neighbours
 from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.estimation.unknowns import Choice, Question, build_unknowns
+from robot_sysid.estimation.question import Choice, EstimationOptions, Question
+from robot_sysid.estimation.unknowns import build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, Measurement, Motion, RobotModel
 from robot_sysid.signals.process import LogPiece, ProcessedSignals, process
 

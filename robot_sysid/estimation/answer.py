@@ -27,26 +27,23 @@ from robot_sysid.estimation.algebra.least_squares import (
 from robot_sysid.estimation.algebra.uncertainty import triangle_of
 from robot_sysid.estimation.choices import Errors
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
-from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.errors import FitErrors
 from robot_sysid.estimation.file_fit import FileFit
 from robot_sysid.estimation.fit import Fit
-from robot_sysid.estimation.recordings import FrictionOfLogs
-from robot_sysid.estimation.unknowns import FILE_FRICTION, LINKS
+from robot_sysid.estimation.log_comparison import FrictionOfLogs
+from robot_sysid.estimation.question import FILE_FRICTION
+from robot_sysid.estimation.trust import HARMLESS
 from robot_sysid.estimation.unknowns import FRICTION as LACKING
-from robot_sysid.estimation.verdict import HARMLESS
+from robot_sysid.estimation.unknowns import LINKS
 from robot_sysid.records import (
     DELAY_NAME,
     Array,
     Estimate,
     InertialParameters,
-    JointLimits,
-    Motion,
     RobotModel,
     Validation,
 )
 from robot_sysid.records.atomic_files import MODEL_NAMES
-from robot_sysid.records.data import Traces
 from robot_sysid.records.figures import percent, with_error
 from robot_sysid.results.cards import inertia_is_known, principal_moments
 from robot_sysid.results.record import (
@@ -469,96 +466,3 @@ def structural_base(robot: RobotModel, seed: int = 0) -> BaseCombinations:
     return base_combinations(
         columns.reshape(-1, columns.shape[-1]), parameter_scale(len(links))
     )
-
-
-_NOT_FRICTION = ("armature", "zero", "scale", "drift")
-
-
-def make_traces(
-    robot: RobotModel,
-    samples: Sequence[DecimatedSamples],
-    motions: Sequence[Motion],
-    estimate: Mapping[str, float],
-    prior: Mapping[str, float],
-) -> Traces:
-    """Return the measured and the predicted torques of all logs.
-
-    Args:
-        samples: equations of each log.
-        motions: motion of each log, interpolated to the instants of its equations.
-        estimate: parameter name to estimated value; missing parameters are zero.
-        prior: parameter name to value of the model, in the same way.
-    """
-    joints = samples[0].joints
-    indices = [robot.joint_names.index(joint) for joint in joints]
-
-    def stack_joints(name: str) -> Array:
-        return np.concatenate([np.stack(getattr(log, name), axis=1) for log in samples])
-
-    def interpolate_motion(name: str) -> Array:
-        signals = [
-            [
-                np.interp(log.time, motion.time, signal)
-                for signal in getattr(motion, name).T[indices]
-            ]
-            for log, motion in zip(samples, motions)
-        ]
-        return np.concatenate([np.column_stack(joints) for joints in signals])
-
-    missing = stack_joints("tau")
-    measured = stack_joints("measured")
-    limits = robot.limits
-    rubbing = {
-        n: v
-        for n, v in estimate.items()
-        if "[" in n and n.split("[")[0] not in _NOT_FRICTION
-    }
-    return Traces(
-        joints=joints,
-        is_slide=tuple(bool(robot.is_slide[j]) for j in indices),
-        time=np.concatenate([log.time for log in samples]),
-        q=interpolate_motion("q"),
-        qd=interpolate_motion("qd"),
-        measured=np.where(np.isfinite(missing), measured, np.nan),
-        predicted=measured - missing + _products(samples, estimate),
-        before=measured - missing + _products(samples, prior),
-        friction=_products(samples, rubbing),
-        limits=JointLimits(
-            limits.lower[indices],
-            limits.upper[indices],
-            limits.velocity[indices],
-            limits.torque[indices],
-        ),
-    )
-
-
-def _products(
-    samples: Sequence[DecimatedSamples], values: Mapping[str, float]
-) -> Array:
-    """Return the torque (K, joints) of parameters [N m]; missing ones are zero."""
-    coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
-    torques = [
-        [rows @ coefficients[columns] for rows, columns in zip(log.rows, log.columns)]
-        for log in samples
-    ]
-    return np.concatenate([np.stack(log_torques, axis=1) for log_torques in torques])
-
-
-def traces_of(answer: Answer) -> Traces:
-    """Return the measured torques and those that the written file (else the fit) and the model
-    predict; both predictions contain the estimated offsets of the torque sensors.
-    """
-    fit = answer.fit if answer.file is None else answer.file.fit
-    names = fit.columns.names
-    estimate, prior = (
-        dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.prior)
-    )
-    if fit.question.loaded:
-        prior = {
-            name: value for name, value in estimate.items() if name not in PAYLOAD_NAMES
-        }
-    prior.update({n: v for n, v in estimate.items() if n.startswith("offset[")})
-    motions = [
-        dataset.remove_delay(fit.point.delay).motion for dataset in fit.columns.datasets
-    ]
-    return make_traces(fit.columns.robot, fit.samples, motions, estimate, prior)

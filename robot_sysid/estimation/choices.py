@@ -9,27 +9,25 @@ better on its own held-out torques.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import accumulate
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import BENT, Coupling, FrictionModel, friction_model
-from robot_sysid.estimation.algebra.consistent_bodies import ConsistentLinks
-from robot_sysid.estimation.algebra.least_squares import (
-    normal_matrix,
-    restrict,
-    sample_counts,
-    update_triangle,
+from robot_sysid.dynamics.friction import (
+    BENT,
+    DEFAULT_MEASURED,
+    Coupling,
+    FrictionModel,
+    friction_model,
 )
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.least_squares import sample_counts
 from robot_sysid.estimation.algebra.priors import (
     LinkEvidence,
-    LinkScales,
+    NuisanceGroup,
     WithPriors,
     average_scales,
     is_worth_a_word,
@@ -37,19 +35,27 @@ from robot_sysid.estimation.algebra.priors import (
     link_evidence,
     link_lengths,
 )
-from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
+from robot_sysid.estimation.columns import Point
+from robot_sysid.estimation.fit import Fit, Fitter
+from robot_sysid.estimation.held_out import (
+    HeldOut,
+    _unknowns_of,
+    is_clearly_lower,
+    squared_errors,
+)
+from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.estimation.unknowns import (
     COMMON_SCALE,
+    LEAST_COULOMB,
     LINKS,
     PER_CENT,
-    Choice,
-    Question,
     Unknowns,
     build_unknowns,
+    independent_prior,
 )
-from robot_sysid.records import Array, Validation
-from robot_sysid.records.results import validation_of
+from robot_sysid.json_files import read_json
+from robot_sysid.model.chain import CAN_HOLD_ROTORS, shared_motors
+from robot_sysid.records import Array, RobotModel
 
 CANDIDATES = (
     "coulomb-viscous-offset-armature",
@@ -68,221 +74,9 @@ WITH_POLYNOMIAL = CANDIDATES[5]
 """Friction model that an MJCF can hold."""
 WITH_ALL = "coulomb-viscous-offset-armature-sqrt-stribeck-load"
 """Friction model that fits any friction by speed and load closely enough to judge its rows."""
-SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Factors of the other links' uncertainty to try; 16 times 5 % is nearly all of a link."""
-AS_GOOD = 1.02
-"""Ratio of squared errors up to which they count as equal: one per cent of the error."""
-OWN_SOURCE = "the logs, each fifth predicted from the others"
-CLEAR_SHARE = 0.1
-"""Share by which a friction term has to lower the held-out squared error."""
-CLEARLY = 2.0
-"""Standard errors of the mean over the blocks by which a term has to lower that error."""
-CLEAR_OFFSET = 3.0
-"""Standard errors that a sensor's offset has to be away from zero, and a rotor from the model's."""
-OFFSET = 0.01
-"""Prior standard deviation of other sensors' offsets beside clear ones, as a share of the joint's
-torque: of a KUKA LWR4+, offsets and links are not known better."""
-# Less than every squared error [N^2 m^2].
-_TINY = 1e-30
-# Keeps normal equations regular where parameters have no data.
-_RIDGE = 1e-12
 
 Errors = Mapping[str, Mapping[str, float]]
 """Joint to friction model to its held-out root mean square error [N m]."""
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """Recordings in blocks, each to be predicted from the others.
-
-    Attributes:
-        data: evidence of each block.
-        noise: (joints,) effective standard deviation of each joint's torque [N m].
-        superset: unknowns that contain those of every question, which saves memory with many
-            joints; None for all parameters.
-    """
-
-    data: Evidence
-    noise: Array
-    superset: Unknowns | None = None
-    _triangles: dict[tuple[bytes, bytes], Sequence[Array]] = field(default_factory=dict)
-    _path_ends: dict[int, Any] = field(default_factory=dict)
-
-    @cached_property
-    def counts(self) -> Array:
-        """How many rows each block has of each joint (blocks, joints)."""
-        return np.array([sample_counts(block) for block in self.data.blocks])
-
-    @cached_property
-    def _available(self) -> NDArray[np.bool_]:
-        """Which parameters (p,) have columns in the Gram matrices."""
-        nonzero = self.data.nonzero
-        if self.superset is None:
-            return nonzero
-        is_unknown = np.isin(np.arange(len(nonzero)), self.superset.kept)
-        return nonzero & (is_unknown | (self.superset.held != 0.0))
-
-    @cached_property
-    def _grams(self) -> Array:
-        """Gram matrices (blocks, s+2, s+2) of the whitened equations of all blocks but one in turn.
-
-        Columns are the s available parameters, the right sides, and zeros for all other parameters.
-        """
-        indices = np.append(np.flatnonzero(self._available), -1)
-        grams = np.zeros((len(self.data.blocks), len(indices) + 1, len(indices) + 1))
-        for gram, block in zip(grams, self.data.blocks):
-            gram[:-1, :-1] = normal_matrix(block, 1.0 / self.noise)[
-                np.ix_(indices, indices)
-            ]
-        for row_of_blocks in grams.swapaxes(0, 1):  # which takes no memory
-            row_of_blocks[:] = np.array(_sums_of_others(row_of_blocks, np.add))
-        return grams
-
-    def squared_errors(self, unknowns: Unknowns) -> Array:
-        """Return the squared error (blocks, joints) of blocks predicted from the others [N^2 m^2].
-
-        Bodies may be physically inconsistent here.
-        """
-        return self.data.squared_residuals(self._values(unknowns)[..., None])[..., 0]
-
-    def _normal_equations(
-        self, unknowns: Unknowns
-    ) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield scaled normal equations (k, k), right side (k,) and scale (k,) without each block.
-
-        Friction terms that the other blocks do not identify stay near zero; all other parameters
-        without data have priors.
-        """
-        available = self._available
-        held = unknowns.held.copy()
-        assert not np.any(self.data.nonzero[unknowns.kept] & ~available[unknowns.kept])
-        held[unknowns.kept] = 0.0
-        prior_rows = _prior_rows(unknowns)
-        prior_gram = prior_rows.T @ prior_rows
-        gram_indices = np.where(available, np.cumsum(available) - 1, -1)
-        indices = gram_indices[unknowns.kept]
-        held_indices = np.flatnonzero(held)
-        for gram in self._grams:
-            crossed = gram[np.ix_(indices, gram_indices[held_indices])]
-            right_side = (
-                gram[indices, -2] - crossed @ held[held_indices] + prior_gram[:-1, -1]
-            )
-            matrix = gram[np.ix_(indices, indices)] + prior_gram[:-1, :-1]
-            size = np.sqrt(np.diagonal(matrix))
-            scale = 1.0 / np.where(size > 0.0, size, 1.0)
-            matrix *= scale[:, None] * scale
-            matrix[np.diag_indices_from(matrix)] += _RIDGE
-            yield matrix, scale * right_side, scale
-
-    def _values(self, unknowns: Unknowns) -> Array:
-        """Return the estimate (blocks, p) from all blocks but one in turn."""
-        values = [
-            unknowns.full(scale * np.linalg.solve(matrix, right_side))
-            for matrix, right_side, scale in self._normal_equations(unknowns)
-        ]
-        return np.array(values)
-
-    def chance(self, fit: Fit) -> Array:
-        """Return the expected squared prediction error (blocks, joints) of a right model [N^2 m^2].
-
-        It is the noise of the block's own torque plus the variance of the prediction made from the
-        other blocks, which is nearly infinite where none of them identifies a joint's friction.
-        """
-        unknowns = fit.unknowns
-        expected = self.counts * fit.noise**2
-        equations = self._normal_equations(unknowns)
-        for block, block_expected, (matrix, _, scale) in zip(
-            self.data.blocks, expected, equations
-        ):
-            root = np.linalg.inv(np.linalg.cholesky(matrix)) * scale
-            for row, joint in enumerate(block.joints):
-                is_unknown = np.isin(joint.columns, unknowns.kept)
-                indices = np.searchsorted(unknowns.kept, joint.columns[is_unknown])
-                block_expected[row] += np.sum(
-                    (joint.triangle[:, :-1][:, is_unknown] @ root[:, indices].T) ** 2
-                )
-        return expected
-
-    def of(self, fit: Fit) -> Array:
-        """Return the ``squared_errors`` of a fit's unknowns, bodies physically consistent."""
-        unknowns = fit.unknowns
-        values = self._values(unknowns)
-        problem = links_problem(unknowns)
-        prior_rows = _prior_rows(unknowns)
-        bodies = [indices for indices, _ in unknowns.bodies.values()]
-        path_end = None
-        for block, estimate in enumerate(values):
-            if bodies and not all(
-                spatial.is_consistent(estimate[indices]) for indices in bodies
-            ):
-                rows = np.vstack((self._other_triangles(unknowns)[block], prior_rows))
-                path_end = self._path_ends.get(block, path_end)
-                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, path_end)
-                values[block] = unknowns.full(solver.best())
-                path_end = solver.first
-                self._path_ends[block] = path_end
-        return self.data.squared_residuals(values[..., None])[..., 0]
-
-    def _other_triangles(self, unknowns: Unknowns) -> Sequence[Array]:
-        """Return triangles (., k+1) of the equations of all blocks but one in turn."""
-        key = unknowns.kept.tobytes(), unknowns.held.tobytes()
-        if key not in self._triangles:
-            restriction = unknowns.kept_names, unknowns.held
-            blocks = (restrict(block, *restriction) for block in self.data.blocks)
-            stacked = (
-                np.column_stack(block.stacked(1.0 / self.noise)) for block in blocks
-            )
-            empty = np.zeros((0, len(unknowns.kept) + 1))
-            triangles = [update_triangle(empty, block) for block in stacked]
-            self._triangles[key] = _sums_of_others(triangles, update_triangle)
-        return self._triangles[key]
-
-    def score(self, squared: Array) -> Array:
-        """Return the mean (blocks,) of squared errors (blocks, joints), over the noise variance."""
-        counts = np.maximum(np.sum(self.counts, axis=1), 1.0)
-        return np.asarray(np.sum(squared / self.noise**2, axis=-1) / counts)
-
-    def validation(self, squared: Array, source: str = OWN_SOURCE) -> Validation:
-        """Return squared errors (blocks, joints) as one record."""
-        joints = [joint.joint for joint in self.data.blocks[0].joints]
-        torque = np.sum(self.data.squared_torque, axis=0)
-        counts = np.sum(self.counts, axis=0)
-        return validation_of(joints, np.sum(squared, axis=0), torque, counts, source)
-
-
-def held_out(fit: Fit, superset: Unknowns | None = None) -> HeldOut:
-    """Return the blocks of a fit, which judge choices whose unknowns are in the superset."""
-    return HeldOut(fit.evidence, 1.0 / fit.weights, superset)
-
-
-def _sums_of_others(
-    summands: Sequence[Array], add: Callable[[Array, Array], Array]
-) -> list[Array]:
-    """Return for each summand, two at least, the sum of all others.
-
-    They are added up from both ends: subtracting a summand from the total would leave rounding
-    errors where the others have no data.
-    """
-    sums_before = list(accumulate(summands[:-1], add))
-    sums_after = list(accumulate(summands[:0:-1], add))[::-1]
-    return [sums_after[0], *map(add, sums_before[:-1], sums_after[1:]), sums_before[-1]]
-
-
-def _prior_rows(unknowns: Unknowns) -> Array:
-    rows = [group.rows(unknowns.kept_names) for group in unknowns.groups]
-    return np.vstack(rows) if rows else np.zeros((0, len(unknowns.kept) + 1))
-
-
-def is_clearly_lower(errors: Array, reference: Array) -> bool:
-    """Tell whether squared errors (blocks,) are clearly lower than those of a reference."""
-    if not np.all(np.isfinite(errors)) or not np.all(np.isfinite(reference)):
-        return bool(np.all(np.isfinite(errors)))
-    ratio = np.log((errors + _TINY) / (reference + _TINY))
-    mean = float(np.mean(ratio))
-    standard_error = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio))
-    threshold = np.log(1.0 - CLEAR_SHARE)
-    lower = np.sum(errors) < (1.0 - CLEAR_SHARE) * np.sum(reference)
-    return bool(lower and mean < threshold and mean + CLEARLY * standard_error < 0.0)
 
 
 def choose(
@@ -344,29 +138,6 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
     others = [other for other in fit.unknowns.groups if other is not group]
     data = fit.evidence.of(fit.unknowns)
     return link_evidence(data, fit.weights, others, group, directions, is_stated)
-
-
-def _unknowns_of(fit: Fit, question: Question, choice: Choice) -> Unknowns:
-    return build_unknowns(
-        fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
-    )
-
-
-def squared_errors(
-    judge: HeldOut, columns: Columns, question: Question, choice: Choice
-) -> Array:
-    """Return held-out squared errors (blocks, joints) of a choice [N^2 m^2]."""
-    data = judge.data
-    return judge.squared_errors(
-        build_unknowns(columns, question, choice, data.torque, data.nonzero)
-    )
-
-
-def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
-    """Return ``HeldOut.score`` (blocks,) of a choice, bodies physically consistent."""
-    return judge.score(
-        judge.of(replace(fit, unknowns=_unknowns_of(fit, question, choice)))
-    )
 
 
 def _select_friction(
@@ -477,66 +248,6 @@ def posterior_of(
     return values[indices], covariance[np.ix_(indices, indices)]
 
 
-def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
-    """Return the choice with offsets of those torque sensors that clearly have one.
-
-    In a small motion an offset and the weight of links make the same torque, so that noise alone
-    would move weight into offsets: offsets that are not clear become zero, the least clear first.
-    Sensors of an arm are of one kind: beside a clear offset, the others may have small ones.
-    """
-    deviations = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
-    unknowns = _unknowns_of(fit, question, choice)
-    zero_joints = list(choice.offsets)
-    names = unknowns.kept_names
-    free = [
-        j
-        for j in fit.columns.joints
-        if j not in zero_joints and f"offset[{j}]" in names
-    ]
-    offsets, covariance = posterior_of(
-        fit, unknowns, [f"offset[{joint}]" for joint in free]
-    )
-    while free:
-        significance = np.abs(offsets) / np.sqrt(np.diag(covariance))
-        index = int(np.argmin(significance))
-        if significance[index] > CLEAR_OFFSET:
-            return replace(
-                choice, offsets={joint: deviations[joint] for joint in zero_joints}
-            )
-        # Condition the other offsets on zero for this one.
-        gain = covariance[:, index] / covariance[index, index]
-        others = np.arange(len(free)) != index
-        offsets = (offsets - gain * offsets[index])[others]
-        covariance = (covariance - np.outer(gain, covariance[index]))[others][:, others]
-        zero_joints.append(free.pop(index))
-    return replace(choice, offsets=dict.fromkeys(zero_joints, 0.0))
-
-
-def select_rotors(fit: Fit) -> dict[str, float]:
-    """Return joint, or motor that turns several, to its rotor inertia in a file [kg m^2].
-
-    That is the estimate of a fit with all friction terms, where it clearly differs from the model's
-    rotor, else the model's. A file lacks most of these terms: in slow motion, a rotor fitted beside
-    its friction would take their torque.
-    """
-    columns = fit.columns
-    unknowns = _unknowns_of(fit, fit.question, fit.choice)
-    owners = [
-        *columns.robot.joint_names,
-        *(motor.name for motor in fit.choice.couplings),
-    ]
-    owners = [owner for owner in owners if f"armature[{owner}]" in unknowns.kept_names]
-    names = [f"armature[{owner}]" for owner in owners]
-    if not names:
-        return {}
-    rotors, covariance = posterior_of(fit, unknowns, names)
-    indices = columns.at(names)
-    error = np.sqrt(np.diag(covariance))
-    is_clear = np.abs(rotors - columns.prior[indices]) > CLEAR_OFFSET * error
-    values = np.where(is_clear, fit.values[indices], columns.prior[indices])
-    return dict(zip(owners, values.tolist()))
-
-
 def dry_friction(fit: Fit) -> tuple[float, ...]:
     """Return the dry friction (joints,) of each row's joint in a fit [N m]."""
     sizes = np.zeros(len(fit.columns.joints))
@@ -546,20 +257,267 @@ def dry_friction(fit: Fit) -> tuple[float, ...]:
     return tuple(sizes.tolist())
 
 
-def predictive_link_scales(
-    judge: HeldOut, fit: Fit, question: Question, choice: Choice
-) -> LinkScales:
-    """Return the least factor on the links' uncertainty whose held-out error is about the lowest.
+CLEAR_EVIDENCE = 15.0
+"""By how much a coupling has to raise the logarithm of the marginal likelihood. That of a Staubli
+TX40's wrist does by 114 to 148; where there is none, one does by 3 at most on three logs of a KUKA
+LWR4+, and by 13 on 12 s of a UR10e."""
 
-    Factors are tried until the error rises. They are for a file, which has to predict well; the
-    uncertainty of links is estimated in ``link_scales``.
+
+# Factor on the prior of a motor that counts as absent.
+_ABSENT = 1e-4
+
+
+# Least standard deviation of a motor's parameters.
+_LEAST = 1e-9
+
+
+# Standard errors that one of a motor's parameters has to be away from zero.
+_CLEAR = 3.0
+
+
+# Cosine from which on ratios of speeds are the same.
+_SAME_DIRECTION = 1.0 - 1e-9
+
+
+def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Coupling:
+    """Return the coupling with these ratios (n,), which may be a fixed tendon of the model."""
+    text = ""
+    for joint, ratio in zip(robot.joint_names, ratios):
+        if ratio != 0.0:
+            size = "" if abs(ratio) == 1.0 else f"{abs(ratio):g}*"
+            sign = "-" if ratio < 0.0 else "+" if text else ""
+            text += f"{sign}{size}{joint}"
+    motor = Coupling(np.asarray(ratios, dtype=float), text)
+    if tendon is None:
+        return motor
+    model = robot.mj_model
+    rotor = model.tendon_armature[tendon] if CAN_HOLD_ROTORS else 0.0
+    numbers = {
+        "coulomb": model.tendon_frictionloss[tendon],
+        "viscous": model.tendon_damping[tendon],
+        "armature": rotor,
+    }
+    of_model = np.array([float(numbers.get(term, 0.0)) for term in motor.terms])
+    return replace(motor, model=of_model, tendon=tendon)
+
+
+def couplings_of_model(robot: RobotModel) -> tuple[Coupling, ...]:
+    """Return the motors of the model that turn several joints of the arm.
+
+    A tendon without friction and rotor inertia is no motor, but a spring or a gripper's fingers.
     """
-    scores = list[float]()
-    for scale in SCALES:
-        wider = replace(choice, link_scales=LinkScales(scale, scale, scale, scale))
-        scores.append(float(np.mean(score_of(judge, fit, question, wider))))
-        if scores[-1] > AS_GOOD * min(scores):
-            break
-    as_good = np.flatnonzero(np.array(scores) <= AS_GOOD * min(scores))
-    best = SCALES[int(as_good[0])]
-    return LinkScales(best, best, best, best)
+    ratios = shared_motors(robot.mj_model, robot.dof_index)
+    motors = (
+        coupling(robot, joint_ratios, tendon) for tendon, joint_ratios in ratios.items()
+    )
+    return tuple(motor for motor in motors if np.any(motor.model))
+
+
+def neighbours(robot: RobotModel) -> Iterator[Coupling]:
+    """Yield the couplings that a wrist may have: each joint with the next one, of either sign."""
+    for joint in range(robot.n_joints - 1):
+        for sign in (1.0, -1.0):
+            ratios = np.zeros(robot.n_joints)
+            ratios[joint] = 1.0
+            ratios[joint + 1] = sign
+            yield coupling(robot, ratios)
+
+
+def couplings_of(
+    robot: RobotModel, options: EstimationOptions
+) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
+    """Return (couplings that have columns, those of them that need evidence of the recordings).
+
+    Couplings of the model and of the user's file need no evidence. Torques of the last joint alone
+    identify none.
+
+    Raises:
+        InputError: the file that states them cannot be read, or does not fit the arm.
+    """
+    stated = () if options.coupling is None else read_couplings(options.coupling, robot)
+    if options.torques != "chain":
+        return stated, ()
+    of_model = couplings_of_model(robot)
+    fixed = (*of_model, *(motor for motor in stated if not _is_among(motor, of_model)))
+    if options.coupling is not None:
+        return fixed, ()
+    offered = tuple(motor for motor in neighbours(robot) if not _is_among(motor, fixed))
+    return (*fixed, *offered), offered
+
+
+def _is_among(motor: Coupling, others: Sequence[Coupling]) -> bool:
+    """Tell whether a motor's ratios are parallel to those of another motor."""
+    directions = [
+        item.ratios / np.linalg.norm(item.ratios) for item in (motor, *others)
+    ]
+    return any(abs(directions[0] @ other) > _SAME_DIRECTION for other in directions[1:])
+
+
+def select_couplings(
+    fitter: Fitter,
+    question: Question,
+    model: FrictionModel | None,
+    offered: tuple[Coupling, ...],
+) -> tuple[Coupling, ...]:
+    """Return the couplings that need no evidence and the offered ones that have clear evidence.
+
+    A motor is selected where it makes the torques clearly more likely, with noise estimated anew
+    beside it, and one of its parameters is clearly not zero. Joint torque sensors behind the gears
+    measure no torque of motors, and so none of a motor that joints share.
+    """
+    couplings = fitter.columns.couplings
+    joint_model = model or friction_model(DEFAULT_MEASURED)
+    choice = Choice(
+        (joint_model,) * fitter.columns.robot.n_joints,
+        couplings[: len(couplings) - len(offered)],
+    )
+    fit = fitter.fit(question, choice, rounds=1)
+    while True:
+        wider = [
+            fitter.solve_around(
+                fit.point, question, replace(fit.choice, couplings=motors)
+            )
+            for motors in _promising_couplings(fit, question, offered)
+        ]
+        gains = [_evidence_gain(fit, wider_fit) for wider_fit in wider]
+        if not gains or max(gains) < CLEAR_EVIDENCE:
+            return fit.choice.couplings
+        fit = wider[int(np.argmax(gains))]
+
+
+def _promising_couplings(
+    fit: Fit, question: Question, offered: Sequence[Coupling]
+) -> list[tuple[Coupling, ...]]:
+    """Return the couplings of a fit with one offered motor added, for the two best motors at most.
+
+    Each makes the torques more likely. The noise is that of the fit, and friction may have either
+    sign: this saves fits with motors that cannot win.
+    """
+    present = fit.choice.couplings
+    candidates = [
+        motor for motor in offered if all(motor is not other for other in present)
+    ]
+    if not candidates:
+        return []
+    choice = replace(fit.choice, couplings=(*present, *candidates))
+    unknowns = build_unknowns(
+        fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
+    )
+    problem = WithPriors(
+        fit.evidence.of(unknowns), np.sqrt(fit.inflation * fit.memory) * fit.noise
+    )
+    priors = [_motor_prior(fit, unknowns, motor) for motor in candidates]
+    absent = [replace(prior, widened=_ABSENT) for prior in priors]
+    groups = [*unknowns.groups, *absent]
+    evidence_without = problem.log_evidence(groups)[1]
+    gains = []
+    for k in range(len(candidates)):
+        groups[len(unknowns.groups) + k] = priors[k]
+        gains.append(problem.log_evidence(groups)[1] - evidence_without)
+        groups[len(unknowns.groups) + k] = absent[k]
+    best = np.argsort(gains)[::-1][:2]
+    return [(*present, candidates[k]) for k in best if gains[k] > 0.0]
+
+
+def _evidence_gain(fit: Fit, wider: Fit) -> float:
+    """Return the log marginal likelihood that the last motor of a wider fit adds.
+
+    It is minus infinity where none of the motor's parameters is clearly not zero. The number of
+    independent samples is that of the wider fit's residuals.
+    """
+    prior = _motor_prior(fit, wider.unknowns, wider.choice.couplings[-1])
+    priors = [*wider.unknowns.groups, prior]
+    correlation = wider.inflation * wider.memory
+    problem = WithPriors(
+        wider.evidence.of(wider.unknowns), np.sqrt(correlation) * wider.noise
+    )
+    values, covariance, _ = problem.solve(priors)
+    indices = prior.indices(wider.unknowns.kept_names)
+    if not np.any(
+        np.abs(values[indices]) > _CLEAR * np.sqrt(np.diag(covariance)[indices])
+    ):
+        return -np.inf
+    problem_without = WithPriors(
+        fit.evidence.of(fit.unknowns), np.sqrt(correlation) * fit.noise
+    )
+    counts = np.array(sample_counts(fit.evidence.whole)) / correlation
+    less_noise = float(counts @ np.log(fit.noise / wider.noise))
+    return (
+        problem.log_evidence(priors)[1]
+        - problem_without.log_evidence(fit.unknowns.groups)[1]
+        + less_noise
+    )
+
+
+def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup:
+    """Return the prior of a motor that turns several joints: each joint's own terms in a fit.
+
+    A term that is nearly zero there may make a small share of the joint's root mean square torque.
+    """
+    columns = fit.columns
+    turned = np.flatnonzero(motor.ratios)
+    names = [name for name in motor.parameter_names if name in unknowns.kept_names]
+    sizes = []
+    for name in names:
+        term = name.partition("[")[0]
+        terms = columns.at(
+            [f"{term}[{columns.robot.joint_names[joint]}]" for joint in turned]
+        )
+        size = max(float(np.max(np.abs(fit.values[terms]))), _LEAST)
+        for joint in turned:
+            rows = fit.evidence.whole.joints[joint]
+            column = rows.triangle[:, :-1][:, rows.columns == columns.place[name]]
+            column_size = float(np.linalg.norm(column)) / np.sqrt(
+                max(rows.n_samples, 1)
+            )
+            if column_size > 0.0:
+                size = max(
+                    size, LEAST_COULOMB * fit.evidence.torque[joint] / column_size
+                )
+        sizes.append(size)
+    return independent_prior("couplings", names, names, np.array(sizes))
+
+
+def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
+    """Return the couplings that a file states.
+
+    The file is JSON: ``{"motor": {"joint": ratio, ...}, ...}``, or a matrix with a row per motor
+    and a column per joint of the chain. Ratios are motor speed, seen through its own gear, per
+    joint speed. A motor that turns with one joint alone couples nothing and is left out.
+
+    Raises:
+        InputError: the file cannot be read, or does not fit the arm.
+    """
+    names = robot.joint_names
+    content = read_json(path, '--coupling takes JSON such as {"motor": {"joint": 1.0}}')
+    if isinstance(content, dict):
+        rows = {f"motor {name!r}": row for name, row in content.items()}
+    elif isinstance(content, list):
+        rows = {f"row {index + 1}": row for index, row in enumerate(content)}
+    else:
+        rows = {"": content}
+    ratios = []
+    for label, entry in rows.items():
+        row: Any = entry
+        if isinstance(row, list) and len(row) == robot.n_joints:
+            row = dict(zip(names, row))
+        if not isinstance(row, dict) or not all(map(_is_number, row.values())):
+            raise InputError(
+                f'--coupling {path}: {label} must be like {{"{names[-1]}": 1.0}}, or in a matrix '
+                f"{robot.n_joints} finite numbers in each row, one per joint of the chain"
+            )
+        unknown = [joint for joint in row if joint not in names]
+        if unknown:
+            raise InputError(
+                f"--coupling {path}: {label} turns with {unknown[0]!r}, which is no joint of the "
+                f"arm: {', '.join(names)}"
+            )
+        ratios.append(np.array([float(row.get(joint, 0.0)) for joint in names]))
+    return tuple(
+        coupling(robot, motor) for motor in ratios if np.count_nonzero(motor) > 1
+    )
+
+
+def _is_number(value: Any) -> bool:
+    is_real = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_real and bool(np.isfinite(value))

@@ -13,31 +13,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robot_sysid.dynamics.friction import Coupling, FrictionModel, friction_model
-from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.choices import (
-    IN_FILE,
-    WITH_POLYNOMIAL,
-    HeldOut,
-    held_out,
-    is_clearly_lower,
-    predictive_link_scales,
-    score_of,
-    select_offsets,
-    select_rotors,
-    squared_errors,
-)
+from robot_sysid.estimation.algebra.priors import LinkScales
+from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, posterior_of
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.fit import Fit, Fitter
-from robot_sysid.estimation.unknowns import (
+from robot_sysid.estimation.held_out import (
+    HeldOut,
+    _unknowns_of,
+    held_out,
+    is_clearly_lower,
+    score_of,
+    squared_errors,
+)
+from robot_sysid.estimation.question import (
     FILE_FRICTION,
     FILE_GRAVITY,
     FILE_ROTORS,
     Choice,
+    EstimationOptions,
     Question,
-    Unknowns,
-    build_unknowns,
 )
+from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
 from robot_sysid.model.chain import CAN_HOLD_ROTORS
 from robot_sysid.records import Array, RobotModel, Validation
 
@@ -231,3 +228,99 @@ def _polynomials(
         if is_better and holds_polynomial(columns.robot, joint, question.file_kind):
             friction[joint] = with_polynomial[joint]
     return tuple(friction)
+
+
+SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
+"""Factors of the other links' uncertainty to try; 16 times 5 % is nearly all of a link."""
+
+
+AS_GOOD = 1.02
+"""Ratio of squared errors up to which they count as equal: one per cent of the error."""
+
+
+CLEAR_OFFSET = 3.0
+"""Standard errors that a sensor's offset has to be away from zero, and a rotor from the model's."""
+
+
+OFFSET = 0.01
+"""Prior standard deviation of other sensors' offsets beside clear ones, as a share of the joint's
+torque: of a KUKA LWR4+, offsets and links are not known better."""
+
+
+def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
+    """Return the choice with offsets of those torque sensors that clearly have one.
+
+    In a small motion an offset and the weight of links make the same torque, so that noise alone
+    would move weight into offsets: offsets that are not clear become zero, the least clear first.
+    Sensors of an arm are of one kind: beside a clear offset, the others may have small ones.
+    """
+    deviations = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
+    unknowns = _unknowns_of(fit, question, choice)
+    zero_joints = list(choice.offsets)
+    names = unknowns.kept_names
+    free = [
+        j
+        for j in fit.columns.joints
+        if j not in zero_joints and f"offset[{j}]" in names
+    ]
+    offsets, covariance = posterior_of(
+        fit, unknowns, [f"offset[{joint}]" for joint in free]
+    )
+    while free:
+        significance = np.abs(offsets) / np.sqrt(np.diag(covariance))
+        index = int(np.argmin(significance))
+        if significance[index] > CLEAR_OFFSET:
+            return replace(
+                choice, offsets={joint: deviations[joint] for joint in zero_joints}
+            )
+        # Condition the other offsets on zero for this one.
+        gain = covariance[:, index] / covariance[index, index]
+        others = np.arange(len(free)) != index
+        offsets = (offsets - gain * offsets[index])[others]
+        covariance = (covariance - np.outer(gain, covariance[index]))[others][:, others]
+        zero_joints.append(free.pop(index))
+    return replace(choice, offsets=dict.fromkeys(zero_joints, 0.0))
+
+
+def select_rotors(fit: Fit) -> dict[str, float]:
+    """Return joint, or motor that turns several, to its rotor inertia in a file [kg m^2].
+
+    That is the estimate of a fit with all friction terms, where it clearly differs from the model's
+    rotor, else the model's. A file lacks most of these terms: in slow motion, a rotor fitted beside
+    its friction would take their torque.
+    """
+    columns = fit.columns
+    unknowns = _unknowns_of(fit, fit.question, fit.choice)
+    owners = [
+        *columns.robot.joint_names,
+        *(motor.name for motor in fit.choice.couplings),
+    ]
+    owners = [owner for owner in owners if f"armature[{owner}]" in unknowns.kept_names]
+    names = [f"armature[{owner}]" for owner in owners]
+    if not names:
+        return {}
+    rotors, covariance = posterior_of(fit, unknowns, names)
+    indices = columns.at(names)
+    error = np.sqrt(np.diag(covariance))
+    is_clear = np.abs(rotors - columns.prior[indices]) > CLEAR_OFFSET * error
+    values = np.where(is_clear, fit.values[indices], columns.prior[indices])
+    return dict(zip(owners, values.tolist()))
+
+
+def predictive_link_scales(
+    judge: HeldOut, fit: Fit, question: Question, choice: Choice
+) -> LinkScales:
+    """Return the least factor on the links' uncertainty whose held-out error is about the lowest.
+
+    Factors are tried until the error rises. They are for a file, which has to predict well; the
+    uncertainty of links is estimated in ``link_scales``.
+    """
+    scores = list[float]()
+    for scale in SCALES:
+        wider = replace(choice, link_scales=LinkScales(scale, scale, scale, scale))
+        scores.append(float(np.mean(score_of(judge, fit, question, wider))))
+        if scores[-1] > AS_GOOD * min(scores):
+            break
+    as_good = np.flatnonzero(np.array(scores) <= AS_GOOD * min(scores))
+    best = SCALES[int(as_good[0])]
+    return LinkScales(best, best, best, best)

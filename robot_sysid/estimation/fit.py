@@ -30,7 +30,8 @@ from robot_sysid.estimation.algebra.priors import widened_groups, with_prior
 from robot_sysid.estimation.algebra.uncertainty import concentration, memory
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, block_masks, information_of
-from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, build_unknowns
+from robot_sysid.estimation.question import Choice, Question
+from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 
@@ -565,3 +566,19 @@ def links_problem(unknowns: Unknowns) -> LinksProblem:
         links.append(np.searchsorted(unknowns.kept, indices))
         prior[links[-1]] = usual_body
     return LinksProblem(tuple(links), prior)
+
+
+def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
+    """Return a recording's rows in the estimated parameters, with all held ones subtracted."""
+    rows_by_joint = list(ChosenRows((samples,), unknowns))
+    columns = [
+        np.searchsorted(unknowns.kept, at[np.isin(at, unknowns.kept)])
+        for at in samples.columns
+    ]
+    return replace(
+        samples,
+        names=unknowns.kept_names,
+        columns=tuple(columns),
+        rows=tuple(rows for _, rows, _ in rows_by_joint),
+        tau=tuple(tau for _, _, tau in rows_by_joint),
+    )

@@ -9,32 +9,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.dynamics.equations import N_INERTIAL
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.dynamics.nuisances import gravity, tilt_axes
-from robot_sysid.errors import InputError, prefix_input_errors
-from robot_sysid.estimation.algebra.least_squares import sample_counts
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.errors import prefix_input_errors
 from robot_sysid.estimation.algebra.priors import SURE, is_no_chance
 from robot_sysid.estimation.answer import Answer, written_payload
-from robot_sysid.estimation.choices import WITH_ALL, choose
-from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.couplings import couplings_of, select_couplings
-from robot_sysid.estimation.dataset import Dataset, Mask, mean_torque
-from robot_sysid.estimation.errors import FitErrors, fit_errors
-from robot_sysid.estimation.file_fit import fit_file
-from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence_of
-from robot_sysid.estimation.recordings import compare_recordings, held_out_validation
-from robot_sysid.estimation.unknowns import Choice, Question
-from robot_sysid.estimation.verdict import is_informative
-from robot_sysid.records import (
-    Array,
-    Measurement,
-    RobotModel,
-    SquareRootInformation,
-    Validation,
+from robot_sysid.estimation.choices import (
+    WITH_ALL,
+    choose,
+    couplings_of,
+    select_couplings,
 )
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, Mask, mean_torque
+from robot_sysid.estimation.errors import fit_errors
+from robot_sysid.estimation.file_fit import fit_file
+from robot_sysid.estimation.fit import Fit, Fitter, restrict_samples
+from robot_sysid.estimation.held_out import held_out_validation, validate_datasets
+from robot_sysid.estimation.log_comparison import compare_recordings, estimate_alone
+from robot_sysid.estimation.question import Choice, EstimationOptions, Question
+from robot_sysid.estimation.unknowns import WEIGHT, independent_prior
+from robot_sysid.records import Array, Flange, Measurement, RobotModel
 from robot_sysid.records.progress import Detail, Progress
-from robot_sysid.records.results import validation_of
+from robot_sysid.results.record import OneRecording
 from robot_sysid.signals.process import LogPiece, process
 from robot_sysid.signals.repetition import visits
 
@@ -264,61 +263,6 @@ def _fitter(
     return replace(fitter, columns=columns.with_couplings(couplings))
 
 
-def validate_datasets(
-    fit: Fit, errors: FitErrors, datasets: Sequence[Dataset], source: str
-) -> Validation:
-    """Return the error of a fit in other recordings; InputError as in ``validate_rows``."""
-    columns = Columns(
-        fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings
-    )
-    samples = columns.samples(replace(fit.point, values=fit.values))
-    return validate_rows(
-        fit, errors, evidence_of([samples], fit.evidence.torque), source
-    )
-
-
-def validate_rows(
-    fit: Fit, errors: FitErrors, data: Evidence, source: str
-) -> Validation:
-    """Return the error with which a fit predicts the torques of rows that were not fitted.
-
-    Raises:
-        InputError: the rows hold no usable samples.
-    """
-    counts = sample_counts(data.whole)
-    squares = np.sum(data.squared_torque, axis=0)
-    if not np.any(counts):
-        raise InputError(f"no usable torque samples to validate on in {source}")
-    residual = data.whole.squared_residuals(fit.values)
-    joints = [joint.joint for joint in data.whole.joints]
-    validation = validation_of(joints, residual, squares, counts, source)
-    noise = counts[None] * fit.noise**2
-    told_enough = is_informative(
-        residual[None],
-        noise,
-        lambda: noise + _prediction_variance(fit, errors, data.whole),
-    )
-    return replace(validation, told_enough=told_enough)
-
-
-def _prediction_variance(
-    fit: Fit, errors: FitErrors, data: SquareRootInformation
-) -> Array:
-    """Return the variance (joints,) of the torques that a fit predicts, summed over the rows of
-    other data [N^2 m^2]; infinite where the fit does not identify a parameter of a joint's torque.
-    """
-    indices = fit.unknowns.kept
-    variances = np.zeros(len(data.joints))
-    for row, (joint, fitted) in enumerate(zip(data.joints, fit.evidence.whole.joints)):
-        is_free = np.isin(joint.columns, indices)
-        change = np.zeros((len(joint.triangle), len(indices)))
-        columns = np.searchsorted(indices, joint.columns[is_free])
-        change[:, columns] = joint.triangle[:, :-1][:, is_free]
-        is_identified = fitted.n_samples > 0 and np.all(errors.shown(change))
-        variances[row] = np.trace(errors.of(change)[0]) if is_identified else np.inf
-    return variances
-
-
 WORSE = 2.0
 """Ratio of mean squared residuals from which on rows make an estimate worse: the variance s^2 / n
 of one from n rows falls by m more of variance r s^2 for as long as r < 2 + m / n."""
@@ -378,3 +322,176 @@ def _are_worse(residual: Array, doubtful: NDArray[np.bool_]) -> bool:
     return squared > WORSE * len(doubted) and is_no_chance(
         squared, len(doubted), 1.0 - SURE
     )
+
+
+SURE_MISFIT = 4.0
+"""Root mean square difference of recordings of one kind, in standard errors, beyond which they are
+refused: no set of 60 simulated ones exceeds 1.9, a real arm with elastic joints reaches 3.3."""
+
+
+LEAST_MASS = 0.03
+"""Difference in mass below which recordings agree, as a share of the payload's mass."""
+
+
+LEAST_PLACE = 0.01
+"""Difference in the payload's centre of mass below which recordings agree [m]."""
+
+
+LEAST_GYRATION = 0.05
+"""Difference in the payload's radius of gyration below which recordings agree [m]."""
+
+
+UNSEEN = 100.0
+"""Prior standard deviation of a body's parameters, which bounds those without data [SI]."""
+
+
+def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
+    """Return the payload from each recording and all of the other kind, in the flange's frame."""
+    unknowns = fit.unknowns
+    recordings = fit.columns.datasets
+    payloads = []
+    logs = [restrict_samples(samples, unknowns) for samples in fit.samples]
+    prior = fit.columns.prior[unknowns.kept]
+    indices = np.searchsorted(unknowns.kept, fit.columns.at(PAYLOAD_NAMES))
+    for is_loaded in (False, True):
+        same = [k for k, log in enumerate(recordings) if log.is_loaded is is_loaded]
+        others = [
+            k for k, log in enumerate(recordings) if log.is_loaded is not is_loaded
+        ]
+        for k in same if len(same) > 1 else ():
+            values, *spread = estimate_alone(
+                [logs[i] for i in (k, *others)], unknowns.groups, prior, fit.noise
+            )
+            theta = flange.to_flange(values[indices])
+            noise, error = (
+                float(np.sqrt(matrix[indices[0], indices[0]])) for matrix in spread
+            )
+            mass = float(theta[0])
+            com = theta[1:4] / mass if mass else np.full(3, np.nan)
+            payloads.append(
+                OneRecording(recordings[k].name, is_loaded, mass, com, noise, error)
+            )
+    return tuple(payloads)
+
+
+def contradiction(fit: Fit, flange: Flange) -> str:
+    """Return a sentence on recordings of one kind that contradict each other; "" where they agree.
+
+    Bodies are in the flange's frame. Torque scales of the fit may have been bent to explain a
+    recording of the wrong kind, so that a difference has to show in a second linearisation, around
+    the model's own values, too.
+    """
+    recordings = fit.columns.datasets
+    kinds = np.array([log.is_loaded for log in recordings])
+    bodies = np.zeros((0, N_INERTIAL))
+    differences: list[tuple[float, int, str]] = []
+    if len(kinds) < 3:
+        return ""
+    for samples in (
+        lambda: fit.samples,
+        lambda: fit.columns.samples(fit.columns.start()),
+    ):
+        bodies, covariance = bodies_apart(fit, samples())
+        differences = sorted(_differences(kinds, bodies, covariance))
+        if not differences:
+            return ""
+    _, number, quantity = differences[-1]
+    same = [k for k in np.flatnonzero(kinds == kinds[number]) if k != number]
+    lightest = int(np.argmin(bodies[:, 0]))
+    carried = bodies - bodies[lightest]
+    least = LEAST_MASS * float(np.max(carried[:, 0]))
+    listed = [
+        f"{log.name} {_describe_body(flange.to_flange(theta), least)}"
+        for log, theta in zip(recordings, carried)
+        if log is not recordings[lightest]
+    ]
+    return (
+        f"{recordings[number].name} differs from {', '.join(recordings[k].name for k in same)} in "
+        f"{quantity}; compared with {recordings[lightest].name} the arm carries: "
+        f"{', '.join(listed)}"
+    )
+
+
+def _describe_body(theta: Array, least: float) -> str:
+    """Return mass and centre of mass of a body (10,) in words, "nothing" up to a mass [kg]."""
+    if theta[0] <= least:
+        return "nothing"
+    position = ", ".join(f"{1e3 * x:.0f}" for x in theta[1:4] / theta[0])
+    return f"{theta[0]:.3g} kg at ({position}) mm"
+
+
+def _differences(
+    kinds: NDArray[np.bool_], bodies: Array, covariance: Array
+) -> Iterator[tuple[float, int, str]]:
+    """Yield (rms difference in standard errors, recording number, quantity) of each recording that
+    differs from the others of its kind.
+
+    Args:
+        kinds: (d,) whether each recording carries the payload.
+        bodies: (d, 10) on the arm.
+        covariance: (d, 10, d, 10) of the bodies.
+    """
+    payload = np.mean(bodies[kinds], axis=0) - np.mean(bodies[~kinds], axis=0)
+    mass = max(abs(float(payload[0])), np.finfo(float).tiny)
+    for number, is_loaded in enumerate(kinds):
+        others = (kinds == is_loaded) & (np.arange(len(kinds)) != number)
+        if not np.any(others):
+            continue
+        weights = (np.arange(len(kinds)) == number) - others / np.sum(others)
+        change = weights @ bodies
+        spread = np.einsum("i,iajb,j", weights, covariance, weights)
+        moved = change[1:4] - change[0] * payload[1:4] / mass
+        sizes = {
+            "mass": (abs(change[0]), LEAST_MASS * mass, slice(0, 4)),
+            "centre of mass": (np.linalg.norm(moved), LEAST_PLACE * mass, slice(0, 4)),
+            "inertia": (
+                np.max(np.abs(change[4:])),
+                LEAST_GYRATION**2 * mass,
+                slice(4, 10),
+            ),
+        }
+        for quantity, (size, least, block) in sizes.items():
+            off = change[block]
+            ratio = float(
+                np.sqrt(off @ np.linalg.solve(spread[block, block], off) / len(off))
+            )
+            if size > least and ratio > SURE_MISFIT:
+                yield ratio, number, quantity
+
+
+def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, Array]:
+    """Return (bodies (d, 10), covariance (d, 10, d, 10)): what each recording carries on the arm.
+
+    The first recording is the reference: its body and its error are zero. Whether a recording is
+    called empty or loaded is not used.
+    """
+    count = len(samples) - 1
+    common = np.setdiff1d(fit.unknowns.kept, fit.columns.at(PAYLOAD_NAMES))
+    fewer = replace(fit.unknowns, kept=common)
+    added = tuple(f"{n}({k})" for k in range(count) for n in PARAMETER_NAMES)
+    names = (*fewer.kept_names, *added)
+
+    def add_body_columns(number: int, samples: DecimatedSamples) -> DecimatedSamples:
+        narrow = restrict_samples(samples, fewer)
+        rows = []
+        for block, full in zip(narrow.rows, samples.rows):
+            bodies = np.zeros((len(block), count, N_INERTIAL))
+            if number:
+                bodies[:, number - 1] = full[:, :N_INERTIAL]
+            rows.append(np.hstack((block, bodies.reshape(len(block), -1))))
+        last = np.arange(len(common), len(names))
+        columns = tuple(np.append(at, last) for at in narrow.columns)
+        return replace(narrow, names=names, columns=columns, rows=tuple(rows))
+
+    # A recording of the wrong kind widens priors that have nothing to do with it.
+    priors = [replace(g, widened=1.0) for g in fit.unknowns.groups if g.cause != WEIGHT]
+    priors.append(independent_prior("unseen", added, added, UNSEEN))
+    prior = np.append(fit.columns.prior[common], np.zeros(len(added)))
+    logs = [add_body_columns(*pair) for pair in enumerate(samples)]
+    values, _, errors = estimate_alone(logs, priors, prior)
+    last = slice(len(common), None)
+    bodies = np.zeros((count + 1, N_INERTIAL))
+    covariance = np.zeros((count + 1, N_INERTIAL) * 2)
+    bodies[1:] = values[last].reshape(count, -1)
+    covariance[1:, :, 1:] = errors[last, last].reshape((count, N_INERTIAL) * 2)
+    return bodies, covariance

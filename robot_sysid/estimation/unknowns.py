@@ -7,31 +7,32 @@ and which are held; everything after that is the same for the last link, all lin
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.friction import (
-    FADING_SPEEDS,
-    Coupling,
-    FrictionModel,
-    speed_name,
-)
+from robot_sysid.dynamics.friction import FADING_SPEEDS, speed_name
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.priors import (
     AS_STATED,
-    LinkScales,
     NuisanceGroup,
     link_aspects,
     link_factor,
     link_lengths,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.question import (
+    FILE_FRICTION,
+    FILE_GRAVITY,
+    FILE_LINKS,
+    Choice,
+    EstimationOptions,
+    Question,
+)
 from robot_sysid.records import DELAY_NAME, Array
 from robot_sysid.records.options import per_joint
 
@@ -46,11 +47,6 @@ FRICTION = "friction model"
 COMMON = "common torque scale"
 WEIGHT = "known mass"
 OFFSETS = "sensor offsets"
-# Parts of a model file that may be kept as they are.
-FILE_FRICTION = "friction"
-FILE_ROTORS = "rotors"
-FILE_GRAVITY = "gravity"
-FILE_LINKS = "links"
 CURVATURE = 5.0
 """Standard deviation of friction's curvature, over dry friction and the share of its load that a
 gear may lose (documented with --friction-uncertainty)."""
@@ -86,62 +82,6 @@ _EXACT_MASS = 1e-6
 _FREE_SIGN = ("offset", "sqrt")
 PER_CENT = 0.01
 MILLI = 1e-3
-
-
-@dataclass(frozen=True)
-class Question:
-    """What to estimate from recordings.
-
-    Attributes:
-        options: prior uncertainties of the arm, and the other options of the estimate.
-        loaded: whether recordings carry a payload to estimate.
-        drifts: whether to estimate a drift of friction over the recordings.
-        known_mass: of the payload [kg], where torque scales are estimated with it.
-        in_file: whether to estimate only what a model file can hold.
-        file_kind: kind of that file; a "urdf" holds no rotor inertia.
-        kept_parts: parts of that file that stay as they are, ``FILE_FRICTION`` and the like.
-        carried: the payload (10,) that loaded recordings carry, where it is known.
-        resting: whether the recordings are poses at rest.
-    """
-
-    options: EstimationOptions
-    loaded: bool = False
-    drifts: bool = False
-    known_mass: float | None = None
-    in_file: bool = False
-    file_kind: str = "mjcf"
-    kept_parts: tuple[str, ...] = ()
-    carried: Array | None = None
-    resting: bool = False
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What the recordings themselves decide.
-
-    Attributes:
-        friction: per chain joint, its friction terms.
-        couplings: motors that turn with several joints.
-        link_scales: factors on the stated uncertainty of the other links.
-        common_scale: standard deviation of an error that all torque scales share, a share; only
-            links identify it.
-        offsets: joint to standard deviation of its torque sensor's offset [N m]; that of others is
-            free.
-        rotors: joint or motor to its rotor's inertia, where that is known [kg m^2].
-        dry_friction: (joints,) approximate dry friction of each row's joint [N m], which sizes the
-            prior of friction curves; None while friction terms are chosen: beside such a prior no
-            term would lower the held-out error.
-        noise_memory: (joints,) how many rows of a joint count as one independent row; None for one.
-    """
-
-    friction: tuple[FrictionModel, ...]
-    couplings: tuple[Coupling, ...] = ()
-    link_scales: LinkScales = AS_STATED
-    common_scale: float = 0.0
-    offsets: Mapping[str, float] = field(default_factory=dict)
-    rotors: Mapping[str, float] = field(default_factory=dict)
-    dry_friction: tuple[float, ...] | None = None
-    noise_memory: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from robot_sysid.estimation.algebra.consistent_bodies import (
     possible_covariance,
 )
 from robot_sysid.estimation.algebra.identifiability import describe, triangle_space
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.priors import (
     EXPECTED,
     NuisanceGroup,
@@ -35,19 +34,17 @@ from robot_sysid.estimation.algebra.uncertainty import (
     uncertainty,
     whole_triangle,
 )
-from robot_sysid.estimation.choices import CANDIDATES
+from robot_sysid.estimation.choices import CANDIDATES, couplings_of
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
-from robot_sysid.estimation.couplings import couplings_of
 from robot_sysid.estimation.dataset import Dataset, mean_torque
 from robot_sysid.estimation.fit import evidence_of
 from robot_sysid.estimation.identify import Piece, low_pass_recordings
+from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.estimation.unknowns import (
     COMMON_SCALE,
     DRIFTS,
     LINKS,
     SCALES,
-    Choice,
-    Question,
     Unknowns,
     build_unknowns,
     common_error,

@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.config import LOADED, PayloadConfig
-from robot_sysid.diagnosis.run import look_at
+from robot_sysid.diagnosis.log_checks import look_at
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.answer import traces_of
+from robot_sysid.estimation.build_result import payload_of, traces_of
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import (
     Piece,
@@ -19,8 +19,8 @@ from robot_sysid.estimation.identify import (
     low_pass_recordings,
     shared_notes,
 )
-from robot_sysid.estimation.result import payload_of
-from robot_sysid.estimation.unknowns import SCALES, Question, Unknowns
+from robot_sysid.estimation.question import Question
+from robot_sysid.estimation.unknowns import SCALES, Unknowns
 from robot_sysid.logs.reader import open_log
 from robot_sysid.model.flange import find_flange
 from robot_sysid.pipeline.outcome import Identification

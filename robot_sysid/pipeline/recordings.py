@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.config import SysidConfig
-from robot_sysid.diagnosis.run import look_at
-from robot_sysid.estimation.answer import traces_of
+from robot_sysid.diagnosis.log_checks import look_at
+from robot_sysid.estimation.build_result import result_of, traces_of
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.fit import release_memory
 from robot_sysid.estimation.identify import (
@@ -22,8 +22,7 @@ from robot_sysid.estimation.identify import (
     refit,
     shared_notes,
 )
-from robot_sysid.estimation.result import result_of
-from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
+from robot_sysid.estimation.question import FILE_FRICTION, FILE_ROTORS
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.pipeline.outcome import Identification

@@ -14,7 +14,6 @@ import numpy as np
 
 from robot_sysid.config import Config, PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
-from robot_sysid.estimation.itself import identify_itself
 from robot_sysid.export import locked_folder, save
 from robot_sysid.model.compilation import meshes_not_kept
 from robot_sysid.motion.plan_options import LimitOptions
@@ -26,6 +25,7 @@ from robot_sysid.pipeline.planning import (
     motor_writer,
     write_plan,
 )
+from robot_sysid.pipeline.self_test import identify_itself
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import MODEL_NAMES, whole_files
 from robot_sysid.records.plan_settings import command_after_weighing

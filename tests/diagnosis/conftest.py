@@ -6,7 +6,7 @@ import pytest
 
 from robot_sysid.diagnosis.contest import Contest
 from robot_sysid.diagnosis.rows import low_pass
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from tests.support import arms
 from tests.support.wrong_logs import truth_of
 

@@ -13,7 +13,7 @@ from robot_sysid.diagnosis.evidence import Hypotheses
 from robot_sysid.diagnosis.relabelling import relabellings, torque_scales
 from robot_sysid.diagnosis.rows import low_pass
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 
 OPTIONS = EstimationOptions()
 

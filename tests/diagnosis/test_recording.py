@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
 from robot_sysid.diagnosis import Level
-from robot_sysid.diagnosis.recording import (
+from robot_sysid.diagnosis.log_checks import (
     clock_findings,
     sensor_findings,
     velocity_findings,

@@ -14,11 +14,15 @@ from numpy.testing import assert_allclose
 
 from benchmarks.real_arms import ARMS, KINDS, draw_arm
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.run import check_against_model, look_at, require_acceptable
+from robot_sysid.diagnosis.log_checks import (
+    check_against_model,
+    look_at,
+    require_acceptable,
+)
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import CHECKS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
@@ -244,7 +248,7 @@ def test_what_is_only_noted_is_no_note_of_a_note(four, monkeypatch):
         path="log.csv", pieces=(four.log,), notes=(), torque_scale=None
     )
     monkeypatch.setattr(
-        "robot_sysid.diagnosis.run.check_against_model", lambda *_: (found,)
+        "robot_sysid.diagnosis.log_checks.check_against_model", lambda *_: (found,)
     )
     look_at(ROBOT, log, (), told)
     assert notes == ["it lags [delay]"] and found.line() == "note: it lags [delay]"

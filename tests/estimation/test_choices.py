@@ -14,16 +14,16 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.choices import (
     CANDIDATES,
-    CLEAR_SHARE,
     choose,
     clearly_best,
-    held_out,
-    is_clearly_lower,
+    neighbours,
+    select_couplings,
 )
-from robot_sysid.estimation.couplings import neighbours, select_couplings
 from robot_sysid.estimation.dataset import block_masks
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.unknowns import SCALES, Question
+from robot_sysid.estimation.held_out import CLEAR_SHARE, held_out, is_clearly_lower
+from robot_sysid.estimation.question import Question
+from robot_sysid.estimation.unknowns import SCALES
 from tests.support import arms
 from tests.support.core_fits import BASIC, NOISE_ONLY, filter_logs, fit_logs, fitter_of
 from tests.support.measured_logs import RATE, XML, log_of, plan_of

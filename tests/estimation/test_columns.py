@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robot_sysid.dynamics.friction import BENT, TERMS
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned
+from robot_sysid.estimation.choices import neighbours
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.couplings import neighbours
 from robot_sysid.records import DELAY_NAME
 from robot_sysid.signals import process as process_module
 from robot_sysid.signals.filters import LowPass, design_low_pass

@@ -11,13 +11,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.couplings import (
+from robot_sysid.estimation.choices import (
     coupling,
     couplings_of,
     couplings_of_model,
     read_couplings,
 )
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.simulator import simulate_inverse
 from tests.support import arms

@@ -9,10 +9,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.priors import misfits
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import FILTERING, filtering_bias, fit_errors
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.estimation.unknowns import COMMON, SCALES
 from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, with_gravity
-from robot_sysid.estimation.couplings import coupling
+from robot_sysid.estimation.choices import coupling
 from robot_sysid.estimation.file_fit import fit_file, holds_polynomial
-from robot_sysid.estimation.unknowns import FILE_FRICTION as FRICTION
-from robot_sysid.estimation.unknowns import FILE_GRAVITY as GRAVITY
-from robot_sysid.estimation.unknowns import FILE_LINKS as LINKS
-from robot_sysid.estimation.unknowns import FILE_ROTORS as ROTORS
+from robot_sysid.estimation.question import FILE_FRICTION as FRICTION
+from robot_sysid.estimation.question import FILE_GRAVITY as GRAVITY
+from robot_sysid.estimation.question import FILE_LINKS as LINKS
+from robot_sysid.estimation.question import FILE_ROTORS as ROTORS
 from robot_sysid.model.chain import CAN_HOLD_ROTORS
 from robot_sysid.results.rollout import torque_error
 from tests.support import arms

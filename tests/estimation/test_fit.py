@@ -15,10 +15,10 @@ from robot_sysid.dynamics.friction import BENT
 from robot_sysid.dynamics.nuisances import gravity, with_gravity
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation import fit as fit_module
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.unknowns import LARGEST_LOSS, Question
+from robot_sysid.estimation.question import EstimationOptions, Question
+from robot_sysid.estimation.unknowns import LARGEST_LOSS
 from robot_sysid.records import DELAY_NAME
 from tests.support import arms
 from tests.support.core_fits import (

@@ -15,11 +15,10 @@ import pytest
 from benchmarks.real_arms import ARMS, SENSOR_ARMS, draw_arm
 from robot_sysid.estimation import errors
 from robot_sysid.estimation.algebra.consistent_bodies import once_possible
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.choices import choose
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.identify import Piece, low_pass_recordings
-from robot_sysid.estimation.unknowns import Question
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model

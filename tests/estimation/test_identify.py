@@ -10,18 +10,18 @@ from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.answer import base_parameters, structural_base, traces_of
+from robot_sysid.estimation.answer import base_parameters, structural_base
+from robot_sysid.estimation.build_result import result_of, traces_of
 from robot_sysid.estimation.errors import fit_errors
+from robot_sysid.estimation.held_out import validate_datasets as validated
 from robot_sysid.estimation.identify import (
     Piece,
     answer_link,
     low_pass_recordings,
     refit,
 )
-from robot_sysid.estimation.identify import validate_datasets as validated
-from robot_sysid.estimation.itself import identify_itself
-from robot_sysid.estimation.result import result_of
+from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.pipeline.self_test import identify_itself
 from robot_sysid.records import Source
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import Verdict

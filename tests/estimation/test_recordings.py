@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.recordings import (
+from robot_sysid.estimation.identify import (
     bodies_apart,
-    compare_recordings,
     contradiction,
     payloads_by_recording,
 )
+from robot_sysid.estimation.log_comparison import compare_recordings
 from robot_sysid.records import Flange
 from tests.estimation.conftest import SIGMA
 from tests.support import arms

@@ -11,11 +11,10 @@ from numpy.testing import assert_allclose
 from robot_sysid.diagnosis.rows import rms
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.nuisances import TILT_NAMES
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.build_result import payload_of, result_of
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import answer_link, answer_payload
-from robot_sysid.estimation.result import payload_of, result_of
-from robot_sysid.estimation.unknowns import Question
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.records import Flange, Measurement
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import LINK, Figure, Verdict

@@ -10,10 +10,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.identify import answer_link
-from robot_sysid.estimation.sums import answer_from, log_information, settled_options
-from robot_sysid.estimation.unknowns import FILE_GRAVITY as GRAVITY
+from robot_sysid.estimation.log_information import (
+    answer_from,
+    log_information,
+    settled_options,
+)
+from robot_sysid.estimation.question import FILE_GRAVITY as GRAVITY
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records.progress import Progress
 from tests.support.core_fits import filter_logs
 from tests.support.measured_logs import CUTOFF, RATE, log_of, plan_of

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from robot_sysid.estimation import unknowns as module
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.columns import Columns
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import (
     COMMON,
     DELAY,
@@ -19,7 +19,6 @@ from robot_sysid.estimation.unknowns import (
     TILT,
     WEIGHT,
     ZEROS,
-    Question,
     build_unknowns,
 )
 from tests.support.core_fits import NOISE_ONLY, choice_of

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation import verdict
+from robot_sysid.estimation import trust
 from robot_sysid.estimation.algebra.least_squares import sample_counts
-from robot_sysid.estimation.choices import held_out
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.recordings import held_out_validation
-from robot_sysid.estimation.verdict import first
+from robot_sysid.estimation.held_out import held_out, held_out_validation
+from robot_sysid.estimation.trust import first
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import InertialParameters, Validation
 from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Verdict
@@ -44,13 +43,13 @@ def prediction(relative):
 
 
 def of_link(link):
-    return verdict.implausible_link(SEVEN, link)
+    return trust.implausible_link(SEVEN, link)
 
 
 def of_links(index=0, change=lambda theta: theta):
     thetas = SEVEN.thetas
     thetas[index] = change(thetas[index])
-    return verdict.implausible_links(SEVEN, thetas)
+    return trust.implausible_links(SEVEN, thetas)
 
 
 def moved(theta):
@@ -59,11 +58,11 @@ def moved(theta):
 
 
 def of_payload(payload, misfit="", relative=0.03):
-    return verdict.of_payload(SEVEN, payload, misfit, prediction(relative))
+    return trust.of_payload(SEVEN, payload, misfit, prediction(relative))
 
 
 def of_weight(weighed, *before):
-    return verdict.of_known_mass(before, weighed, 1.0)
+    return trust.of_known_mass(before, weighed, 1.0)
 
 
 OK = Verdict.OK
@@ -138,7 +137,7 @@ def test_each_fault_is_refused_with_its_reason(findings, status, words):
     ],
 )
 def test_a_file_is_judged_beside_the_one_before(before, after, status):
-    assert verdict.of_file(prediction(before), prediction(after))[0] is status
+    assert trust.of_file(prediction(before), prediction(after))[0] is status
 
 
 def fit_of(robot, log):
@@ -152,10 +151,10 @@ def test_held_out_torque_may_be_three_times_the_noise(robot, noisy):
     for times, relative, status in ((2.5, 0.1, OK), (3.5, 0.01, OK), (3.5, 0.1, None)):
         errors = {joint: times * each for joint, each in noise.items()}
         test = replace(prediction(relative), rmse_per_joint=errors)
-        found, reasons = first(verdict.find_misfits(fit, [test], 0.0, {}), OK)
+        found, reasons = first(trust.find_misfits(fit, [test], 0.0, {}), OK)
         assert found is (status or Verdict.UNEXPLAINED)
         assert status or "of parts are predicted 3.5 times worse" in reasons[0]
-    coarse, (reason,) = first(verdict.find_misfits(fit, [], 0.49, {}), OK)
+    coarse, (reason,) = first(trust.find_misfits(fit, [], 0.49, {}), OK)
     assert coarse is Verdict.UNEXPLAINED and "49 %" in reason
 
 
@@ -185,12 +184,10 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     used = np.where(at < 0.2 * count, speed > 0.0, (at < 0.5 * count) & (speed < 0.0))
     fit = fit_recordings(robot, [replace(log, used=used)], options)
     own = held_out_validation(fit)
-    assert own.relative_error > verdict.HARMLESS
-    assert first(verdict.find_misfits(fit, [own], 0.0, {}), OK) == (OK, ())
+    assert own.relative_error > trust.HARMLESS
+    assert first(trust.find_misfits(fit, [own], 0.0, {}), OK) == (OK, ())
     told = replace(own, told_enough=True)
-    assert (
-        first(verdict.find_misfits(fit, [told], 0.0, {}), OK)[0] is Verdict.UNEXPLAINED
-    )
+    assert first(trust.find_misfits(fit, [told], 0.0, {}), OK)[0] is Verdict.UNEXPLAINED
 
 
 @pytest.mark.parametrize("what", ["another joint's torque", "white noise"])
@@ -212,9 +209,9 @@ def test_a_joint_whose_torque_follows_from_nothing_is_named_one_with_noise_is_no
     share = dict(
         zip(robot.joint_names, np.array(fit_errors(fit).whole.effective) / counts)
     )
-    odd = first(verdict.find_misfits(fit, [], 0.0, {}), OK)
+    odd = first(trust.find_misfits(fit, [], 0.0, {}), OK)
     assert "of the torque of joint2 is unexplained" in odd[1][0]
-    found = first(verdict.find_misfits(fit, [], 0.0, share), OK)
+    found = first(trust.find_misfits(fit, [], 0.0, share), OK)
     assert found == (odd if what != "white noise" else (OK, ())), share
 
 
@@ -225,7 +222,7 @@ def test_friction_and_rotors_that_no_joint_has_are_refused():
         joints = {name: JointEstimate("some", {}) for name in SEVEN.joint_names}
         figures = {term: Figure(value, 0.1) for term, value in terms.items()}
         joints[SEVEN.joint_names[-1]] = JointEstimate("some", figures)
-        return first(verdict.implausible_joints(SEVEN, joints, torque), OK)
+        return first(trust.implausible_joints(SEVEN, joints, torque), OK)
 
     assert judged(coulomb=30.0, viscous=200.0, armature=0.5) == (OK, ())
     assert "141 N m of dry friction" in judged(coulomb=141.2)[1][0]
@@ -242,7 +239,7 @@ def test_a_link_is_named_whose_first_moment_is_clearly_off(distance, error, is_n
         body(com=(0.0, 0.0, distance), moved=error),
         before=body(com=(0.0, 0.0, 0.1)).inertial,
     )
-    named = list(verdict.wrong_links([link]))
+    named = list(trust.wrong_links([link]))
     assert bool(named) == is_named
     for wrong in named:
         assert wrong.first_moment_of_model == pytest.approx(0.1)

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.model.contacts import find_new_contacts
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion import design_search as search

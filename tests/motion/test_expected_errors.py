@@ -12,9 +12,9 @@ import pytest
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.estimation.algebra import consistent_bodies
 from robot_sysid.estimation.algebra.consistent_bodies import possible_covariance
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.estimation.unknowns import LINKS, SCALES
 from robot_sysid.motion.expected_errors import (
     NOISE,

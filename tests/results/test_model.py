@@ -19,7 +19,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
-from robot_sysid.estimation.couplings import coupling, couplings_of_model
+from robot_sysid.estimation.choices import coupling, couplings_of_model
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import find_flange
 from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies

@@ -6,14 +6,13 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import friction_model
-from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.build_result import result_of
 from robot_sysid.estimation.choices import CANDIDATES
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import mean_torque
 from robot_sysid.estimation.fit import Fitter
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.result import result_of
-from robot_sysid.estimation.unknowns import Choice, Question
+from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.records import DataOrigin, Source
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.repetition import visits

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robot_sysid.estimation.algebra.between_logs import compare_logs
+from robot_sysid.estimation.log_comparison import compare_logs
 
 COMMON = 5
 OWN = 12

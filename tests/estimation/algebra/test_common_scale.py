@@ -9,12 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from robot_sysid.estimation.algebra import priors
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.priors import false_alarms
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import (
     LINKS,
     SCALES,
-    Question,
     Unknowns,
     independent_prior,
     with_common,

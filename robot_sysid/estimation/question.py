@@ -1,21 +1,30 @@
-"""Options of the estimate."""
+"""What to estimate from recordings: options, the question, and what the recordings decide."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_sysid.dynamics.friction import Coupling, FrictionModel
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.priors import AS_STATED, LinkScales
+from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, PerJoint, given_options, option
 
 if TYPE_CHECKING:
     from robot_sysid.dynamics.friction import FrictionModel
 
+
 TORQUE_CHOICES = ("chain", "terminal")
 """Torques in use: those of all joints that carry the link, or of the last joint only."""
+
+
 DEFAULT_TERMINAL = "coulomb-viscous-offset"
 """Friction terms with one joint's torque alone, where rotor and link inertia are confounded."""
+
+
 CHOSEN = "auto"
 """Friction model that is chosen from the data."""
 
@@ -123,3 +132,72 @@ class EstimationOptions(OptionRecord):
         if self.friction_model in (None, CHOSEN):
             return None if self.torques == "chain" else friction_model(DEFAULT_TERMINAL)
         return friction_model(str(self.friction_model))
+
+
+# Parts of a model file that may be kept as they are.
+FILE_FRICTION = "friction"
+
+
+FILE_ROTORS = "rotors"
+
+
+FILE_GRAVITY = "gravity"
+
+
+FILE_LINKS = "links"
+
+
+@dataclass(frozen=True)
+class Question:
+    """What to estimate from recordings.
+
+    Attributes:
+        options: prior uncertainties of the arm, and the other options of the estimate.
+        loaded: whether recordings carry a payload to estimate.
+        drifts: whether to estimate a drift of friction over the recordings.
+        known_mass: of the payload [kg], where torque scales are estimated with it.
+        in_file: whether to estimate only what a model file can hold.
+        file_kind: kind of that file; a "urdf" holds no rotor inertia.
+        kept_parts: parts of that file that stay as they are, ``FILE_FRICTION`` and the like.
+        carried: the payload (10,) that loaded recordings carry, where it is known.
+        resting: whether the recordings are poses at rest.
+    """
+
+    options: EstimationOptions
+    loaded: bool = False
+    drifts: bool = False
+    known_mass: float | None = None
+    in_file: bool = False
+    file_kind: str = "mjcf"
+    kept_parts: tuple[str, ...] = ()
+    carried: Array | None = None
+    resting: bool = False
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the recordings themselves decide.
+
+    Attributes:
+        friction: per chain joint, its friction terms.
+        couplings: motors that turn with several joints.
+        link_scales: factors on the stated uncertainty of the other links.
+        common_scale: standard deviation of an error that all torque scales share, a share; only
+            links identify it.
+        offsets: joint to standard deviation of its torque sensor's offset [N m]; that of others is
+            free.
+        rotors: joint or motor to its rotor's inertia, where that is known [kg m^2].
+        dry_friction: (joints,) approximate dry friction of each row's joint [N m], which sizes the
+            prior of friction curves; None while friction terms are chosen: beside such a prior no
+            term would lower the held-out error.
+        noise_memory: (joints,) how many rows of a joint count as one independent row; None for one.
+    """
+
+    friction: tuple[FrictionModel, ...]
+    couplings: tuple[Coupling, ...] = ()
+    link_scales: LinkScales = AS_STATED
+    common_scale: float = 0.0
+    offsets: Mapping[str, float] = field(default_factory=dict)
+    rotors: Mapping[str, float] = field(default_factory=dict)
+    dry_friction: tuple[float, ...] | None = None
+    noise_memory: tuple[float, ...] | None = None

@@ -1,26 +1,43 @@
-"""What a recording shows without a model: its length, its clock, its torque channels.
+"""All checks of a log: of the recording by itself, then the contest of explanations.
 
-A joint that moves goes about as far in one step of time as in the steps around it. A step with
-twice the speed has lost a sample that its time stamp does not show; one with none repeats the
-sample before it; a long step of time with the way of a short one is a jump of the clock.
+A recording shows without a model: its length, its clock, its torque channels. A joint that moves
+goes about as far in one step of time as in the steps around it. A step with twice the speed has
+lost a sample that its time stamp does not show; one without speed repeats the sample before it; a
+long step of time with the way of a short one is a jump of the clock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.records import Array, Measurement
+from robot_sysid.diagnosis.contest import Contest, findings
+from robot_sysid.diagnosis.relabelling import model_torque
+from robot_sysid.diagnosis.rows import low_pass, rms
+from robot_sysid.errors import InputError, SysidError, prefix_input_errors
+from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.logs.reader import MeasurementLog
+from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records.figures import percent
+from robot_sysid.records.progress import Progress
+from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.signals.resampling import usual_period
 
 SHORTEST = 1.0
 """Length of a log below which no arm does anything worth fitting [s]."""
+
+
 ROWS = 40
 """Independent samples per joint that ten parameters and its friction need at least."""
+
+
 SLOWEST_RATE = 10.0
 """Samples per second below which a motion cannot be differentiated [Hz]."""
+
+
 SLOWEST = 0.05
 """Speed that one joint at least has to reach [rad/s]."""
 
@@ -60,17 +77,31 @@ def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Fi
 
 
 LOST = (1.6, 4.0)
+
+
 REPEATED = 0.3
 """Speed over that of the steps around it, of a step with lost samples (one lost is 2) and of a
 repeated one (0)."""
+
+
 FEW = 0.003
+
+
 MANY = 0.02
 """Share of such steps that is warned of, and that is refused."""
+
+
 # Length of a step, in usual ones, and its way, in those of the steps around it, of a clock's jump.
 _JUMP = 1.75
+
+
 _NO_WAY = 1.4
+
+
 # Ratio to noise of a step that counts, and how many of them say something.
 _CLEAR = 8.0
+
+
 _ENOUGH = 100
 
 
@@ -109,8 +140,14 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 
 WINDOW = 1.0
 """Time over which recorded velocities are summed [s]: a drive's filter does little to such sums."""
+
+
 WRONG_TIME = 0.03
+
+
 OTHER = 0.5
+
+
 ALIKE = 0.02
 """Share by which time is off that is refused; by which velocities are something else; by how
 much joints may differ in it. A right log has 0.001, one whose velocities pass 3 Hz 0.028."""
@@ -197,13 +234,23 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
 
 LONG = 0.3
 """Time for which a torque that changes otherwise is not exactly the same [s]."""
+
+
 OFTEN = 0.005
 """Share of samples at the largest value beyond which a sensor is at its end."""
+
+
 # A channel of fewer values has coarse steps, which repeat by themselves.
 _MANY_VALUES = 100
+
+
 # Speed of an arm that moves [rad/s]; samples in a row, or in all, that are no chance.
 _MOVING = 0.05
+
+
 _RUN = 4
+
+
 _SEEN = 20
 
 
@@ -263,3 +310,148 @@ def _longest_hold(piece: Measurement, joint: int) -> float:
         if length > longest and moved > _MOVING * min(length, 1.0):
             longest = length
     return longest
+
+
+OF_LINKS = (
+    "torque-scale",
+    "zero",
+    "tilt",
+    "model",
+    "unexplained",
+    "clock",
+    "gravity",
+    "force",
+)
+"""Findings that other links than the model's would bring as well."""
+
+
+# What is left of a torque that follows from rigid bodies alone, its noise and friction, as parts.
+_EXACT = 0.004
+
+
+_QUIET = 5e-4
+
+
+_FRICTIONLESS = 0.002
+
+
+def check_against_model(
+    robot: RobotModel,
+    pieces: Sequence[Measurement],
+    options: EstimationOptions | None = None,
+    links_known: bool = True,
+    divided: Sequence[float] | Array | None = None,
+) -> tuple[Finding, ...]:
+    """Return what looks wrong with a log.
+
+    Args:
+        options: what the estimate allows for; None for what is usual.
+        links_known: whether the model's links are right; where they are to be found, what wrong
+            ones would bring as well is only told.
+        divided: (n,) scale that torques were divided by already.
+
+    Raises:
+        InputError: the log is too short to be looked at.
+    """
+    options = options or EstimationOptions()
+    raw = [*length_findings(pieces), *clock_findings(pieces)]
+    raw += velocity_findings(pieces, robot.joint_names)
+    raw += sensor_findings(pieces, robot.joint_names)
+    if any(each.level is Level.REFUSE for each in raw):
+        return tuple(raw)
+    signals = low_pass(pieces, options.cutoff)
+    found = [*enough_findings(pieces, signals[0].cutoff)]
+    if not found:
+        contest = Contest(robot, signals, options)
+        scales = (
+            np.ones(robot.n_joints)
+            if divided is None
+            else np.asarray(divided, dtype=float)
+        )
+        found = _computed_findings(contest) or findings(contest, scales)
+        found = found or [*slow_findings(contest.log.motion.qd)]
+    if not links_known:
+        found = [
+            replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found
+        ]
+    return (*raw, *found)
+
+
+def look_at(
+    robot: RobotModel,
+    log: MeasurementLog,
+    accepted: Collection[str],
+    progress: Progress,
+    options: EstimationOptions | None = None,
+    links_known: bool = True,
+) -> None:
+    """Tell what ``check_against_model`` finds wrong with a log, and ``require_acceptable``."""
+    with prefix_input_errors(str(log.path)):
+        found = check_against_model(
+            robot, log.pieces, options, links_known, log.torque_scale
+        )
+    for each in found:
+        # What stops a log is told when it does.
+        if each.level is Level.NOTE or (
+            each.level is Level.WARN and each.name in accepted
+        ):
+            progress.note(each.line().removeprefix("note: "))
+    try:
+        require_acceptable(str(log.path), found, accepted)
+    except SysidError:
+        for note in log.notes:
+            progress.note(note)
+        raise
+
+
+def require_acceptable(
+    log: str, findings: Iterable[Finding], accepted: Collection[str] = ()
+) -> None:
+    """Stop at what must not become a number; ``accepted`` names warnings that may.
+
+    Raises:
+        InputError: a finding refuses the log.
+        SysidError: there is a warning that is not accepted.
+    """
+    found = list(findings)
+    refused = [each.text for each in found if each.level is Level.REFUSE]
+    if refused:
+        raise InputError(f"{log}: {'; '.join(refused)}")
+    warned = [f for f in found if f.level is Level.WARN and f.name not in accepted]
+    if warned:
+        names = " ".join(
+            f"--accept {name}" for name in dict.fromkeys(f.name for f in warned)
+        )
+        texts = "; ".join(each.text for each in warned)
+        raise SysidError(
+            f"{log}: {texts}; nothing was written (to go on all the same: {names})"
+        )
+
+
+def _computed_findings(contest: Contest) -> list[Finding]:
+    """Return a finding where the torque is the model's own, without noise and friction."""
+    log = contest.log
+    posterior = contest.posterior
+    model = model_torque(log)
+    loaded = model > 0.1 * float(np.max(model))
+    exact = rms(posterior.residual) < _EXACT * log.usual
+    quiet = _fast_torque(contest.signals) < _QUIET * log.usual
+    friction = contest.friction_share(posterior) < _FRICTIONLESS
+    if not np.all((exact & quiet & friction)[loaded]):
+        return []
+    text = (
+        f"the torque follows rigid-body dynamics to {percent(_EXACT)} and has no friction: it was "
+        "computed, or commanded, not measured; record the measured torque"
+    )
+    return [Finding("computed", Level.WARN, text)]
+
+
+def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
+    """Return (n,) the usual torque above the low-pass, noise where it was measured [N m]."""
+    parts = []
+    for each in signals:
+        half = each.low_pass.half_width
+        parts.append(
+            each.tau[half : len(each) - half] - each.low_pass.filtered(each.tau)
+        )
+    return rms(np.concatenate(parts))

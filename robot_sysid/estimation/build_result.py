@@ -1,9 +1,9 @@
-"""From an answer to the result: the model file, the verdict, and notes for the user."""
+"""From an answer to the Result record: the model file, the verdict, notes for the user, traces."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,8 +19,9 @@ from robot_sysid.estimation.answer import (
     written_payload,
 )
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
-from robot_sysid.estimation.recordings import contradiction, payloads_by_recording
-from robot_sysid.estimation.verdict import (
+from robot_sysid.estimation.dataset import DecimatedSamples
+from robot_sysid.estimation.identify import contradiction, payloads_by_recording
+from robot_sysid.estimation.trust import (
     UNEXPLAINED,
     UNUSUAL,
     Judged,
@@ -36,7 +37,17 @@ from robot_sysid.estimation.verdict import (
     unexplained_share,
     wrong_links,
 )
-from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, WrongLink
+from robot_sysid.records import (
+    DELAY_NAME,
+    Array,
+    DataOrigin,
+    Flange,
+    JointLimits,
+    Motion,
+    RobotModel,
+    WrongLink,
+)
+from robot_sysid.records.data import Traces
 from robot_sysid.records.figures import with_error
 from robot_sysid.records.progress import Detail
 from robot_sysid.results.record import (
@@ -53,8 +64,12 @@ from robot_sysid.results.record import (
 
 WIDER = 2.0
 """Factor of a widened prior above which a note is added."""
+
+
 # Standard errors from zero at which an encoder zero is significant.
 _CLEAR = 3.0
+
+
 # Encoder zero that is too small for a note [rad].
 _SMALL_ZERO = 1e-3
 
@@ -313,3 +328,96 @@ def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
     return answer.body(
         name, change, theta, None if loaded else answer.robot.prior.theta
     )
+
+
+_NOT_FRICTION = ("armature", "zero", "scale", "drift")
+
+
+def make_traces(
+    robot: RobotModel,
+    samples: Sequence[DecimatedSamples],
+    motions: Sequence[Motion],
+    estimate: Mapping[str, float],
+    prior: Mapping[str, float],
+) -> Traces:
+    """Return the measured and the predicted torques of all logs.
+
+    Args:
+        samples: equations of each log.
+        motions: motion of each log, interpolated to the instants of its equations.
+        estimate: parameter name to estimated value; missing parameters are zero.
+        prior: parameter name to value of the model, in the same way.
+    """
+    joints = samples[0].joints
+    indices = [robot.joint_names.index(joint) for joint in joints]
+
+    def stack_joints(name: str) -> Array:
+        return np.concatenate([np.stack(getattr(log, name), axis=1) for log in samples])
+
+    def interpolate_motion(name: str) -> Array:
+        signals = [
+            [
+                np.interp(log.time, motion.time, signal)
+                for signal in getattr(motion, name).T[indices]
+            ]
+            for log, motion in zip(samples, motions)
+        ]
+        return np.concatenate([np.column_stack(joints) for joints in signals])
+
+    missing = stack_joints("tau")
+    measured = stack_joints("measured")
+    limits = robot.limits
+    rubbing = {
+        n: v
+        for n, v in estimate.items()
+        if "[" in n and n.split("[")[0] not in _NOT_FRICTION
+    }
+    return Traces(
+        joints=joints,
+        is_slide=tuple(bool(robot.is_slide[j]) for j in indices),
+        time=np.concatenate([log.time for log in samples]),
+        q=interpolate_motion("q"),
+        qd=interpolate_motion("qd"),
+        measured=np.where(np.isfinite(missing), measured, np.nan),
+        predicted=measured - missing + _products(samples, estimate),
+        before=measured - missing + _products(samples, prior),
+        friction=_products(samples, rubbing),
+        limits=JointLimits(
+            limits.lower[indices],
+            limits.upper[indices],
+            limits.velocity[indices],
+            limits.torque[indices],
+        ),
+    )
+
+
+def _products(
+    samples: Sequence[DecimatedSamples], values: Mapping[str, float]
+) -> Array:
+    """Return the torque (K, joints) of parameters [N m]; missing ones are zero."""
+    coefficients = np.array([values.get(name, 0.0) for name in samples[0].names])
+    torques = [
+        [rows @ coefficients[columns] for rows, columns in zip(log.rows, log.columns)]
+        for log in samples
+    ]
+    return np.concatenate([np.stack(log_torques, axis=1) for log_torques in torques])
+
+
+def traces_of(answer: Answer) -> Traces:
+    """Return the measured torques and those that the written file (else the fit) and the model
+    predict; both predictions contain the estimated offsets of the torque sensors.
+    """
+    fit = answer.fit if answer.file is None else answer.file.fit
+    names = fit.columns.names
+    estimate, prior = (
+        dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.prior)
+    )
+    if fit.question.loaded:
+        prior = {
+            name: value for name, value in estimate.items() if name not in PAYLOAD_NAMES
+        }
+    prior.update({n: v for n, v in estimate.items() if n.startswith("offset[")})
+    motions = [
+        dataset.remove_delay(fit.point.delay).motion for dataset in fit.columns.datasets
+    ]
+    return make_traces(fit.columns.robot, fit.samples, motions, estimate, prior)

@@ -6,7 +6,7 @@ that do not follow from the motion, and files that predict no better than the mo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from robot_sysid.estimation.algebra.least_squares import sample_counts
 from robot_sysid.estimation.columns import PLACEHOLDER, usual_bodies
 from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.fit import Fit
+from robot_sysid.estimation.held_out import NOISE_EXPLAINS
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import (
     Array,
@@ -26,56 +27,99 @@ from robot_sysid.records import (
 from robot_sysid.records.figures import percent, with_error
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 
-NOISE_EXPLAINS = 3.0
-"""Held-out error over noise up to which noise, and not a wrong model, may be its cause."""
 HARMLESS = 0.02
 """Held-out error, as a share of the torque, that is accepted whatever the noise is."""
+
+
 UNUSUAL = 0.035
 """Share of all torque that neither model nor noise explains, above which a note is added."""
+
+
 UNEXPLAINED = 0.05
 """The share above which a result is not trustworthy: logs of right models have 0.4 to 3 %."""
+
+
 ODD_JOINT = 10.0
 """Noise over torque of a joint, in medians of the other joints', above which it is a misfit."""
+
+
 ODD_NOISE = 0.3
 """Noise over torque of a joint that is accepted whatever the other joints have."""
+
+
 MEMORY = 0.5
 """Share of independent samples above which residuals are noise and no misfit: white noise has 0.6
 to 1, torque with another cause 0.1."""
+
+
 DRY_FRICTION = 3.0
 """Dry friction over the usual torque of the strongest other joint above which it is refused."""
+
+
 COM_BEYOND = 0.3
 """Distance of the centre of mass beyond the model's link that is accepted, as a share of the arm's
 reach: a tool that the model does not have may be bolted to it."""
+
+
 GYRATION_BEYOND = 0.1
 """The same for the radius of gyration."""
+
+
 MOVED_UNSEEN = 2.0
 """Largest factor between the model's mass and a mass that the data does not identify."""
+
+
 COARSE = 0.2
 """Expected relative error of the acceleration above which a log is refused."""
+
+
 LEAST_WRONG = 0.1
 """Relative error of a link's first moment above which the link is named as wrong."""
+
+
 LARGEST_RATIO = 20.0
 """Largest factor between another link's mass and the model's."""
+
+
 FARTHEST_LINK = 1.5
 """Largest move of a link's centre of mass, and largest radius of gyration, in sizes of the link."""
+
+
 WORST = 0.5
 """Held-out error of a file, as a share of the torque, above which no file is written."""
+
+
 CLEARLY_LOWER = 0.9
 """Error of the new file over that of the model below which it is better."""
+
+
 WORSE = 1.1
 """Error of the new file over that of the model above which it is worse."""
+
+
 NEGLIGIBLE = 1e-3
 """Held-out error, as a share of the torque, that counts as none."""
+
+
 FARTHEST_PAYLOAD = 0.5
 """Largest distance of a payload's centre of mass from the flange, as a share of the arm's reach."""
+
+
 LEAST_REACH = 0.6
 """Least reach of an arm for that bound [m]."""
+
+
 MOST_FACTOR = 2.0
 """Largest factor between a known mass and its estimate: gears lose a third at most."""
+
+
 # Standard errors of a mass from zero, and of a size beyond its bound, that are significant (95 %).
 _SURE = 2.0
+
+
 # A link's smallest size [m].
 _LEAST_SIZE = 0.02
+
 
 Judged = tuple[Verdict, str]
 """A verdict and its reason in words."""
@@ -88,36 +132,6 @@ def first(
     judged = list(findings)
     return (judged[0][0] if judged else otherwise), tuple(
         reason for _, reason in judged
-    )
-
-
-def _error_ratio(squared: Array, expected: Array) -> float:
-    """Return root mean square errors over expected ones, of squares (blocks, joints) of both."""
-    used = np.any(expected > 0.0, axis=0)
-    return float(
-        np.sqrt(np.mean(squared.sum(axis=0)[used] / expected.sum(axis=0)[used]))
-    )
-
-
-def is_informative(squared: Array, noise: Array, variance: Callable[[], Array]) -> bool:
-    """Tell whether held-out errors are a test of a fit.
-
-    They are one if they are as small as noise, or larger than the variance of the prediction.
-
-    Args:
-        squared: (blocks, joints) squared errors [N^2 m^2].
-        noise: (blocks, joints) their expected values by torque noise alone.
-        variance: returns (blocks, joints) their expected values by noise and the errors of the fit,
-            infinite where the fit does not identify a joint's friction.
-    """
-    if _error_ratio(squared, noise) <= NOISE_EXPLAINS:
-        return True
-    expected = variance()
-    is_known = np.all(np.isfinite(expected), axis=0)
-    expected = expected[:, is_known]
-    return (
-        bool(np.any(expected))
-        and _error_ratio(squared[:, is_known], expected) > NOISE_EXPLAINS
     )
 
 

@@ -1,9 +1,9 @@
 """Information of logs about an arm as a record of bounded size that adds: many logs, many machines.
 
 Triangles of equations add, and so do the sums behind the standard errors; options that would depend
-on all logs at once are settled beforehand. Two rounds give the estimate of one process: in the
-first, columns that depend on the parameters are those of the model, in the second those of the
-first round's estimate, whose residuals also give the autocorrelation of torque noise.
+on all logs at once have to be stated. Two rounds give the estimate of one process: in the first,
+columns that depend on the parameters are those of the model, in the second those of the first
+round's estimate, whose residuals also give the autocorrelation of torque noise.
 """
 
 from __future__ import annotations
@@ -18,12 +18,15 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.least_squares import combine
-from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
 from robot_sysid.estimation.algebra.uncertainty import JointResiduals, memory_of
 from robot_sysid.estimation.answer import Answer
-from robot_sysid.estimation.choices import CANDIDATES, choose
+from robot_sysid.estimation.choices import (
+    CANDIDATES,
+    choose,
+    couplings_of,
+    select_couplings,
+)
 from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.couplings import couplings_of, select_couplings
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.errors import (
     filtering_bias,
@@ -33,9 +36,15 @@ from robot_sysid.estimation.errors import (
 )
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence, solve
-from robot_sysid.estimation.identify import Piece, low_pass_recordings, validate_rows
-from robot_sysid.estimation.recordings import held_out_validation
-from robot_sysid.estimation.unknowns import FILE_GRAVITY, Choice, Question
+from robot_sysid.estimation.held_out import held_out_validation, validate_rows
+from robot_sysid.estimation.identify import Piece, low_pass_recordings
+from robot_sysid.estimation.question import (
+    CHOSEN,
+    FILE_GRAVITY,
+    Choice,
+    EstimationOptions,
+    Question,
+)
 from robot_sysid.records import (
     Array,
     DataOrigin,

@@ -1,84 +1,74 @@
-"""Estimates from single recordings, and tests of whether the recordings agree."""
+"""How several logs of an arm agree: in mass, in friction, and each predicted from the others.
+
+L logs give estimates x_1 ... x_L of the same f numbers, with everything else in common and a
+covariance of all of them. In orthonormal contrasts d of the logs (Helmert's), which leave out the
+mean, a model with a variance of its own for what differs between logs is
+
+    d ~ N(0, C + T),    T = diag(t^2),
+
+with C the covariance of the contrasts by noise: its likelihood is the restricted one of
+meta-analysis (Harville, "Maximum likelihood approaches to variance component estimation", JASA 72,
+1977). Numbers count one by one in it, as if noise were not correlated between them: with many logs
+all of C is large. Two logs give a single difference per number, so that numbers of one kind, such
+as the Coulomb friction of all joints, have a share r of their size in common, t = r * size, which
+is averaged over a grid. A number's own differences then count as well, as in a scaled inverse
+chi-square prior.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import N_INERTIAL
 from robot_sysid.dynamics.friction import TERMS
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.between_logs import BetweenLogs, compare_logs
 from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.algebra.least_squares import (
     combine,
+    eliminate_others,
     estimate_noise,
     normal_matrix,
     restrict,
     sample_counts,
     solver,
 )
-from robot_sysid.estimation.algebra.priors import NuisanceGroup, with_prior
-from robot_sysid.estimation.algebra.uncertainty import memory
-from robot_sysid.estimation.choices import HeldOut, held_out
-from robot_sysid.estimation.columns import PAYLOAD_NAMES
-from robot_sysid.estimation.dataset import DecimatedSamples
-from robot_sysid.estimation.fit import ChosenRows, Fit, evidence_of
-from robot_sysid.estimation.unknowns import (
-    FRICTION,
-    WEIGHT,
-    Unknowns,
-    independent_prior,
+from robot_sysid.estimation.algebra.priors import (
+    NuisanceGroup,
+    is_no_chance,
+    with_prior,
 )
-from robot_sysid.estimation.verdict import is_informative
-from robot_sysid.records import Array, Flange, SquareRootInformation, Validation
+from robot_sysid.estimation.algebra.uncertainty import memory
+from robot_sysid.estimation.dataset import DecimatedSamples
+from robot_sysid.estimation.fit import Fit, evidence_of, restrict_samples
+from robot_sysid.estimation.held_out import HeldOut, is_informative
+from robot_sysid.estimation.unknowns import FRICTION, Unknowns
+from robot_sysid.records import Array, SquareRootInformation, Validation
 from robot_sysid.records.figures import percent
 from robot_sysid.records.results import validation_of
-from robot_sysid.results.record import OneRecording
 
 DISAGREE = 2.0
 """Scatter over stated errors beyond which logs do not agree."""
-SURE_MISFIT = 4.0
-"""Root mean square difference of recordings of one kind, in standard errors, beyond which they are
-refused: no set of 60 simulated ones exceeds 1.9, a real arm with elastic joints reaches 3.3."""
-LEAST_MASS = 0.03
-"""Difference in mass below which recordings agree, as a share of the payload's mass."""
-LEAST_PLACE = 0.01
-"""Difference in the payload's centre of mass below which recordings agree [m]."""
-LEAST_GYRATION = 0.05
-"""Difference in the payload's radius of gyration below which recordings agree [m]."""
+
+
 MOST_NAMED = 2
 """Joints whose friction differs between logs that are named; ``params.json`` has all."""
+
+
 LEAST_DIFFERENCE = 0.02
 """Share of a joint's friction torque below which a difference between logs is not worth a word."""
+
+
 NOISE_FLOOR = 0.01
 """Least noise of a log whose friction is fitted to it alone, as a share of the fit's noise."""
+
+
 SIZE_FLOOR = 1e-6
 """Least size of a friction term, as a share of the largest."""
-UNSEEN = 100.0
-"""Prior standard deviation of a body's parameters, which bounds those without data [SI]."""
-
-
-def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
-    """Return a recording's rows in the estimated parameters, with all held ones subtracted."""
-    rows_by_joint = list(ChosenRows((samples,), unknowns))
-    columns = [
-        np.searchsorted(unknowns.kept, at[np.isin(at, unknowns.kept)])
-        for at in samples.columns
-    ]
-    return replace(
-        samples,
-        names=unknowns.kept_names,
-        columns=tuple(columns),
-        rows=tuple(rows for _, rows, _ in rows_by_joint),
-        tau=tuple(tau for _, _, tau in rows_by_joint),
-    )
 
 
 def estimate_alone(
@@ -115,17 +105,6 @@ def estimate_alone(
     noise_root = plain.stacked(weights)[0] @ inverse
     covariance = np.where(np.outer(identified, identified), inverse, np.inf)
     return solved(weights)[0], noise_root.T @ noise_root, covariance
-
-
-def held_out_validation(fit: Fit) -> Validation:
-    """Return the held-out errors of a fit's own recordings."""
-    judge = held_out(fit, fit.unknowns)
-    errors = judge.of(fit)
-    noise = judge.counts * fit.noise**2
-    return replace(
-        judge.validation(errors),
-        told_enough=is_informative(errors, noise, lambda: judge.chance(fit)),
-    )
 
 
 @dataclass(frozen=True)
@@ -375,153 +354,151 @@ def _agreement(
         yield f"the logs agree on the mass, not on friction: {scatter}"
 
 
-def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
-    """Return the payload from each recording and all of the other kind, in the flange's frame."""
-    unknowns = fit.unknowns
-    recordings = fit.columns.datasets
-    payloads = []
-    logs = [restrict_samples(samples, unknowns) for samples in fit.samples]
-    prior = fit.columns.prior[unknowns.kept]
-    indices = np.searchsorted(unknowns.kept, fit.columns.at(PAYLOAD_NAMES))
-    for is_loaded in (False, True):
-        same = [k for k, log in enumerate(recordings) if log.is_loaded is is_loaded]
-        others = [
-            k for k, log in enumerate(recordings) if log.is_loaded is not is_loaded
-        ]
-        for k in same if len(same) > 1 else ():
-            values, *spread = estimate_alone(
-                [logs[i] for i in (k, *others)], unknowns.groups, prior, fit.noise
-            )
-            theta = flange.to_flange(values[indices])
-            noise, error = (
-                float(np.sqrt(matrix[indices[0], indices[0]])) for matrix in spread
-            )
-            mass = float(theta[0])
-            com = theta[1:4] / mass if mass else np.full(3, np.nan)
-            payloads.append(
-                OneRecording(recordings[k].name, is_loaded, mass, com, noise, error)
-            )
-    return tuple(payloads)
+SHARES = (0.0, *(0.01 * 2.0**k for k in range(8)))
+"""Grid of differences from log to log, as shares of a number's size, equally likely."""
 
 
-def contradiction(fit: Fit, flange: Flange) -> str:
-    """Return a sentence on recordings of one kind that contradict each other; "" where they agree.
+COMMON_FREEDOM = 4.0
+"""Weight of the share of a whole kind, in differences of one number."""
 
-    Bodies are in the flange's frame. Torque scales of the fit may have been bent to explain a
-    recording of the wrong kind, so that a difference has to show in a second linearisation, around
-    the model's own values, too.
+
+SURE_DIFFERENCE = 0.999
+"""Significance of a contradiction between logs: the errors of differences are themselves off by up
+to a fifth (measured), which 0.99 would not cover."""
+
+
+# Prior standard deviation, in sizes, of a number that a log does not identify.
+_UNSEEN = 100.0
+
+
+@dataclass(frozen=True)
+class BetweenLogs:
+    """Estimates of the same f numbers from L logs.
+
+    Attributes:
+        values: (L, f) according to each log, with everything else in common.
+        errors: (L, f) their standard errors due to the noise of each log.
+        spread: (f,) standard deviation from log to log, beyond these errors.
+        contrasts: (L - 1, f) orthonormal contrasts of the logs.
+        noise: (L - 1, f, L - 1, f) covariance of the contrasts that noise makes.
     """
-    recordings = fit.columns.datasets
-    kinds = np.array([log.is_loaded for log in recordings])
-    bodies = np.zeros((0, N_INERTIAL))
-    differences: list[tuple[float, int, str]] = []
-    if len(kinds) < 3:
-        return ""
-    for samples in (
-        lambda: fit.samples,
-        lambda: fit.columns.samples(fit.columns.start()),
-    ):
-        bodies, covariance = bodies_apart(fit, samples())
-        differences = sorted(_differences(kinds, bodies, covariance))
-        if not differences:
-            return ""
-    _, number, quantity = differences[-1]
-    same = [k for k in np.flatnonzero(kinds == kinds[number]) if k != number]
-    lightest = int(np.argmin(bodies[:, 0]))
-    carried = bodies - bodies[lightest]
-    least = LEAST_MASS * float(np.max(carried[:, 0]))
-    listed = [
-        f"{log.name} {_describe_body(flange.to_flange(theta), least)}"
-        for log, theta in zip(recordings, carried)
-        if log is not recordings[lightest]
-    ]
-    return (
-        f"{recordings[number].name} differs from {', '.join(recordings[k].name for k in same)} in "
-        f"{quantity}; compared with {recordings[lightest].name} the arm carries: "
-        f"{', '.join(listed)}"
-    )
+
+    values: Array
+    errors: Array
+    spread: Array
+    contrasts: Array
+    noise: Array
+
+    def next_log(self, errors: Array) -> Array:
+        """Return standard errors (f,) for another log, from those of all logs together."""
+        more = 1.0 + 1.0 / len(self.values)
+        return np.asarray(np.sqrt(np.square(errors) + more * self.spread**2))
+
+    def differ(self, numbers: NDArray[np.int64], tests: int) -> bool:
+        """Tell whether the logs contradict each other in these numbers, as one of several tests."""
+        off = self.contrasts[:, numbers].ravel()
+        noise = self.noise[:, numbers][:, :, :, numbers].reshape(len(off), len(off))
+        squared = float(off @ np.linalg.solve(noise, off))
+        return is_no_chance(
+            squared, float(len(off)), 1.0 - SURE_DIFFERENCE ** (1.0 / tests)
+        )
 
 
-def _describe_body(theta: Array, least: float) -> str:
-    """Return mass and centre of mass of a body (10,) in words, "nothing" up to a mass [kg]."""
-    if theta[0] <= least:
-        return "nothing"
-    position = ", ".join(f"{1e3 * x:.0f}" for x in theta[1:4] / theta[0])
-    return f"{theta[0]:.3g} kg at ({position}) mm"
-
-
-def _differences(
-    kinds: NDArray[np.bool_], bodies: Array, covariance: Array
-) -> Iterator[tuple[float, int, str]]:
-    """Yield (rms difference in standard errors, recording number, quantity) of each recording that
-    differs from the others of its kind.
+def compare_logs(
+    normals: Sequence[Array],
+    prior: Array,
+    indices: NDArray[np.int64],
+    center: Array,
+    sizes: Array,
+    kinds: NDArray[np.int64],
+) -> BetweenLogs:
+    """Return estimates of numbers that may differ between logs.
 
     Args:
-        kinds: (d,) whether each recording carries the payload.
-        bodies: (d, 10) on the arm.
-        covariance: (d, 10, d, 10) of the bodies.
+        normals: per log (p + 1, p + 1) [A b]' [A b] of its equations, weighted.
+        prior: (p + 1, p + 1) [A b]' [A b] of the priors of all other parameters.
+        indices: (f,) of the numbers among the p parameters.
+        center: (f,) their values from all logs together.
+        sizes: (f,) their typical sizes.
+        kinds: (f,) the kind of each number, as an integer.
     """
-    payload = np.mean(bodies[kinds], axis=0) - np.mean(bodies[~kinds], axis=0)
-    mass = max(abs(float(payload[0])), np.finfo(float).tiny)
-    for number, is_loaded in enumerate(kinds):
-        others = (kinds == is_loaded) & (np.arange(len(kinds)) != number)
-        if not np.any(others):
-            continue
-        weights = (np.arange(len(kinds)) == number) - others / np.sum(others)
-        change = weights @ bodies
-        spread = np.einsum("i,iajb,j", weights, covariance, weights)
-        moved = change[1:4] - change[0] * payload[1:4] / mass
-        sizes = {
-            "mass": (abs(change[0]), LEAST_MASS * mass, slice(0, 4)),
-            "centre of mass": (np.linalg.norm(moved), LEAST_PLACE * mass, slice(0, 4)),
-            "inertia": (
-                np.max(np.abs(change[4:])),
-                LEAST_GYRATION**2 * mass,
-                slice(4, 10),
-            ),
-        }
-        for quantity, (size, least, block) in sizes.items():
-            off = change[block]
-            ratio = float(
-                np.sqrt(off @ np.linalg.solve(spread[block, block], off) / len(off))
-            )
-            if size > least and ratio > SURE_MISFIT:
-                yield ratio, number, quantity
+    count = len(normals)
+    values, covariance = _of_each_log(normals, prior, indices, center, sizes)
+    change = _helmert(count)
+    contrasts = change @ values
+    noise = np.einsum("ia,afbg,jb->ifjg", change, covariance, change, optimize=True)
+    spread = _spread(contrasts, noise, sizes, kinds)
+
+    # The errors of the contrasts are divided between the logs as the errors of each log alone.
+    weak = np.diag((_UNSEEN * sizes) ** -2)
+    variances = [
+        np.diag(np.linalg.inv(normal[np.ix_(indices, indices)] + weak))
+        for normal in normals
+    ]
+    total = np.einsum("ifif->f", noise) / (1.0 - 1.0 / count)
+    errors = np.sqrt(np.array(variances) * total / np.sum(variances, axis=0))
+    return BetweenLogs(values, errors, spread, contrasts, noise)
 
 
-def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, Array]:
-    """Return (bodies (d, 10), covariance (d, 10, d, 10)): what each recording carries on the arm.
+def _of_each_log(
+    normals: Sequence[Array],
+    prior: Array,
+    indices: NDArray[np.int64],
+    center: Array,
+    sizes: Array,
+) -> tuple[Array, Array]:
+    """Return values (L, f) according to each log, and their covariance (L, f, L, f)."""
+    size = len(prior)
+    number = len(indices)
+    common = np.setdiff1d(np.arange(size - 1), indices)
+    system = np.zeros((len(common) + len(normals) * number + 1,) * 2)
+    shared = np.arange(len(common))
+    last = len(system) - 1
+    at = np.append(shared, last)
+    rows = np.append(common, size - 1)
+    system[np.ix_(at, at)] = prior[np.ix_(rows, rows)]
+    rows = np.concatenate((common, indices, [size - 1]))
+    for log, normal in enumerate(normals):
+        of_log = len(common) + log * number + np.arange(number)
+        at = np.concatenate((shared, of_log, [last]))
+        system[np.ix_(at, at)] += normal[np.ix_(rows, rows)]
+    matrix, right_side = eliminate_others(system, np.arange(len(common), last))
+    weak = np.tile((_UNSEEN * sizes) ** -2, len(normals))
+    covariance = np.linalg.inv(matrix + np.diag(weak))
+    values = covariance @ (right_side + weak * np.tile(center, len(normals)))
+    count = len(normals)
+    by_log = np.asarray(covariance.reshape(count, number, count, number))
+    return np.asarray(values.reshape(count, number)), by_log
 
-    The first recording is the reference: its body and its error are zero. Whether a recording is
-    called empty or loaded is not used.
-    """
-    count = len(samples) - 1
-    common = np.setdiff1d(fit.unknowns.kept, fit.columns.at(PAYLOAD_NAMES))
-    fewer = replace(fit.unknowns, kept=common)
-    added = tuple(f"{n}({k})" for k in range(count) for n in PARAMETER_NAMES)
-    names = (*fewer.kept_names, *added)
 
-    def add_body_columns(number: int, samples: DecimatedSamples) -> DecimatedSamples:
-        narrow = restrict_samples(samples, fewer)
-        rows = []
-        for block, full in zip(narrow.rows, samples.rows):
-            bodies = np.zeros((len(block), count, N_INERTIAL))
-            if number:
-                bodies[:, number - 1] = full[:, :N_INERTIAL]
-            rows.append(np.hstack((block, bodies.reshape(len(block), -1))))
-        last = np.arange(len(common), len(names))
-        columns = tuple(np.append(at, last) for at in narrow.columns)
-        return replace(narrow, names=names, columns=columns, rows=tuple(rows))
+def _helmert(count: int) -> Array:
+    """Return orthonormal contrasts (count - 1, count), each row of which adds up to zero."""
+    rows = np.tril(np.ones((count, count)), -1)[1:]
+    rows[np.arange(count - 1), np.arange(1, count)] = -np.arange(1.0, count)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
-    # A recording of the wrong kind widens priors that have nothing to do with it.
-    priors = [replace(g, widened=1.0) for g in fit.unknowns.groups if g.cause != WEIGHT]
-    priors.append(independent_prior("unseen", added, added, UNSEEN))
-    prior = np.append(fit.columns.prior[common], np.zeros(len(added)))
-    logs = [add_body_columns(*pair) for pair in enumerate(samples)]
-    values, _, errors = estimate_alone(logs, priors, prior)
-    last = slice(len(common), None)
-    bodies = np.zeros((count + 1, N_INERTIAL))
-    covariance = np.zeros((count + 1, N_INERTIAL) * 2)
-    bodies[1:] = values[last].reshape(count, -1)
-    covariance[1:, :, 1:] = errors[last, last].reshape((count, N_INERTIAL) * 2)
-    return bodies, covariance
+
+def _spread(
+    contrasts: Array, noise: Array, sizes: Array, kinds: NDArray[np.int64]
+) -> Array:
+    """Return standard deviations (f,) from log to log, of contrasts (L - 1, f) of their noise."""
+    # In axes of its own, the noise of a number's contrasts is independent.
+    variances, axes = np.linalg.eigh(np.einsum("ifjf->fij", noise))
+    turned = np.einsum("fij,if->fj", axes, contrasts)
+    common = np.zeros(len(sizes))
+    for label in np.unique(kinds):
+        is_kind = kinds == label
+        between = np.multiply.outer(np.square(SHARES), sizes[is_kind, None] ** 2)
+        variance = variances[is_kind] + between
+        log_likelihood = -0.5 * np.sum(
+            turned[is_kind] ** 2 / variance + np.log(variance), axis=(1, 2)
+        )
+        probability = np.exp(log_likelihood - np.max(log_likelihood))
+        share = np.sqrt(np.square(SHARES) @ probability / np.sum(probability))
+        common[is_kind] = share * sizes[is_kind]
+    # The expected square of each contrast without its noise.
+    gain = common[:, None] ** 2 / (variances + common[:, None] ** 2)
+    squares = (gain * turned) ** 2 + gain * variances
+    freedom = len(contrasts)
+    pooled = COMMON_FREEDOM * common**2 + np.sum(squares, axis=1)
+    return np.asarray(np.sqrt(pooled / (COMMON_FREEDOM + freedom)))

@@ -1,4 +1,4 @@
-"""The self-test: a model's own simulation, and what is identified from it."""
+"""The self-test: simulate the model itself, and identify it from that simulation."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ from robot_sysid.dynamics.equations import (
     friction_per_joint,
 )
 from robot_sysid.dynamics.friction import FrictionModel
-from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.records import DataOrigin, MotionPlan, RobotModel, Source
+from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import Estimate
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
@@ -28,6 +27,8 @@ from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_mo
 
 # Samples of a simulation in a report.
 _DRAWN = 2000
+
+
 # Standard error of a mass that is always small enough [kg].
 _KNOWN_MASS = 1e-6
 
@@ -82,7 +83,7 @@ def _traces_of_itself(
     estimate: Estimate,
 ) -> Traces:
     """Return the traces for a report, from records alone: MuJoCo's data is not safely pickled."""
-    from robot_sysid.estimation.answer import make_traces
+    from robot_sysid.estimation.build_result import make_traces
     from robot_sysid.estimation.dataset import equations_at
 
     equations = Equations(robot, torques, friction_per_joint(robot, "terminal", model))

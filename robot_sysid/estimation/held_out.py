@@ -1,0 +1,370 @@
+"""Errors of predicted torques on rows that were not fitted: held-out blocks and other logs.
+
+In-sample errors fall with every parameter. So each block of time is predicted from the others
+(cross-validation). Blocks are compared by ratios of their errors, because friction may matter far
+more in one of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.consistent_bodies import ConsistentLinks
+from robot_sysid.estimation.algebra.least_squares import (
+    normal_matrix,
+    restrict,
+    sample_counts,
+    update_triangle,
+)
+from robot_sysid.estimation.columns import Columns
+from robot_sysid.estimation.dataset import Dataset
+from robot_sysid.estimation.errors import FitErrors
+from robot_sysid.estimation.fit import Evidence, Fit, evidence_of, links_problem
+from robot_sysid.estimation.question import Choice, Question
+from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
+from robot_sysid.records import Array, SquareRootInformation, Validation
+from robot_sysid.records.results import validation_of
+
+OWN_SOURCE = "the logs, each fifth predicted from the others"
+
+
+CLEAR_SHARE = 0.1
+"""Share by which a friction term has to lower the held-out squared error."""
+
+
+CLEARLY = 2.0
+"""Standard errors of the mean over the blocks by which a term has to lower that error."""
+
+
+# Less than every squared error [N^2 m^2].
+_TINY = 1e-30
+
+
+# Keeps normal equations regular where parameters have no data.
+_RIDGE = 1e-12
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Recordings in blocks, each to be predicted from the others.
+
+    Attributes:
+        data: evidence of each block.
+        noise: (joints,) effective standard deviation of each joint's torque [N m].
+        superset: unknowns that contain those of every question, which saves memory with many
+            joints; None for all parameters.
+    """
+
+    data: Evidence
+    noise: Array
+    superset: Unknowns | None = None
+    _triangles: dict[tuple[bytes, bytes], Sequence[Array]] = field(default_factory=dict)
+    _path_ends: dict[int, Any] = field(default_factory=dict)
+
+    @cached_property
+    def counts(self) -> Array:
+        """How many rows each block has of each joint (blocks, joints)."""
+        return np.array([sample_counts(block) for block in self.data.blocks])
+
+    @cached_property
+    def _available(self) -> NDArray[np.bool_]:
+        """Which parameters (p,) have columns in the Gram matrices."""
+        nonzero = self.data.nonzero
+        if self.superset is None:
+            return nonzero
+        is_unknown = np.isin(np.arange(len(nonzero)), self.superset.kept)
+        return nonzero & (is_unknown | (self.superset.held != 0.0))
+
+    @cached_property
+    def _grams(self) -> Array:
+        """Gram matrices (blocks, s+2, s+2) of the whitened equations of all blocks but one in turn.
+
+        Columns are the s available parameters, the right sides, and zeros for all other parameters.
+        """
+        indices = np.append(np.flatnonzero(self._available), -1)
+        grams = np.zeros((len(self.data.blocks), len(indices) + 1, len(indices) + 1))
+        for gram, block in zip(grams, self.data.blocks):
+            gram[:-1, :-1] = normal_matrix(block, 1.0 / self.noise)[
+                np.ix_(indices, indices)
+            ]
+        for row_of_blocks in grams.swapaxes(0, 1):  # which takes no memory
+            row_of_blocks[:] = np.array(_sums_of_others(row_of_blocks, np.add))
+        return grams
+
+    def squared_errors(self, unknowns: Unknowns) -> Array:
+        """Return the squared error (blocks, joints) of blocks predicted from the others [N^2 m^2].
+
+        Bodies may be physically inconsistent here.
+        """
+        return self.data.squared_residuals(self._values(unknowns)[..., None])[..., 0]
+
+    def _normal_equations(
+        self, unknowns: Unknowns
+    ) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield scaled normal equations (k, k), right side (k,) and scale (k,) without each block.
+
+        Friction terms that the other blocks do not identify stay near zero; all other parameters
+        without data have priors.
+        """
+        available = self._available
+        held = unknowns.held.copy()
+        assert not np.any(self.data.nonzero[unknowns.kept] & ~available[unknowns.kept])
+        held[unknowns.kept] = 0.0
+        prior_rows = _prior_rows(unknowns)
+        prior_gram = prior_rows.T @ prior_rows
+        gram_indices = np.where(available, np.cumsum(available) - 1, -1)
+        indices = gram_indices[unknowns.kept]
+        held_indices = np.flatnonzero(held)
+        for gram in self._grams:
+            crossed = gram[np.ix_(indices, gram_indices[held_indices])]
+            right_side = (
+                gram[indices, -2] - crossed @ held[held_indices] + prior_gram[:-1, -1]
+            )
+            matrix = gram[np.ix_(indices, indices)] + prior_gram[:-1, :-1]
+            size = np.sqrt(np.diagonal(matrix))
+            scale = 1.0 / np.where(size > 0.0, size, 1.0)
+            matrix *= scale[:, None] * scale
+            matrix[np.diag_indices_from(matrix)] += _RIDGE
+            yield matrix, scale * right_side, scale
+
+    def _values(self, unknowns: Unknowns) -> Array:
+        """Return the estimate (blocks, p) from all blocks but one in turn."""
+        values = [
+            unknowns.full(scale * np.linalg.solve(matrix, right_side))
+            for matrix, right_side, scale in self._normal_equations(unknowns)
+        ]
+        return np.array(values)
+
+    def chance(self, fit: Fit) -> Array:
+        """Return the expected squared prediction error (blocks, joints) of a right model [N^2 m^2].
+
+        It is the noise of the block's own torque plus the variance of the prediction made from the
+        other blocks, which is nearly infinite where none of them identifies a joint's friction.
+        """
+        unknowns = fit.unknowns
+        expected = self.counts * fit.noise**2
+        equations = self._normal_equations(unknowns)
+        for block, block_expected, (matrix, _, scale) in zip(
+            self.data.blocks, expected, equations
+        ):
+            root = np.linalg.inv(np.linalg.cholesky(matrix)) * scale
+            for row, joint in enumerate(block.joints):
+                is_unknown = np.isin(joint.columns, unknowns.kept)
+                indices = np.searchsorted(unknowns.kept, joint.columns[is_unknown])
+                block_expected[row] += np.sum(
+                    (joint.triangle[:, :-1][:, is_unknown] @ root[:, indices].T) ** 2
+                )
+        return expected
+
+    def of(self, fit: Fit) -> Array:
+        """Return the ``squared_errors`` of a fit's unknowns, bodies physically consistent."""
+        unknowns = fit.unknowns
+        values = self._values(unknowns)
+        problem = links_problem(unknowns)
+        prior_rows = _prior_rows(unknowns)
+        bodies = [indices for indices, _ in unknowns.bodies.values()]
+        path_end = None
+        for block, estimate in enumerate(values):
+            if bodies and not all(
+                spatial.is_consistent(estimate[indices]) for indices in bodies
+            ):
+                rows = np.vstack((self._other_triangles(unknowns)[block], prior_rows))
+                path_end = self._path_ends.get(block, path_end)
+                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, path_end)
+                values[block] = unknowns.full(solver.best())
+                path_end = solver.first
+                self._path_ends[block] = path_end
+        return self.data.squared_residuals(values[..., None])[..., 0]
+
+    def _other_triangles(self, unknowns: Unknowns) -> Sequence[Array]:
+        """Return triangles (., k+1) of the equations of all blocks but one in turn."""
+        key = unknowns.kept.tobytes(), unknowns.held.tobytes()
+        if key not in self._triangles:
+            restriction = unknowns.kept_names, unknowns.held
+            blocks = (restrict(block, *restriction) for block in self.data.blocks)
+            stacked = (
+                np.column_stack(block.stacked(1.0 / self.noise)) for block in blocks
+            )
+            empty = np.zeros((0, len(unknowns.kept) + 1))
+            triangles = [update_triangle(empty, block) for block in stacked]
+            self._triangles[key] = _sums_of_others(triangles, update_triangle)
+        return self._triangles[key]
+
+    def score(self, squared: Array) -> Array:
+        """Return the mean (blocks,) of squared errors (blocks, joints), over the noise variance."""
+        counts = np.maximum(np.sum(self.counts, axis=1), 1.0)
+        return np.asarray(np.sum(squared / self.noise**2, axis=-1) / counts)
+
+    def validation(self, squared: Array, source: str = OWN_SOURCE) -> Validation:
+        """Return squared errors (blocks, joints) as one record."""
+        joints = [joint.joint for joint in self.data.blocks[0].joints]
+        torque = np.sum(self.data.squared_torque, axis=0)
+        counts = np.sum(self.counts, axis=0)
+        return validation_of(joints, np.sum(squared, axis=0), torque, counts, source)
+
+
+def held_out(fit: Fit, superset: Unknowns | None = None) -> HeldOut:
+    """Return the blocks of a fit, which judge choices whose unknowns are in the superset."""
+    return HeldOut(fit.evidence, 1.0 / fit.weights, superset)
+
+
+def _sums_of_others(
+    summands: Sequence[Array], add: Callable[[Array, Array], Array]
+) -> list[Array]:
+    """Return for each summand, two at least, the sum of all others.
+
+    They are added up from both ends: subtracting a summand from the total would leave rounding
+    errors where the others have no data.
+    """
+    sums_before = list(accumulate(summands[:-1], add))
+    sums_after = list(accumulate(summands[:0:-1], add))[::-1]
+    return [sums_after[0], *map(add, sums_before[:-1], sums_after[1:]), sums_before[-1]]
+
+
+def _prior_rows(unknowns: Unknowns) -> Array:
+    rows = [group.rows(unknowns.kept_names) for group in unknowns.groups]
+    return np.vstack(rows) if rows else np.zeros((0, len(unknowns.kept) + 1))
+
+
+def is_clearly_lower(errors: Array, reference: Array) -> bool:
+    """Tell whether squared errors (blocks,) are clearly lower than those of a reference."""
+    if not np.all(np.isfinite(errors)) or not np.all(np.isfinite(reference)):
+        return bool(np.all(np.isfinite(errors)))
+    ratio = np.log((errors + _TINY) / (reference + _TINY))
+    mean = float(np.mean(ratio))
+    standard_error = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio))
+    threshold = np.log(1.0 - CLEAR_SHARE)
+    lower = np.sum(errors) < (1.0 - CLEAR_SHARE) * np.sum(reference)
+    return bool(lower and mean < threshold and mean + CLEARLY * standard_error < 0.0)
+
+
+def _unknowns_of(fit: Fit, question: Question, choice: Choice) -> Unknowns:
+    return build_unknowns(
+        fit.columns, question, choice, fit.evidence.torque, fit.evidence.nonzero
+    )
+
+
+def squared_errors(
+    judge: HeldOut, columns: Columns, question: Question, choice: Choice
+) -> Array:
+    """Return held-out squared errors (blocks, joints) of a choice [N^2 m^2]."""
+    data = judge.data
+    return judge.squared_errors(
+        build_unknowns(columns, question, choice, data.torque, data.nonzero)
+    )
+
+
+def score_of(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
+    """Return ``HeldOut.score`` (blocks,) of a choice, bodies physically consistent."""
+    return judge.score(
+        judge.of(replace(fit, unknowns=_unknowns_of(fit, question, choice)))
+    )
+
+
+def held_out_validation(fit: Fit) -> Validation:
+    """Return the held-out errors of a fit's own recordings."""
+    judge = held_out(fit, fit.unknowns)
+    errors = judge.of(fit)
+    noise = judge.counts * fit.noise**2
+    return replace(
+        judge.validation(errors),
+        told_enough=is_informative(errors, noise, lambda: judge.chance(fit)),
+    )
+
+
+NOISE_EXPLAINS = 3.0
+"""Held-out error over noise up to which noise, and not a wrong model, may be its cause."""
+
+
+def _error_ratio(squared: Array, expected: Array) -> float:
+    """Return root mean square errors over expected ones, of squares (blocks, joints) of both."""
+    used = np.any(expected > 0.0, axis=0)
+    return float(
+        np.sqrt(np.mean(squared.sum(axis=0)[used] / expected.sum(axis=0)[used]))
+    )
+
+
+def is_informative(squared: Array, noise: Array, variance: Callable[[], Array]) -> bool:
+    """Tell whether held-out errors are a test of a fit.
+
+    They are one if they are as small as noise, or larger than the variance of the prediction.
+
+    Args:
+        squared: (blocks, joints) squared errors [N^2 m^2].
+        noise: (blocks, joints) their expected values by torque noise alone.
+        variance: returns (blocks, joints) their expected values by noise and the errors of the fit,
+            infinite where the fit does not identify a joint's friction.
+    """
+    if _error_ratio(squared, noise) <= NOISE_EXPLAINS:
+        return True
+    expected = variance()
+    is_known = np.all(np.isfinite(expected), axis=0)
+    expected = expected[:, is_known]
+    return (
+        bool(np.any(expected))
+        and _error_ratio(squared[:, is_known], expected) > NOISE_EXPLAINS
+    )
+
+
+def validate_datasets(
+    fit: Fit, errors: FitErrors, datasets: Sequence[Dataset], source: str
+) -> Validation:
+    """Return the error of a fit in other recordings; InputError as in ``validate_rows``."""
+    columns = Columns(
+        fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings
+    )
+    samples = columns.samples(replace(fit.point, values=fit.values))
+    return validate_rows(
+        fit, errors, evidence_of([samples], fit.evidence.torque), source
+    )
+
+
+def validate_rows(
+    fit: Fit, errors: FitErrors, data: Evidence, source: str
+) -> Validation:
+    """Return the error with which a fit predicts the torques of rows that were not fitted.
+
+    Raises:
+        InputError: the rows hold no usable samples.
+    """
+    counts = sample_counts(data.whole)
+    squares = np.sum(data.squared_torque, axis=0)
+    if not np.any(counts):
+        raise InputError(f"no usable torque samples to validate on in {source}")
+    residual = data.whole.squared_residuals(fit.values)
+    joints = [joint.joint for joint in data.whole.joints]
+    validation = validation_of(joints, residual, squares, counts, source)
+    noise = counts[None] * fit.noise**2
+    told_enough = is_informative(
+        residual[None],
+        noise,
+        lambda: noise + _prediction_variance(fit, errors, data.whole),
+    )
+    return replace(validation, told_enough=told_enough)
+
+
+def _prediction_variance(
+    fit: Fit, errors: FitErrors, data: SquareRootInformation
+) -> Array:
+    """Return the variance (joints,) of the torques that a fit predicts, summed over the rows of
+    other data [N^2 m^2]; infinite where the fit does not identify a parameter of a joint's torque.
+    """
+    indices = fit.unknowns.kept
+    variances = np.zeros(len(data.joints))
+    for row, (joint, fitted) in enumerate(zip(data.joints, fit.evidence.whole.joints)):
+        is_free = np.isin(joint.columns, indices)
+        change = np.zeros((len(joint.triangle), len(indices)))
+        columns = np.searchsorted(indices, joint.columns[is_free])
+        change[:, columns] = joint.triangle[:, :-1][:, is_free]
+        is_identified = fitted.n_samples > 0 and np.all(errors.shown(change))
+        variances[row] = np.trace(errors.of(change)[0]) if is_identified else np.inf
+    return variances
