@@ -75,7 +75,7 @@ DAMAGE_BOUND = 0.05
 PAGE = ROOT / "docs" / "damiao.md"
 PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
 PAGE_END = "<!-- end of faults -->"
-PAGE_HEAD = "| Fault | Departure [rad] | What is said |\n| --- | --- | --- |"
+PAGE_HEAD = "| Fault | Departure [rad] | The message contains |\n| --- | --- | --- |"
 FAULT_AFTER = 1.5
 HOLD_FAULT_AFTER = 1.0
 HOLD_STIFFNESS = (60.0, 180.0)
@@ -291,9 +291,7 @@ def write_page(jobs: int) -> None:
     rows = [PAGE_HEAD]
     for line in LINES:
         outcome = outcomes[line.name]
-        words = re.sub(r" \(joint [^)]*\)", "", outcome.words).partition(
-            "; no confirmation"
-        )[0]
+        words = re.sub(r" \(joint [^)]*\)", "", line.words)
         mark = "*" if line.quantity != "departure" else ""
         measured = f"{getattr(outcome, line.quantity):.2f}{mark}"
         rows.append(

@@ -63,8 +63,8 @@ MOVED = "its zero has moved"
 LINES = (
     Line("motor makes half its torque", WeakMotor(SHOULDER, 0.5), "its motor is weak"),
     Line("motor makes 0.6 of its torque, at kp 500", WeakMotor(SHOULDER, 0.6), ""),
-    Line("motor makes half and says so", WeakMotor(SHOULDER, 0.5, True), "it is weak, or its"),
-    Line("motor lost", LostMotor(SHOULDER), "motor 2", quantity=OTHERS),
+    Line("motor makes half and says so", WeakMotor(SHOULDER, 0.5, True), "it is weak, or its supply sags"),
+    Line("motor lost", LostMotor(SHOULDER), "did not answer in time", quantity=OTHERS),
     Line("motor reports a fault", FailedMotor(SHOULDER), "reports status A", quantity=OTHERS),
     Line("second motor of the same id, wrist", SecondMotor(WRIST, 0.7), SECOND),
     Line("second motor of the same id, shoulder", SecondMotor(SHOULDER, 0.7), SECOND),
