@@ -60,11 +60,13 @@ SECOND = "a second motor has its id"
 FOREIGN = "gets commands of another program"
 UNSEEN = "another program commands it"
 MOVED = "its zero has moved"
+WEAK_SUPPLY = "it is weak, or its supply sags"
+UNANSWERED = "did not answer in time"
 LINES = (
     Line("motor makes half its torque", WeakMotor(SHOULDER, 0.5), "its motor is weak"),
     Line("motor makes 0.6 of its torque, at kp 500", WeakMotor(SHOULDER, 0.6), ""),
-    Line("motor makes half and says so", WeakMotor(SHOULDER, 0.5, True), "it is weak, or its supply sags"),
-    Line("motor lost", LostMotor(SHOULDER), "did not answer in time", quantity=OTHERS),
+    Line("motor makes half and says so", WeakMotor(SHOULDER, 0.5, True), WEAK_SUPPLY),
+    Line("motor lost", LostMotor(SHOULDER), UNANSWERED, quantity=OTHERS),
     Line("motor reports a fault", FailedMotor(SHOULDER), "reports status A", quantity=OTHERS),
     Line("second motor of the same id, wrist", SecondMotor(WRIST, 0.7), SECOND),
     Line("second motor of the same id, shoulder", SecondMotor(SHOULDER, 0.7), SECOND),
@@ -93,7 +95,7 @@ LINES = (
     Line("push of 60 N", Push(), "something pushed it for a moment"),
     Line("joint jammed, shoulder", JammedJoint(SHOULDER), "motor 2 (joint joint1) stands still"),
     Line("joint jammed, wrist", JammedJoint(WRIST), "or it is blocked"),
-    Line("answers lost", MotorSetting(SHOULDER, "lost_replies", True), "did not answer in time"),
+    Line("answers lost", MotorSetting(SHOULDER, "lost_replies", True), UNANSWERED),
     Line("zero 0.3 rad off", MovedZero(SHOULDER, 0.3), MOVED, 0.35, options=AT_START),
     Line("zero -0.3 rad off", MovedZero(SHOULDER, -0.3), MOVED, 0.35, options=AT_START),
 )  # fmt: skip
