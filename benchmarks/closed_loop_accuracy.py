@@ -51,7 +51,7 @@ def identified_from_log(robot, log, deadband, terms=TERMS):
     motion = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
     usable = signals.usable()
     for index, (rows, tau) in enumerate(equations.rows(motion)):
-        decimated = signals.low_pass.decimated(np.column_stack((rows, tau)))[
+        decimated = signals.low_pass.decimate(np.column_stack((rows, tau)))[
             usable[:, index]
         ]
         rows_of_joint.add(index, decimated[:, :-1], decimated[:, -1])

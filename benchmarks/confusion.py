@@ -48,7 +48,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel
-from robot_sysid.signals.resampling import pieces_of
+from robot_sysid.signals.resampling import split_at_gaps
 from tests.support.core_fits import result_of_logs
 
 RIGHT_DURATIONS = (6.0, 8.0, 15.0, 60.0)
@@ -150,7 +150,7 @@ def check_scene(scene: Scene, is_answered: bool) -> Outcome:
     """Return what the tool makes of a scene: the checks of ``identify``, then its answer."""
     start = time.process_time()
     try:
-        findings = check_against_model(scene.robot, pieces_of(scene.log))
+        findings = check_against_model(scene.robot, split_at_gaps(scene.log))
     except SysidError as error:
         findings = (Finding("error", Level.REFUSE, str(error)),)
     outcome = Outcome(findings, time.process_time() - start, None)

@@ -11,7 +11,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, spectra_of
+from robot_sysid.signals.cutoff import (
+    acceleration_spectra,
+    choose_cutoff,
+    quantisation_error,
+)
 from robot_sysid.signals.filters import design_low_pass, second_derivative
 
 OMEGA = 2.0 * np.pi * np.array([0.13, 0.29, 0.43, 0.59])
@@ -33,7 +37,7 @@ def motion(
 def estimates(q: np.ndarray, rate: float, cutoff: float) -> dict[str, np.ndarray]:
     """Return acceleration by each method, NaN where it has none."""
     low_pass = design_low_pass(cutoff, rate)
-    smooth = low_pass.filtered(q)
+    smooth = low_pass.filter(q)
     pair = sosfiltfilt(butter(4, cutoff, fs=rate, output="sos"), q)
     window = max(7, int(1.2 * rate / cutoff) | 1)
     frequency = 2.0 * np.pi * np.fft.rfftfreq(len(smooth), 1.0 / rate)
@@ -61,9 +65,9 @@ def main() -> None:
         for resolution in (0.0, 1e-4):
             time, q, exact = motion(rate, np.random.default_rng(0))
             seen = np.round(q / resolution) * resolution if resolution else q
-            steps = encoder_steps(seen[:, None])
+            steps = quantisation_error(seen[:, None])
             cutoff = (
-                choose_cutoff(spectra_of(seen[:, None], rate, steps))[0]
+                choose_cutoff(acceleration_spectra(seen[:, None], rate, steps))[0]
                 if resolution
                 else 10.0
             )

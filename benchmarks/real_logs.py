@@ -208,12 +208,12 @@ def file_error(model, robot, test) -> float:
         mujoco.mj_inverse(model, data)
         torque[k] = data.qfrc_inverse[robot.dof_index]
     torque += joint_friction(model, robot.dof_index).dry(test.qd)
-    return relative(test, test.low_pass.decimated(torque))
+    return relative(test, test.low_pass.decimate(torque))
 
 
 def relative(test, torque) -> float:
     """norm(measured - predicted) / norm(measured), all joints stacked, of torques (K, n)."""
-    measured = np.where(test.usable(), test.low_pass.decimated(test.tau), np.nan)
+    measured = np.where(test.usable(), test.low_pass.decimate(test.tau), np.nan)
     off = measured - torque
     off -= np.nanmean(off, axis=0)
     return float(np.sqrt(np.nansum(off**2) / np.nansum(measured**2)))
@@ -276,16 +276,14 @@ class LeastSquares:
             both[:, pair, 2] = np.sign(each.qd[:, pair].sum(axis=1))[:, None]
             own.append(both)
         whole = np.concatenate((links, *own, is_loaded * links[..., -10:]), axis=-1)
-        return each.low_pass.decimated(whole.reshape(len(whole), -1)).reshape(
+        return each.low_pass.decimate(whole.reshape(len(whole), -1)).reshape(
             -1, *whole.shape[1:]
         )
 
     def rows(self, each, is_loaded: bool):
         """Equations of the rows that may be used."""
         use = each.usable()
-        return self.columns(each, is_loaded)[use], each.low_pass.decimated(each.tau)[
-            use
-        ]
+        return self.columns(each, is_loaded)[use], each.low_pass.decimate(each.tau)[use]
 
     def solution(self, links: bool = True):
         """Parameters (p,): of links, joints and payload; or the catalogue's links kept."""

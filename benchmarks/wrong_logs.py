@@ -9,7 +9,7 @@ import numpy as np
 
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel
-from robot_sysid.signals.resampling import part_of
+from robot_sysid.signals.resampling import slice_samples
 from tests.support.places import MODELS
 from tests.support.wrong_logs import Truth, truth_of
 
@@ -183,7 +183,7 @@ def collision(truth):
 def late_torque(truth):
     """Torque 20 ms and more behind position."""
     shift = int(truth.rng.integers(5, 15))
-    late = part_of(truth.log, shift, len(truth.log))
+    late = slice_samples(truth.log, shift, len(truth.log))
     return replace(late, tau=truth.log.tau[:-shift])
 
 
@@ -216,7 +216,7 @@ def late_joint(truth):
     joint = carrying_joint(truth)
     tau = truth.log.tau.copy()
     tau[shift:, joint] = truth.log.tau[:-shift, joint]
-    return part_of(_torque(truth, tau), shift, len(tau))
+    return slice_samples(_torque(truth, tau), shift, len(tau))
 
 
 def hum(truth):

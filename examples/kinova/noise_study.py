@@ -165,7 +165,7 @@ class NoiseStudy:
     def noisy(self, noise: Noise, rng: np.random.Generator) -> DecimatedSamples:
         """Return the equations with one draw of noise in their torques."""
         drawn = noise.draw(rng, len(self.signals), self.robot.n_joints)
-        added = self.signals.low_pass.decimated(drawn)
+        added = self.signals.low_pass.decimate(drawn)
         pairs = zip(self.samples.tau, added.T)
         return replace(self.samples, tau=tuple(tau + extra for tau, extra in pairs))
 

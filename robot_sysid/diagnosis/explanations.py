@@ -124,7 +124,9 @@ class Fitted:
             bodies[:10] = self.values[:10]
         self.rigid = log.links_torque(bodies)
         self._thetas = log.columns.thetas(bodies[: len(log.columns.names)])
-        filtered = [log.passed(self._of_positions, smooth=True) for log in signals]
+        filtered = [
+            log.filter_columns(self._of_positions, smooth=True) for log in signals
+        ]
         self.weight, self.tip_force, self.last_weight = map(
             np.concatenate, zip(*filtered)
         )

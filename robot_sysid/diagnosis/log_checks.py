@@ -24,7 +24,7 @@ from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.figures import percent
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.signals.resampling import usual_period
+from robot_sysid.signals.resampling import sampling_period
 
 SHORTEST = 1.0
 """Length of a log below which no arm does anything worth fitting [s]."""
@@ -66,7 +66,7 @@ def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Fi
     """Yield what there is too little of behind a low-pass [Hz]."""
     span = _length(pieces)
     rows = int(2.0 * cutoff * span)
-    rate = 1.0 / usual_period(pieces[0].time)
+    rate = 1.0 / sampling_period(pieces[0].time)
     if rate < SLOWEST_RATE:
         text = f"{rate:.3g} samples per second are too few; record at 100 or more"
         yield Finding("too-little", Level.REFUSE, text)
@@ -200,7 +200,7 @@ def _products(pieces: Sequence[Measurement], joint: int) -> Array:
         assert piece.qd is not None
         q = piece.q[:, joint]
         qd = piece.qd[:, joint]
-        length = max(1, round(WINDOW / usual_period(piece.time)))
+        length = max(1, round(WINDOW / sampling_period(piece.time)))
         moved = 0.5 * (qd[1:] + qd[:-1]) * np.diff(piece.time)
         summed = np.concatenate(([0.0], np.cumsum(moved)))
         parts.append((q[length:] - q[:-length], summed[length:] - summed[:-length]))
@@ -451,7 +451,5 @@ def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
     parts = []
     for each in signals:
         half = each.low_pass.half_width
-        parts.append(
-            each.tau[half : len(each) - half] - each.low_pass.filtered(each.tau)
-        )
+        parts.append(each.tau[half : len(each) - half] - each.low_pass.filter(each.tau))
     return rms(np.concatenate(parts))

@@ -208,7 +208,7 @@ def _without_links(
         return weight, whole
 
     # Through the low-pass: what that takes off may be more than the noise.
-    filtered = [log.passed(torques, smooth=True) for log in signals]
+    filtered = [log.filter_columns(torques, smooth=True) for log in signals]
     weight = np.concatenate([of_log[0] for of_log in filtered])
     whole = np.concatenate([of_log[1] for of_log in filtered])
     yield Relabelling(

@@ -254,8 +254,8 @@ def _friction_beside(signals: ProcessedSignals) -> Array:
         state = built[k + 1] = direction + decay[k] * (state - direction)
     late = built - sign[..., None]
     uneven = sign[..., None] * np.stack((np.sin(q), np.cos(q)), axis=-1)
-    low_pass = signals.low_pass.at_every(stride)
-    return low_pass.decimated(np.concatenate((late, uneven), axis=-1))
+    low_pass = signals.low_pass.at_lower_rate(stride)
+    return low_pass.decimate(np.concatenate((late, uneven), axis=-1))
 
 
 @dataclass(frozen=True)

@@ -525,7 +525,7 @@ def _low_pass(dataset: Dataset, point: Point, make: Callable[[Motion], Array]) -
     signals = dataset.signals
     if signals is None or not point.exact_load:
         return make(dataset.motion)
-    return signals.passed(lambda motion: (make(motion),))[0]
+    return signals.filter_columns(lambda motion: (make(motion),))[0]
 
 
 def usual_bodies(robot: RobotModel) -> dict[str, Array]:

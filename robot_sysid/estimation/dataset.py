@@ -213,18 +213,20 @@ def decimated_equations(
         InputError: no joint ever moves fast enough for its equations to be used.
     """
     width = sum(len(columns) for columns in equations.columns)
-    bodies = signals.passed(
-        equations.bodies, smooth=True, most=max(1, _NUMBERS // width)
+    bodies = signals.filter_columns(
+        equations.bodies, smooth=True, chunk=max(1, _NUMBERS // width)
     )
     unknown = itertools.repeat(np.array(np.nan))
-    friction = signals.passed(lambda motion: equations.friction(motion, unknown))
+    friction = signals.filter_columns(
+        lambda motion: equations.friction(motion, unknown)
+    )
     usable = signals.usable()[:, list(equations.rows_of)]
     if not np.any(usable):
         raise InputError(
             f"none of the joints {', '.join(equations.joints)} moves faster than its velocity "
             "deadband for long enough; move faster, and turn round less often"
         )
-    tau = signals.low_pass.decimated(signals.tau)[:, list(equations.rows_of)].T
+    tau = signals.low_pass.decimate(signals.tau)[:, list(equations.rows_of)].T
     pairs = map(joined, bodies, friction, tau)
     return _samples_of(equations, signals.decimated_time(), pairs, tau).where(usable)
 

@@ -365,7 +365,7 @@ def filtering_bias(
     pull = np.zeros((len(samples.joints), len(samples.names)))
     if dataset.signals is None:
         return pull
-    rows, second = dataset.signals.refiltered
+    rows, second = dataset.signals.refiltered_motion
     motion = dataset.signals.decimated_motion()
     first = Motion(motion.time[rows], motion.q[rows], motion.qd[rows], motion.qdd[rows])
     same_direction = np.sign(first.qd) == np.sign(second.qd)

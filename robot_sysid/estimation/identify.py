@@ -35,7 +35,7 @@ from robot_sysid.records import Array, Flange, Measurement, RobotModel
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.results.record import OneRecording
 from robot_sysid.signals.process import LogPiece, process
-from robot_sysid.signals.repetition import visits
+from robot_sysid.signals.repetition import find_visits
 
 AT_REST = FrictionModel(("offset",))
 """Friction terms at rest, where poses were approached from both sides."""
@@ -249,7 +249,7 @@ def _fitter(
     if options.tilt == "auto":
         tilt_axes(gravity(robot))  # raises without gravity
     if all(dataset.signals is not None for dataset in datasets):
-        repetitions = visits([dataset.motion for dataset in datasets])
+        repetitions = find_visits([dataset.motion for dataset in datasets])
     motors, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, motors)
     fitter = Fitter(columns, mean_torque(datasets), repetitions, _passes(progress))

@@ -55,7 +55,7 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.results.model import CHECKPOINTS
-from robot_sysid.signals.repetition import RowSample, sampled
+from robot_sysid.signals.repetition import RowSample, sample_rows
 
 MOST_NOTES = 20
 
@@ -340,7 +340,7 @@ def _sample_rows(
     assert dataset.signals is not None
     content = dataset.signals.q.tobytes() + dataset.signals.tau.tobytes()
     number = int.from_bytes(hashlib.sha256(content).digest()[:8], "little")
-    return sampled(dataset.motion, np.stack(residuals, axis=1), number)
+    return sample_rows(dataset.motion, np.stack(residuals, axis=1), number)
 
 
 def answer_from(

@@ -26,7 +26,7 @@ from robot_sysid.logs.titles import collected
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import position
 from robot_sysid.records.progress import Detail
-from robot_sysid.signals.resampling import GAP_STEPS, usual_period
+from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
 
 Mask = NDArray[np.bool_]
 # Kind of odd rows to: the share beyond which a log is refused (chosen: beyond a hundredth a file is
@@ -179,7 +179,7 @@ def _mended(rows: LogRows) -> Iterator[str]:
 
 def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
-    period = usual_period(rows.samples.time)
+    period = sampling_period(rows.samples.time)
     if period > _LONGEST_STEP:
         unit = "ms" if period <= 50 else "us" if period <= 5e4 else "ns"
         remedy = f"if time is in {unit}, pass --units {unit}"
@@ -281,7 +281,7 @@ def _often_fast(q: Array, step: Array) -> Mask:
 def _why_fast(time: Array, q: Array, name: str, fast: Mask) -> str:
     """Return what makes positions (N, n) of some joints (n,) fast, and what to do about it."""
     step = np.diff(time)
-    period = usual_period(time)
+    period = sampling_period(time)
     what = f"joint {name} would often exceed {_FAST:g} rad/s"
     if period < _DENSE:
         return (

@@ -31,7 +31,7 @@ from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Sour
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 from robot_sysid.signals.process import LogPiece
-from robot_sysid.signals.resampling import piece_note, pieces_of
+from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 from robot_sysid.special_files import refuse_special_file
 
 
@@ -91,9 +91,9 @@ def open_log(
     found = found.with_torque_factor(constants / scale)
     rows = read_rows(table, found, slides, progress)
     checked = check_log(str(path), rows, robot, found.angle_declared)
-    pieces = tuple(map(LogPiece.of, pieces_of(rows.samples)))
+    pieces = tuple(map(LogPiece.of, split_at_gaps(rows.samples)))
     taken = map(Detail, (f"log layout: {table.layout}", *found.describe()))
-    notes = (*taken, *checked, *piece_note(rows.samples, pieces))
+    notes = (*taken, *checked, *piece_notes(rows.samples, pieces))
     return MeasurementLog(path, found, rows.samples, pieces, notes, scale)
 
 

@@ -28,7 +28,7 @@ from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Sour
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.results.record import Figure, Payload
-from robot_sysid.signals.poses import resting_poses
+from robot_sysid.signals.repetition import resting_poses
 
 LEAST_WITHIN = 0.15
 """Least share of the variance of positions in the order of recording that lies within one kind,
@@ -160,7 +160,7 @@ def _resting_datasets(
     for recording, position in zip(recordings, positions.tolist()):
         name = recording.name
         try:
-            poses, used = resting_poses(recording.samples, robot.joint_names)
+            poses, used = resting_poses(recording.samples)
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
         resting = RestingPoses(poses, used)

@@ -41,7 +41,7 @@ from robot_sysid.results.rollout import (
     split_time,
     torque_error,
 )
-from robot_sysid.signals.resampling import MOST_KEPT, bounded
+from robot_sysid.signals.resampling import MOST_ROWS_KEPT, condense_run
 from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import CHUNK, sample_count
 
@@ -120,9 +120,9 @@ def identify_plant(
     n_samples = sample_count(plan.duration, rate)
     n_chunks = math.ceil(n_samples / CHUNK)
     chunks = progress.track(iter(simulation), "Collecting measurements", n_chunks)
-    stretches, cut_notes = bounded(chunks, n_samples)
+    stretches, cut_notes = condense_run(chunks, n_samples)
     if arm.save_measurements is not None:
-        samples = simulation if n_samples > MOST_KEPT else stretches
+        samples = simulation if n_samples > MOST_ROWS_KEPT else stretches
         write_measurement_csv(arm.save_measurements, robot.joint_names, samples)
     name = str(arm.plant_model)
     origin = DataOrigin(Source.SIMULATED_ARM, name, plan.duration, rate, seed)
@@ -204,7 +204,7 @@ def _identify_recordings(
     progress.note(*(note for note in result.notes if note not in printed))
     signals = datasets[0].signals
     assert signals is not None
-    checkpoints = signals.motion(signals.spread(CHECKPOINTS))
+    checkpoints = signals.motion(signals.spread_indices(CHECKPOINTS))
     tests = tuple(
         dataset
         for log_datasets in recordings.tests.values()

@@ -60,7 +60,7 @@ def play(
         pieces = [
             p for log in signals for p in playback.pieces_of_signals(log, since(log))
         ]
-        checkpoints = signals[0].motion(signals[0].spread(CHECKPOINTS))
+        checkpoints = signals[0].motion(signals[0].spread_indices(CHECKPOINTS))
         with temporary_folder() as folder:
             path = folder / MODEL_NAMES["mjcf"]  # what is in it tells its kind
             with whole_files() as files:
@@ -147,9 +147,9 @@ def torque_error(
             + friction.viscous * motion.qd,
         )
 
-    (predicted,) = signals.passed(smooth, smooth=True)
-    predicted += signals.low_pass.decimated(friction.dry(signals.qd))
-    tau = signals.low_pass.decimated(signals.tau)
+    (predicted,) = signals.filter_columns(smooth, smooth=True)
+    predicted += signals.low_pass.decimate(friction.dry(signals.qd))
+    tau = signals.low_pass.decimate(signals.tau)
     usable = signals.usable()
     residual = np.where(usable, tau - predicted, 0.0)
     counts = np.count_nonzero(usable, axis=0)

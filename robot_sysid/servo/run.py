@@ -34,7 +34,7 @@ from robot_sysid.results.rollout import LAST_FIFTH, refusal
 from robot_sysid.results.verdict import two_lines
 from robot_sysid.servo import search
 from robot_sysid.servo.search import MOST_PERIODS, ServoFit
-from robot_sysid.signals.resampling import usual_period
+from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.servos import ServoRollouts, actuators_of, model_servos
 
 SERVO_SCHEMA = "robot-sysid servo 1"
@@ -372,7 +372,7 @@ def identify_servos(
         fitted = pieces
         words = "the validation log"
     moves = moving(pieces)
-    period = float(np.median([usual_period(piece.time) for piece in pieces]))
+    period = float(np.median([sampling_period(piece.time) for piece in pieces]))
     q = np.concatenate([piece.q for piece in pieces])
     q = q[np.linspace(0, len(q) - 1, _POSITIONS).astype(int)]
     whole = search.first_servos(robot, q, period, moves)

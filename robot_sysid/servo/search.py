@@ -28,7 +28,7 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.rollout import HORIZONS, split_time
-from robot_sysid.signals.resampling import part_of, usual_period
+from robot_sysid.signals.resampling import sampling_period, slice_samples
 from robot_sysid.simulation.playback import MOST_WINDOWS
 from robot_sysid.simulation.servos import (
     ServoRollouts,
@@ -135,7 +135,7 @@ def problem_of(
     """
     windows = []
     for piece in pieces:
-        lead = max(MOST_PERIODS * usual_period(piece.time), SMOOTHED)
+        lead = max(MOST_PERIODS * sampling_period(piece.time), SMOOTHED)
         starts = np.arange(piece.time[0] + lead, piece.time[-1] - length, length)
         if not len(starts) or piece.command is None:
             continue
@@ -157,7 +157,7 @@ def smoothed(piece: Measurement) -> tuple[Array, Array]:
     """Return positions and speeds (N, n) as parabolas give them [rad, rad/s]."""
     from scipy.signal import savgol_filter
 
-    period = usual_period(piece.time)
+    period = sampling_period(piece.time)
     length = max(5, 2 * round(0.5 * SMOOTHED / period) + 1)
     qd = savgol_filter(piece.q, length, 2, deriv=1, delta=period, axis=0)
     return savgol_filter(piece.q, length, 2, axis=0), qd
@@ -168,8 +168,8 @@ def parted(
 ) -> tuple[list[Measurement], list[Measurement]]:
     """Return (what is fitted, what is held out): the last fifth of every piece."""
     at = [int(np.searchsorted(p.time, split_time(p), "right")) for p in pieces]
-    held = [part_of(piece, k, len(piece)) for piece, k in zip(pieces, at)]
-    return [part_of(piece, 0, k) for piece, k in zip(pieces, at)], held
+    held = [slice_samples(piece, k, len(piece)) for piece, k in zip(pieces, at)]
+    return [slice_samples(piece, 0, k) for piece, k in zip(pieces, at)], held
 
 
 def play_servos(

@@ -1,21 +1,22 @@
-"""Choosing the cut-off frequency from the data.
+"""Choosing the cut-off frequency of the low-pass from the data.
 
-The error of an acceleration taken from low-passed positions has two parts: motion above the
-cut-off, which is lost, and encoder noise below it. Both are read off the spectrum of the raw second
-difference of position: the noise is the level at high frequencies, where a second difference of
-white noise has the shape (2 - 2 cos(2 pi f T))^2 / T^4, the motion is what stands clearly above it.
-A joint that creeps over an encoder's steps is read as a staircase, whose spectrum stands far above
-that shape; what it differs from the line through its steps is noise as well (``encoder_steps``).
+The error of an acceleration that is computed from low-passed positions has two parts: motion above
+the cut-off, which is lost, and encoder noise below it. Both are estimated from the spectrum of the
+second difference of the raw positions. At high frequencies that spectrum is noise: the second
+difference of white noise has the shape (2 - 2 cos(2 pi f T))^2 / T^4. What stands clearly above the
+noise is motion. A joint that creeps over an encoder's steps is read as a staircase, whose spectrum
+stands far above that shape; its quantisation error counts as noise too (``quantisation_error``).
 
-The chosen cut-off is the highest one whose expected error is small, which keeps most of friction's
-sign changes and of the ends of the log. It stays within a multiple of the frequencies that the arm
-moves at, beyond which torques hold more and more that is not motion.
+The chosen cut-off is the highest one whose expected error is small: it keeps most of the changes of
+friction's sign and most rows at the ends of the log. It is at most a multiple of the frequencies at
+which the arm moves, because torques above them hold more and more that is not motion.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,45 +24,51 @@ from robot_sysid.records import Array
 from robot_sysid.records.figures import percent
 from robot_sysid.signals.filters import design_low_pass
 
-# Expected squared error of acceleration, as a part of its mean square, that is no loss yet: it
+# Expected squared error of the acceleration, relative to its mean square, that does no harm: it
 # biases an inertia by as much, 0.005 %.
-_HARMLESS = 5e-5
-# Or the least error there is, nearly (chosen: the error is flat around its minimum).
-_NEARLY_BEST = 1.25
-# The arm moves at frequencies that hold this share of the squared speed; the cut-off is at most so
-# many times the highest of them (docs/measurements.md, tests/signals/test_cutoff.py).
-_MOSTLY = 0.99
-_WIDEST = 15.0
-# Share of rows with a new reading below which readings come slower than rows.
-_HELD = 0.6
-_REGULAR = 0.5
-# An octave with less than this part of the squared speed below it is a gap; what the arm's motion
-# still has beyond ends at so many times its frequency.
-_EMPTY = 1e-4
-_WELL_BEYOND = 10.0
-# A band counts as motion where it stands this far above the noise, which chance does not.
-_CLEARLY = 6.0
-# Share of an encoder's steps beside which the reading stays the same, up to which the steps are
-# passed so fast that their noise is white.
-_HARDLY_EVER = 0.01
-# Longer stretches would only resolve frequencies finer than any cut-off needs (chosen) [s].
-_LONGEST = 20.0
-# Weights of the cosines of that window.
+_HARMLESS_ERROR = 5e-5
+# A cut-off also qualifies up to this multiple of the least error: the error is flat around its
+# minimum (chosen).
+_ERROR_TOLERANCE = 1.25
+# The arm moves at frequencies below which this share of the squared speed lies; the cut-off is at
+# most this multiple of the highest of them (docs/measurements.md, tests/signals/test_cutoff.py).
+_MOTION_SHARE = 0.99
+_LARGEST_CUTOFF_RATIO = 15.0
+# Share of rows with a new reading below which the log is written faster than it is read.
+_FRESH_SHARE = 0.6
+# Standard deviation of the time between new readings over its mean, up to which they are regular.
+_REGULARITY = 0.5
+# An octave that adds less than this share to the squared speed below it is a gap in the spectrum;
+# motion beyond a gap ends at this multiple of the gap's frequency.
+_GAP_SHARE = 1e-4
+_GAP_RATIO = 10.0
+# A frequency holds motion where its power is this multiple of the noise: not by chance.
+_MOTION_TO_NOISE = 6.0
+# Up to this share of steps after which a reading repeats, steps are passed so fast that their noise
+# is white.
+_REPEATED_SHARE = 0.01
+# Longer segments would only resolve frequencies finer than any cut-off needs (chosen) [s].
+_LONGEST_SEGMENT = 20.0
+# Weights of the cosines of the Blackman-Harris window.
 _BLACKMAN_HARRIS = (0.35875, -0.48829, 0.14128, -0.01168)
-# Both passes of the filter together may cut off this part of the log (chosen).
-_TRIMMED = 0.2
-# Samples of a segment, and readings, that a spectrum takes at least (chosen).
-_SHORTEST = 64
+# Share of the log that both passes of the filter together may cut off (chosen).
+_TRIMMED_SHARE = 0.2
+# Fewest samples of a segment, and fewest readings, that a spectrum is made from (chosen).
+_SHORTEST_SEGMENT = 64
 
 
 @dataclass(frozen=True)
 class Spectra:
-    """Spectra (F,) of all joints' accelerations at F frequencies [Hz]: what is motion, what is not.
+    """Power spectra of the joints' accelerations at F frequencies, split into motion and noise.
 
     Attributes:
         rate: sample rate of the readings [Hz].
-        count, length: of the readings, and of the parts of them that are averaged.
-        level: (n,) spectrum of the noise of position.
+        count: number of readings.
+        length: number of samples of each averaged segment.
+        frequency: (F,) [Hz].
+        motion: (F,) power of the motion, summed over all joints.
+        noise: (F,) power of the noise, summed over all joints.
+        level: (n,) power density of the white noise of each joint's position.
     """
 
     rate: float
@@ -78,34 +85,46 @@ class Spectra:
         return np.asarray(np.sqrt(self.level * self.rate / 2.0))
 
 
-def choose_cutoff(spectra: Spectra) -> tuple[float, float, str]:
-    """Return (one cut-off for all joints [Hz], expected error of acceleration as a part, why)."""
+class CutoffChoice(NamedTuple):
+    """A cut-off for all joints [Hz], the expected error of the acceleration relative to its root
+    mean square, and a sentence on why this cut-off was chosen.
+    """
+
+    cutoff: float
+    expected_error: float
+    reason: str
+
+
+def choose_cutoff(spectra: Spectra) -> CutoffChoice:
+    """Return the highest cut-off whose expected error of the acceleration is small."""
     rate = spectra.rate
     highest = 0.2 * rate
     half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
-    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED * spectra.count / rate)
+    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED_SHARE * spectra.count / rate)
     candidates = np.geomspace(min(lowest, highest), highest, 40)
-    # The highest frequency that the arm moves at; all where it does not move.
+    # The highest frequency that the arm moves at; all frequencies where it does not move.
     frequency = spectra.frequency
     motion = spectra.motion
     fastest = frequency[_speed_index(frequency, motion) if np.any(motion) else -1]
-    candidates = candidates[candidates <= max(candidates[0], _WIDEST * fastest)]
-    errors = np.array([_error(c, spectra) for c in candidates])
-    fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
-    best = candidates[fit[-1]]
+    bound = max(candidates[0], _LARGEST_CUTOFF_RATIO * fastest)
+    candidates = candidates[candidates <= bound]
+    errors = np.array([_squared_error(cutoff, spectra) for cutoff in candidates])
+    largest_error = max(_HARMLESS_ERROR, _ERROR_TOLERANCE * errors.min())
+    chosen = np.flatnonzero(errors <= largest_error)[-1]
+    cutoff = float(candidates[chosen])
     sigma = spectra.position_noise
-    expected = float(np.sqrt(errors[fit[-1]]))
-    reason = f"cut-off {best:.3g} Hz chosen from the data: position noise {sigma.min():.2g} to "
-    reason += (
+    expected = float(np.sqrt(errors[chosen]))
+    reason = (
+        f"cut-off {cutoff:.3g} Hz chosen from the data: position noise {sigma.min():.2g} to "
         f"{sigma.max():.2g} rad, expected error of the acceleration {percent(expected)}"
     )
-    return float(best), expected, reason
+    return CutoffChoice(cutoff, expected, reason)
 
 
-def noise_share(spectra: Spectra | None, cutoff: float) -> float:
-    """Return the noise that a cut-off [Hz] leaves in the acceleration, as a part of it.
+def acceleration_noise(spectra: Spectra | None, cutoff: float) -> float:
+    """Return the noise that a cut-off [Hz] leaves in the acceleration, relative to the motion.
 
-    Infinite where nothing moves or the log is too short to tell.
+    Both are root mean squares. Infinite where nothing moves or the log is too short for spectra.
     """
     moved = 0.0 if spectra is None else np.sum(spectra.motion)
     if spectra is None or moved <= 0.0:
@@ -113,144 +132,166 @@ def noise_share(spectra: Spectra | None, cutoff: float) -> float:
     return math.sqrt(np.sum(spectra.noise[spectra.frequency <= cutoff]) / moved)
 
 
-def spectra_of(q: Array, rate: float, steps: Array) -> Spectra | None:
-    """Return the spectra of all joints, of positions (N, n) on a uniform grid and what
-    ``encoder_steps`` says of them [rad], at a rate [Hz]; None where there are too few samples.
+def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:
+    """Return the spectra of all joints' accelerations; None where there are too few samples.
+
+    Args:
+        q: (N, n) positions on a uniform grid [rad].
+        rate: of the grid [Hz].
+        steps: (N, n) quantisation errors of the positions, see ``quantisation_error`` [rad].
     """
-    q, steps, rate = _without_repeats(q, steps, rate)
-    if len(q) < _SHORTEST:
+    q, steps, rate = _drop_repeated_readings(q, steps, rate)
+    if len(q) < _SHORTEST_SEGMENT:
         return None
-    length = min((len(q) - 2) // 4, max(_SHORTEST, round(_LONGEST * rate)))
-    frequency, power, shape = _acceleration_spectrum(q, rate, length)
+    longest = max(_SHORTEST_SEGMENT, round(_LONGEST_SEGMENT * rate))
+    length = min((len(q) - 2) // 4, longest)
+    frequency, power, shape = _second_difference_spectrum(q, rate, length)
     high = (frequency > 0.25 * rate) & (frequency < 0.475 * rate)
     # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
     level = 1.05 * np.median(power[high] / shape[high, None], axis=0)
     noise = level * shape[:, None]
-    stairs = np.zeros_like(power)
+    staircase = np.zeros_like(power)
     stepped = np.any(steps, axis=0)
     if np.any(stepped):
-        stairs[:, stepped] = _acceleration_spectrum(steps[:, stepped], rate, length)[1]
-    motion = _motion(frequency, power, np.maximum(noise, stairs))
+        _, power_of_steps, _ = _second_difference_spectrum(
+            steps[:, stepped], rate, length
+        )
+        staircase[:, stepped] = power_of_steps
+    motion = _motion_power(frequency, power, np.maximum(noise, staircase))
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
     motion = np.sum(motion, axis=1)
     noise = np.sum(noise, axis=1)
     return Spectra(rate, len(q), length, frequency, motion, noise, level)
 
 
-def _without_repeats(q: Array, steps: Array, rate: float) -> tuple[Array, Array, float]:
-    """Return positions, steps and rate of readings that come slower than the log was written.
+def _drop_repeated_readings(
+    q: Array, steps: Array, rate: float
+) -> tuple[Array, Array, float]:
+    """Return positions (M, n), quantisation errors (M, n) and rate [Hz] of the new readings alone.
 
     A reading that is held for several rows has images at multiples of its own rate, which look like
-    noise at every frequency.
+    noise at every frequency. The arguments are returned where rows are new or come irregularly.
     """
-    fresh = np.concatenate(([True], np.any(q[1:] != q[:-1], axis=1)))
-    share = float(np.mean(fresh))
+    is_new = np.concatenate(([True], np.any(q[1:] != q[:-1], axis=1)))
+    share = float(np.mean(is_new))
     row = np.arange(len(q))
-    kept = np.flatnonzero(fresh)
-    if share > _HELD or len(kept) < _SHORTEST:
+    new_rows = np.flatnonzero(is_new)
+    if share > _FRESH_SHARE or len(new_rows) < _SHORTEST_SEGMENT:
         return q, steps, rate
-    waits = np.diff(kept)
-    if np.std(waits) > _REGULAR * np.mean(
-        waits
-    ):  # an encoder that creeps from step to step
+    waits = np.diff(new_rows)
+    if np.std(waits) > _REGULARITY * np.mean(waits):
+        # An encoder that creeps from step to step.
         return q, steps, rate
-    even = np.linspace(0.0, len(q) - 1.0, len(kept))
-    slower = np.column_stack([np.interp(even, row[kept], joint[kept]) for joint in q.T])
-    return slower, np.zeros_like(slower), rate * share
+    even = np.linspace(0.0, len(q) - 1.0, len(new_rows))
+    fresh_q = np.empty((len(even), q.shape[1]))
+    for joint, reading in enumerate(q.T):
+        fresh_q[:, joint] = np.interp(even, row[new_rows], reading[new_rows])
+    return fresh_q, np.zeros_like(fresh_q), rate * share
 
 
-def encoder_steps(q: Array) -> Array:
-    """Return what readings q (N, n) differ from the line through the middles of their steps (N, n).
+def quantisation_error(q: Array) -> Array:
+    """Return the error (N, n) that the steps of an encoder make in its readings q (N, n) [rad].
 
-    Between two readings that differ, the joint passed the middle of them; in between it moved
-    nearly straight on. Zero for a joint whose reading hardly ever stays the same while it moves:
-    its steps are too fine to make a staircase.
+    It is the distance from a line through the middles of the steps: between two readings that
+    differ, the joint passed the middle of them, and between two such middles it moved nearly
+    straight on. It is zero for a joint whose reading hardly ever repeats while the joint moves: its
+    steps are too fine to make a staircase.
     """
-    steps = np.zeros_like(q)
+    error = np.zeros_like(q)
     sample = np.arange(len(q))
     for joint, reading in enumerate(q.T):
-        before = np.flatnonzero(np.diff(reading))
-        stayed = np.diff(before, prepend=-1) > 1
-        if np.count_nonzero(stayed) > _HARDLY_EVER * len(before):
-            middles = 0.5 * (reading[before] + reading[before + 1])
-            steps[:, joint] = reading - np.interp(sample, before + 0.5, middles)
-    return steps
+        last_samples = np.flatnonzero(np.diff(reading))
+        repeats = np.diff(last_samples, prepend=-1) > 1
+        if np.count_nonzero(repeats) > _REPEATED_SHARE * len(last_samples):
+            middles = 0.5 * (reading[last_samples] + reading[last_samples + 1])
+            error[:, joint] = reading - np.interp(sample, last_samples + 0.5, middles)
+    return error
 
 
-def _acceleration_spectrum(
+def _second_difference_spectrum(
     q: Array, rate: float, length: int
 ) -> tuple[Array, Array, Array]:
-    """Return frequency (F,), spectrum of the second difference (F, n) and noise shape (F,).
+    """Return frequency (F,) [Hz], spectrum of the second difference of positions q (N, n), (F, n),
+    and the spectrum (F,) that white noise of unit density would have.
 
-    The mean over segments of the squared Fourier transform under a Blackman-Harris window, the
-    mean taken off (Welch, IEEE Trans. Audio Electroacoust. 15, 1967; Harris, Proc. IEEE 66, 1978).
+    The mean over segments of ``length`` samples of the squared Fourier transform under a
+    Blackman-Harris window, after subtraction of the mean (Welch, IEEE Trans. Audio Electroacoust.
+    15, 1967; Harris, Proc. IEEE 66, 1978).
     """
-    turn = 2.0 * np.pi / length * np.arange(length)
-    window = np.cos(np.outer(turn, range(4))) @ _BLACKMAN_HARRIS
+    angle = 2.0 * np.pi / length * np.arange(length)
+    window = np.cos(np.outer(angle, range(4))) @ _BLACKMAN_HARRIS
     starts = range(0, len(q) - 2 - length + 1, length - 3 * length // 4)
     frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))
     power = np.zeros((len(frequency), q.shape[1]))
     for start in starts:
-        part = np.diff(q[start : start + length + 2], 2, axis=0) * rate**2
-        seen = np.fft.rfft((part - np.mean(part, axis=0)) * window[:, None], axis=0)
-        power += seen.real**2 + seen.imag**2
+        segment = np.diff(q[start : start + length + 2], 2, axis=0) * rate**2
+        deviation = segment - np.mean(segment, axis=0)
+        transform = np.fft.rfft(deviation * window[:, None], axis=0)
+        power += transform.real**2 + transform.imag**2
     power *= 2.0 / (rate * np.sum(window**2) * len(starts))
-    power[length // 2 :] *= (
-        0.5 if length % 2 == 0 else 1.0
-    )  # the one bin without a mirror image
+    # The Nyquist frequency, which an even length has, is the one bin without a mirror image.
+    power[length // 2 :] *= 0.5 if length % 2 == 0 else 1.0
     shape = ((2.0 - 2.0 * np.cos(2.0 * np.pi * frequency / rate)) * rate**2) ** 2
     return frequency[1:], power[1:], shape[1:]
 
 
-def _motion(frequency: Array, power: Array, noise: Array) -> Array:
-    """Return the part of the spectrum (F, n) that is motion of the arm.
+def _motion_power(frequency: Array, power: Array, noise: Array) -> Array:
+    """Return the power (F, n) of each joint's acceleration that is motion of the arm.
 
-    Vibration, ripple and noise that is not white make the spectrum of acceleration rise again at
-    high frequencies; motion ends where it is lowest.
+    Vibration, ripple and noise that is not white make the spectrum of the acceleration rise again
+    at high frequencies; motion ends where the spectrum is lowest.
+
+    Args:
+        frequency: (F,) [Hz].
+        power: (F, n) spectrum of the acceleration.
+        noise: (F, n) spectrum of its noise.
     """
-    motion = np.where(power > _CLEARLY * noise, power - noise, 0.0)
-    pooled = np.sum(power, axis=1)
+    motion = np.where(power > _MOTION_TO_NOISE * noise, power - noise, 0.0)
     if not np.any(motion):
         return motion
     moved = np.sum(motion, axis=1)
     slow = _speed_index(frequency, moved)
-    rising = slow + int(
-        np.argmin(_smooth(pooled)[slow : max(slow + 1, int(0.9 * len(pooled)))])
-    )
-    gap = frequency[_first_gap(frequency, moved)]
-    last = min(rising, int(np.searchsorted(frequency, _WELL_BEYOND * gap)))
+    smooth = _smooth(np.sum(power, axis=1))
+    lowest = slow + int(np.argmin(smooth[slow : max(slow + 1, int(0.9 * len(power)))]))
+    gap = frequency[_gap_index(frequency, moved)]
+    last = min(lowest, int(np.searchsorted(frequency, _GAP_RATIO * gap)))
     return np.where(np.arange(len(frequency))[:, None] <= last, motion, 0.0)
 
 
 def _speed_index(frequency: Array, motion: Array) -> int:
-    """Return below which frequency index most of the squared speed is, as far as the first gap."""
-    speed = _squared_speed(frequency, motion)
-    return int(np.searchsorted(speed, _MOSTLY * speed[_first_gap(frequency, motion)]))
+    """Return the index of the frequency (F,) below which 99 % of the squared speed lies.
+
+    Only the spectrum up to its first gap counts; ``motion`` (F,) is the acceleration's power.
+    """
+    speed = _cumulative_squared_speed(frequency, motion)
+    total = speed[_gap_index(frequency, motion)]
+    return int(np.searchsorted(speed, _MOTION_SHARE * total))
 
 
-def _squared_speed(frequency: Array, motion: Array) -> Array:
-    """Return (F,) the squared speed up to each frequency."""
+def _cumulative_squared_speed(frequency: Array, motion: Array) -> Array:
+    """Return (F,) the squared speed up to each frequency (F,) of a motion's spectrum (F,)."""
     return np.asarray(np.cumsum(motion / frequency**2))
 
 
-def _first_gap(frequency: Array, motion: Array) -> int:
+def _gap_index(frequency: Array, motion: Array) -> int:
     """Return the index of the first octave that adds next to nothing to the squared speed.
 
-    What lies beyond are images of the motion, which repeated samples and jitter in time leave.
-    Looked for above the frequency that holds half of the squared speed in the lower half of all
-    octaves, which is motion for sure.
+    Beyond such a gap lie images of the motion, which repeated samples and jitter in time leave. The
+    search begins at the frequency below which half of the squared speed of the lower half of all
+    octaves lies: that is motion for sure. The last index where there is no gap.
     """
-    speed = _squared_speed(frequency, motion)
-    octave = np.minimum(np.searchsorted(frequency, 2.0 * frequency), len(frequency) - 1)
-    empty = speed[octave] - speed < _EMPTY * speed
-    sure = speed[int(np.sqrt(len(speed)))]
-    empty[: int(np.searchsorted(speed, 0.5 * sure))] = False
-    empty[octave == len(frequency) - 1] = False
-    return int(np.argmax(empty)) if np.any(empty) else len(frequency) - 1
+    speed = _cumulative_squared_speed(frequency, motion)
+    last = len(frequency) - 1
+    octave = np.minimum(np.searchsorted(frequency, 2.0 * frequency), last)
+    is_empty = speed[octave] - speed < _GAP_SHARE * speed
+    lower_half = speed[int(np.sqrt(len(speed)))]
+    is_empty[: int(np.searchsorted(speed, 0.5 * lower_half))] = False
+    is_empty[octave == last] = False
+    return int(np.argmax(is_empty)) if np.any(is_empty) else last
 
 
 def _smooth(power: Array) -> Array:
-    """Return the mean over a quarter of an octave or so around each frequency (F,)."""
+    """Return a spectrum (F,) averaged over about a quarter of an octave around each frequency."""
     index = np.arange(len(power))
     width = np.maximum(1, index // 4)
     total = np.concatenate(([0.0], np.cumsum(power)))
@@ -259,10 +300,12 @@ def _smooth(power: Array) -> Array:
     return (total[high] - total[low]) / (high - low)
 
 
-def _error(cutoff: float, spectra: Spectra) -> float:
-    """Return the expected squared error of acceleration as a part of its mean square."""
+def _squared_error(cutoff: float, spectra: Spectra) -> float:
+    """Return the expected squared error of the acceleration at a cut-off [Hz], relative to its mean
+    square; absolute where nothing moves.
+    """
     kernel = design_low_pass(cutoff, spectra.rate).kernel
     gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:]
     total = np.sum(spectra.motion)
-    wrong = (1.0 - gain) ** 2 @ spectra.motion + gain**2 @ spectra.noise
-    return float(wrong / total) if total > 0.0 else float(wrong)
+    error = (1.0 - gain) ** 2 @ spectra.motion + gain**2 @ spectra.noise
+    return float(error / total) if total > 0.0 else float(error)

@@ -1,23 +1,29 @@
-"""Motion that repeats: what a model leaves unexplained comes again with it, and does not average.
+"""States that a motion visits more than once: repeated passes, and poses approached from two sides.
 
-Noise is new each time an arm passes a state (q, qd); friction that follows another law, or what a
-filter leaves of a reversal, is the same each time. With e the residuals and N(p) the rows that pass
-the state of row p at another time, the variance of a sum of the equations is
+What a model leaves unexplained comes again with a motion that repeats, and does not average out.
+Noise is new each time an arm passes a state (q, qd); friction that follows another law, or the
+error that a filter makes at a reversal, is the same each time. With e the residuals and N(p) the
+rows that pass the state of row p at another time, the variance of a sum of the equations is
 
     D = 1 + sum_p e_p sum_{s in N(p)} e_s / sum_p e_p^2
 
 times that of independent residuals: 1 where only noise is left, and the number of repetitions where
-every one leaves the same. A row passes a state where it is nearer than the rows of that state's own
-passage are to each other.
+every one leaves the same residuals. A row passes a state where it is nearer to it than the rows of
+that state's own passage are to each other.
 
-Of any number of logs a sample of rows of bounded size stands for all: every row draws a number, and
-those with the smallest stay. Samples put together in whatever order are then a sample of all rows
-(bottom-k sampling: Cohen, Kaplan, "Summarizing data using bottom-k sketches", 2007).
+For any number of logs a random sample of rows of bounded size stands for all: every row draws a
+number, and the rows with the smallest numbers stay. Samples that are combined in any order are then
+a sample of all rows (bottom-k sampling: Cohen, Kaplan, "Summarizing data using bottom-k sketches",
+2007).
+
+Dry friction holds an arm at rest with a torque of either sign. Where a pose is approached once from
+below and once from above, the mean of both torques has none of it left (to the extent that it is
+as large both ways), so that gravity alone remains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -25,101 +31,119 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.uncertainty import memory
-from robot_sysid.records import Array, Motion
+from robot_sysid.records import Array, Measurement, Motion
 
 PROBES = 2000
-"""So many rows, spread evenly, stand for all; a third of all tells D within a quarter (tests)."""
-NEAR = 0.7
-"""Of a row's step: of another passage, with a row each step, about one is found."""
-APART = 20
+"""Rows, spread evenly, that stand for all; a third of all estimates D within a quarter (tests)."""
+RADIUS_SHARE = 0.7
+"""Radius within which another row passes the same state, over the distance to the next row: of
+another passage, with a row each step, about one lies within."""
+PASSAGE_ROWS = 20
 """Rows that are nearer in time belong to the same passage: ten periods of the cut-off."""
-# A joint that hardly moves beside the others counts as if it moved by this part of them.
-_LEAST_SCALE = 0.01
-# Probes whose distances from all rows are in memory at a time.
+_LEAST_SPREAD = 0.01
+"""Least spread of a joint relative to that of the widest joint."""
 _CHUNK = 100
+"""Probes whose distances from all rows are in memory at a time."""
 MOST_ROWS = 2000
-"""Rows of a sample; as many as ``PROBES``."""
+"""Rows of a random sample; as many as ``PROBES``."""
 
 
 @dataclass(frozen=True)
 class Visits:
-    """Pairs of rows (M,), (M,) that pass the same state again; ``repeats``: how often."""
+    """Pairs of rows that pass the same state at different times.
+
+    Attributes:
+        probes: (M,) row number of the first of each pair.
+        others: (M,) row number of the second.
+        repeats: mean number of such pairs per probe.
+    """
 
     probes: NDArray[np.int64]
     others: NDArray[np.int64]
     repeats: float
 
     def inflation(self, residuals: Iterable[Array]) -> tuple[Array, Array]:
-        """Return (D, M) (joints,) of each joint's residuals (K,) [N m]; NaN where unused.
+        """Return (D (joints,), M (joints,)) of each joint's residuals (K,) [N m]; NaN where unused.
 
-        D is 1 where the motion does not repeat as a whole; M is what the memory of a joint's own
-        residuals does to the variance of a slow sum.
+        D is the variance inflation by repetition; 1 where the motion does not repeat as a whole. M
+        is the factor by which the autocorrelation of a joint's residuals inflates the variance of a
+        slow sum.
         """
-        again = []
-        own = []
-        each = np.unique(self.probes)
-        for left in residuals:
-            residual = np.nan_to_num(left)
-            twice = 0.0
-            squared = float(np.sum(residual[each] ** 2))
+        inflations = []
+        memories = []
+        probes = np.unique(self.probes)
+        for joint_residual in residuals:
+            residual = np.nan_to_num(joint_residual)
+            covariance = 0.0
+            squared = float(np.sum(residual[probes] ** 2))
             if self.repeats >= 1.0 and squared > 0.0:
-                twice = float(residual[self.probes] @ residual[self.others]) / squared
-            again.append(max(1.0 + twice, 1.0))
-            own.append(memory(left, again[-1]))
-        return np.array(again), np.array(own)
+                products = residual[self.probes] @ residual[self.others]
+                covariance = float(products) / squared
+            inflations.append(max(1.0 + covariance, 1.0))
+            memories.append(memory(joint_residual, inflations[-1]))
+        return np.array(inflations), np.array(memories)
 
 
-def visits(motions: Sequence[Motion]) -> Visits:
-    """Return which rows of some logs (K, n), taken together, pass the same states."""
-    q, qd = (
-        np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "qd")
-    )
-    off = q - np.mean(q, axis=0)
-    state = np.hstack([off / scales(off), qd / scales(qd)])
-    ends = np.cumsum([len(m.time) for m in motions])[:-1]
-    radius = NEAR * np.concatenate([_steps(part) for part in np.split(state, ends)])
-    chosen = np.unique(np.linspace(0, len(state) - 1, PROBES).astype(np.int64))
-    pairs = []
-    for some in np.array_split(chosen, -(-len(chosen) // _CHUNK)):
-        near = _near(state[some], radius[some], state)
-        near &= np.abs(some[:, None] - np.arange(len(state))) > APART
-        probe, other = np.nonzero(near)
-        pairs.append((some[probe], other))
-    probes, others = (np.concatenate(same) for same in zip(*pairs))
-    return Visits(probes, others, len(probes) / len(chosen))
+def find_visits(motions: Sequence[Motion]) -> Visits:
+    """Return which rows of logs (K, n each), numbered one log after the other, pass the same states
+    as others.
+    """
+    q = np.concatenate([motion.q for motion in motions])
+    qd = np.concatenate([motion.qd for motion in motions])
+    offset = q - np.mean(q, axis=0)
+    state = np.hstack([offset / _spread(offset), qd / _spread(qd)])
+    ends = np.cumsum([len(motion.time) for motion in motions])[:-1]
+    steps = [_step_lengths(states) for states in np.split(state, ends)]
+    radius = RADIUS_SHARE * np.concatenate(steps)
+    rows = np.unique(np.linspace(0, len(state) - 1, PROBES).astype(np.int64))
+    probes = []
+    others = []
+    for chunk in np.array_split(rows, -(-len(rows) // _CHUNK)):
+        is_visit = _is_near(state[chunk], radius[chunk], state)
+        is_visit &= np.abs(chunk[:, None] - np.arange(len(state))) > PASSAGE_ROWS
+        probe, other = np.nonzero(is_visit)
+        probes.append(chunk[probe])
+        others.append(other)
+    n_pairs = sum(map(len, others))
+    return Visits(np.concatenate(probes), np.concatenate(others), n_pairs / len(rows))
 
 
-def scales(values: Array) -> Array:
-    """Return (n,) the spread of joints' values (K, n); that of a still joint is not too small."""
+def _spread(values: Array) -> Array:
+    """Return (n,) the root mean square of joints' values (K, n), with a floor for a still joint."""
     spread = np.sqrt(np.mean(values**2, axis=0))
-    return np.asarray(np.maximum(spread, _LEAST_SCALE * np.max(spread) or 1.0))
+    return np.asarray(np.maximum(spread, _LEAST_SPREAD * np.max(spread) or 1.0))
 
 
-def _steps(state: Array) -> Array:
-    """Return (K,) how far the state of one log moves from row to row."""
+def _step_lengths(state: Array) -> Array:
+    """Return (K,) the mean distance of each state (K, 2 n) of a log from those before and after."""
     moved = np.linalg.norm(np.diff(state, axis=0), axis=1)
     return 0.5 * (np.append(moved[:1], moved) + np.append(moved, moved[-1:]))
 
 
-def _near(probes: Array, radius: Array, state: Array) -> NDArray[np.bool_]:
-    """Return (P, K) which rows' states lie within the radius (P,) of each of P."""
-    apart = (
+def _is_near(probes: Array, radius: Array, state: Array) -> NDArray[np.bool_]:
+    """Return (P, K) whether each state (K, 2 n) lies within the radius (P,) of probes (P, 2 n)."""
+    squared_distance = (
         np.sum(probes**2, axis=1)[:, None]
         + np.sum(state**2, axis=1)
         - 2.0 * probes @ state.T
     )
-    return np.asarray(apart < radius[:, None] ** 2)
+    return np.asarray(squared_distance < radius[:, None] ** 2)
 
 
 @dataclass(frozen=True, eq=False)
 class RowSample:
-    """At most ``MOST_ROWS`` M of ``total`` rows.
+    """At most ``MOST_ROWS`` M of ``total`` rows, drawn at random.
 
     Attributes:
-        drawn: (M,) what each row drew, ascending.
-        log, place: (M,) number of the log that a row is of, and which of its rows it is.
-        moved: (M, 2n) how far position and velocity are from those of the next row.
-        residual: (M, joints) what an estimate leaves [N m]; 0 in rows that are not used.
+        drawn: (M,) the random number that each row drew, ascending.
+        log: (M,) number of the log that a row is from.
+        place: (M,) number of the row in its log.
+        q: (M, n) positions [rad].
+        qd: (M, n) velocities [rad/s].
+        qdd: (M, n) accelerations [rad/s^2].
+        moved: (M, 2 n) change of position and velocity until the next row.
+        residual: (M, joints) of an estimate [N m]; 0 in rows that are not used.
+        total: number of rows that the sample stands for.
     """
 
     drawn: Array
@@ -133,66 +157,157 @@ class RowSample:
     total: int
 
     def __add__(self, other: RowSample) -> RowSample:
-        """Return the sample of both's rows, or raise InputError where a row is in both."""
-        names = [each.name for each in fields(self) if each.name != "total"]
-        both = {
-            name: np.concatenate([getattr(s, name) for s in (self, other)])
-            for name in names
-        }
-        order = np.argsort(both["drawn"], kind="stable")[:MOST_ROWS]
-        log = both["log"][order]
-        place = both["place"][order]
+        """Return the sample of the rows of both; InputError where a row is in both."""
+        order = np.argsort(np.concatenate((self.drawn, other.drawn)), kind="stable")
+        order = order[:MOST_ROWS]
+        columns = {}
+        for field in fields(self):
+            if field.name != "total":
+                pair = (getattr(self, field.name), getattr(other, field.name))
+                columns[field.name] = np.concatenate(pair)[order]
+        log = columns["log"]
+        place = columns["place"]
         if np.any((log[1:] == log[:-1]) & (place[1:] == place[:-1])):
             raise InputError(
                 "the same log is in both parts of a sum; add each log once"
             )
-        total = self.total + other.total
-        return RowSample(
-            **{name: rows[order] for name, rows in both.items()}, total=total
-        )
+        return RowSample(**columns, total=self.total + other.total)
 
-    def motion(self, most: int) -> Motion:
-        """Return some of the motion; its time only counts the rows."""
-        time = np.arange(min(most, len(self.q)), dtype=float)
-        return Motion(time, self.q[:most], self.qd[:most], self.qdd[:most])
+    def motion(self, count: int) -> Motion:
+        """Return the motion at the first ``count`` rows; its time only numbers them."""
+        time = np.arange(min(count, len(self.q)), dtype=float)
+        return Motion(time, self.q[:count], self.qd[:count], self.qdd[:count])
 
     def inflation(self) -> Array:
-        """Return D (joints,) from the sampled rows.
+        """Return the variance inflation D (joints,) by repetition, from the sampled rows.
 
         Where few of very many rows are sampled, chance makes it too large rather than too small.
         """
         size = len(self.drawn)
-        found = np.ones(self.residual.shape[1])
-        off = self.q - np.mean(self.q, axis=0)
-        scale = np.concatenate([scales(off), scales(self.qd)])
-        state = np.hstack([off, self.qd]) / scale
-        near = _near(state, NEAR * np.linalg.norm(self.moved / scale, axis=1), state)
-        same = self.log[:, None] == self.log
-        near &= ~(same & (np.abs(self.place[:, None] - self.place) <= APART))
+        inflation = np.ones(self.residual.shape[1])
+        offset = self.q - np.mean(self.q, axis=0)
+        scale = np.concatenate([_spread(offset), _spread(self.qd)])
+        state = np.hstack([offset, self.qd]) / scale
+        radius = RADIUS_SHARE * np.linalg.norm(self.moved / scale, axis=1)
+        is_visit = _is_near(state, radius, state)
+        same_log = self.log[:, None] == self.log
+        row_distance = np.abs(self.place[:, None] - self.place)
+        is_visit &= ~(same_log & (row_distance <= PASSAGE_ROWS))
         share = self.total / size
-        if share * np.count_nonzero(near) < size:
-            return found
+        if share * np.count_nonzero(is_visit) < size:
+            return inflation
         squared = np.sum(self.residual**2, axis=0)
-        again = share * np.sum(self.residual * (near @ self.residual), axis=0)
-        seen = squared > 0.0
-        found[seen] = np.maximum(1.0, 1.0 + again[seen] / squared[seen])
-        return found
+        products = self.residual * (is_visit @ self.residual)
+        covariance = share * np.sum(products, axis=0)
+        used = squared > 0.0
+        inflation[used] = np.maximum(1.0, 1.0 + covariance[used] / squared[used])
+        return inflation
 
 
-def sampled(motion: Motion, residual: Array, log: int) -> RowSample:
-    """Return a sample of one log's rows (K,) with residuals (K, joints) [N m], NaN where unused;
-    the number that no other log has also decides what the rows draw.
+def sample_rows(motion: Motion, residual: Array, log: int) -> RowSample:
+    """Return a random sample of one log's rows.
+
+    Args:
+        motion: at all rows (K, n).
+        residual: (K, joints) of an estimate [N m]; NaN where unused.
+        log: number that no other log has; it seeds the random numbers.
     """
     drawn = np.random.default_rng(log).random(len(motion.time))
-    chosen = np.argsort(drawn, kind="stable")[:MOST_ROWS]
+    rows = np.argsort(drawn, kind="stable")[:MOST_ROWS]
     moved = np.diff(np.hstack([motion.q, motion.qd]), axis=0)
     # The last row has no next one; it is as far from the one before.
     moved = np.vstack([moved, moved[-1:]])
-    q, qd, qdd, moved = (
-        each[chosen] for each in (motion.q, motion.qd, motion.qdd, moved)
-    )
-    numbers = np.full(len(chosen), log, dtype=np.uint64)
-    left = np.nan_to_num(residual[chosen])
     return RowSample(
-        drawn[chosen], numbers, chosen, q, qd, qdd, moved, left, len(drawn)
+        drawn=drawn[rows],
+        log=np.full(len(rows), log, dtype=np.uint64),
+        place=rows,
+        q=motion.q[rows],
+        qd=motion.qd[rows],
+        qdd=motion.qdd[rows],
+        moved=moved[rows],
+        residual=np.nan_to_num(residual[rows]),
+        total=len(drawn),
     )
+
+
+STILL = 2e-3
+"""How far a joint may move while it rests: several steps of a coarse encoder (chosen) [rad]."""
+LEAST_REST = 0.9
+"""Shortest rest that counts [s]."""
+SETTLING = 0.35
+"""Time at the beginning and at the end of a rest that is left out [s]: a slow start or stop looks
+like rest, and friction is that of the motion there."""
+WINDOW = 0.1
+"""Stretch of time within which a resting joint moves no further than ``STILL`` (chosen) [s]."""
+SAME_POSE = 0.02
+"""How far apart two rests in the same pose may be (chosen) [rad]."""
+APPROACH = 0.3
+"""Time before a rest over which a joint's direction is determined [s]."""
+LEAST_APPROACH = 1e-3
+"""Motion within that time below which a joint has no direction [rad]."""
+FEWEST_POSES = 5
+"""Fewer say little about mass and centre of mass, four unknowns, and nothing about their errors."""
+
+
+def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]:
+    """Return (the K poses in which a log rests, (K, n) whether a joint's friction cancels there).
+
+    A pose is two rests one after the other; its torque is the mean of theirs, zero for joints that
+    approached both from the same side.
+
+    Raises:
+        InputError: there are too few poses that were approached from both sides.
+    """
+    n_joints = samples.q.shape[1]
+    rests = np.array(list(_rests(samples))).reshape(-1, 1 + 3 * n_joints)
+    time, q, tau, direction = np.split(rests, 1 + n_joints * np.arange(3), axis=1)
+    is_same_pose = np.max(np.abs(np.diff(q, axis=0)), axis=1) < SAME_POSE
+    count = np.count_nonzero(is_same_pose)
+    if count < FEWEST_POSES:
+        raise InputError(
+            f"the log rests {len(rests)} times, and {count} poses were approached from both "
+            f"sides; --static needs {FEWEST_POSES}: play what robot-sysid plan --for payload "
+            "--static writes"
+        )
+    q = 0.5 * (q[:-1] + q[1:])[is_same_pose]
+    tau = 0.5 * (tau[:-1] + tau[1:])[is_same_pose]
+    is_balanced = (direction[:-1] * direction[1:])[is_same_pose] < 0.0
+    is_balanced &= np.isfinite(tau)
+    if not np.any(is_balanced):
+        raise InputError(
+            "no joint approaches its poses from both sides; --static needs that"
+        )
+    still = np.zeros_like(q)
+    tau = np.where(is_balanced, tau, 0.0)
+    poses = Measurement(time[:-1][is_same_pose, 0], q, still, tau, still)
+    return poses, is_balanced
+
+
+def _rests(samples: Measurement) -> Iterator[Array]:
+    """Yield (1 + 3 n,) of each rest: its time, mean position and torque, direction of approach."""
+    time = samples.time
+    q = samples.q
+    # The ends of each run of samples around which all joints stay within STILL.
+    is_still = np.concatenate(([False], _is_still(time, q), [False])).astype(int)
+    for first, end in np.flatnonzero(np.diff(is_still)).reshape(-1, 2).tolist():
+        if time[end - 1] - time[first] < LEAST_REST:
+            continue
+        settled = [time[first] + SETTLING, time[end - 1] - SETTLING]
+        start, stop = np.searchsorted(time, settled).tolist()
+        earlier = int(np.searchsorted(time, time[first] - APPROACH))
+        rest = slice(start, stop + 1)
+        mean = np.mean(q[rest], axis=0)
+        moved = mean - q[earlier]
+        direction = np.where(np.abs(moved) < LEAST_APPROACH, 0.0, np.sign(moved))
+        tau = np.mean(samples.tau[rest], axis=0)
+        yield np.hstack([time[first], mean, tau, direction])
+
+
+def _is_still(time: Array, q: Array) -> NDArray[np.bool_]:
+    """Return (N,) whether all joints stay within ``STILL`` around each sample of q (N, n)."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    step = float(np.median(np.diff(time)))
+    width = max(int(round(WINDOW / step)), 2)
+    span = maximum_filter1d(q, width, axis=0) - minimum_filter1d(q, width, axis=0)
+    return np.asarray(np.all(span < STILL, axis=1))

@@ -1,7 +1,7 @@
-"""Long and irregular logs: gaps and length split them into pieces, too many rows become fewer, and
-a piece is put on a uniform time grid.
+"""Long and irregular logs: gaps and length split a log into pieces, a dense log is decimated, and a
+piece is put on a uniform time grid.
 
-Each piece is filtered on its own. Two hours at 1 kHz say no more about an arm than the same hours
+Each piece is filtered by itself. Two hours at 1 kHz say no more about an arm than the same hours
 at 60 Hz, and take sixteen times the memory: times, positions and torques pass one zero-phase
 low-pass and are decimated, which leaves a log recorded at a lower rate behind a proper filter.
 """
@@ -21,19 +21,26 @@ from robot_sysid.records import Array, Measurement
 from robot_sysid.signals.filters import Decimator, design_low_pass
 
 GAP_STEPS = 1.75
-"""A step so many times the usual one has lost at least one sample; a late one comes up to 1.7
-periods after an early one (tests/signals/test_resampling.py)."""
-# Clocks are rarely better than this part of a sampling period (chosen).
-_REGULAR = 0.01
-# Share of long steps beyond which they are how the stamps were rounded.
-_RARELY = 0.01
+"""A step of time this many times as long as the median has lost at least one sample; a late sample
+comes up to 1.7 periods after an early one (tests/signals/test_resampling.py)."""
+_CLOCK_ERROR = 0.01
+"""Deviation from an even grid, in sampling periods, that most clocks have (chosen)."""
+_LOST_ROW_SHARE = 0.01
+"""Share of long steps of time beyond which they come from rounded stamps and not from lost rows."""
 
 
 @dataclass(frozen=True)
 class UniformSignals:
-    """Positions and torques (N, n) on a uniform grid from ``start`` [s] with ``rate`` [Hz].
+    """Positions and torques of N samples and n joints on a uniform grid.
 
-    ``gap`` (N,) is the length of the hole in the log that a sample bridges [s], or zero.
+    Attributes:
+        start: time of the first sample [s].
+        rate: samples per second [Hz].
+        q: (N, n) positions [rad].
+        tau: (N, n) torques [N m].
+        gap: (N,) length of the hole in the log that a sample bridges [s]; zero where it bridges
+            none.
+        notes: what a reader should know of the resampling.
     """
 
     start: float
@@ -44,286 +51,298 @@ class UniformSignals:
     notes: tuple[str, ...]
 
 
-def resampled(measurement: Measurement) -> UniformSignals:
-    """Put a log on a uniform grid.
+def resample_uniformly(measurement: Measurement) -> UniformSignals:
+    """Return a log on a uniform grid, or raise InputError where it has fewer than 8 samples.
 
-    A log that is even up to the digits of its time stamps is taken as it is, except for single rows
-    that are lost (``rows_lost``); else every joint is interpolated by cubic splines, at its own
-    time stamps where it has them.
+    A log that is even up to the digits of its time stamps is returned as it is, except for single
+    rows that are lost (``count_lost_rows``); else every joint is interpolated by cubic splines, at
+    its own time stamps where it has them.
     """
     time = measurement.time
     if len(time) < 8:
         raise InputError(
             f"only {len(time)} samples; a log of several seconds is needed"
         )
-    if measurement.joint_time is None and is_even(time):
-        lost = rows_lost(measurement)
-        if np.any(lost):
-            count = np.arange(len(time)) + np.concatenate(([0], np.cumsum(lost)))
-            period = float(time[-1] - time[0]) / float(count[-1])
-            whole = replace(measurement, time=time[0] + count * period)
-            words = f"{np.sum(lost)} lost rows bridged by cubic splines"
-            return _interpolated(whole, 1.0 / period, words)
-        gap = np.zeros(len(time))
-        exact = (len(time) - 1) / float(time[-1] - time[0])
-        return UniformSignals(
-            float(time[0]), exact, measurement.q, measurement.tau, gap, ()
-        )
-    return _interpolated(measurement, 1.0 / usual_period(time))
+    has_joint_time = measurement.joint_time is not None
+    if has_joint_time or not is_even(time):
+        reason = "each joint at its own" if has_joint_time else "uneven"
+        reason = f"{reason} time stamps, cubic splines"
+        return _interpolate(measurement, 1.0 / sampling_period(time), reason)
+    duration = float(time[-1] - time[0])
+    lost = count_lost_rows(measurement)
+    if np.any(lost):
+        count = np.arange(len(time)) + np.concatenate(([0], np.cumsum(lost)))
+        period = duration / float(count[-1])
+        even = replace(measurement, time=time[0] + count * period)
+        reason = f"{np.sum(lost)} lost rows bridged by cubic splines"
+        return _interpolate(even, 1.0 / period, reason)
+    gap = np.zeros(len(time))
+    rate = (len(time) - 1) / duration
+    return UniformSignals(float(time[0]), rate, measurement.q, measurement.tau, gap, ())
 
 
-def rows_lost(measurement: Measurement) -> NDArray[np.int64]:
-    """Return (N - 1,) how many rows are missing between those of a log with coarse time stamps.
+def count_lost_rows(measurement: Measurement) -> NDArray[np.int64]:
+    """Return (N - 1,) how many rows are missing after each row but the last of a log.
 
-    A step that is twice as long, in stamps as coarse as the period, is a lost row, or a clock that
-    is a little slow. Positions tell: over a lost row they go on twice as far as around it.
+    With coarse time stamps, a step that is twice as long is a lost row or a clock that is a little
+    slow. Positions decide: over a lost row they move twice as far as over the steps around it.
     """
     step = np.diff(measurement.time)
     lost = np.zeros(len(step), dtype=np.int64)
-    usual = float(np.median(step))
-    long = np.flatnonzero(step > GAP_STEPS * usual)
-    if len(long) > _RARELY * len(step):
+    median = float(np.median(step))
+    long = np.flatnonzero(step > GAP_STEPS * median)
+    if len(long) > _LOST_ROW_SHARE * len(step):
         return lost
-    for place in long[(long > 0) & (long < len(step) - 1)]:
-        missing = round(float(step[place]) / usual) - 1
-        before, moved, after = np.diff(measurement.q[place - 1 : place + 3], axis=0)
-        around = 0.5 * (before + after)
-        further = np.sum(moved * around) - (1.0 + 0.5 * missing) * np.sum(around**2)
-        lost[place] = missing if further > 0.0 else 0
+    for row in long[(long > 0) & (long < len(step) - 1)]:
+        missing = round(float(step[row]) / median) - 1
+        previous, moved, following = np.diff(measurement.q[row - 1 : row + 3], axis=0)
+        around = 0.5 * (previous + following)
+        expected = (1.0 + 0.5 * missing) * np.sum(around**2)
+        lost[row] = missing if np.sum(moved * around) - expected > 0.0 else 0
     return lost
 
 
-def usual_period(time: Array) -> float:
+def sampling_period(time: Array) -> float:
     """Return the mean step between time stamps (N,), holes left out [s]."""
     step = np.diff(time)
     return float(np.mean(step[step <= GAP_STEPS * np.median(step)]))
 
 
 def is_even(time: Array) -> bool:
-    """Return whether time stamps are evenly spaced, up to their number of digits."""
+    """Return whether time stamps (N,) [s] are evenly spaced, up to their number of digits."""
     line = np.linspace(time[0], time[-1], len(time))
     period = float(time[-1] - time[0]) / (len(time) - 1)
-    # The weight of the last decimal in use, at most a millisecond.
-    scaled = (((time - time[0]) * 10.0**digits, digits) for digits in (3, 4, 5, 6))
-    whole = (k for since, k in scaled if np.all(np.abs(since - np.round(since)) < 1e-3))
-    last_digit = next((10.0**-k for k in whole), 0.0)
-    return bool(
-        np.max(np.abs(time - line)) <= max(_REGULAR * period, 1.01 * last_digit)
-    )
+    tolerance = max(_CLOCK_ERROR * period, 1.01 * _last_decimal(time))
+    return bool(np.max(np.abs(time - line)) <= tolerance)
 
 
-def _interpolated(
-    measurement: Measurement, rate: float, why: str = ""
-) -> UniformSignals:
+def _last_decimal(time: Array) -> float:
+    """Return the weight of the last decimal of time stamps (N,), at most a millisecond [s]; zero
+    where they have more than six decimals.
+    """
+    for digits in (3, 4, 5, 6):
+        scaled = (time - time[0]) * 10.0**digits
+        if np.all(np.abs(scaled - np.round(scaled)) < 1e-3):
+            return 10.0**-digits
+    return 0.0
+
+
+def _interpolate(measurement: Measurement, rate: float, reason: str) -> UniformSignals:
+    """Return a log interpolated by cubic splines at a rate [Hz]; the note says the reason."""
     from scipy.interpolate import CubicSpline
 
     time = measurement.time
-    own = measurement.joint_time
-    first = float(time[0] if own is None else max(time[0], own[0].max()))
-    last = float(time[-1] if own is None else min(time[-1], own[-1].min()))
+    joint_time = measurement.joint_time
+    first = time[0]
+    last = time[-1]
+    if joint_time is not None:
+        first = max(first, joint_time[0].max())
+        last = min(last, joint_time[-1].min())
+    start = float(first)
+    end = float(last)
     # A last sample that rounding puts just beyond the end is still on the grid.
-    count = math.floor((last - first) * rate + 1e-6) + 1
-    grid = np.minimum(first + np.arange(count) / rate, last)
+    count = math.floor((end - start) * rate + 1e-6) + 1
+    grid = np.minimum(start + np.arange(count) / rate, end)
     q, tau = np.empty((2, count, measurement.q.shape[1]))
     for joint in range(q.shape[1]):
-        stamps = time if own is None else own[:, joint]
-        fresh = is_fresh(stamps)
-        both = np.column_stack((measurement.q[:, joint], measurement.tau[:, joint]))
-        q[:, joint], tau[:, joint] = CubicSpline(stamps[fresh], both[fresh])(grid).T
-    said = (
-        "each joint at its own time stamps" if own is not None else "uneven time stamps"
-    )
-    note = f"resampled to a uniform {rate:.6g} Hz ({why or said + ', cubic splines'})"
+        stamps = time if joint_time is None else joint_time[:, joint]
+        is_new = is_new_sample(stamps)
+        columns = np.column_stack((measurement.q[:, joint], measurement.tau[:, joint]))
+        spline = CubicSpline(stamps[is_new], columns[is_new])
+        q[:, joint], tau[:, joint] = spline(grid).T
+    note = f"resampled to a uniform {rate:.6g} Hz ({reason})"
     step = np.diff(time)
     index = np.clip(np.searchsorted(time, grid) - 1, 0, len(step) - 1)
     nearest = np.minimum(np.abs(grid - time[index]), np.abs(grid - time[index + 1]))
-    bridged = (step[index] > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
-    return UniformSignals(
-        first, rate, q, tau, np.where(bridged, step[index], 0.0), (note,)
-    )
+    is_bridged = (step[index] > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
+    gap = np.where(is_bridged, step[index], 0.0)
+    return UniformSignals(start, rate, q, tau, gap, (note,))
 
 
-def is_fresh(stamps: Array) -> NDArray[np.bool_]:
+def is_new_sample(stamps: Array) -> NDArray[np.bool_]:
     """Return (N,) whether each row holds a new sample of a joint with these time stamps (N,)."""
     return np.concatenate(([True], np.diff(stamps) > 0.0))
 
 
-SPLITTING = 0.5
+SPLITTING_GAP = 0.5
 """Gap that no spline bridges and no filter reaches over (chosen) [s]."""
 SPLITTING_STEPS = 20.0
-"""The same in sampling periods, for slow logs."""
-SHORTEST = 4.0
-"""Piece that is too short to be worth filtering, as its ends are cut off (chosen) [s]."""
-MOST_ROWS = 100_000
-"""Rows of a piece beyond which it is cut, so that filtering it takes little memory."""
+"""Shortest such gap of a slow log, in sampling periods."""
+SHORTEST_PIECE = 4.0
+"""Length below which a piece is not worth filtering, as its ends are cut off (chosen) [s]."""
+MOST_PIECE_ROWS = 100_000
+"""Rows beyond which a piece is cut, so that filtering it takes little memory."""
 MOST_TIME = 600.0
-"""Length of a log beyond which parts of it, spread evenly, stand for the whole [s]: half a minute
-tells nearly as much of the link as an hour (docs/measurements.md)."""
-PART_TIME = 60.0
-"""Length of these parts [s]."""
-_MOVING = 0.1
-"""Share of the largest range of a joint in any part below which none moves in a part."""
+"""Length of a log beyond which pieces of it, spread evenly, stand for the entire log [s]: half a
+minute tells nearly as much about the link as an hour (docs/measurements.md)."""
+PIECE_TIME = 60.0
+"""Length of these pieces [s]."""
+_MOVING_SHARE = 0.1
+"""Share of a joint's largest range over all pieces, below which it does not move in a piece."""
 
 
-def longest_step(period: float) -> float:
-    """Return the longest step of time within a piece [s], for a usual step of ``period`` [s]."""
-    return max(SPLITTING, SPLITTING_STEPS * period)
+def splitting_gap(period: float) -> float:
+    """Return the longest step of time within a piece [s], for a sampling period [s]."""
+    return max(SPLITTING_GAP, SPLITTING_STEPS * period)
 
 
-def pieces_of(samples: Measurement) -> tuple[Measurement, ...]:
-    """Return the pieces between the gaps of a log, those that are long enough.
+def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
+    """Return the pieces between the gaps of a log that are long enough, none with too many rows.
 
-    A log without gaps is its own only piece, and so is one whose pieces are all too short.
+    A log without gaps is returned as its only piece, and so is one whose pieces are all too short.
     """
     step = np.diff(samples.time)
     if not len(step):
         return (samples,)
-    cuts = np.flatnonzero(step > longest_step(float(np.median(step)))) + 1
+    period = float(np.median(step))
+    cuts = np.flatnonzero(step > splitting_gap(period)) + 1
     edges = [0, *cuts.tolist(), len(samples)]
-    span = float(samples.time[-1] - samples.time[0])
-    most = (
-        MOST_ROWS
-        if span <= MOST_TIME
-        else min(MOST_ROWS, round(PART_TIME / np.median(step)))
-    )
-    # Equal parts of each piece, none with more rows than that.
-    parts = [
-        np.linspace(a, b, -(-(b - a) // most) + 1) for a, b in zip(edges, edges[1:])
-    ]
-    cut = (part.astype(int).tolist() for part in parts if part[-1] - part[0] > 1)
-    spans = [span for ends in cut for span in zip(ends, ends[1:])]
+    most_rows = MOST_PIECE_ROWS
+    if float(samples.time[-1] - samples.time[0]) > MOST_TIME:
+        most_rows = min(most_rows, round(PIECE_TIME / period))
+    spans: list[tuple[int, int]] = []
+    for first, last in zip(edges, edges[1:]):
+        if last - first > 1:
+            # Pieces of equal length.
+            count = -(-(last - first) // most_rows)
+            ends = np.linspace(first, last, count + 1).astype(int).tolist()
+            spans += zip(ends, ends[1:])
     if len(spans) == 1:
         return (samples,)
-    long = [
-        (a, b) for a, b in spans if samples.time[b - 1] - samples.time[a] >= SHORTEST
-    ]
-    return tuple(part_of(samples, a, b) for a, b in _spread(samples, long)) or (
-        samples,
-    )
+    time = samples.time
+    long = [(a, b) for a, b in spans if time[b - 1] - time[a] >= SHORTEST_PIECE]
+    selected = _select_spans(samples, long)
+    return tuple(slice_samples(samples, a, b) for a, b in selected) or (samples,)
 
 
-def piece_note(
+def piece_notes(
     samples: Measurement, pieces: tuple[Measurement, ...]
 ) -> tuple[str, ...]:
-    """Return a sentence on a log that gaps split; nothing on one that has none."""
-    used = sum(len(piece) for piece in pieces)
-    if len(pieces) == 1 and used == len(samples):
+    """Return a sentence on how a log was split into pieces; none where it was not."""
+    n_used = sum(len(piece) for piece in pieces)
+    if len(pieces) == 1 and n_used == len(samples):
         return ()
-    left = f"; {len(samples) - used} rows of other pieces are left out" * (
-        used < len(samples)
-    )
-    if sum(float(piece.time[-1] - piece.time[0]) for piece in pieces) > 0.5 * MOST_TIME:
-        left += ", as the log is longer than any result needs" * (used < len(samples))
-    gap = float(np.max(np.diff(samples.time)))
-    has_gaps = gap > longest_step(float(np.median(np.diff(samples.time))))
-    why = f"gaps of up to {gap:.3g} s split" if has_gaps else "its length splits"
+    omission = ""
+    if n_used < len(samples):
+        omission = f"; {len(samples) - n_used} rows of other pieces are left out"
+        duration = sum(float(piece.time[-1] - piece.time[0]) for piece in pieces)
+        if duration > 0.5 * MOST_TIME:
+            omission += ", as the log is longer than any result needs"
+    step = np.diff(samples.time)
+    gap = float(np.max(step))
+    cause = "its length splits"
+    if gap > splitting_gap(float(np.median(step))):
+        cause = f"gaps of up to {gap:.3g} s split"
     return (
-        f"{why} the log into {len(pieces)} pieces of at least {SHORTEST:g} s, each filtered on its "
-        f"own{left}",
+        f"{cause} the log into {len(pieces)} pieces of at least {SHORTEST_PIECE:g} s, each "
+        f"filtered on its own{omission}",
     )
 
 
-def _spread(
+def _select_spans(
     samples: Measurement, spans: list[tuple[int, int]]
 ) -> list[tuple[int, int]]:
-    """Return as many of the spans as ``MOST_TIME`` allows, evenly spread over those that move."""
+    """Return as many spans (first row, row after the last) of a log as ``MOST_TIME`` allows, evenly
+    spread over those in which a joint moves.
+    """
     time = samples.time
     if sum(time[b - 1] - time[a] for a, b in spans) <= MOST_TIME:
         return spans
     ranges = np.array([np.ptp(samples.q[a:b], axis=0) for a, b in spans])
     moved = np.max(ranges / np.maximum(np.max(ranges, axis=0), 1e-12), axis=1)
-    moving = [span for span, share in zip(spans, moved) if share > _MOVING]
+    moving = [span for span, share in zip(spans, moved) if share > _MOVING_SHARE]
     total = float(sum(time[b - 1] - time[a] for a, b in moving))
     count = max(1, int(len(moving) * min(1.0, MOST_TIME / total)))
-    return [
-        moving[k] for k in np.linspace(0, len(moving) - 1, count).round().astype(int)
-    ]
+    numbers = np.linspace(0, len(moving) - 1, count).round().astype(int)
+    return [moving[number] for number in numbers]
 
 
-def part_of(samples: Measurement, start: int, stop: int) -> Measurement:
-    """Return some consecutive samples of a log."""
-    whole = {each.name: getattr(samples, each.name) for each in fields(Measurement)}
-    return replace(
-        samples, **{n: v[start:stop] for n, v in whole.items() if v is not None}
-    )
+def slice_samples(samples: Measurement, start: int, stop: int) -> Measurement:
+    """Return the consecutive samples from index ``start`` to before ``stop`` of a log, as views."""
+    columns = {}
+    for field in fields(Measurement):
+        values = getattr(samples, field.name)
+        if values is not None:
+            columns[field.name] = values[start:stop]
+    return replace(samples, **columns)
 
 
-MOST_KEPT = 300_000
-"""Rows beyond which a log is thinned; so 1 GB is read in 153 MB (docs/logs.md)."""
+MOST_ROWS_KEPT = 300_000
+"""Rows beyond which a log is decimated; so 1 GB is read in 153 MB (docs/logs.md)."""
 LEAST_RATE = 60.0
-"""Rows per second that thinning leaves at least (docs/logs.md) [Hz]."""
-# Of the rate that is left; flat below 0.4 times this, and what folds back stays above that.
-_CUTOFF = 0.45
+"""Rows per second that decimation leaves at least (docs/logs.md) [Hz]."""
+_CUTOFF_SHARE = 0.45
+"""Cut-off over the rate that is left: flat below 0.4 times the cut-off, and what folds back stays
+above that."""
 
 
-def bounded(
+def condense_run(
     chunks: Iterable[Measurement], count: int
 ) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
-    """Return (pieces of a simulated run of so many samples, a sentence on how it was cut).
+    """Return (pieces of a simulated run of ``count`` samples, a sentence on how it was cut).
 
-    A long one is thinned and cut as a log is, without velocities and accelerations, which no
-    estimate takes from a recording.
+    A long run is decimated and cut as a log is. It then has no velocities and accelerations, which
+    no estimate takes from a recording.
     """
-    if count <= MOST_KEPT:
+    if count <= MOST_ROWS_KEPT:
         return (join_measurements(chunks),), ()
-    parts = []
     thinning = None
-    for each in chunks:
-        thinning = thinning or Thinning.of(each.time, count)
-        rows = thinning.push(np.column_stack((each.time, each.time, each.q, each.tau)))
-        parts.append(rows[:, 1:])
-    time, q, tau = np.split(np.concatenate(parts), (1, 1 + each.q.shape[1]), axis=1)
-    whole = Measurement(time[:, 0].copy(), q.copy(), None, tau.copy())
-    pieces = pieces_of(whole)
-    return pieces, piece_note(whole, pieces)
+    blocks = []
+    for chunk in chunks:
+        thinning = thinning or Thinning.of(chunk.time, count)
+        rows = np.column_stack((chunk.time, chunk.time, chunk.q, chunk.tau))
+        blocks.append(thinning.push(rows)[:, 1:])
+    table = np.concatenate(blocks)
+    time, q, tau = np.split(table, (1, 1 + chunk.q.shape[1]), axis=1)
+    samples = Measurement(time[:, 0].copy(), q.copy(), None, tau.copy())
+    pieces = split_at_gaps(samples)
+    return pieces, piece_notes(samples, pieces)
 
 
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
-    """Return consecutive chunks as one measurement."""
-    parts = list(chunks)
-    there = [
-        each.name
-        for each in fields(Measurement)
-        if getattr(parts[0], each.name) is not None
-    ]
-    made: dict[str, Any] = {"qd": None}
-    made |= {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in there
-    }
-    return Measurement(**made)
+    """Return consecutive chunks with the same columns as one measurement."""
+    measurements = list(chunks)
+    columns: dict[str, Any] = {"qd": None}
+    for field in fields(Measurement):
+        if getattr(measurements[0], field.name) is not None:
+            values = [getattr(chunk, field.name) for chunk in measurements]
+            columns[field.name] = np.concatenate(values)
+    return Measurement(**columns)
 
 
 class Thinning:
-    """Passes rows on, every one or every so many; ``period`` is their usual step of time [s]."""
+    """Decimates the rows of a log that arrive in blocks; ``every`` rows become one."""
 
     def __init__(self, every: int, period: float) -> None:
+        """Keep every ``every``-th row of a log with a sampling period [s], low-passed before."""
         self.every = every
-        self._longest = longest_step(period)
-        self._last = np.nan
+        self._longest_step = splitting_gap(period)
+        self._last_time = np.nan
         if every > 1:
             rate = 1.0 / period
-            self._low_pass = replace(
-                design_low_pass(_CUTOFF * rate / every, rate), step=every
-            )
+            low_pass = design_low_pass(_CUTOFF_SHARE * rate / every, rate)
+            self._low_pass = replace(low_pass, step=every)
             self._decimator = Decimator(self._low_pass)
 
     @classmethod
     def of(cls, time: Array, expected: float) -> Thinning:
-        """Return what suits a log of about so many rows with these first time stamps (N,) [s]."""
-        period = usual_period(time)
-        slowest = max(1, math.floor(1.0 / (period * LEAST_RATE))) if period > 0.0 else 1
-        return cls(min(math.ceil(expected / MOST_KEPT), slowest), period)
+        """Return what suits a log of about ``expected`` rows, first time stamps (N,) [s]."""
+        period = sampling_period(time)
+        coarsest = 1
+        if period > 0.0:
+            coarsest = max(1, math.floor(1.0 / (period * LEAST_RATE)))
+        return cls(min(math.ceil(expected / MOST_ROWS_KEPT), coarsest), period)
 
     def push(self, rows: Array) -> Array:
-        """Take the next rows (N, 2 + C), line and time first, and return those that are kept."""
+        """Take the next rows (N, 2 + C), line and time first, and return the decimated ones."""
         if self.every == 1 or not len(rows):
             return rows
-        step = np.diff(rows[:, 1], prepend=self._last)
-        self._last = rows[-1, 1]
-        parts = []
-        for part in np.split(rows, np.flatnonzero(step > self._longest)):
-            parts.append(self._decimator.push(part))
-            if part is not rows and part[-1:, 1] != self._last:
+        step = np.diff(rows[:, 1], prepend=self._last_time)
+        self._last_time = rows[-1, 1]
+        decimated = []
+        for block in np.split(rows, np.flatnonzero(step > self._longest_step)):
+            decimated.append(self._decimator.push(block))
+            if block is not rows and block[-1:, 1] != self._last_time:
                 # The filter does not reach over a gap.
                 self._decimator = Decimator(self._low_pass)
-        return np.concatenate(parts)
+        return np.concatenate(decimated)

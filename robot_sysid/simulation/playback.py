@@ -169,7 +169,7 @@ def pieces_of_signals(
     inner = slice(half, len(signals) - half)
     time = signals.time[inner]
     bridged = signals.bridged[inner]
-    tau = signals.low_pass.filtered(signals.tau)
+    tau = signals.low_pass.filter(signals.tau)
     usable = np.flatnonzero((time >= first) & ~bridged)
     runs = np.split(usable, np.flatnonzero(np.diff(usable) > 1) + 1)
     q = signals.q[inner]

@@ -81,7 +81,7 @@ def test_decimated_rows_are_the_low_passed_rows_of_all_samples(plant, signals, t
     for joint, (rows, tau) in enumerate(equations.rows(Measurement(*series))):
         finite = np.isfinite(samples.tau[joint])
         assert np.mean(finite) > 0.5
-        expected = signals.low_pass.decimated(np.column_stack((rows, tau)))[finite]
+        expected = signals.low_pass.decimate(np.column_stack((rows, tau)))[finite]
         decimated = np.column_stack((samples.rows[joint], samples.tau[joint]))[finite]
         size = np.sqrt(np.mean(expected**2, axis=0))
         error = np.sqrt(np.mean((decimated - expected) ** 2, axis=0))

@@ -119,7 +119,9 @@ def test_friction_says_nothing_where_the_second_low_pass_reverses_the_motion(
         once = signals.decimated_motion()
         return np.arange(len(once.time)), replace(once, qd=-once.qd)
 
-    monkeypatch.setattr(ProcessedSignals, "refiltered", property(reversed_motion))
+    monkeypatch.setattr(
+        ProcessedSignals, "refiltered_motion", property(reversed_motion)
+    )
     point = replace(fit.point, values=fit.values)
     assert not np.any(filtering_bias(fit.columns, point, recording, fit.samples[0]))
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from robot_sysid.records import Measurement
 from robot_sysid.signals.cutoff import (
+    acceleration_noise,
+    acceleration_spectra,
     choose_cutoff,
-    encoder_steps,
-    noise_share,
-    spectra_of,
+    quantisation_error,
 )
 from robot_sysid.signals.filters import design_low_pass, second_derivative
 from robot_sysid.signals.process import process
@@ -23,7 +23,7 @@ from tests.support.swing import FREQUENCIES, Swing, seconds
 
 def chosen(q, rate):
     """The cut-off for positions as they were read."""
-    return choose_cutoff(spectra_of(q, rate, encoder_steps(q)))[0]
+    return choose_cutoff(acceleration_spectra(q, rate, quantisation_error(q)))[0]
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, sigma):
     rng = np.random.default_rng(seed)
     q = Swing(seed).q(seconds(10.0, rate))
     q = q + sigma * rng.normal(size=q.shape)
-    spectra = spectra_of(q, rate, encoder_steps(q))
+    spectra = acceleration_spectra(q, rate, quantisation_error(q))
     # Over 1500 seeds it scatters by 1.31 / sqrt(N) and is 0.4 % too high; six of the former.
     tolerance = 0.005 + 6.0 * 1.31 / np.sqrt(len(q))
     np.testing.assert_allclose(
@@ -46,7 +46,9 @@ def test_quantisation_counts_as_its_own_noise():
     resolution = 1e-4
     time = seconds(15.0, 1000.0)
     q = Swing().measured(time, resolution).q
-    noise = np.sqrt(spectra_of(q, 1000.0, encoder_steps(q)).level * 1000.0 / 2.0)
+    noise = np.sqrt(
+        acceleration_spectra(q, 1000.0, quantisation_error(q)).level * 1000.0 / 2.0
+    )
     np.testing.assert_allclose(noise, resolution / np.sqrt(12.0), rtol=0.12)
 
 
@@ -120,16 +122,16 @@ def test_what_is_not_read_in_steps_has_none():
     """Neither a fine encoder nor a joint that stands still for a while."""
     time = seconds(15.0, 1000.0)
     q = Swing().q(time)
-    assert not np.any(encoder_steps(q))
+    assert not np.any(quantisation_error(q))
     assert not np.any(
-        encoder_steps(q + 1e-5 * np.random.default_rng(0).normal(size=q.shape))
+        quantisation_error(q + 1e-5 * np.random.default_rng(0).normal(size=q.shape))
     )
-    assert not np.any(encoder_steps(read(q, 1e-8)))
+    assert not np.any(quantisation_error(read(q, 1e-8)))
     still = np.where(time[:, None] < 5.0, q[5000], q)
     paused = np.where(np.abs(time[:, None] - 7.0) < 1.0, q[6000], q)
     standing = np.full_like(q, 0.3)
     for motion in (still, paused, standing):
-        assert not np.any(encoder_steps(motion))
+        assert not np.any(quantisation_error(motion))
 
 
 def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate():
@@ -138,7 +140,9 @@ def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate():
     time = np.arange(15000) / 1000.0
     q = np.column_stack([np.sin(2.0 * np.pi * f * time) for f in (0.2, 0.5, 0.9)])
     rows = q[held * (np.arange(len(q)) // held)]
-    slow, error, _ = choose_cutoff(spectra_of(rows, 1000.0, encoder_steps(rows)))
+    slow, error, _ = choose_cutoff(
+        acceleration_spectra(rows, 1000.0, quantisation_error(rows))
+    )
     assert error < 1e-2
     assert 0.5 * chosen(q, 1000.0) < slow < 1.5 * chosen(q, 1000.0)
 
@@ -153,10 +157,12 @@ def test_the_noise_that_a_cutoff_leaves_is_what_the_filter_leaves(seed, magnitud
     time = seconds(20.0, rate)
     motion = np.sin(2.0 * np.pi * 0.8 * time)[:, None]
     noise = sigma * rng.normal(size=motion.shape)
-    share = noise_share(spectra_of(motion + noise, rate, np.zeros_like(motion)), cutoff)
+    share = acceleration_noise(
+        acceleration_spectra(motion + noise, rate, np.zeros_like(motion)), cutoff
+    )
     low_pass = design_low_pass(cutoff, rate)
     left, moved = (
-        np.std(second_derivative(low_pass.filtered(part), rate))
+        np.std(second_derivative(low_pass.filter(part), rate))
         for part in (noise, motion)
     )
     assert 0.5 < share / (left / moved) < 2.0

@@ -12,10 +12,10 @@ from robot_sysid.signals.filters import (
     FINE_REACH,
     REACH,
     Decimator,
-    advanced,
     design_low_pass,
     first_derivative,
     second_derivative,
+    shift_samples,
 )
 from tests.support.swing import Swing, seconds
 
@@ -31,9 +31,9 @@ def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed)
     stream = Decimator(low_pass)
     cuts = [0, *np.cumsum(sizes), len(values)]
     pieces = [stream.push(values[a:b]) for a, b in zip(cuts, cuts[1:])]
-    np.testing.assert_array_equal(np.concatenate(pieces), low_pass.decimated(values))
-    every = low_pass.filtered(values)[:: low_pass.step]
-    np.testing.assert_allclose(low_pass.decimated(values), every, rtol=0.0, atol=1e-12)
+    np.testing.assert_array_equal(np.concatenate(pieces), low_pass.decimate(values))
+    every = low_pass.filter(values)[:: low_pass.step]
+    np.testing.assert_allclose(low_pass.decimate(values), every, rtol=0.0, atol=1e-12)
     assert len(low_pass.centres(len(values))) == len(every)
 
 
@@ -48,11 +48,11 @@ def test_pass_band_and_stop_band_keep_their_promise(attenuation, cutoff, where, 
     time = seconds(12.0, 200.0)
     half = low_pass.half_width
     slow = np.sin(2.0 * np.pi * 0.4 * cutoff * where * time + phase)
-    off = np.max(np.abs(low_pass.filtered(slow) - slow[half : len(slow) - half]))
+    off = np.max(np.abs(low_pass.filter(slow) - slow[half : len(slow) - half]))
     # Kaiser's formulas are approximate for short kernels.
     promised = 10.0 ** (-(attenuation - 10.0) / 20.0)
     stop = 1.6 * cutoff + where * max(0.0, 98.0 - 1.6 * cutoff)
-    left = np.max(np.abs(low_pass.filtered(np.sin(2.0 * np.pi * stop * time + phase))))
+    left = np.max(np.abs(low_pass.filter(np.sin(2.0 * np.pi * stop * time + phase))))
     assert off < promised and left < promised
     with pytest.raises(InputError, match="between 0 and 60 Hz"):
         design_low_pass(60.0 + cutoff, 200.0)
@@ -80,7 +80,7 @@ def test_a_high_rate_does_not_make_rounding_large(order):
     function = (first_derivative, second_derivative)[order - 1]
     true = swing.q(seconds(2.0, rate), order)[FINE_REACH:-FINE_REACH]
     wrong = function(swing.q(seconds(2.0, rate)), rate, FINE_REACH) - true
-    left = design_low_pass(12.0, rate).filtered(wrong)
+    left = design_low_pass(12.0, rate).filter(wrong)
     assert np.max(np.abs(left)) < 2e-11 * np.max(np.abs(true))
 
 
@@ -89,6 +89,6 @@ def test_a_shift_evaluates_the_signal_at_later_instants(samples, seed):
     swing = Swing(seed, np.array([1.0, 7.0, 23.0]))
     rate = 100.0
     time = seconds(6.0, rate)
-    shifted, first = advanced(swing.q(time), samples)
+    shifted, first = shift_samples(swing.q(time), samples)
     expected = swing.q(time[first : first + len(shifted)] + samples / rate)
     np.testing.assert_allclose(shifted, expected, rtol=0.0, atol=2e-5)

@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
 from robot_sysid.signals.filters import FINE_REACH, REACH
-from robot_sysid.signals.process import LARGEST_SLOW_SHARE, process, with_delay
+from robot_sysid.signals.process import (
+    LARGEST_SLOW_SHARE,
+    SEPARATION,
+    process,
+    turning_samples,
+    with_delay,
+)
 from tests.support.swing import FREQUENCIES, Swing, seconds
 
 
@@ -52,7 +58,7 @@ def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadba
     np.testing.assert_allclose(signals.slow_share(), share, rtol=0.0, atol=1e-12)
     np.testing.assert_array_equal(signals.usable(), share <= LARGEST_SLOW_SHARE)
     assert np.any(~signals.usable() & ~slow[centres])
-    rows = signals.low_pass.decimated(signals.tau)
+    rows = signals.low_pass.decimate(signals.tau)
     np.testing.assert_allclose(rows, Swing().tau(signals.decimated_time()), atol=1e-3)
 
 
@@ -83,13 +89,15 @@ def test_what_follows_the_motion_smoothly_needs_few_of_the_samples(
         return np.sin(motion.q) * motion.qdd, np.cos(motion.q) * motion.qd**2
 
     assert signals.low_pass.step % signals.low_pass.stride == 0
-    for few, full in zip(*(signals.passed(smooth, few, most) for few in (True, False))):
+    for few, full in zip(
+        *(signals.filter_columns(smooth, few, most) for few in (True, False))
+    ):
         assert few.shape == full.shape
         assert root_mean_square(few - full) < (
             1e-5 if noisy else 1e-8
         ) * root_mean_square(full)
-    (signs,) = signals.passed(lambda motion: (np.sign(motion.qd),), most=most)
-    whole = signals.low_pass.decimated(np.sign(signals.qd))
+    (signs,) = signals.filter_columns(lambda motion: (np.sign(motion.qd),), chunk=most)
+    whole = signals.low_pass.decimate(np.sign(signals.qd))
     np.testing.assert_allclose(signs, whole, rtol=0.0, atol=1e-12)
 
 
@@ -106,7 +114,7 @@ def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
     widths = []
     for resolution in (1e-3, 1e-6, 1e-7):
         signals = process(swing.measured(time, resolution), cutoff=8.0)
-        widths.append(signals.flat.half_width / signals.low_pass.half_width)
+        widths.append(signals.position_filter.half_width / signals.low_pass.half_width)
     assert widths[0] == 1.0 < widths[1] < widths[2] < 2.0
     signals = process(swing.measured(time), cutoff=8.0)
     true = swing.q(signals.time, 2)
@@ -120,10 +128,10 @@ def test_positions_without_noise_are_differentiated_as_they_are(seed, rate):
     time = seconds(20.0, rate)
     cutoff = 0.2 * min(rate, 60.0)
     signals = process(swing.measured(time), cutoff=cutoff)
-    assert signals.exact and not np.any(signals.bridged)
+    assert signals.is_noiseless and not np.any(signals.bridged)
     true = swing.q(signals.time, 2)
     assert root_mean_square(signals.qdd - true) < 1e-8 * root_mean_square(true)
-    assert not process(swing.measured(time, 1e-4), cutoff=cutoff).exact
+    assert not process(swing.measured(time, 1e-4), cutoff=cutoff).is_noiseless
 
 
 def cornered(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarray]:
@@ -142,7 +150,7 @@ def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corne
     log = swing.measured(time)
     signals = process(replace(log, q=log.q + cornered(time, corner)[0]), cutoff=2.0)
     wrong = signals.qdd - swing.q(signals.time, 2) - cornered(signals.time, corner)[1]
-    assert signals.exact and np.max(np.abs(wrong)) > 1e-6
+    assert signals.is_noiseless and np.max(np.abs(wrong)) > 1e-6
     assert np.max(np.abs(wrong[~signals.bridged])) < 1e-8
     assert 0 < np.sum(signals.bridged) <= 2 * (FINE_REACH + 2) + 1
     used = signals.decimated_time()[np.all(signals.usable(), axis=1)]
@@ -154,9 +162,9 @@ def test_exact_motion_as_it_might_also_be_is_further_off_than_it_is():
     time = seconds(20.0, 10.0)
     q = np.sin(2.0 * np.pi * 1.6 * time)[:, None]
     signals = process(Measurement(time, q, None, q + 1.0), cutoff=3.0)
-    rows, again = signals.refiltered
+    rows, again = signals.refiltered_motion
     once = signals.decimated_motion()
-    assert signals.exact and len(rows) > 0.7 * len(once.time)
+    assert signals.is_noiseless and len(rows) > 0.7 * len(once.time)
     np.testing.assert_array_equal(again.q, once.q[rows])
     true = -((2.0 * np.pi * 1.6) ** 2) * np.sin(2.0 * np.pi * 1.6 * again.time)[:, None]
     wrong, stated = (root_mean_square(x - once.qdd[rows]) for x in (true, again.qdd))
@@ -168,7 +176,7 @@ def test_a_second_pass_changes_what_the_first_one_did():
     time = seconds(20.0, 100.0)
     q = np.sin(2.0 * np.pi * 0.7 * time)[:, None]
     signals = process(Measurement(time, np.round(q, 4), None, q + 1.0), cutoff=1.2)
-    rows, again = signals.refiltered
+    rows, again = signals.refiltered_motion
     once = signals.decimated_motion()
     assert len(rows) > 0.5 * len(once.time)
     np.testing.assert_array_equal(again.time, once.time[rows])
@@ -216,7 +224,9 @@ def test_rows_over_a_long_hole_are_masked_and_short_holes_are_bridged():
     signals = with_deadband(log, 0.0)
     dropped = signals.decimated_time()[~np.all(signals.usable(), axis=1)]
     hole = (time[1600], time[1660])
-    reach = (signals.low_pass.half_width + signals.flat.half_width + REACH) / 200.0
+    reach = (
+        signals.low_pass.half_width + signals.position_filter.half_width + REACH
+    ) / 200.0
     assert hole[0] - reach - 0.1 < dropped.min() < hole[0] < hole[1] < dropped.max()
     assert dropped.max() < hole[1] + reach + 0.1
     later = with_delay(signals, 0.02)
@@ -252,7 +262,7 @@ def test_an_injected_delay_is_estimated_and_put_right(delay, seed):
 
 def _remaining_delay(signals) -> float:
     """Fit tau = a q + b qdd + delay (-d tau/dt) on the filtered equations."""
-    q, qdd, tau = map(signals.low_pass.decimated, (signals.q, signals.qdd, signals.tau))
+    q, qdd, tau = map(signals.low_pass.decimate, (signals.q, signals.qdd, signals.tau))
     late = -np.gradient(tau, signals.decimated_time(), axis=0)
     rows = np.stack((q, qdd, late), axis=-1)
     solution = np.linalg.lstsq(rows.reshape(-1, 3), tau.reshape(-1), rcond=None)[0]
@@ -268,3 +278,38 @@ def test_a_log_too_short_for_its_cutoff_says_how_long_it_must_be():
         process(Swing().measured(seconds(0.1, 200.0)))
     with pytest.raises(InputError, match="leaves nothing"):
         with_delay(process(Swing().measured(seconds(10.0, 200.0)), cutoff=8.0), 9.5)
+
+
+RATE = 200.0
+NOISE = 1e-4
+
+
+@pytest.mark.parametrize("outward", [1.0, -1.0])
+@pytest.mark.parametrize("standing", [0.0, 0.05])
+def test_a_joint_may_stand_until_it_is_clearly_away_from_its_turn(outward, standing):
+    """It turns round with 2 rad/s^2, at once or after a pause."""
+    time = np.arange(-1.0, 1.0, 1.0 / RATE) + 0.5 / RATE
+    moving = np.sign(time) * np.maximum(np.abs(time) - 0.5 * standing, 0.0)
+    place = -(moving**2)
+    rng = np.random.default_rng(0)
+    reading = outward * (place + NOISE * rng.standard_normal(len(time)))
+    smooth_speed = -2.0 * outward * time
+    readings = np.column_stack((reading, reading))
+    speeds = np.column_stack((smooth_speed, np.ones_like(time)))
+    turning = turning_samples(readings, speeds, np.full(2, NOISE))
+
+    assert np.all(turning[np.abs(time) <= 0.5 * standing, 0])
+    # Noise moves the outermost reading, and each one that is compared with it.
+    clear = -place > (SEPARATION + 8.0) * NOISE
+    assert not np.any(turning[clear, 0])
+    assert np.any(turning[:, 0])
+    # A joint that never turns round is never unsure.
+    assert not np.any(turning[:, 1])
+
+
+def test_readings_without_noise_show_every_motion():
+    time = np.arange(400) / RATE
+    q = np.sin(2.0 * np.pi * time)[:, None]
+    qd = 2.0 * np.pi * np.cos(2.0 * np.pi * time)[:, None]
+    turning = turning_samples(q, qd, np.zeros(1))
+    assert 0 < np.count_nonzero(turning) <= 4

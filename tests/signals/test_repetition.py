@@ -1,4 +1,7 @@
-"""Residuals that come again with the motion count once, new ones every time; in a sample too."""
+"""Residuals that come again with the motion count once, new ones every time; in a sample too.
+
+At resting poses friction cancels; slow starts and stops do not count.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,10 @@ from scipy.signal import lfilter
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.uncertainty import memory
-from robot_sysid.records import Motion
+from robot_sysid.motion.trajectories import LineTrajectory
+from robot_sysid.records import Measurement, Motion
 from robot_sysid.signals import repetition
-from robot_sysid.signals.repetition import sampled, visits
+from robot_sysid.signals.repetition import find_visits, resting_poses, sample_rows
 
 COUNT = 150
 
@@ -43,7 +47,9 @@ def repeated(count, noise, phase=0.0):
 
 
 def inflation(motions, samples):
-    return visits(motions).inflation([samples.tau - samples.rows @ [1.0, 2.0, 3.0]])[0]
+    return find_visits(motions).inflation(
+        [samples.tau - samples.rows @ [1.0, 2.0, 3.0]]
+    )[0]
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 1), (0, 2), (1, 12)])
@@ -51,7 +57,7 @@ def test_the_same_residuals_again_count_once(seed, count):
     rng = np.random.default_rng(seed)
     motions, samples = repeated(count, np.tile(rng.normal(size=COUNT), count))
     assert inflation(motions, samples) == pytest.approx(count, rel=1e-9)
-    assert (visits(motions).repeats < 1.0) == (count == 1)
+    assert (find_visits(motions).repeats < 1.0) == (count == 1)
 
 
 @pytest.mark.parametrize(("seed", "count"), [(0, 2), (1, 12)])
@@ -80,7 +86,7 @@ def parts_of(motions, samples):
     """A sample of each motion; the numbers of logs are any different ones."""
     left = np.split(samples.tau - samples.rows @ TRUTH, len(motions))
     return [
-        sampled(m, e[:, None], 7 + k) for k, (m, e) in enumerate(zip(motions, left))
+        sample_rows(m, e[:, None], 7 + k) for k, (m, e) in enumerate(zip(motions, left))
     ]
 
 
@@ -119,14 +125,63 @@ def test_a_part_of_very_many_rows_still_tells_repetition(seed, comes_again):
 
 def test_the_same_log_twice_is_refused(monkeypatch):
     monkeypatch.setattr(repetition, "MOST_ROWS", 50)
-    one, same = (sampled(motion(), np.zeros((150, 1)), 3) for _ in range(2))
+    one, same = (sample_rows(motion(), np.zeros((150, 1)), 3) for _ in range(2))
     with pytest.raises(InputError, match="add each log once"):
         _ = one + same
 
 
 def test_some_of_the_motion_is_motion_of_the_log():
     whole = motion()
-    some = sampled(whole, np.zeros((150, 1)), 3).motion(20)
+    some = sample_rows(whole, np.zeros((150, 1)), 3).motion(20)
     rows = [int(np.flatnonzero((whole.q == q).all(axis=1))[0]) for q in some.q]
     assert len(set(rows)) == 20
     np.testing.assert_array_equal(some.qdd, whole.qdd[rows])
+
+
+APPROACH = 0.05
+
+
+def log_of(poses, dwell=1.5, friction=2.0, both_sides=True):
+    """A log whose torque is 3 q plus dry friction that lasts while the arm rests."""
+    points = [np.zeros(2)]
+    dwells = [0.0]
+    for pose in poses:
+        last = pose + APPROACH if both_sides else pose - APPROACH
+        points += [pose - APPROACH, pose, last, pose]
+        dwells += [0.0, dwell, 0.0, dwell]
+    plan = LineTrajectory(
+        np.array(points), np.full(len(points) - 1, 0.8), np.array(dwells)
+    )
+    time = np.arange(0.0, plan.duration, 0.005)
+    motion = plan.evaluate(time)
+    held = np.zeros(2)
+    tau = np.zeros_like(motion.q)
+    for k, speed in enumerate(motion.qd):
+        held = np.where(speed != 0.0, np.sign(speed), held)
+        tau[k] = 3.0 * motion.q[k] + friction * held
+    return Measurement(time, motion.q, None, tau)
+
+
+POSES = np.random.default_rng(0).uniform(-1.0, 1.0, (6, 2))
+
+
+def test_friction_of_both_sides_cancels():
+    log = log_of(POSES)
+    q = log.q + 1e-4 * np.random.default_rng(1).standard_normal(log.q.shape)
+    noisy = Measurement(log.time, q, None, log.tau)
+    assert len(resting_poses(noisy)[0]) == 6
+    poses, used = resting_poses(log)
+    assert len(poses) == 6 and np.all(used)
+    np.testing.assert_allclose(poses.q, POSES, atol=1e-6)
+    np.testing.assert_allclose(poses.tau, 3.0 * POSES, atol=1e-6)
+    assert not np.any(poses.qd) and not np.any(poses.qdd)
+
+
+def test_poses_that_are_approached_twice_from_one_side_do_not_count():
+    with pytest.raises(InputError, match="from both sides"):
+        resting_poses(log_of(POSES, both_sides=False))
+
+
+def test_too_few_poses_are_refused_with_what_to_do():
+    with pytest.raises(InputError, match="plan --for payload --static"):
+        resting_poses(log_of(POSES[:3]))

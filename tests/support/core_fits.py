@@ -15,8 +15,8 @@ from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordi
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.records import DataOrigin, Source
 from robot_sysid.records.progress import Progress
-from robot_sysid.signals.repetition import visits
-from robot_sysid.signals.resampling import pieces_of
+from robot_sysid.signals.repetition import find_visits
+from robot_sysid.signals.resampling import split_at_gaps
 from tests.support.measured_logs import CUTOFF
 
 BASIC = CANDIDATES[0]
@@ -34,7 +34,7 @@ ORIGIN = DataOrigin(Source.LOG, "a log", 10.0, 200.0)
 def fitter_of(robot, recordings, torques="chain", couplings=()):
     """Return a fitter of recordings, which counts repeated motion."""
     columns = Columns(robot, recordings, torques, couplings)
-    repetitions = visits([recording.motion for recording in recordings])
+    repetitions = find_visits([recording.motion for recording in recordings])
     return Fitter(columns, mean_torque(recordings), repetitions)
 
 
@@ -74,7 +74,7 @@ def result_of_logs(robot, logs, options, kept=None):
     """
     pieces = []
     for number, log in enumerate(logs):
-        pieces += [Piece(f"log{number}", piece) for piece in pieces_of(log)]
+        pieces += [Piece(f"log{number}", piece) for piece in split_at_gaps(log)]
     datasets, _ = low_pass_recordings(robot, pieces, options)
     return result_of(answer_link(robot, datasets, options, Progress(), kept), ORIGIN)
 
