@@ -75,7 +75,7 @@ class ReadLogKeywords(TypedDict, total=False):
 
 class InformationKeywords(
     ReadLogKeywords, IdentifyFromKeywords, _InformationPlan, total=False
-):
+):  # fmt: skip
     accept: Accept | Sequence[Accept]
     coupling: File | None
     cutoff: float | None
@@ -110,7 +110,9 @@ class HoldKeywords(IdentifyFromKeywords, _HoldPlanIdentify, total=False):
     set_watchdog: float | None
     start_tolerance: float
 
-class PayloadKeywords(InformationKeywords, _PayloadIdentify, _PayloadPlan, total=False):
+class PayloadKeywords(
+    InformationKeywords, _PayloadIdentify, _PayloadPlan, total=False
+):  # fmt: skip
     as_body: str | None
     flange: str | None
     known_mass: float | None

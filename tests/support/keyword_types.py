@@ -114,7 +114,7 @@ def text() -> str:
 def _class(name: str, bases: Sequence[str], lines: Sequence[str]) -> str:
     head = ", ".join([*bases, "total=False"])
     skip = ""
-    if len(head) > 80:
+    if len(f"class {name}({head}): ...") > 88:
         head = f"\n{textwrap.indent(textwrap.fill(head, 90), '    ')}\n"
         skip = "  # fmt: skip"
     body = f"{skip}\n{''.join(lines)}" if lines else " ...\n"
