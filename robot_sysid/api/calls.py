@@ -35,6 +35,7 @@ from robot_sysid.pipeline.planning import (
     design_motion,
     plan_lines,
     predict_identification,
+    require_motors,
 )
 from robot_sysid.pipeline.recordings import diagnose_logs
 from robot_sysid.pipeline.stages import load_arm
@@ -113,7 +114,7 @@ def _quietly() -> Iterator[_Notes]:
 
 def _run_quietly(config: Config) -> Identified:
     with _quietly() as notes:
-        robot = load_arm(config, notes)
+        robot = load_arm(config.model, notes)
         identification = stages.identify(config, robot, notes)
     return Identified(identification, config, tuple(notes.notes))
 
@@ -189,10 +190,12 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     """
     config = SysidConfig.of_plan(path_of(model), **options)
     with _quietly() as notes:
-        robot = load_arm(config, notes)
+        robot = load_arm(config.model, notes, config.limits.max_velocity)
+        require_motors(config.motors, robot)
         checked, _ = design_motion(config, robot, notes)
-        prediction = predict_identification(config, checked)
-        lines = plan_lines(config, checked, prediction)
+        settings = config.poses, config.trajectory.sample_rate, config.estimation
+        prediction = predict_identification(checked, *settings)
+        lines = plan_lines(checked, prediction, *settings)
         printed = tuple(map(python_words, lines))
     return PlanResult(config, robot, checked, printed, tuple(notes.notes))
 
@@ -260,7 +263,7 @@ def information(
     with _quietly() as notes:
         for source in log_options.measurements:
             opened = open_log(robot, source, log_options, notes)
-            diagnose_logs(config, robot, [opened], notes)
+            diagnose_logs(robot, [opened], log_options.accept, config.estimation, notes)
             record = log_sums.log_information(
                 robot, opened.pieces, config.estimation, around, opened.notes
             )

@@ -126,7 +126,9 @@ def _motor_file(
     if trajectory.failure:
         raise SysidError(f"{trajectory.failure}; not played")
     config = trajectory.config
-    write = motor_writer(config, trajectory.robot, trajectory.checked.plan)
+    rate = config.trajectory.sample_rate
+    plan = trajectory.checked.plan
+    write = motor_writer(config.motors, trajectory.robot, plan, rate)
     if write is None:
         raise InputError(
             "the plan is for no motors; give rs.plan export_damiao and motor_type"

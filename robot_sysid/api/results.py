@@ -304,7 +304,10 @@ class PlanResult:
         trajectory = replace(self.config.trajectory, save=Path(path))
         config = replace(self.config, trajectory=trajectory)
         with in_python(), one_thread(), whole_files() as files:
-            return draft_plan(files, config, self.robot, self.checked.plan)
+            rate = config.trajectory.sample_rate
+            return draft_plan(
+                files, config.plan_file, self.robot, self.checked.plan, rate
+            )
 
     def plot(self) -> Any:
         """Return a matplotlib Figure: position, speed and acceleration of each joint over time,

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.config import LOADED, PayloadConfig
+from robot_sysid.config import LOADED, PayloadConfig, PayloadOptions
 from robot_sysid.diagnosis.log_checks import look_at
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.build_result import payload_of, traces_of
@@ -19,8 +19,9 @@ from robot_sysid.estimation.identify import (
     low_pass_recordings,
     shared_notes,
 )
-from robot_sysid.estimation.question import Question
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import SCALES, Unknowns
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.model.flange import find_flange
 from robot_sysid.pipeline.outcome import Identification
@@ -57,14 +58,18 @@ def identify_payload(
     flange = find_flange(robot, options.flange)
     if flange.note:
         progress.note(flange.note)
-    recordings = _read_recordings(config, robot, progress)
+    recordings = _read_recordings(options, config.log, robot, progress)
     positions = order_positions(recordings, options.order)
     drifts = (
         not options.static
         and positions is not None
         and is_drift_identifiable(recordings, positions)
     )
-    datasets, notes = _make_datasets(config, robot, recordings, positions)
+    order = np.zeros(len(recordings)) if positions is None else positions
+    if options.static:
+        datasets, notes = _resting_datasets(robot, recordings, order)
+    else:
+        datasets, notes = _moving_datasets(robot, recordings, order, config.estimation)
     if not drifts and not options.static:
         notes = (*notes, _no_drift_note(recordings, positions is not None))
     progress.note(*notes)
@@ -124,21 +129,17 @@ def _with_applied_scales(
     return replace(payload, torque_scale=scales)
 
 
-def _make_datasets(
-    config: PayloadConfig,
+def _moving_datasets(
     robot: RobotModel,
     recordings: Sequence[RawRecording],
-    positions: Array | None,
+    positions: Array,
+    options: EstimationOptions,
 ) -> tuple[list[Dataset], tuple[str, ...]]:
-    """Return recordings as poses at rest or low-passed signals, and notes on them.
+    """Return recordings as low-passed signals, and notes on them.
 
     Args:
-        positions: (k,) of ``order_positions``; None counts as all at the same one.
+        positions: (k,) of ``order_positions``; all zero where the order is not known.
     """
-    if positions is None:
-        positions = np.zeros(len(recordings))
-    if config.payload.static:
-        return _resting_datasets(robot, recordings, positions)
     pieces = []
     notes = {}
     for recording, position in zip(recordings, positions.tolist()):
@@ -148,13 +149,14 @@ def _make_datasets(
             if len(recording.pieces) > 1:
                 name = f"{name} (part {number})"
             pieces.append(Piece(name, samples, recording.is_loaded, position))
-    datasets, filter_notes = low_pass_recordings(robot, pieces, config.estimation)
+    datasets, filter_notes = low_pass_recordings(robot, pieces, options)
     return datasets, (*shared_notes(notes), *filter_notes)
 
 
 def _resting_datasets(
     robot: RobotModel, recordings: Sequence[RawRecording], positions: Array
 ) -> tuple[list[Dataset], tuple[str, ...]]:
+    """Return recordings as poses at rest, at ``positions`` (k,) in the order, and notes on them."""
     datasets = []
     notes = {}
     for recording, position in zip(recordings, positions.tolist()):
@@ -181,18 +183,20 @@ def _no_drift_note(recordings: Sequence[RawRecording], is_order_known: bool) -> 
 
 
 def _read_recordings(
-    config: PayloadConfig, robot: RobotModel, progress: Progress
+    options: PayloadOptions,
+    log_options: LogOptions,
+    robot: RobotModel,
+    progress: Progress,
 ) -> list[RawRecording]:
     """Return all recordings, empty ones first."""
-    options = config.payload
     kinds = [(path, False) for path in options.empty]
     kinds += [(path, True) for path in options.loaded]
     recordings = []
     for path, is_loaded in kinds:
         progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
-        log = open_log(robot, path, config.log, progress)
+        log = open_log(robot, path, log_options, progress)
         if not options.static:  # the diagnosis needs motion
-            look_at(robot, log, config.log.accept, progress, links_known=False)
+            look_at(robot, log, log_options.accept, progress, links_known=False)
         recordings.append(
             RawRecording(
                 str(path), log.samples, is_loaded, pieces=log.pieces, notes=log.notes

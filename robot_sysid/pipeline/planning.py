@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, TextIO
 import numpy as np
 
 from robot_sysid.config import SysidConfig
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.export import MotorFile
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion.plan_options import LimitOptions, PoseOptions
 from robot_sysid.pipeline.outcome import Outcome
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import DAMIAO_NAME, WholeFiles, whole_files
@@ -83,25 +84,26 @@ def _limits_with_motors(
 
 
 def predict_identification(
-    config: SysidConfig, checked: CheckedPlan
+    checked: CheckedPlan, poses: PoseOptions, rate: float, options: EstimationOptions
 ) -> Prediction | None:
-    """Return what an identification from a motion will state; None of sweeps and resting poses."""
+    """Return the errors to expect of an identification from a motion, recorded at a rate [Hz].
+
+    None of friction sweeps and resting poses.
+    """
     from robot_sysid.motion.expected_errors import expect
 
-    if config.poses.sets_its_time:
+    if poses.sets_its_time:
         return None
     assert checked.problem is not None
-    return expect(
-        checked.problem,
-        checked.plan,
-        config.trajectory.sample_rate,
-        config.estimation,
-        config.poses.asked,
-    )
+    return expect(checked.problem, checked.plan, rate, options, poses.asked)
 
 
 def plan_lines(
-    config: SysidConfig, checked: CheckedPlan, prediction: Prediction | None
+    checked: CheckedPlan,
+    prediction: Prediction | None,
+    poses: PoseOptions,
+    rate: float,
+    options: EstimationOptions,
 ) -> Iterator[str]:
     """Yield the printed lines on a checked motion: its limits and the errors to expect of it."""
     from robot_sysid.motion import prediction as predictions
@@ -115,27 +117,28 @@ def plan_lines(
         yield from predictions.plan_lines(problem, plan, checked.check, prediction)
         return
     yield from predictions.kept_lines(problem, plan, checked.check)
-    if config.poses.static:
+    if poses.static:
         yield from pose_lines(problem, plan)
     else:
         yield from sweep_lines(problem, plan)
-        rate = config.trajectory.sample_rate
-        yield from friction_lines(problem, plan, rate, config.estimation)
+        yield from friction_lines(problem, plan, rate, options)
     yield from predictions.motion_lines(problem, plan, checked.check)
 
 
 def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
     """Write a planned motion, unless it breaks a limit, and return the outcome of the command."""
-    prediction = predict_identification(config, checked)
-    lines = [*plan_lines(config, checked, prediction)]
+    rate = config.trajectory.sample_rate
+    settings = config.poses, rate, config.estimation
+    prediction = predict_identification(checked, *settings)
+    lines = [*plan_lines(checked, prediction, *settings)]
     failure = checked.failure
     paths: tuple[Path, ...] = ()
     if failure:
         failure = f"{failure}; nothing was written"
     else:
         with whole_files() as files:
-            paths = draft_plan(files, config, robot, checked.plan)
-            motor_file = motor_writer(config, robot, checked.plan)
+            paths = draft_plan(files, config.plan_file, robot, checked.plan, rate)
+            motor_file = motor_writer(config.motors, robot, checked.plan, rate)
             if motor_file is not None:
                 paths = (*paths, config.output.output_dir / DAMIAO_NAME)
                 with files.open(paths[-1]) as file:
@@ -187,13 +190,17 @@ def _shortfalls(
 
 
 def draft_plan(
-    files: WholeFiles, config: SysidConfig, robot: RobotModel, plan: MotionPlan
+    files: WholeFiles,
+    path: Path | None,
+    robot: RobotModel,
+    plan: MotionPlan,
+    rate: float,
 ) -> tuple[Path, ...]:
-    """Draft the trajectory and its samples among ``files``; return the paths they will have.
+    """Draft a trajectory, and beside it its samples at a rate [Hz], among ``files``.
 
-    Empty where no option asks for these files.
+    Returns:
+        the paths that both will have; empty where ``path`` is None.
     """
-    path = config.plan_file
     if path is None:
         return ()
     from robot_sysid.motion.trajectories import save_samples, save_trajectory
@@ -202,20 +209,30 @@ def draft_plan(
     with files.open(path) as file:
         save_trajectory(file, plan, robot.joint_names, robot.sha256)
     with files.open(samples_path) as file:
-        save_samples(file, plan, robot.joint_names, config.trajectory.sample_rate)
+        save_samples(file, plan, robot.joint_names, rate)
     return path, samples_path
 
 
+def require_motors(motors: MotorOptions, robot: RobotModel) -> None:
+    """Raise InputError where an export for motors is wanted that is impossible for this arm."""
+    if motors.export_damiao:
+        from robot_sysid.damiao.joints import damiao_joints
+
+        damiao_joints(
+            motors.motor_type, robot.n_joints, motors.can_id, motors.master_id
+        )
+
+
 def motor_writer(
-    config: SysidConfig, robot: RobotModel, plan: MotionPlan
+    motors: MotorOptions, robot: RobotModel, plan: MotionPlan, rate: float
 ) -> MotorFile | None:
-    """Return the function that writes a motion for Damiao motors; None without that option."""
-    motors = config.motors
+    """Return the function that writes a motion, sampled at a rate [Hz], for Damiao motors.
+
+    None where no option asks for that.
+    """
     if not motors.export_damiao:
         return None
     from robot_sysid.damiao.trajectory import export_damiao_trajectory
-
-    rate = config.trajectory.sample_rate
 
     def write(file: TextIO) -> DamiaoExportReport:
         return export_damiao_trajectory(

@@ -22,7 +22,11 @@ from robot_sysid.estimation.identify import (
     refit,
     shared_notes,
 )
-from robot_sysid.estimation.question import FILE_FRICTION, FILE_ROTORS
+from robot_sysid.estimation.question import (
+    FILE_FRICTION,
+    FILE_ROTORS,
+    EstimationOptions,
+)
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.pipeline.outcome import Identification
@@ -70,14 +74,8 @@ def identify_logs(
     config: SysidConfig, robot: RobotModel, progress: Progress
 ) -> Identification:
     """Read the logs, diagnose each of them, and identify the arm from all."""
-    recordings = _read_logs(config, robot, progress)
-    return _identify_recordings(config, robot, recordings, progress)
-
-
-def _read_logs(
-    config: SysidConfig, robot: RobotModel, progress: Progress
-) -> _FilteredRecordings:
     options = config.log
+    estimation = config.estimation
     logs = []
     for path in options.measurements:
         progress.stage(f"Reading measurements from {path}...")
@@ -91,7 +89,7 @@ def _read_logs(
         test = open_log(robot, options.validation_measurements, options, progress)
         tests.append(test)
         progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
-    diagnose_logs(config, robot, [*logs, *tests], progress)
+    diagnose_logs(robot, [*logs, *tests], options.accept, estimation, progress)
     pieces = []
     for log in logs:
         for samples in log.pieces:
@@ -99,7 +97,15 @@ def _read_logs(
     notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
     origin = origin_of(logs)
     del logs  # frees the recorded velocities before signals are made
-    return _filter_recordings(config, robot, pieces, origin, notes, tests)
+    recordings = _filter_recordings(robot, pieces, estimation, origin, notes, tests)
+    return _identify_recordings(
+        robot,
+        recordings,
+        estimation,
+        config.output.keep,
+        config.model.mesh_dir,
+        progress,
+    )
 
 
 def identify_plant(
@@ -128,9 +134,16 @@ def identify_plant(
     origin = DataOrigin(Source.SIMULATED_ARM, name, plan.duration, rate, seed)
     pieces = [Piece(name, samples) for samples in stretches]
     notes = (*plant.notes, *cut_notes)
-    recordings = _filter_recordings(config, robot, pieces, origin, notes)
+    recordings = _filter_recordings(robot, pieces, config.estimation, origin, notes)
     del stretches, pieces  # frees the raw samples before the estimate
-    identification = _identify_recordings(config, robot, recordings, progress)
+    identification = _identify_recordings(
+        robot,
+        recordings,
+        config.estimation,
+        config.output.keep,
+        config.model.mesh_dir,
+        progress,
+    )
     traces = partial(_traces_with_truth, identification.traces, plant.prior)
     return replace(identification, traces=traces)
 
@@ -143,32 +156,35 @@ def _traces_with_truth(
 
 
 def diagnose_logs(
-    config: SysidConfig,
     robot: RobotModel,
     logs: Sequence[MeasurementLog],
+    accepted: tuple[str, ...],
+    options: EstimationOptions,
     progress: Progress,
 ) -> None:
-    """Compare each log with the model; InputError where its numbers must not be used."""
-    accepted = config.log.accept
-    if config.estimation.delay == "auto":
+    """Compare each log with the model; InputError where its numbers must not be used.
+
+    Args:
+        accepted: names of faults that are reported but do not stop the run, from ``--accept``.
+    """
+    if options.delay == "auto":
         accepted = (*accepted, "delay")
     label = "Looking for what is wrong with the logs"
     for n_done, log in enumerate(logs):
         progress.advance(label, n_done, len(logs), "")
         release_memory()
-        look_at(robot, log, accepted, progress, config.estimation)
+        look_at(robot, log, accepted, progress, options)
 
 
 def _filter_recordings(
-    config: SysidConfig,
     robot: RobotModel,
     pieces: Sequence[Piece],
+    options: EstimationOptions,
     origin: DataOrigin,
     notes: Sequence[str],
     tests: Sequence[MeasurementLog] = (),
 ) -> _FilteredRecordings:
     """Low-pass all recordings; those that test the result get the cut-off of the others."""
-    options = config.estimation
     datasets, filter_notes = low_pass_recordings(robot, pieces, options)
     signals = datasets[0].signals
     test_options = replace(
@@ -183,16 +199,22 @@ def _filter_recordings(
 
 
 def _identify_recordings(
-    config: SysidConfig,
     robot: RobotModel,
     recordings: _FilteredRecordings,
+    options: EstimationOptions,
+    model_parts: tuple[str, ...],
+    mesh_dir: Path | None,
     progress: Progress,
 ) -> Identification:
-    options = config.estimation
+    """Identify an arm from low-passed recordings.
+
+    Args:
+        model_parts: parts of the model that its file keeps, from ``--keep``.
+        mesh_dir: the user's mesh folder, if any.
+    """
     datasets = recordings.datasets
     notes = recordings.notes
     progress.note(*notes)
-    model_parts = config.output.keep
     if options.no_friction:
         model_parts += (FILE_FRICTION, FILE_ROTORS)
     answer = answer_link(
@@ -210,7 +232,7 @@ def _identify_recordings(
         for log_datasets in recordings.tests.values()
         for dataset in log_datasets
     )
-    result = _with_file_tests(result, tests, checkpoints, config.model.mesh_dir)
+    result = _with_file_tests(result, tests, checkpoints, mesh_dir)
     return Identification(
         result, checkpoints, partial(traces_of, answer), answer, tests
     )
@@ -239,15 +261,20 @@ def _with_file_tests(
     return replace(result, file=replace(result.file, others=tuple(error_pairs)))
 
 
-def play_models(config: SysidConfig, identification: Identification) -> RolloutTest:
+def play_models(
+    identification: Identification, model_parts: tuple[str, ...], mesh_dir: Path | None
+) -> RolloutTest:
     """Simulate the model before and the one to be written beside the recorded motion.
 
     Where logs were given that only test the result, those are played; else the last fifth of every
     log, with a model identified from the first four fifths.
+
+    Args:
+        model_parts: parts of the model that its file keeps, from ``--keep``.
+        mesh_dir: the user's mesh folder, if any.
     """
     answer = identification.answer
     result = identification.result
-    mesh_dir = config.model.mesh_dir
     assert answer is not None
     datasets = identification.tests or answer.fit.columns.datasets
     signals = [dataset.signals for dataset in datasets if dataset.signals is not None]
@@ -257,7 +284,7 @@ def play_models(config: SysidConfig, identification: Identification) -> RolloutT
     def write_from_beginnings(target: ModelTarget) -> None:
         """Make every choice and the estimate from the beginnings of the logs; write that model."""
         rows = [fitted_rows(log_signals) for log_signals in signals]
-        early = refit(answer, rows, config.output.keep)
+        early = refit(answer, rows, model_parts)
         write_model(result_of(early, result.data), target)
 
     return play(

@@ -6,7 +6,6 @@ time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,9 @@ import numpy as np
 
 from robot_sysid.config import Config, PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.export import locked_folder, save
+from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import meshes_not_kept
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.parser import load_robot_model
@@ -23,11 +24,13 @@ from robot_sysid.pipeline.planning import (
     design_motion,
     draft_plan,
     motor_writer,
+    require_motors,
     write_plan,
 )
 from robot_sysid.pipeline.self_test import identify_itself
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import MODEL_NAMES, whole_files
+from robot_sysid.records.options import PerJoint
 from robot_sysid.records.plan_settings import command_after_weighing
 from robot_sysid.records.progress import Detail, Progress
 from robot_sysid.records.torque_scale import write_torque_scale
@@ -39,6 +42,7 @@ from robot_sysid.results.console import (
 )
 from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.results.verdict import verdict_lines
+from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 
 
@@ -57,7 +61,7 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
         from robot_sysid.servo.run import run_servo
 
         with meshes_not_kept():
-            robot = load_arm(config, progress)
+            robot = load_arm(config.model, progress)
             return run_servo(
                 robot,
                 config.log,
@@ -67,7 +71,12 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
                 config.read_files(),
             )
     with locked_folder(config.output.output_dir, progress):
-        robot = load_arm(config, progress)
+        max_velocity = LimitOptions.max_velocity
+        if isinstance(config, SysidConfig):
+            max_velocity = config.limits.max_velocity
+        robot = load_arm(config.model, progress, max_velocity)
+        if isinstance(config, SysidConfig):
+            require_motors(config.motors, robot)
         if isinstance(config, SysidConfig) and config.trajectory.plan_only:
             with ignore_repeated_ctrl_c():
                 checked, _ = design_motion(config, robot, progress)
@@ -76,25 +85,23 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
         return write_results(config, identification, progress)
 
 
-def load_arm(config: Config, progress: Progress) -> RobotModel:
-    """Load the model, find its terminal joint, and report both."""
-    model = config.model
+def load_arm(
+    model: ModelOptions,
+    progress: Progress,
+    max_velocity: PerJoint = LimitOptions.max_velocity,
+) -> RobotModel:
+    """Load the model, find its terminal joint, and report both.
+
+    Args:
+        max_velocity: of joints to which the model gives none, one or one per joint [rad/s].
+    """
     progress.stage(f"Loading robot model from {model.path}...")
-    limits = config.limits if isinstance(config, SysidConfig) else LimitOptions()
     robot = load_robot_model(
-        model.path, model.mesh_dir, model.joint, limits.max_velocity, model.keyframe
+        model.path, model.mesh_dir, model.joint, max_velocity, model.keyframe
     )
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     progress.note(*robot.notes)
     progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
-    if isinstance(config, SysidConfig) and config.motors.export_damiao:
-        from robot_sysid.damiao.joints import damiao_joints
-
-        # An export that is impossible is refused before any work.
-        motors = config.motors
-        damiao_joints(
-            motors.motor_type, robot.n_joints, motors.can_id, motors.master_id
-        )
     return robot
 
 
@@ -110,6 +117,7 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
         from robot_sysid.pipeline.recordings import identify_logs
 
         return identify_logs(config, robot, progress)
+    rate = config.trajectory.sample_rate
     with ignore_repeated_ctrl_c():
         checked, seed = design_motion(config, robot, progress)
         if checked.failure:
@@ -118,10 +126,18 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
                 remedy = "slow the motion down with --speed, or design one for this arm"
             raise InputError(f"{checked.failure}; relax that limit, {remedy}")
         with whole_files() as files:
-            draft_plan(files, config, robot, checked.plan)
+            draft_plan(files, config.plan_file, robot, checked.plan, rate)
     plan = checked.plan
     if config.arm.plant_model is None:
-        identification = _self_test(config, robot, plan, seed, progress)
+        identification = _self_test(
+            robot, plan, rate, seed, config.estimation, progress
+        )
+        log_path = config.arm.save_measurements
+        if log_path is not None:
+            from robot_sysid.logs.text import write_measurement_csv
+
+            simulated = simulate_inverse(robot, motion_chunks(plan, rate))
+            write_measurement_csv(log_path, robot.joint_names, simulated)
     else:
         from robot_sysid.pipeline.recordings import identify_plant
 
@@ -130,24 +146,15 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
 
 
 def _self_test(
-    config: SysidConfig,
     robot: RobotModel,
     plan: MotionPlan,
+    rate: float,
     seed: int,
+    options: EstimationOptions,
     progress: Progress,
 ) -> Identification:
-    """Simulate the model along the trajectory and identify it, in constant memory."""
-    rate = config.trajectory.sample_rate
-    result, traces = identify_itself(
-        robot, plan, rate, seed, config.estimation, progress
-    )
-    log_path = config.arm.save_measurements
-    if log_path is not None:
-        from robot_sysid.logs.text import write_measurement_csv
-        from robot_sysid.simulator import simulate_inverse
-
-        simulated = simulate_inverse(robot, motion_chunks(plan, rate))
-        write_measurement_csv(log_path, robot.joint_names, simulated)
+    """Simulate the model along the trajectory, at a rate [Hz], and identify it."""
+    result, traces = identify_itself(robot, plan, rate, seed, options, progress)
     checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
     return Identification(result, checkpoints, traces)
 
@@ -168,14 +175,15 @@ def write_results(
         scale_path = config.payload.save_torque_scale
     elif isinstance(config, SysidConfig):
         if identification.plan is not None:
-            motor_file = motor_writer(config, robot, identification.plan)
+            rate = config.trajectory.sample_rate
+            motor_file = motor_writer(config.motors, robot, identification.plan, rate)
         has_model = result.file is not None and result.verdict.writes_model
         if config.log.verify_rollout and has_model:
             from robot_sysid.pipeline.recordings import play_models
             from robot_sysid.results import rollout
 
             progress.stage("Playing the model on held-out pieces...")
-            played = play_models(config, identification)
+            played = play_models(identification, config.output.keep, mesh_dir)
             result = replace(result, rollout=played)
             refusal = rollout.refusal(played, config.log.accept)
     saved = save(
@@ -197,7 +205,12 @@ def write_results(
         *more_lines(result, config.output.links),
         *clamping_lines(saved.damiao, robot.joint_names),
     )
-    command = _next_plan_command(config, saved.files)
+    command = ""
+    if isinstance(config, SysidConfig) and config.log.measurements:
+        models = [path for path in saved.files if path.name in MODEL_NAMES.values()]
+        if models:
+            folder = config.output.output_dir
+            command = command_after_weighing(folder, config.model.path, models[0])
     verdict = verdict_lines(result, saved.failure, command)
     return Outcome(
         lines,
@@ -207,14 +220,4 @@ def write_results(
         result,
         identification.traces,
         saved.result_hash,
-    )
-
-
-def _next_plan_command(config: Config, files: Sequence[Path]) -> str:
-    """Return the command that plans with the written model after a weighing motion, else ""."""
-    models = [path for path in files if path.name in MODEL_NAMES.values()]
-    if not models or not isinstance(config, SysidConfig) or not config.log.measurements:
-        return ""
-    return command_after_weighing(
-        config.output.output_dir, config.model.path, models[0]
     )

@@ -18,7 +18,7 @@ from tests.support.links import RememberingLink
 def unpredicted(monkeypatch):
     """Plans say what they do beside their limits, not what an estimate will know: that is slow."""
 
-    def plan_lines(config, checked, prediction):
+    def plan_lines(checked, *settings):
         motion = checked.problem, checked.plan, checked.check
         return (*kept_lines(*motion), *motion_lines(*motion))
 
