@@ -62,7 +62,7 @@ SECOND = places("damiao.settings", "SecondArm")  # one arm at a time
 LIFTED = places(
     "motion.problem", "_above_base"
 )  # what was planned below the base may be played
-EXPORT = places("damiao.protocol.joints", "damiao_joints")
+EXPORT = places("damiao.joints", "damiao_joints")
 QUESTIONS = set(places("commands.run", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
 SHOWN = places("commands.preview", "require_preview", "show_plan")
 
