@@ -91,7 +91,7 @@ class MotorRun:
                     f"{file.path} has {file.n_joints} joints but the chain of {robot.path} has "
                     f"{robot.n_joints}: {', '.join(robot.joint_names)}"
                 )
-        trajectory = motion.together(*files) if self._has_two_arms else files[0]
+        trajectory = motion.join_arms(*files) if self._has_two_arms else files[0]
         mounted = replace(trajectory, joints=self._with_joint_map(trajectory.joints))
         return self._plan_of(mounted)
 
@@ -147,7 +147,7 @@ class MotorRun:
             q=np.tile(q, (2, 1)),
             qd=np.zeros((2, len(q))),
             tau=np.tile(torque, (2, 1)),
-            both=self._has_two_arms,
+            has_two_arms=self._has_two_arms,
         )
         return self._plan_of(at_rest)
 
@@ -504,7 +504,8 @@ def _recorder(
     registers = [motor.registers for motor in motors[: played.n_joints]]
     head = head_lines(played.joints, registers, plan.settings, played.path.name)
     names = [
-        joint.name if played.both else f"j{j}" for j, joint in enumerate(played.joints)
+        joint.name if played.has_two_arms else f"j{j}"
+        for j, joint in enumerate(played.joints)
     ]
     # Frames alone are written as the run goes on too: kept until its end, they fill the memory.
     with contextlib.ExitStack() as stack:

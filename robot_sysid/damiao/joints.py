@@ -67,6 +67,7 @@ class MotorSpec:
     """One motor type, from the maker's data sheets; all quantities are at the output shaft.
 
     Attributes:
+        name: by which trajectory files call it.
         limits: PMAX [rad], VMAX [rad/s], TMAX [N m].
         rated_torque: torque the motor can hold for good [N m].
         peak_torque: torque it reaches for a short time [N m].
@@ -74,6 +75,7 @@ class MotorSpec:
         supply: supply voltage the type is usually run at [V].
         no_load_rpm: its speed without load at that voltage [rev/min], None where unknown.
         rotor: inertia of its rotor times the gear ratio squared [kg m^2], 0 where unknown.
+        note: warning that is printed for plans with this type, or "".
     """
 
     name: str
@@ -112,6 +114,7 @@ _SPECS = (
     MotorSpec("DMG6220", (12.5, 45.0, 10.0), 1.3, 2.7, 1.0),
 )
 MOTORS = {spec.name: spec for spec in _SPECS}
+"""Motor type by name."""
 
 
 def motor_spec(name: str) -> MotorSpec:
@@ -126,32 +129,39 @@ def motor_spec(name: str) -> MotorSpec:
 
 
 def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
-    """Return the names of the types whose (PMAX, VMAX, TMAX) [rad, rad/s, N m] agree."""
+    """Return the names of the motor types with these (PMAX, VMAX, TMAX) [rad, rad/s, N m]."""
     return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits))
 
 
 def limits_agree(
-    expected: tuple[float, float, float], found: tuple[float, float, float]
+    expected: tuple[float, float, float], actual: tuple[float, float, float]
 ) -> bool:
-    """Tell whether two (PMAX, VMAX, TMAX) agree to a tenth of a percent."""
-    return all(abs(a - b) <= _AGREEMENT * abs(a) for a, b in zip(expected, found))
+    """Tell whether two (PMAX, VMAX, TMAX) agree to a tenth of a percent of the expected ones."""
+    return all(abs(a - b) <= _AGREEMENT * abs(a) for a, b in zip(expected, actual))
 
 
 MASTER_ID_OFFSET = 0x10
 BY_HAND = "hand"
 BY_MOTION = "motion"
 VERIFIED = ("", BY_HAND, BY_MOTION)
-"""How it was seen which joint a motor turns, and which way: not yet, by hand, by a small motion."""
+"""How somebody verified which joint a motor turns, and which way: not, by hand, by a motion."""
 
 
 @dataclass(frozen=True)
 class DamiaoJoint:
-    """Which motor drives a joint, and how it is mounted; see the module's text.
+    """One joint of an arm: the motor that drives it, and how this is mounted.
 
-    It listens to ``can_id`` and answers on ``master_id``. ``name`` is the joint's in the model, or
-    ""; buses are counted from 0, and ``channel`` names the bus where there are several. The offset
-    [rad] is the motor's position where the joint is at zero. A line of a joint map tells no type.
-    ``verified`` is one of ``VERIFIED``.
+    Attributes:
+        motor_type: a name of ``MOTORS``; "" in a row of a joint map, which states no type.
+        can_id: id that the motor listens to.
+        master_id: id on which the motor answers.
+        name: the joint's name in the model, or "".
+        bus: number of the bus, from 0.
+        channel: name of the bus where there are several, else "".
+        direction: 1, or -1 where the motor turns the other way than the joint.
+        offset: position of the motor where the joint is at zero [rad].
+        torque_ratio: torque that the motor delivers over the torque that it reports.
+        verified: one of ``VERIFIED``.
     """
 
     motor_type: str
@@ -167,20 +177,19 @@ class DamiaoJoint:
 
     @property
     def address(self) -> Address:
-        """Where its motor is."""
+        """Bus and CAN id of the motor."""
         return Address(self.bus, self.can_id)
 
     @property
     def label(self) -> str:
-        """How messages call it."""
-        place = f" on {self.channel}" if self.channel else ""
-        return f"motor {self.can_id}{place}" + (
-            f" (joint {self.name})" if self.name else ""
-        )
+        """What messages call the joint: its motor, with bus and joint name where they are known."""
+        channel = f" on {self.channel}" if self.channel else ""
+        name = f" (joint {self.name})" if self.name else ""
+        return f"motor {self.can_id}{channel}{name}"
 
     @property
     def spec(self) -> MotorSpec:
-        """The type's data."""
+        """Data of the motor's type; InputError where the type is unknown."""
         return motor_spec(self.motor_type)
 
 
@@ -193,9 +202,15 @@ def damiao_joints(
 ) -> tuple[DamiaoJoint, ...]:
     """Return one checked DamiaoJoint per joint, base to terminal.
 
-    CAN ids, 1 to 15, count from 1 by default; master ids, of the replies, are 0x10 higher. Blanks
-    in the model's ``names`` become underscores. InputError for a wrong number of types or ids, an
-    unknown type, or ids that clash on one bus.
+    Args:
+        motor_types: a name of ``MOTORS`` per joint.
+        n_joints: number of joints of the chain.
+        can_ids: 1 to 15 per joint; 1, 2, 3, ... by default.
+        master_ids: ids of the replies; by default 0x10 above the CAN ids.
+        names: the joints' names in the model; their blanks become underscores.
+
+    Raises:
+        InputError: wrong number of types or ids, unknown type, or ids that clash on one bus.
     """
     if not motor_types:
         raise InputError(
@@ -203,11 +218,9 @@ def damiao_joints(
             f"terminal, out of {', '.join(MOTORS)}"
         )
     types = [motor_spec(name).name for name in motor_types]
-    ids = list(range(1, n_joints + 1)) if not can_ids else list(can_ids)
-    replies = (
-        [i + MASTER_ID_OFFSET for i in ids] if not master_ids else list(master_ids)
-    )
-    for option, values, how in (
+    ids = list(can_ids or range(1, n_joints + 1))
+    replies = list(master_ids or (i + MASTER_ID_OFFSET for i in ids))
+    for option, values, alternative in (
         ("--motor-type", types, ", base to terminal"),
         ("--can-id", ids, " or not at all"),
         ("--master-id", replies, " or not at all"),
@@ -216,31 +229,33 @@ def damiao_joints(
             times = "once" if len(values) == 1 else f"{len(values)} times"
             raise InputError(
                 f"{option} was given {times} but the chain has {n_joints} joints: give it once "
-                f"per joint{how}"
+                f"per joint{alternative}"
             )
     for problem in id_problems([(0, *pair) for pair in zip(ids, replies)]):
         raise InputError(problem)
-    called = ["_".join(name.split()) for name in names] or [""] * n_joints
-    return tuple(map(DamiaoJoint, types, ids, replies, called))
+    joint_names = ["_".join(name.split()) for name in names] or [""] * n_joints
+    return tuple(map(DamiaoJoint, types, ids, replies, joint_names))
 
 
 def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
-    """Yield a sentence for each way in which motors (bus, CAN id, master id) clash on their buses.
+    """Yield a sentence for each clash of the ids of motors (bus, CAN id, master id).
 
     A motor compares the low eight bits of every frame's id, replies of other motors included, and
     a reply carries only the low four bits of the sender's id.
     """
     for column, name in ((1, "CAN"), (2, "master")):
-        used = [(each[0], each[column]) for each in motors]
-        for _, i in sorted({place for place in used if used.count(place) > 1}):
+        ids = [(motor[0], motor[column]) for motor in motors]
+        for _, i in sorted(
+            {bus_and_id for bus_and_id in ids if ids.count(bus_and_id) > 1}
+        ):
             yield f"{name} id {i:#04x} is used by more than one motor; each needs its own"
     for bus, i, master in motors:
         if not 1 <= i <= 15:
             yield f"CAN id {i} is outside 1 to 15, where replies can be told apart"
         if not 0 <= master <= 0x7FE:
             yield f"master id {master:#x} of the motor with CAN id {i} is outside 0 to 0x7fe"
-        for place, other, _ in motors:
-            if place == bus and other != i and master & 0xFF == other:
+        for other_bus, other, _ in motors:
+            if other_bus == bus and other != i and master & 0xFF == other:
                 yield (
                     f"replies of the motor with CAN id {i} (master id {master:#x}) would be taken "
                     f"as commands by the motor with CAN id {other}; use {i + MASTER_ID_OFFSET:#x}"
@@ -249,7 +264,13 @@ def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class JointSpace:
-    """How n motors are mounted: (n,) each, the offset in [rad]; see the module's text."""
+    """Mounting of n motors, by which quantities of joints and of motors are converted.
+
+    Attributes:
+        direction: 1, or -1 where the motor turns the other way than its joint (n,).
+        offset: position of the motor where its joint is at zero (n,) [rad].
+        ratio: torque that the motor delivers over the torque that it reports (n,).
+    """
 
     direction: Array
     offset: Array
@@ -257,14 +278,14 @@ class JointSpace:
 
     @classmethod
     def of(cls, joints: Sequence[DamiaoJoint]) -> JointSpace:
-        """Return how the motors of joints are mounted."""
+        """Return the mounting of n joints' motors."""
         rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
         return cls(*np.array(rows, dtype=float).reshape(-1, 3).T)
 
     def to_motors(
         self, position: Array, velocity: Array, torque: Array
     ) -> tuple[Array, ...]:
-        """Return what motors are told, or tell, of their joints' (n,) [rad, rad/s, N m]."""
+        """Return motors' position, velocity, torque for joints' (n,) [rad, rad/s, N m]."""
         sign = self.direction
         return (
             sign * position + self.offset,
@@ -275,7 +296,7 @@ class JointSpace:
     def to_joints(
         self, position: Array, velocity: Array, torque: Array
     ) -> tuple[Array, ...]:
-        """Return what joints do of what their motors are told, or tell (n,) [rad, rad/s, N m]."""
+        """Return joints' position, velocity, torque for motors' (n,) [rad, rad/s, N m]."""
         sign = self.direction
         return (
             sign * (position - self.offset),
@@ -283,22 +304,24 @@ class JointSpace:
             sign * self.ratio * torque,
         )
 
-    def command_to_motors(self, told: MitCommand) -> MitCommand:
-        """Return a command for joints as one for motors."""
-        p, v, t = self.to_motors(told.position, told.velocity, told.torque)
-        return MitCommand(p, v, told.kp / self.ratio, told.kd / self.ratio, t)
+    def command_to_motors(self, command: MitCommand) -> MitCommand:
+        """Return the command for motors that stands for a command of their joints."""
+        position, velocity, kp, kd, torque = command
+        p, v, t = self.to_motors(position, velocity, torque)
+        return MitCommand(p, v, kp / self.ratio, kd / self.ratio, t)
 
-    def command_to_joints(self, told: MitCommand) -> MitCommand:
-        """Return a command for motors as one for joints."""
-        p, v, t = self.to_joints(told.position, told.velocity, told.torque)
-        return MitCommand(p, v, told.kp * self.ratio, told.kd * self.ratio, t)
+    def command_to_joints(self, command: MitCommand) -> MitCommand:
+        """Return the command of joints that a command for their motors stands for."""
+        position, velocity, kp, kd, torque = command
+        p, v, t = self.to_joints(position, velocity, torque)
+        return MitCommand(p, v, kp * self.ratio, kd * self.ratio, t)
 
     def joint_position(self, position: Array) -> Array:
         """Return the joint positions (n,) at motor positions (n,) [rad]."""
         return self.to_joints(position, position, position)[0]
 
 
-_COLUMNS = (
+_COLUMNS = [
     "joint",
     "bus",
     "can_id",
@@ -307,12 +330,12 @@ _COLUMNS = (
     "offset",
     "torque_ratio",
     "verified",
-)
+]
 _NEEDED = ("joint", "can_id", "direction")
 
 
 def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, ...]:
-    """Read a joint map, or raise InputError; one that is about a line names it.
+    """Return the rows of a joint map file, one joint each; InputError names a wrong row.
 
     A motor in one of LeRobot's files, .json, takes the name of the one joint out of a model's
     ``names`` that ends with its own, its signs left out: joint_1 becomes openarm_left_joint1.
@@ -333,34 +356,33 @@ def read_joint_map(path: Path, names: Sequence[str] = ()) -> tuple[DamiaoJoint, 
         raise InputError(
             f"{path}: expected the columns {', '.join(_COLUMNS)} (at least {', '.join(_NEEDED)})"
         )
-    rows = (_row(line, f"{path}, row {k}") for k, line in enumerate(table, start=1))
-    return _checked_map(path, tuple(rows))
+    rows = [_parse_row(row, f"{path}, row {k}") for k, row in enumerate(table, start=1)]
+    return _require_distinct(path, rows)
 
 
-def _checked_map(path: Path, rows: tuple[DamiaoJoint, ...]) -> tuple[DamiaoJoint, ...]:
-    """Return the rows of a joint map, or raise InputError where they cannot share their buses."""
+def _require_distinct(
+    path: Path, rows: Sequence[DamiaoJoint]
+) -> tuple[DamiaoJoint, ...]:
+    """Return the rows of a joint map; InputError where names repeat or ids clash on a bus."""
     if not rows:
         raise InputError(f"{path} has no lines")
     names = [row.name for row in rows]
-    for name in (name for name in names if names.count(name) > 1):
-        raise InputError(f"{path} names {name} twice")
-    for problem in id_problems(
-        [(row.channel, row.can_id, row.master_id) for row in rows]
-    ):
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{path} names {name} twice")
+    ids = [(row.channel, row.can_id, row.master_id) for row in rows]
+    for problem in id_problems(ids):
         raise InputError(f"{path}: {problem}")
-    return rows
+    return tuple(rows)
 
 
 def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
-    """Write a joint map."""
+    """Write joints to a joint map file, one row each."""
     lines = [",".join(_COLUMNS)]
     for row in rows:
-        numbers = (
-            f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g},{row.verified}"
-        )
-        lines.append(
-            f"{row.name},{row.channel},{row.can_id},{row.master_id:#x},{numbers}"
-        )
+        ids = f"{row.name},{row.channel},{row.can_id},{row.master_id:#x}"
+        mounting = f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g}"
+        lines.append(f"{ids},{mounting},{row.verified}")
     write_whole(path, "\n".join(lines) + "\n")
 
 
@@ -370,44 +392,51 @@ def map_joints(
     channels: Sequence[str],
     names: Sequence[str] = (),
 ) -> tuple[DamiaoJoint, ...]:
-    """Return the joints of a trajectory, base to terminal, as a map says that they are mounted.
+    """Return the joints of a trajectory, base to terminal, mounted as a joint map's rows say.
 
-    The map may have more rows only where the model's ``names`` are known. InputError where it does
-    not cover the joints, or names a bus that is not among the open ``channels``.
+    Args:
+        joints: of the trajectory; only their motor types are used.
+        rows: of the joint map; more than joints only where the model's ``names`` are known.
+        channels: names of the open buses; a joint's bus is its number among them.
+        names: joint names of the model, base to terminal, which choose the rows.
+
+    Raises:
+        InputError: the map does not cover the joints, or names a bus that is not open.
     """
     by_name = {row.name: row for row in rows}
-    for name in (name for name in names if name not in by_name):
+    for name in names:
+        if name not in by_name:
+            raise InputError(
+                f"the joint map has no line for {name}; it has {', '.join(by_name)}"
+            )
+    selected = [by_name[name] for name in names] if names else rows
+    if len(selected) != len(joints):
         raise InputError(
-            f"the joint map has no line for {name}; it has {', '.join(by_name)}"
-        )
-    chosen = [by_name[name] for name in names] if names else rows
-    if len(chosen) != len(joints):
-        raise InputError(
-            f"the joint map has {len(chosen)} joints but the trajectory {len(joints)}: give one "
+            f"the joint map has {len(selected)} joints but the trajectory {len(joints)}: give one "
             "line per joint, base to terminal, or --model to choose them by name"
         )
     # An adapter may have got another name; but never play one arm's motion on the other arm.
     several = len(channels) > 1 or len({row.channel for row in rows}) > 1
     mounted = []
-    for joint, row in zip(joints, chosen):
-        where = row.channel
-        if several and where and where not in channels:
+    for joint, row in zip(joints, selected):
+        channel = row.channel
+        if several and channel and channel not in channels:
             raise InputError(
-                f"the joint map puts {row.name} on {where}; open it with --channel {where}"
+                f"the joint map puts {row.name} on {channel}; open it with --channel {channel}"
             )
-        bus = channels.index(where) if where in channels else 0
-        channel = channels[bus] if len(channels) > 1 else ""
-        mounted.append(
-            replace(row, motor_type=joint.motor_type, bus=bus, channel=channel)
-        )
+        bus = channels.index(channel) if channel in channels else 0
+        bus_name = channels[bus] if len(channels) > 1 else ""
+        joint_type = joint.motor_type
+        mounted.append(replace(row, motor_type=joint_type, bus=bus, channel=bus_name))
     return tuple(mounted)
 
 
-def _row(line: Mapping[str, str | None], where: str) -> DamiaoJoint:
-    cells = {key.strip(): (value or "").strip() for key, value in line.items() if key}
+def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
+    """Return the joint in a row (column to cell) of a joint map; errors begin with ``where``."""
+    cells = {key.strip(): (cell or "").strip() for key, cell in row.items() if key}
     try:
         can_id = int(cells["can_id"], 0)
-        row = DamiaoJoint(
+        joint = DamiaoJoint(
             motor_type="",
             can_id=can_id,
             master_id=int(cells.get("master_id") or str(can_id + MASTER_ID_OFFSET), 0),
@@ -422,66 +451,69 @@ def _row(line: Mapping[str, str | None], where: str) -> DamiaoJoint:
         raise InputError(
             f"{where}: expected a name and numbers, as in elbow,can0,2,0x12,-1,0,1"
         ) from None
-    if row.verified not in VERIFIED:
+    if joint.verified not in VERIFIED:
         raise InputError(
-            f"{where}: verified must be {BY_HAND}, {BY_MOTION} or nothing, got {row.verified}"
+            f"{where}: verified must be {BY_HAND}, {BY_MOTION} or nothing, got {joint.verified}"
         )
-    if row.direction not in (1, -1):
-        raise InputError(f"{where}: direction must be +1 or -1, got {row.direction}")
-    if not math.isfinite(row.offset) or not 0.0 < row.torque_ratio < math.inf:
+    if joint.direction not in (1, -1):
+        raise InputError(f"{where}: direction must be +1 or -1, got {joint.direction}")
+    if not math.isfinite(joint.offset) or not 0.0 < joint.torque_ratio < math.inf:
         raise InputError(f"{where}: offset must be a number and torque_ratio positive")
-    return row
+    return joint
 
 
 _SIDES = {f"{side}_arm_config": f"{side}_" for side in ("left", "right")}
 
 
 def _read_lerobot_map(path: Path, names: Sequence[str]) -> tuple[DamiaoJoint, ...]:
-    content = read_json(
-        path, "give LeRobot's calibration, or a configuration with motor_config"
-    )
+    """Return the joints of a LeRobot file, called by the model's ``names`` where one matches."""
+    remedy = "give LeRobot's calibration, or a configuration with motor_config"
+    content = read_json(path, remedy)
     try:
-        rows = tuple(_motors_in(content))
+        rows = list(_lerobot_joints(content))
     except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
-        said = f"{type(error).__name__}: {error}"
+        reason = f"{type(error).__name__}: {error}"
         raise InputError(
-            f"{path} is no calibration or configuration of LeRobot ({said})"
+            f"{path} is no calibration or configuration of LeRobot ({reason})"
         ) from None
-    return _checked_map(
-        path, tuple(replace(row, name=_known(row.name, names)) for row in rows)
-    )
+    named = [replace(row, name=_matching_name(row.name, names)) for row in rows]
+    return _require_distinct(path, named)
 
 
-def _motors_in(content: Mapping[str, Any], prefix: str = "") -> Iterator[DamiaoJoint]:
-    parts = {key: part for key, part in content.items() if key in (*_SIDES, "robot")}
-    for key, part in parts.items():
-        yield from _motors_in(part, _SIDES.get(key, ""))
-    if parts:
-        return
-    if "motor_config" in content:
+def _lerobot_joints(
+    content: Mapping[str, Any], prefix: str = ""
+) -> Iterator[DamiaoJoint]:
+    """Yield the joints of a LeRobot configuration, its arms' sections, or a calibration.
+
+    ``prefix`` is put before the names of a configuration's motors.
+    """
+    keys = (*_SIDES, "robot")
+    sections = {key: section for key, section in content.items() if key in keys}
+    if sections:
+        for key, section in sections.items():
+            yield from _lerobot_joints(section, _SIDES.get(key, ""))
+    elif "motor_config" in content:
+        port = str(content.get("port", ""))
         for name, (can_id, master_id, *_) in content["motor_config"].items():
-            where = (
-                "",
-                int(can_id),
-                int(master_id),
-                prefix + name,
-                0,
-                str(content.get("port", "")),
-            )
-            yield DamiaoJoint(*where)
-        return
-    for name, entry in content.items():
-        for key in ("drive_mode", "homing_offset"):
-            if entry[key] != 0:
-                raise ValueError(
-                    f"{key} of {name} is {entry[key]}, 0 for Damiao motors"
-                )
-        yield DamiaoJoint(
-            "", int(entry["id"]), int(entry["id"]) + MASTER_ID_OFFSET, name
-        )
+            ids = int(can_id), int(master_id)
+            yield DamiaoJoint("", *ids, name=prefix + name, channel=port)
+    else:
+        for name, motor in content.items():
+            for key in ("drive_mode", "homing_offset"):
+                if motor[key] != 0:
+                    raise ValueError(
+                        f"{key} of {name} is {motor[key]}, 0 for Damiao motors"
+                    )
+            can_id = int(motor["id"])
+            yield DamiaoJoint("", can_id, can_id + MASTER_ID_OFFSET, name)
 
 
-def _known(name: str, names: Sequence[str]) -> str:
-    bare = {each: re.sub(r"[^a-z0-9]", "", each.lower()) for each in (name, *names)}
-    found = [each for each in names if bare[each].endswith(bare[name])]
-    return found[0] if len(found) == 1 else name
+def _matching_name(name: str, names: Sequence[str]) -> str:
+    """Return the only one of ``names`` that ends with a name, signs and case left out; or it."""
+    ending = _letters_and_digits(name)
+    matches = [other for other in names if _letters_and_digits(other).endswith(ending)]
+    return matches[0] if len(matches) == 1 else name
+
+
+def _letters_and_digits(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())

@@ -334,7 +334,7 @@ def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
 
 def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
     """Tell whether a file's torque is that of its motion by the model that it was planned with."""
-    settings = None if trajectory.both else settings_of(trajectory.path.parent)
+    settings = None if trajectory.has_two_arms else settings_of(trajectory.path.parent)
     if settings is None:
         return False
     model = record_from(ModelOptions, settings[1])
@@ -382,7 +382,7 @@ def _plan_command(
     Where the settings that the motion was planned with stand beside it, they are asked for again,
     with the model that was planned with, or ``for_model`` with the one that is checked.
     """
-    if trajectory.both:
+    if trajectory.has_two_arms:
         return []
     settings = settings_of(trajectory.path.parent)
     program = ["robot-sysid", "plan"]

@@ -257,7 +257,7 @@ def _motion(plan: Plan) -> Iterator[Check]:
     label = played.joints[mismatch.joint].label
     yield _stop(
         f"line {played.line[mismatch.row]}: velocity {mismatch.stated:.4g} rad/s of {label}, but "
-        f"the positions change by {mismatch.shown:.4g} rad/s; export the file again, with at "
+        f"the positions change by {mismatch.slope:.4g} rad/s; export the file again, with at "
         "least four decimals"
     )
 
@@ -529,7 +529,7 @@ def _state(
     elif code == protocol.ENABLED:
         yield _stop(f"{name} is enabled already; end the program that uses it")
     elif code != protocol.DISABLED:
-        fault = protocol.describe(code)
+        fault = protocol.status_text(code)
         yield _stop(
             f"{name} reports {fault}; find the cause, then clear it or power-cycle"
         )

@@ -31,102 +31,114 @@ Bytes = NDArray[np.uint8]
 Codes = NDArray[np.int64]
 
 KP_MAX = 500.0
+"""The greatest stiffness that a command frame can carry [N m/rad]."""
 KD_MAX = 5.0
+"""The greatest damping that a command frame can carry [N m s/rad]."""
 KD_STEP = KD_MAX / 0xFFF
-"""The least damping that a frame can carry [N m s/rad]."""
+"""The least damping above zero that a command frame can carry [N m s/rad]."""
 # A register holds float32: 12.566 comes back as 12.5659999..., which must not refuse 12.566.
 _FLOAT32_SLACK = 1e-6
-_HAS_SIGN = np.array([-1.0, -1.0, 0.0, 0.0, -1.0])
+# Lower ends of a command's five ranges, as multiples of the upper ends: gains have no sign.
+_LOWER_ENDS = np.array([-1.0, -1.0, 0.0, 0.0, -1.0])
 # Position, velocity and torque among the fields of a command.
 _MEASURED = [0, 1, 4]
 
 
 class _Layout:
-    """What the 64 bits of a frame hold: F fields, the most significant first."""
+    """Bit fields of a 64-bit frame, F of them, the most significant first.
+
+    Args:
+        bits: number of bits of each field; 64 in all.
+
+    Attributes:
+        max_codes: the largest integer (F,) that each field can hold.
+    """
 
     def __init__(self, *bits: int) -> None:
-        self.full = (1 << np.array(bits)) - 1
+        self.max_codes = (1 << np.array(bits)) - 1
         self._shifts = 64 - np.cumsum(bits)
 
     def pack(self, fields: Codes) -> Bytes:
-        """Return frames (..., n, 8) of fields (..., n, F), of which the lowest bits count."""
-        words = np.bitwise_or.reduce((fields & self.full) << self._shifts, axis=-1)
-        return words.astype(">i8")[..., None].view(np.uint8)
+        """Return frames (..., n, 8) that hold the lowest bits of integer fields (..., n, F)."""
+        shifted = (fields & self.max_codes) << self._shifts
+        integers = np.bitwise_or.reduce(shifted, axis=-1)
+        return integers.astype(">i8")[..., None].view(np.uint8)
 
     def unpack(self, frames: Bytes) -> Codes:
-        """Return the fields (..., n, F) of frames (..., n, 8)."""
-        words = (
-            np.ascontiguousarray(frames, dtype=np.uint8).view(">i8").astype(np.int64)
+        """Return the integer fields (..., n, F) of frames (..., n, 8)."""
+        big_endian = np.ascontiguousarray(frames, dtype=np.uint8).view(">i8")
+        return np.asarray(
+            (big_endian.astype(np.int64) >> self._shifts) & self.max_codes
         )
-        return np.asarray((words >> self._shifts) & self.full)
 
 
 _COMMAND = _Layout(16, 12, 12, 12, 12)
 _FEEDBACK = _Layout(4, 4, 16, 12, 12, 8, 8)
 
 
-@dataclass(frozen=True, init=False)
 class Scaling:
-    """What the integers in each joint's frames mean.
+    """Ranges of the quantities in the frames of n joints, by which integers become numbers.
 
-    ``limits`` are the PMAX [rad], VMAX [rad/s] and TMAX [N m] (n, 3) of n joints.
+    Args:
+        limits: PMAX [rad], VMAX [rad/s] and TMAX [N m] of each joint; InputError unless all are
+            positive.
+
+    Attributes:
+        limits: the limits as an array (n, 3).
     """
 
-    limits: Array
-    # Ranges (n, 5) of the command's fields: position, velocity, kp, kd, torque.
-    _low: Array
-    _high: Array
-
     def __init__(self, limits: Iterable[Sequence[float]]) -> None:
-        table = np.array(list(limits), dtype=float).reshape(-1, 3)
-        for name, value in zip(("position", "velocity", "torque"), table.T):
-            if not np.all(np.isfinite(value) & (value > 0.0)):
+        self.limits: Array = np.array(list(limits), dtype=float).reshape(-1, 3)
+        for name, column in zip(("position", "velocity", "torque"), self.limits.T):
+            if not np.all(np.isfinite(column) & (column > 0.0)):
                 raise InputError(
-                    f"{name} scaling must be positive numbers, got {value.tolist()}"
+                    f"{name} scaling must be positive numbers, got {column.tolist()}"
                 )
-        high = np.insert(table, [2, 2], (KP_MAX, KD_MAX), axis=1)
-        vars(self).update(limits=table, _low=high * _HAS_SIGN, _high=high)
+        # Ranges (n, 5) of the command's fields: position, velocity, kp, kd, torque.
+        self._high = np.insert(self.limits, [2, 2], (KP_MAX, KD_MAX), axis=1)
+        self._low = self._high * _LOWER_ENDS
 
     @property
     def steps(self) -> tuple[Array, Array, Array]:
         """One quantisation step (n,) of position [rad], velocity [rad/s] and torque [N m]."""
-        position, velocity, torque = ((self._high - self._low) / _COMMAND.full).T[
-            _MEASURED
-        ]
+        steps = (self._high - self._low) / _COMMAND.max_codes
+        position, velocity, torque = steps.T[_MEASURED]
         return position, velocity, torque
 
-    def _codes(self, values: Array, offset: float, rows: Any = slice(None)) -> Codes:
-        """Return floor(code + offset) of values (..., n, F) of some fields, saturated."""
-        low = self._low[:, rows]
-        high = self._high[:, rows]
-        full = _COMMAND.full[rows]
-        exact = (values - low) * (full / (high - low)) + offset
-        return np.clip(np.floor(exact), 0, full).astype(np.int64)
+    def _codes(self, values: Array, offset: float, fields: Any = slice(None)) -> Codes:
+        """Return the saturated integers floor(code + offset) of values (..., n, F).
 
-    def _values(self, codes: Any, rows: Any = slice(None)) -> Array:
-        """Return what codes (..., n, F) of some fields mean, as (F, ..., n)."""
-        low = self._low[:, rows]
-        high = self._high[:, rows]
-        full = _COMMAND.full[rows]
-        return np.moveaxis(codes * ((high - low) / full) + low, -1, 0)
+        ``fields`` selects which F of the command's five fields the values are of.
+        """
+        low = self._low[:, fields]
+        max_codes = _COMMAND.max_codes[fields]
+        codes_per_unit = max_codes / (self._high[:, fields] - low)
+        exact = (values - low) * codes_per_unit + offset
+        return np.clip(np.floor(exact), 0, max_codes).astype(np.int64)
 
-    def _refuse_outside(self, values: Array) -> None:
-        room = _FLOAT32_SLACK * self._high
+    def _values(self, codes: Any, fields: Any = slice(None)) -> Array:
+        """Return the values (F, ..., n) of codes (..., n, F) of selected command fields."""
+        low = self._low[:, fields]
+        steps = (self._high[:, fields] - low) / _COMMAND.max_codes[fields]
+        return np.moveaxis(codes * steps + low, -1, 0)
+
+    def _require_inside(self, values: Array) -> None:
+        """Raise InputError for the first of command values (..., n, 5) beyond its range."""
+        slack = _FLOAT32_SLACK * self._high
         # Written so that a NaN counts as outside.
-        beyond = np.moveaxis(
-            ~((values >= self._low - room) & (values <= self._high + room)), -1, 0
-        )
-        for where in np.argwhere(beyond)[:1]:
-            what = where[0]
-            bad = np.moveaxis(values, -1, 0)[tuple(where)]
+        inside = (values >= self._low - slack) & (values <= self._high + slack)
+        outside = np.moveaxis(~inside, -1, 0)
+        for index in np.argwhere(outside)[:1]:
+            field = index[0]
+            value = np.moveaxis(values, -1, 0)[tuple(index)]
             raise InputError(
-                f"{MitCommand._fields[what]} {bad:g} {_place(beyond)} is outside its range, "
-                f"limit {self._high[where[-1], what]:g}"
+                f"{MitCommand._fields[field]} {value:g} {_first_motor(outside)} is outside its "
+                f"range, limit {self._high[index[-1], field]:g}"
             )
 
 
 class MitCommand(NamedTuple):
-    """What a joint is told: torque = kp (position - q) + kd (velocity - qd) + torque.
+    """One MIT command of n joints: torque = kp (position - q) + kd (velocity - qd) + torque.
 
     All are (..., n) [rad, rad/s, N m/rad, N m s/rad, N m]; kp is 0 to 500 and kd 0 to 5.
     """
@@ -138,17 +150,17 @@ class MitCommand(NamedTuple):
     torque: Array
 
     def motor_torque(self, q: Array, qd: Array) -> Array:
-        """Return the torque (..., n) this asks for at positions and velocities (..., n) [N m]."""
+        """Return the commanded torque (..., n) at positions and velocities (..., n) [N m]."""
         position, velocity, kp, kd, torque = self
         return np.asarray(kp * (position - q) + kd * (velocity - qd) + torque)
 
 
 @dataclass(frozen=True)
 class Feedback:
-    """What joints answer, each (..., n); output-shaft quantities [rad, rad/s, N m].
+    """Feedback of n motors, each field (..., n); output-shaft quantities [rad, rad/s, N m].
 
-    ``can_id`` has the low four bits of the motor's; for ``status`` see ``registers.describe``. The
-    temperatures are those of the power stage and the winding [deg C].
+    ``can_id`` has the low four bits of the motor's id; ``status`` is a code of ``status_text``.
+    The temperatures are those of the power stage (MOS) and the winding (rotor) [deg C].
     """
 
     can_id: Codes
@@ -168,42 +180,43 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
             kd > 0 in its frame (the motor would oscillate), or a frame's first seven bytes would
             all be 0xFF (the motor would take it for enable, disable, zero or clear).
     """
-    values = _last_axis(*command)
-    scaling._refuse_outside(values)
+    values = _stack_last(*command)
+    scaling._require_inside(values)
     # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
     codes = scaling._codes(values, 0.5)
     unstable = (values[..., 2] > 0.0) & (codes[..., 3] == 0)
     if np.any(unstable):
         raise InputError(
-            f"kp > 0 needs kd of at least {KD_STEP:.2g} {_place(unstable)}: less is sent as 0"
+            f"kp > 0 needs kd of at least {KD_STEP:.2g} {_first_motor(unstable)}: less is sent "
+            "as 0"
         )
     frames = _COMMAND.pack(codes)
     special = np.all(frames[..., :7] == 0xFF, axis=-1)
     if np.any(special):
         raise InputError(
-            f"the command {_place(special)} has every field at its maximum and "
+            f"the command {_first_motor(special)} has every field at its maximum and "
             "would read as a special frame; lower its gains or torque"
         )
     return frames
 
 
 def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
-    """Return what MIT frames (..., n, 8) command; the motor's side of ``encode_mit``."""
+    """Return the command that a motor reads from MIT frames (..., n, 8); see ``encode_mit``."""
     return MitCommand(*scaling._values(_COMMAND.unpack(frames)))
 
 
 def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
     """Return feedback frames (..., n, 8) as a motor sends them: truncated and saturated."""
-    measured = _last_axis(feedback.position, feedback.velocity, feedback.torque)
+    measured = _stack_last(feedback.position, feedback.velocity, feedback.torque)
     codes = np.moveaxis(scaling._codes(measured, 0.0, _MEASURED), -1, 0)
-    hot = feedback.temperature_mos, feedback.temperature_rotor
-    return _FEEDBACK.pack(_last_axis(feedback.status, feedback.can_id, *codes, *hot))
+    heat = feedback.temperature_mos, feedback.temperature_rotor
+    return _FEEDBACK.pack(_stack_last(feedback.status, feedback.can_id, *codes, *heat))
 
 
 def decode_feedback(
     frames: Bytes, scaling: Scaling, half_step: bool = False
 ) -> Feedback:
-    """Return what feedback frames (..., n, 8) say.
+    """Return the feedback in frames (..., n, 8).
 
     The motor drops the fraction when it packs a value, so what arrives is on average half a
     quantisation step too low; ``half_step`` adds it to position, velocity and torque.
@@ -214,11 +227,13 @@ def decode_feedback(
     return Feedback(can_id, status, p, v, t, mos, rotor)
 
 
-def _last_axis(*fields: Any) -> Any:
+def _stack_last(*fields: Any) -> Any:
+    """Return F fields (..., n), broadcast to one shape, as an array (..., n, F)."""
     return np.stack(np.broadcast_arrays(*fields), axis=-1)
 
 
-def _place(mask: Any) -> str:
+def _first_motor(mask: Any) -> str:
+    """Return "of motor number k", counted from 1, for the first true entry of a mask (..., n)."""
     return f"of motor number {int(np.argwhere(np.atleast_1d(mask))[0][-1]) + 1}"
 
 
@@ -237,8 +252,14 @@ _SPECIAL = b"\xff" * 7
 class Frame(NamedTuple):
     """One CAN frame.
 
-    It has an 11-bit id and up to 8 bytes, none in an error frame. ``time`` is when it was on the
-    bus, in the link's clock [s]; an ``echo`` is one of our own, reported back then.
+    Attributes:
+        id: 11-bit arbitration id.
+        data: up to 8 bytes; none in an error frame.
+        time: when it was on the bus, in the link's clock [s].
+        fd: whether it is a CAN-FD frame.
+        error: whether it is an error frame.
+        echo: whether it is a frame of this program, reported back when it was on the bus.
+        bus: number of the bus, from 0.
     """
 
     id: int
@@ -251,13 +272,14 @@ class Frame(NamedTuple):
 
 
 class Address(NamedTuple):
-    """Where a motor is: number of its bus, from 0, and the id it listens to."""
+    """Address of a motor: number of its bus, from 0, and the CAN id that it listens to."""
 
     bus: int
     can_id: int
 
 
 def _special_frame(code: int, motor: Address) -> Frame:
+    """Return the frame that gives a motor a special command such as ENABLE."""
     return Frame(motor.can_id, _SPECIAL + bytes([code]), bus=motor.bus)
 
 
@@ -265,23 +287,24 @@ enable_frame = partial(_special_frame, ENABLE)
 disable_frame = partial(_special_frame, DISABLE)
 clear_error_frame = partial(_special_frame, CLEAR_ERROR)
 set_zero_frame = partial(_special_frame, SET_ZERO)
-"""Makes where a motor stands its zero, for good."""
+"""Return the frame that stores a motor's present position as its zero, for good."""
 
 
 def _request(
     operation: int, motor: Address, register: int, value: bytes = bytes(4)
 ) -> Frame:
+    """Return the frame that asks for an operation such as READ on a motor's register."""
     head = bytes([motor.can_id & 0xFF, motor.can_id >> 8, operation, register])
     return Frame(REGISTER_ID, head + value, bus=motor.bus)
 
 
 read_frame = partial(_request, READ)
 write_frame = partial(_request, WRITE)
-"""Writes four bytes to a register; lost at power-off."""
+"""Return the frame that writes four bytes to a register; lost at power-off."""
 refresh_frame = partial(_request, REFRESH, register=0)
-"""Asks for one feedback frame without any effect on the motor."""
+"""Return the frame that asks for one feedback frame without any effect on the motor."""
 store_frame = partial(_request, STORE, register=1)
-"""Keeps all registers when the power goes off."""
+"""Return the frame by which a motor stores all registers, to keep them without power."""
 
 
 def is_special(data: bytes) -> bool:
@@ -304,7 +327,7 @@ def refuse_harmful(frame: Frame) -> None:
 
 
 def refuse_motion(frame: Frame) -> None:
-    """Raise SysidError for a frame that setting a motor up never sends: anything that drives it."""
+    """Raise SysidError for a frame that would drive a motor: setting one up never sends any."""
     if frame.id != REGISTER_ID and not (
         is_special(frame.data) and frame.data[7] != ENABLE
     ):
@@ -341,10 +364,10 @@ INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16, CAN_BR)
 """Registers that hold an unsigned integer; the others hold a float."""
 SCALING = (PMAX, VMAX, TMAX)
 REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
-"""Without these nothing is played."""
+"""Registers whose values have to be known before anything is played."""
 WRITABLE = (*REQUIRED, CAN_BR)
 LOGGED = (*REQUIRED, GR, 2, 3, 0, 29, 1, 30, 11, 12, 14, 16, 17, 19)
-"""Read before playing and written into the recording's header."""
+"""Registers that are read before playing and written into the recording's header."""
 
 
 def value_from_bytes(number: int, raw: bytes) -> float:
@@ -355,22 +378,19 @@ def value_from_bytes(number: int, raw: bytes) -> float:
 def bytes_from_value(number: int, value: float) -> bytes:
     """Return the four little-endian bytes of a register's value, or raise InputError."""
     try:
-        return (
-            struct.pack("<I", int(value))
-            if number in INTEGERS
-            else struct.pack("<f", value)
-        )
+        if number in INTEGERS:
+            return struct.pack("<I", int(value))
+        return struct.pack("<f", value)
     except (struct.error, OverflowError, ValueError):
         raise InputError(
             f"{NAMES[number]} = {value:g} does not fit into its register"
         ) from None
 
 
-def text_of(number: int, value: float) -> str:
-    """Return NAME=value as written into a recording's header."""
-    return (
-        f"{NAMES[number]}={int(value) if number in INTEGERS else format(value, '.9g')}"
-    )
+def register_text(number: int, value: float) -> str:
+    """Return a register's NAME=value as written into a recording's header."""
+    text = str(int(value)) if number in INTEGERS else f"{value:.9g}"
+    return f"{NAMES[number]}={text}"
 
 
 DISABLED = 0
@@ -396,8 +416,8 @@ _MEANINGS = {
 }
 
 
-def describe(code: int) -> str:
-    """Return a status code in words."""
+def status_text(code: int) -> str:
+    """Return a motor's status code with its meaning, for messages."""
     return f"status {code:X}: {_MEANINGS.get(code, 'not documented')}"
 
 
@@ -444,12 +464,17 @@ def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
 
 def default_rate(n_motors: int, timing: BusTiming) -> float:
     """Return the cycle rate to use [Hz]: 250 (classic) or 500 (FD), less where it does not fit."""
-    return suggested_rate(
-        n_motors, timing, _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ
-    )
+    max_rate = _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ
+    return suggested_rate(n_motors, timing, max_rate)
 
 
-def suggested_rate(n_motors: int, timing: BusTiming, most: float = math.inf) -> float:
-    """Return the highest handy rate [Hz] up to ``most`` that loads the bus to 70 % or less."""
-    top = PLANNING_LIMIT / bus_load(n_motors, 1.0, timing)
-    return next((rate for rate in HANDY_RATES if rate <= min(top, most)), top)
+def suggested_rate(
+    n_motors: int, timing: BusTiming, max_rate: float = math.inf
+) -> float:
+    """Return the highest of ``HANDY_RATES`` that loads the bus to 70 % or less [Hz].
+
+    It is at most ``max_rate`` [Hz]; where none is low enough, the rate that loads the bus to 70 %.
+    """
+    full_rate = PLANNING_LIMIT / bus_load(n_motors, 1.0, timing)
+    highest = min(full_rate, max_rate)
+    return next((rate for rate in HANDY_RATES if rate <= highest), full_rate)

@@ -44,7 +44,7 @@ import numpy as np
 from robot_sysid.damiao.adapters import can_message, import_can
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.protocol import Frame, MitCommand, text_of
+from robot_sysid.damiao.protocol import Frame, MitCommand, register_text
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import InputError
@@ -116,7 +116,9 @@ def head_lines(
     source: str,
 ) -> list[str]:
     """Return the comment lines of a recording; registers are, per joint, number to value."""
-    texts = [",".join(text_of(k, held[k]) for k in sorted(held)) for held in registers]
+    texts = [
+        ",".join(register_text(k, held[k]) for k in sorted(held)) for held in registers
+    ]
     return [
         "robot-sysid motors recording",
         f"trajectory={source}",

@@ -215,7 +215,7 @@ class MotorSession:
                 return position
             if protocol.is_fault(status) and status == last_status != NO_STATUS:
                 break
-        reason = "no answer" if status == NO_STATUS else protocol.describe(status)
+        reason = "no answer" if status == NO_STATUS else protocol.status_text(status)
         if status == ENABLED:
             reason = f"its answers disagree, {last_position:.3f} and {position:.3f} rad"
         raise HardwareAbort(f"{joint.label} did not enable: {reason}")

@@ -1,4 +1,4 @@
-"""The trajectory file that Damiao motors play: written in a stream, read back, looked at.
+"""The trajectory file that Damiao motors play: exported in a stream, read, compared with limits.
 
 ::
 
@@ -8,14 +8,14 @@
 
 A joint whose replies do not come on CAN id + 0x10 has ``,master_id=...`` appended to its line.
 
-Values are kept within the motors' limits, and what had to change is told.
+The export clamps values to the motors' limits and reports the share of samples that it clamped.
 
-Does the velocity column say how the positions change? A motor is told both; where they disagree it
-follows neither. Two comparisons, because rounded positions hide much from row to row and next to
-nothing over a longer time:
+A motor is commanded both positions and velocities; where they disagree it follows neither. Two
+comparisons find that, because rounded positions hide much from row to row and next to nothing over
+a longer time:
 
 row      each velocity lies among the slopes of the positions around it
-window   over a tenth of a second, what the velocities add up to is how far the positions came
+window   over a tenth of a second, the integral of the velocities is the change of the positions
 
 A difference quotient instead of the derivative (half a row early or late) passes both.
 """
@@ -64,7 +64,13 @@ MotionChunk = tuple[Array, Array, Array, Array]
 
 @dataclass(frozen=True)
 class DamiaoExportReport:
-    """What the export did; per joint, which share of samples has a clamped value [%]."""
+    """What the export of a trajectory wrote.
+
+    Attributes:
+        joints: the motors in the file, base to terminal.
+        clamped_percent: share (n,) of each joint's samples that have a clamped value [%].
+        warnings: sentences about ratings, rates and clamped samples.
+    """
 
     joints: tuple[DamiaoJoint, ...]
     clamped_percent: Array
@@ -73,9 +79,16 @@ class DamiaoExportReport:
 
 @dataclass(frozen=True, eq=False)
 class DamiaoTrajectory:
-    """A trajectory file: time (N,), q, qd, tau (N, n) [s, rad, rad/s, N m], each row's ``line``.
+    """Trajectory of n joints at N moments, as read from a file.
 
-    Of two files it is ``both``: recordings call columns by the joints' names then.
+    Attributes:
+        path: the file.
+        joints: the motors, base to terminal.
+        line: number (N,) of each row's line in the file.
+        time: (N,) increasing [s].
+        q, qd, tau: positions, velocities and feed-forward torques (N, n) [rad, rad/s, N m].
+        has_two_arms: whether it joins the files of two arms; recordings call columns by the
+            joints' names then.
     """
 
     path: Path
@@ -85,7 +98,7 @@ class DamiaoTrajectory:
     q: Array
     qd: Array
     tau: Array
-    both: bool = False
+    has_two_arms: bool = False
 
     @property
     def n_joints(self) -> int:
@@ -103,9 +116,13 @@ def export_damiao_trajectory(
 ) -> DamiaoExportReport:
     """Write a trajectory for Damiao motors, clamped to what their frames can carry.
 
-    The chunks are written as they come; a path gets its file only once everything is written. For
-    types, ids and names see ``damiao_joints``. InputError where they do not fit, without samples,
-    or with values that are not finite.
+    Args:
+        motion_chunks: written as they come; the first one has all joints' columns.
+        motor_types, can_ids, master_ids, joint_names: of the motors, see ``damiao_joints``.
+        path_or_file: a path gets its file only once everything is written.
+
+    Raises:
+        InputError: motors do not fit, there are no samples, or a value is not finite.
     """
     chunks = iter(motion_chunks)
     first = next(chunks, None)
@@ -115,25 +132,22 @@ def export_damiao_trajectory(
         motor_types, np.shape(first[1])[1], can_ids, master_ids, joint_names
     )
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
-    rows = 0
-    (changed, peak_velocity, peak_torque) = np.zeros((3, len(joints)))
+    n_rows = 0
+    (n_clamped, peak_velocity, peak_torque) = np.zeros((3, len(joints)))
     # Milliseconds where all moments are on their grid.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     with whole_file(path_or_file) as file:
         file.write(_head(joints))
         for chunk in chain([first], chunks):
-            asked = _checked(chunk, len(joints))
-            inside = np.clip(asked, -limits, limits)
-            changed += np.any(inside != asked, axis=0).sum(axis=0)
-            peak_velocity = np.maximum(
-                peak_velocity, np.abs(asked[1]).max(axis=0, initial=0.0)
-            )
-            peak_torque = np.maximum(
-                peak_torque, np.abs(asked[2]).max(axis=0, initial=0.0)
-            )
-            rows += len(chunk[0])
-            file.write(_rows(chunk[0], inside, decimals))
-    percent = 100.0 * changed / rows
+            signals = _require_chunk(chunk, len(joints))
+            clamped = np.clip(signals, -limits, limits)
+            n_clamped += np.any(clamped != signals, axis=0).sum(axis=0)
+            _, top_velocity, top_torque = np.abs(signals).max(axis=1, initial=0.0)
+            peak_velocity = np.maximum(peak_velocity, top_velocity)
+            peak_torque = np.maximum(peak_torque, top_torque)
+            n_rows += len(chunk[0])
+            file.write(_rows(chunk[0], clamped, decimals))
+    percent = 100.0 * n_clamped / n_rows
     warnings = []
     for joint, share, velocity, torque in zip(
         joints, percent, peak_velocity, peak_torque
@@ -149,27 +163,26 @@ def export_damiao_trajectory(
 
 
 def _head(joints: Sequence[DamiaoJoint]) -> str:
-    lines = [
-        f"# motor_type={j.motor_type},can_id={j.can_id},mode=MIT"
-        + (
-            ""
-            if j.master_id == j.can_id + MASTER_ID_OFFSET
-            else f",master_id={j.master_id}"
-        )
-        for j in joints
-    ]
-    return (
-        "\n".join([*lines, ",".join(["time", *trajectory_columns(len(joints))])]) + "\n"
-    )
+    """Return the comment lines and the column line of a trajectory file."""
+    head = ""
+    for joint in joints:
+        head += f"# motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT"
+        if joint.master_id != joint.can_id + MASTER_ID_OFFSET:
+            head += f",master_id={joint.master_id}"
+        head += "\n"
+    return head + ",".join(["time", *trajectory_columns(len(joints))]) + "\n"
 
 
 def trajectory_columns(n_joints: int) -> list[str]:
-    """Return j0_pos, j0_vel, j0_tau, j1_pos, ... for n joints."""
-    return [f"j{j}_{what}" for j in range(n_joints) for what in ("pos", "vel", "tau")]
+    """Return the titles j0_pos, j0_vel, j0_tau, j1_pos, ... of the columns of n joints."""
+    columns = []
+    for j in range(n_joints):
+        columns += [f"j{j}_pos", f"j{j}_vel", f"j{j}_tau"]
+    return columns
 
 
-def _checked(chunk: MotionChunk, n: int) -> Array:
-    """Return position, velocity and torque (3, N, n) of a chunk that can be written."""
+def _require_chunk(chunk: MotionChunk, n: int) -> Array:
+    """Return position, velocity and torque (3, N, n) of a chunk, or raise InputError."""
     time, *signals = (np.asarray(x, dtype=float) for x in chunk)
     if time.ndim != 1 or any(x.shape != (len(time), n) for x in signals):
         raise InputError(
@@ -181,6 +194,7 @@ def _checked(chunk: MotionChunk, n: int) -> Array:
 
 
 def _rows(time: Array, values: Array, decimals: int) -> str:
+    """Return the file's lines of values (3, N, n) at times (N,) with so many decimals [s]."""
     # Adding zero turns the -0.0 that rounding leaves into 0.0.
     cells = np.round(values.transpose(1, 2, 0).reshape(len(time), -1), 4) + 0.0
     row = ",".join([f"%.{decimals}f"] + ["%.4f"] * cells.shape[1]) + "\n"
@@ -188,7 +202,7 @@ def _rows(time: Array, values: Array, decimals: int) -> str:
 
 
 CANNOT_FOLLOW = "it cannot follow"
-"""How a sentence about a motor ends that cannot do what a motion asks."""
+"""End of a sentence about a motor that cannot do what a motion needs."""
 
 
 def rating_warnings(
@@ -219,34 +233,42 @@ _MOMENT = 0.1
 
 
 def rotor_problems(
-    played: DamiaoTrajectory, speed: float, doubt: Array
+    trajectory: DamiaoTrajectory, speed: float, doubt: Array
 ) -> Iterator[str]:
-    """Yield which joints cannot follow, played at a share of their speed: known without a model.
+    """Yield a sentence for each joint whose feed-forward torque does not even turn its rotor.
 
-    A motor turns its own rotor at least. Where that takes more than the ``doubt`` (n,) [N m] from
-    where a joint accelerates most to the opposite within a moment, half of it is in the torque that
-    is fed forward: less is that of another motion.
+    A motor turns its own rotor at least. Between the moment at which a joint accelerates most and
+    the opposite extreme within 0.1 s of it, the feed-forward torque has to change by half of what
+    the rotor takes: less is the torque of another motion. No model of the arm is needed.
+
+    Args:
+        speed: factor of the file's speed at which it is played.
+        doubt: torque (n,) of each joint that proves nothing [N m]; rotors that take less than
+            twice as much are not judged.
     """
-    time = played.time
-    shaken = np.gradient(played.qd, played.time, axis=0)
-    for joint, own, tau, unsure in zip(played.joints, shaken.T, played.tau.T, doubt):
-        peak = int(np.argmax(np.abs(own)))
-        sign = np.sign(own[peak])
-        far = np.abs(time - time[peak]) > _MOMENT
-        other = int(np.argmin(np.where(far, np.inf, sign * own)))
-        takes = speed**2 * joint.spec.rotor * abs(own[peak] - own[other])
-        fed = sign * (tau[peak] - tau[other])
-        if takes > 2.0 * unsure and fed < 0.5 * takes:
+    time = trajectory.time
+    accelerations = np.gradient(trajectory.qd, time, axis=0)
+    for j, joint in enumerate(trajectory.joints):
+        acceleration = accelerations[:, j]
+        tau = trajectory.tau[:, j]
+        peak = int(np.argmax(np.abs(acceleration)))
+        sign = np.sign(acceleration[peak])
+        is_far = np.abs(time - time[peak]) > _MOMENT
+        opposite = int(np.argmin(np.where(is_far, np.inf, sign * acceleration)))
+        change = abs(acceleration[peak] - acceleration[opposite])
+        rotor_torque = speed**2 * joint.spec.rotor * change
+        fed_torque = sign * (tau[peak] - tau[opposite])
+        if rotor_torque > 2.0 * doubt[j] and fed_torque < 0.5 * rotor_torque:
             yield (
                 f"{joint.label}: at {time[peak] - time[0]:.2f} s it is to turn with "
-                f"{speed**2 * own[peak]:.0f} rad/s^2; its rotor alone takes {takes:.1f} N m to and "
-                f"fro, and the file feeds forward {fed:.1f}, the torque of another motion; "
-                f"{CANNOT_FOLLOW}, export it again"
+                f"{speed**2 * acceleration[peak]:.0f} rad/s^2; its rotor alone takes "
+                f"{rotor_torque:.1f} N m to and fro, and the file feeds forward {fed_torque:.1f}, "
+                f"the torque of another motion; {CANNOT_FOLLOW}, export it again"
             )
 
 
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
-    """Read a trajectory file, or raise InputError, which names the line that is wrong."""
+    """Return the trajectory in a file; InputError names the line that is wrong."""
     path = Path(path)
     refuse_special_file(path, "give a trajectory file")
     joints: list[DamiaoJoint] = []
@@ -272,60 +294,76 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     if [name.strip() for name in line.split(",")] != ["time", *trajectory_columns(n)]:
         expected = f"expected the columns time,j0_pos,j0_vel,j0_tau,... for {n} joints"
         raise InputError(f"{path}, line {number}: {expected}")
-    filled = [
-        (k, row) for k, row in enumerate(lines[number:], number + 1) if row.strip()
-    ]
     width = 1 + 3 * n
-    table = np.array([_numbers(row, width, path, k) for k, row in filled]).reshape(
-        -1, width
-    )
-    numbers = np.array([k for k, _ in filled], int)
+    rows = []
+    line_numbers = []
+    for line_number, line in enumerate(lines[number:], number + 1):
+        if line.strip():
+            rows.append(_numbers(line, width, path, line_number))
+            line_numbers.append(line_number)
+    table = np.array(rows).reshape(-1, width)
     time = table[:, 0].copy()
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
         raise InputError(
-            f"{path}, near line {numbers[row + 1]}: time does not increase"
+            f"{path}, near line {line_numbers[row + 1]}: time does not increase"
         )
     q, qd, tau = (table[:, k::3] for k in (1, 2, 3))
-    return DamiaoTrajectory(path, tuple(joints), numbers, time, q, qd, tau)
+    line_array = np.array(line_numbers, int)
+    return DamiaoTrajectory(path, tuple(joints), line_array, time, q, qd, tau)
 
 
-def together(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTrajectory:
-    """Return two trajectories as one, begun at the same time; the shorter one holds its end."""
-    files = first, second
-    times = [each.time - each.time[0] for each in files]
-    longer = int(times[1][-1] > times[0][-1])
-    time = _merged(times)
+def join_arms(first: DamiaoTrajectory, second: DamiaoTrajectory) -> DamiaoTrajectory:
+    """Return the trajectories of two arms as one that has the joints of both.
 
-    def joined(name: str) -> Array:
-        columns = [column for each in files for column in getattr(each, name).T]
-        own = [each_time for each, each_time in zip(files, times) for _ in each.joints]
-        return np.stack([np.interp(time, *pair) for pair in zip(own, columns)], axis=1)
-
-    line = np.interp(time, times[longer], files[longer].line).astype(int)
-    q, qd, tau = (joined(name) for name in ("q", "qd", "tau"))
-    joints = first.joints + second.joints
-    return DamiaoTrajectory(first.path, joints, line, time, q, qd, tau, both=True)
-
-
-def _merged(times: Sequence[Array]) -> Array:
-    """Return all moments, but those that are nearly the same only once.
-
-    Two that rounding keeps apart would make any slope of the ways between them, and any slack.
+    Both begin at time 0; the shorter one holds its end.
     """
-    least = 0.5 * min(np.diff(each).min(initial=np.inf) for each in times)
-    kept = [0.0]
-    for moment in np.union1d(*times):
-        if moment - kept[-1] >= least:
-            kept.append(moment)
+    files = first, second
+    times = [file.time - file.time[0] for file in files]
+    time = _merge_times(*times)
+    pairs = zip(_resample(first, time), _resample(second, time))
+    q, qd, tau = (np.hstack(pair) for pair in pairs)
+    longer = int(times[1][-1] > times[0][-1])
+    return DamiaoTrajectory(
+        first.path,
+        first.joints + second.joints,
+        np.interp(time, times[longer], files[longer].line).astype(int),
+        time,
+        q,
+        qd,
+        tau,
+        has_two_arms=True,
+    )
+
+
+def _resample(trajectory: DamiaoTrajectory, time: Array) -> list[Array]:
+    """Return q, qd and tau (N, n) of a trajectory at times (N,) after its beginning [s]."""
+    signals = np.hstack([trajectory.q, trajectory.qd, trajectory.tau])
+    elapsed = trajectory.time - trajectory.time[0]
+    columns = [np.interp(time, elapsed, signal) for signal in signals.T]
+    return np.split(np.column_stack(columns), 3, axis=1)
+
+
+def _merge_times(first: Array, second: Array) -> Array:
+    """Return the moments of both arrays [s], of moments that are nearly equal only one.
+
+    Two that rounding keeps apart would allow any slope between them, and any slack.
+    """
+    shortest = 0.5 * min(
+        np.diff(times).min(initial=np.inf) for times in (first, second)
+    )
+    merged = [0.0]
+    for moment in np.union1d(first, second):
+        if moment - merged[-1] >= shortest:
+            merged.append(moment)
     # The last one stays: files end at rest there.
-    kept[-1] = max(each[-1] for each in times)
-    return np.array(kept)
+    merged[-1] = max(first[-1], second[-1])
+    return np.array(merged)
 
 
 def _numbers(line: str, width: int, path: Path, number: int) -> list[float]:
-    """Return the numbers in a line, or raise InputError unless there are so many."""
+    """Return the ``width`` numbers in a line of a file, or raise InputError with its number."""
     with contextlib.suppress(ValueError):
-        row = [*map(float, line.partition("#")[0].split(","))]
+        row = [float(cell) for cell in line.partition("#")[0].split(",")]
         # Python takes 1_0 for 10.
         if len(row) == width and "_" not in line and math.isfinite(sum(row)):
             return row
@@ -333,6 +371,7 @@ def _numbers(line: str, width: int, path: Path, number: int) -> list[float]:
 
 
 def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
+    """Return the joint that a comment line of a file describes; InputError names the line."""
     pairs = dict(_PAIR.findall(line.lstrip("# ")))
     try:
         can_id = int(pairs["can_id"], 0)
@@ -353,42 +392,47 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
 
 
 NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
-"""What a run obeys where nothing else is asked for: 1e6 rad/s is none."""
+"""The limits of a run for which the user gives none: 1e6 rad/s stops no motion."""
 MODEL_LIMITS = "workspace", "keep_out", "clearance"
+"""The limits that can only be compared with a model of the arm."""
 LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
-"""Which of a motion's limits hold for all that a run moves."""
+"""Names of the limits of a motion that hold for all that a run moves."""
+
+
+def peaks_beyond(values: Array, limits: Array) -> list[tuple[int, float]]:
+    """Return number and largest magnitude of each joint that exceeds its limit.
+
+    Args:
+        values: a quantity of n joints at N moments (N, n).
+        limits: largest magnitudes (n,) that are allowed, in the same unit.
+    """
+    peaks = np.abs(values).max(axis=0)
+    return [(j, peaks[j]) for j in np.flatnonzero(peaks > limits).tolist()]
 
 
 def limit_excesses(
     trajectory: DamiaoTrajectory, speed: float, limits: LimitOptions
 ) -> Iterator[str]:
-    """Yield a sentence for each limit that a trajectory, played at a share of its speed, breaks."""
-    step = np.diff(trajectory.time)
+    """Yield a sentence for each joint and user's limit that a trajectory breaks.
+
+    ``speed`` is the factor of the file's speed at which it is played.
+    """
     # The fourth decimal of two velocities makes this much acceleration.
-    printed = 2.0 * _ROUNDING / step.min()
-    shaken = np.gradient(trajectory.qd, trajectory.time, axis=0)
-    for values, most, unit, flag, slack in (
-        (
-            speed * trajectory.qd,
-            limits.max_velocity,
-            "rad/s",
-            "--max-velocity",
-            _ROUNDING,
-        ),
-        (
-            speed**2 * shaken,
-            limits.max_acceleration,
-            "rad/s^2",
-            "--max-acceleration",
-            printed,
-        ),
-        (trajectory.tau, limits.max_torque, "N m", "--max-torque", _ROUNDING),
+    slack = 2.0 * _ROUNDING / np.diff(trajectory.time).min()
+    velocity = speed * trajectory.qd
+    acceleration = speed**2 * np.gradient(trajectory.qd, trajectory.time, axis=0)
+    torque = trajectory.tau
+    for values, limit, unit, flag, rounding in (
+        (velocity, limits.max_velocity, "rad/s", "--max-velocity", _ROUNDING),
+        (acceleration, limits.max_acceleration, "rad/s^2", "--max-acceleration", slack),
+        (torque, limits.max_torque, "N m", "--max-torque", _ROUNDING),
     ):
-        tops = per_joint(np.inf if most is None else most, trajectory.n_joints, flag)
-        largest = np.abs(values).max(axis=0)
-        for j in np.flatnonzero(largest > tops + slack).tolist():
+        joint_limits = per_joint(
+            np.inf if limit is None else limit, trajectory.n_joints, flag
+        )
+        for j, peak in peaks_beyond(values, joint_limits + rounding):
             name = trajectory.joints[j].label
-            yield f"{name}: {largest[j]:.4g} {unit} is beyond {flag} {tops[j]:g}"
+            yield f"{name}: {peak:.4g} {unit} is beyond {flag} {joint_limits[j]:g}"
 
 
 # Numbers with four decimals, as the export writes them, are this far from what was meant.
@@ -402,73 +446,94 @@ _AROUND = 2
 
 
 class Mismatch(NamedTuple):
-    """Where the velocity column states a velocity, and the positions show another [rad/s]."""
+    """A row and joint at which velocities and positions of a trajectory disagree.
+
+    ``stated`` is the velocity in the velocity column, ``slope`` that of the positions [rad/s].
+    """
 
     row: int
     joint: int
     stated: float
-    shown: float
+    slope: float
 
 
 def velocity_mismatch(time: Array, q: Array, qd: Array) -> Mismatch | None:
-    """Return where velocities (N, n) first differ from the positions' changes, or None."""
+    """Return where velocities qd (N, n) first differ from slopes of positions q (N, n), or None.
+
+    Single rows come first, then windows of a tenth of a second; see the module's text.
+    """
+    slope = np.diff(q, axis=0) / np.diff(time)[:, None]
+    mismatch = _row_mismatch(time, slope, qd)
+    return mismatch or _window_mismatch(time, q, qd, slope)
+
+
+def _row_mismatch(time: Array, slope: Array, qd: Array) -> Mismatch | None:
+    """Return the first velocity (N, n) beyond the slopes (N - 1, n) of the rows around it."""
     step = np.diff(time)[:, None]
-    slope = np.diff(q, axis=0) / step
-    return next(
-        chain(_rows_off(step, slope, qd), _windows_off(time, q, qd, slope)), None
-    )
-
-
-def _rows_off(step: Array, slope: Array, qd: Array) -> Iterator[Mismatch]:
-    padded = (
-        np.pad(each, ((_AROUND, _AROUND), (0, 0)), mode="edge")
-        for each in (slope, step)
-    )
-    slopes, steps = (sliding_window_view(each, 2 * _AROUND, axis=0) for each in padded)
+    slopes = _surrounding_rows(slope)
     low = slopes.min(axis=-1)
     high = slopes.max(axis=-1)
+    shortest_step = _surrounding_rows(step).min(axis=-1)
     # Two rounded positions, of the slope and of what it is compared with, over the shortest step.
-    slack = 4.0 * _ROUNDING / steps.min(axis=-1) + _ROUNDING + (high - low)
-    off = np.maximum(low - slack - qd, qd - high - slack)
+    slack = 4.0 * _ROUNDING / shortest_step + _ROUNDING + (high - low)
+    excess = np.maximum(low - slack - qd, qd - high - slack)
     # The last rows have no slopes behind them.
-    off[len(off) - _AROUND :] = 0.0
-    for row, joint in np.argwhere(off > 0.0)[:1]:
-        yield Mismatch(
-            int(row), int(joint), float(qd[row, joint]), float(slope[row, joint])
-        )
+    excess[len(excess) - _AROUND :] = 0.0
+    for row, joint in np.argwhere(excess > 0.0)[:1].tolist():
+        return Mismatch(row, joint, float(qd[row, joint]), float(slope[row, joint]))
+    return None
 
 
-def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mismatch]:
+def _surrounding_rows(steps: Array) -> Array:
+    """Return, for each of N rows, the steps (N, n, 2 _AROUND) between rows around it."""
+    padded = np.pad(steps, ((_AROUND, _AROUND), (0, 0)), mode="edge")
+    return sliding_window_view(padded, 2 * _AROUND, axis=0)
+
+
+def _window_mismatch(time: Array, q: Array, qd: Array, slope: Array) -> Mismatch | None:
+    """Return the first window over which velocities do not add up to the change of position."""
     step = np.diff(time)[:, None]
     rows = np.arange(len(time))
     ends = np.maximum(np.searchsorted(time, time + _WINDOW), rows + _LEAST_ROWS)
     starts = np.flatnonzero(ends < len(slope))
     if not len(starts):
-        return
+        return None
     ends = ends[starts]
-    # The longest step of each window and of the rows beside it.
-    beside = np.pad(step[:, 0], 1, mode="edge")
-    spans = np.column_stack([starts, ends + 2]).ravel()
-    longest = np.maximum.reduceat(beside, spans)[::2, None]
-    parts = 0.5 * (qd[1:] + qd[:-1]) * step, np.abs(np.diff(qd, axis=0))
-    way, turns = (np.cumsum(np.insert(each, 0, 0.0, axis=0), axis=0) for each in parts)
-    came = q[ends] - q[starts]
-    said = way[ends] - way[starts]
+    # The longest step of each window and of one row on either side.
+    padded_step = np.pad(step[:, 0], 1, mode="edge")
+    windows = np.column_stack([starts, ends + 2]).ravel()
+    longest_step = np.maximum.reduceat(padded_step, windows)[::2, None]
+    integral = _cumulative_sum(0.5 * (qd[1:] + qd[:-1]) * step)
+    variation = _cumulative_sum(np.abs(np.diff(qd, axis=0)))
+    position_change = q[ends] - q[starts]
+    velocity_integral = integral[ends] - integral[starts]
     # Half a row early or late, and a fifth more; then what trapezoids leave out where it bends.
-    before = np.vstack([slope[:1], slope])
-    sped_up = [np.abs(each[ends] - each[starts]) for each in (slope, before)]
-    shifted = 0.6 * longest * np.maximum(*sped_up) + 2.0 * _ROUNDING
-    bent = longest / 6.0 * (turns[ends] - turns[starts])
-    length = (time[ends] - time[starts])[:, None]
-    allowed = shifted + bent + 2.0 * _ROUNDING + _ROUNDING * length
-    for k, j in np.argwhere(np.abs(came - said) > allowed * (1.0 + 1e-9))[:1]:
-        span = float(length[k, 0])
-        yield Mismatch(
-            int(starts[k]), int(j), float(said[k, j]) / span, float(came[k, j]) / span
+    slope_before = np.vstack([slope[:1], slope])
+    slope_change = np.maximum(
+        np.abs(slope[ends] - slope[starts]),
+        np.abs(slope_before[ends] - slope_before[starts]),
+    )
+    shift = 0.6 * longest_step * slope_change + 2.0 * _ROUNDING
+    curvature = longest_step / 6.0 * (variation[ends] - variation[starts])
+    duration = (time[ends] - time[starts])[:, None]
+    tolerance = shift + curvature + 2.0 * _ROUNDING + _ROUNDING * duration
+    difference = np.abs(position_change - velocity_integral)
+    for k, j in np.argwhere(difference > tolerance * (1.0 + 1e-9))[:1].tolist():
+        seconds = float(duration[k, 0])
+        stated = float(velocity_integral[k, j]) / seconds
+        return Mismatch(
+            int(starts[k]), j, stated, float(position_change[k, j]) / seconds
         )
+    return None
+
+
+def _cumulative_sum(steps: Array) -> Array:
+    """Return the sums (N, n) of steps (N - 1, n) up to each row, beginning with zero."""
+    return np.cumsum(np.insert(steps, 0, 0.0, axis=0), axis=0)
 
 
 def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
+    """Yield a warning where a file's rate by times (N,) [s] is too much for a classic CAN bus."""
     if len(time) < 2:
         return
     rate = 1.0 / float(np.median(np.diff(time)))
@@ -476,10 +541,11 @@ def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
     fast = BusTiming(fd=True)
     load = bus_load(n_joints, rate, classic)
     if load > PLANNING_LIMIT:
-        fits = suggested_rate(n_joints, classic)
-        fits_fd = suggested_rate(n_joints, fast)
+        classic_rate = suggested_rate(n_joints, classic)
+        fast_rate = suggested_rate(n_joints, fast)
         yield (
             f"{rate:g} Hz would fill {100 * load:.0f} % of a classic CAN bus "
             f"({100 * bus_load(n_joints, rate, fast):.0f} % of CAN-FD): play the file at "
-            f"{fits:g} Hz (CAN-FD: {fits_fd:g} Hz), or export it with --sample-rate {fits:g}"
+            f"{classic_rate:g} Hz (CAN-FD: {fast_rate:g} Hz), or export it with --sample-rate "
+            f"{classic_rate:g}"
         )

@@ -15,9 +15,9 @@ from robot_sysid.damiao.protocol import (
     bus_load,
     bytes_from_value,
     default_rate,
-    describe,
     is_fault,
     refuse_harmful,
+    status_text,
     suggested_rate,
     value_from_bytes,
 )
@@ -81,7 +81,7 @@ def test_register_values_survive_their_four_bytes(number, data):
 
 
 def test_every_code_has_words_and_all_but_two_are_faults():
-    assert [describe(code).startswith(f"status {code:X}: ") for code in range(16)] == [
-        True
-    ] * 16
+    assert [
+        status_text(code).startswith(f"status {code:X}: ") for code in range(16)
+    ] == [True] * 16
     assert [code for code in range(16) if not is_fault(code)] == [0, 1]

@@ -16,10 +16,10 @@ from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.damiao.trajectory import (
     NO_LIMITS,
     export_damiao_trajectory,
+    join_arms,
     limit_excesses,
     read_damiao_trajectory,
     rotor_problems,
-    together,
     velocity_mismatch,
 )
 from robot_sysid.errors import InputError
@@ -268,7 +268,7 @@ def test_velocities_of_a_joint_that_stands_are_found_with_their_row():
     qd = np.zeros((400, 1))
     qd[100:200] = 9.0
     found = mismatch(time, q, qd)
-    assert (found.row, found.joint, found.stated, found.shown) == (100, 0, 9.0, 0.0)
+    assert (found.row, found.joint, found.stated, found.slope) == (100, 0, 9.0, 0.0)
 
 
 @pytest.mark.parametrize("start", [0.0, 0.5, 0.1233])
@@ -278,14 +278,14 @@ def test_what_is_wrong_in_one_of_two_files_is_found_whenever_its_time_begins(
     """Moments that only rounding keeps apart would allow any slope, and any acceleration."""
     first = trajectory_file(tmp_path, swing(1))
     second = replace(first, time=first.time + start, qd=1.3 * first.qd)
-    both = together(first, second)
+    both = join_arms(first, second)
     np.testing.assert_allclose(both.time, first.time, atol=1e-12)
     np.testing.assert_allclose(both.q, np.hstack([first.q] * 2), atol=1e-12)
     assert velocity_mismatch(both.time, both.q, both.qd).joint == 1
     limits = replace(NO_LIMITS, max_acceleration=1.0)
     assert len([*limit_excesses(both, 1.0, limits)]) == 2
     slower = swing(1, 1.0, rate=110.0)
-    mixed = together(first, trajectory_file(tmp_path, slower))
+    mixed = join_arms(first, trajectory_file(tmp_path, slower))
     assert np.diff(mixed.time).min() > 0.0019 and mixed.time[-1] == 2.0
     assert velocity_mismatch(mixed.time, mixed.q, mixed.qd) is None
 

@@ -17,8 +17,8 @@ from robot_sysid.damiao.settings import Permissions, PlaySettings
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
+    join_arms,
     read_damiao_trajectory,
-    together,
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.motion.limit_check import as_one
@@ -73,7 +73,7 @@ def play_openarms(
         ]
         files.append(replace(file, joints=tuple(joints)))
     plan = Plan(
-        together(*files),
+        join_arms(*files),
         PlaySettings(rate=250.0),
         BusTiming(),
         Permissions(directions=True),

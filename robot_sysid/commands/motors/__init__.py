@@ -436,7 +436,9 @@ def _identify_command(
     arm = asked.values
     model = arm.get("model") or "MODEL"
     settings = (
-        None if plan.trajectory.both else settings_of(plan.trajectory.path.parent)
+        None
+        if plan.trajectory.has_two_arms
+        else settings_of(plan.trajectory.path.parent)
     )
     folder = () if settings is None else ("--output-dir", str(settings[0].parent))
     if settings is not None and not real:

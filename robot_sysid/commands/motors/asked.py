@@ -160,7 +160,7 @@ def state_table(
         heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
         numbers = (f"{value:8.3f}" for value in measured)
         rows.append(
-            (motor.name, *numbers, heat, protocol.describe(int(state.status[0])))
+            (motor.name, *numbers, heat, protocol.status_text(int(state.status[0])))
         )
     yield from _columns(rows)
 
@@ -211,7 +211,7 @@ def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
         f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}"
         if feedback
         else "?",
-        protocol.describe(int(feedback.status[0])) if feedback else "does not tell",
+        protocol.status_text(int(feedback.status[0])) if feedback else "does not tell",
     )
 
 

@@ -156,7 +156,7 @@ def _small_motion(
     # No joint of which nobody knows which way it turns goes to a pose.
     park = plan.settings.park if plan.pose is None else "rest"
     settings = replace(plan.settings, speed=1.0, park=park)
-    small = replace(played, both=False, **rows)
+    small = replace(played, has_two_arms=False, **rows)
     return replace(
         plan, trajectory=small, settings=settings, recording=RecordingOptions()
     )

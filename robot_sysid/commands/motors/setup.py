@@ -142,19 +142,23 @@ class MotorSetup:
         self._require_off()
         before = self._client.read(self._address, register)
         self._client.write(self._address, register, value, heard)
-        old = "unknown" if before is None else protocol.text_of(register, before.value)
-        return f"{self._motor.name}: {old} is now {protocol.text_of(register, value)}"
+        old = (
+            "unknown"
+            if before is None
+            else protocol.register_text(register, before.value)
+        )
+        return f"{self._motor.name}: {old} is now {protocol.register_text(register, value)}"
 
     def _cleared(self) -> str:
         name = self._motor.name
         before = self._feedback()[0] >> 4
         if not protocol.is_fault(before):
-            return f"{name} has no error to clear ({protocol.describe(before)})"
+            return f"{name} has no error to clear ({protocol.status_text(before)})"
         self._link.send(protocol.clear_error_frame(self._address))
         after = self._feedback()[0] >> 4
         if protocol.is_fault(after):
-            raise HardwareAbort(f"{name} still reports {protocol.describe(after)}")
-        return f"{name}: {protocol.describe(before)} is cleared"
+            raise HardwareAbort(f"{name} still reports {protocol.status_text(after)}")
+        return f"{name}: {protocol.status_text(before)} is cleared"
 
     def _zeroed(self) -> str:
         name = self._motor.name

@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.protocol import ENABLED, MitCommand, describe
+from robot_sysid.damiao.protocol import ENABLED, MitCommand, status_text
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.causes import EffortChange, explain_change
 from robot_sysid.damiao.safety.guards import (
@@ -259,7 +259,7 @@ class Observer:
         settings = self._settings
         self._stop_where(
             replies.answered & (feedback.status != ENABLED),
-            lambda j: f"reports {describe(int(feedback.status[j]))}",
+            lambda j: f"reports {status_text(int(feedback.status[j]))}",
         )
         silent = self.missed >= settings.max_missed
         silent |= self.silent >= _SILENT_CYCLES * settings.max_missed
