@@ -24,7 +24,7 @@ from mujoco import rollout
 
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.plant import quantised
+from robot_sysid.simulation.plant import round_to_multiples
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
@@ -104,7 +104,7 @@ def recorded(model, robot, seed: int, seconds: float):
         data.ctrl[:] = tau[k]
         mujoco.mj_step(model, data)
     read = tau + TORQUE_NOISE * rng.normal(size=tau.shape)
-    return clock, quantised(q, ENCODER), read
+    return clock, round_to_multiples(q, ENCODER), read
 
 
 def by_torques(robot, log) -> dict:

@@ -21,7 +21,7 @@ from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
-from robot_sysid.simulation.plant import quantised
+from robot_sysid.simulation.plant import round_to_multiples
 from robot_sysid.solver import identify_parameters
 from tests.support.closed_loop import ClosedLoop
 from tests.support.closed_loop_proof import (
@@ -109,7 +109,7 @@ def sensor_table(robot) -> None:
         plant = plant_from(robot)
         exact = record_run(ClosedLoop(plant, excitation(robot, seed), RATE))
         for steps, noise in ((0.0, 0.0), (1e-4, 0.0), (1e-4, 0.1)):
-            q = quantised(exact.q, steps) if steps else exact.q
+            q = round_to_multiples(exact.q, steps) if steps else exact.q
             draws = np.random.default_rng(seed).standard_normal(exact.tau.shape)
             log = Measurement(exact.time, q, None, exact.tau + noise * draws)
             estimate = identified_from_log(robot, log, deadband=0.1)

@@ -19,7 +19,7 @@ from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import DELAY_NAME
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.resampling import join_measurements
-from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
 from tests.support.core_fits import BASIC
 

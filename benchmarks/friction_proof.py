@@ -29,7 +29,7 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.static import design_sweeps
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.plant import quantised
+from robot_sysid.simulation.plant import round_to_multiples
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.core_fits import result_of_logs
 from tests.support.places import MODELS
@@ -87,7 +87,7 @@ class Truth:
         clock = np.arange(0.0, plan.duration, 1.0 / RATE)
         motion = plan.evaluate(clock)
         tau = self.torque(motion) + NOISE * rng.normal(size=motion.q.shape)
-        return Measurement(clock, quantised(motion.q, STEP), None, tau)
+        return Measurement(clock, round_to_multiples(motion.q, STEP), None, tau)
 
 
 def _wrong(theta, rng):

@@ -20,7 +20,7 @@ from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.signals.process import LARGEST_SLOW_SHARE, process
 from robot_sysid.signals.resampling import join_measurements
-from robot_sysid.simulation.plant import quantised
+from robot_sysid.simulation.plant import round_to_multiples
 from tests.support.closed_loop import ClosedLoop
 
 SEEDS = range(61, 73)
@@ -63,7 +63,10 @@ class ClosedLoopStudy(NoiseStudy):
         loop = ClosedLoop(self.plant, self.plan, noise_study.SAMPLE_RATE)
         log = join_measurements(loop.run())
         log = replace(
-            log, q=quantised(log.q, noise_study.ENCODER_STEP), qd=None, qdd=None
+            log,
+            q=round_to_multiples(log.q, noise_study.ENCODER_STEP),
+            qd=None,
+            qdd=None,
         )
         signals = process(log, self.robot.joint_names)
         slow = np.maximum(signals.deadband, 1.005 * loop.ramp_use.ramp_speed)

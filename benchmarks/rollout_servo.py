@@ -22,9 +22,9 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.progress import Progress
-from robot_sysid.servo.run import UNITS, commanded_pieces, run_servo
-from robot_sysid.servo.search import parted, play_servos
-from robot_sysid.simulation.servos import ServoRollouts, model_servos
+from robot_sysid.servo import UNITS, commanded_pieces, play_servos, run_servo
+from robot_sysid.servo.fit import split_pieces
+from robot_sysid.simulation.playback import ServoRollouts, servos_in_model
 from tests.support.places import MODELS
 
 ARMS = {
@@ -50,7 +50,7 @@ def main(*names: str) -> None:
             outcome = run_servo(robot, options, Path(folder) / "out", None, Progress())
             spent = time.monotonic() - begun
             piece = open_log(robot, log, replace(options, commanded=True))
-            held = parted(commanded_pieces([piece], robot.joint_names))[1]
+            held = split_pieces(commanded_pieces([piece], robot.joint_names))[1]
         report(name, arm, robot, outcome, held, spent)
 
 
@@ -63,14 +63,14 @@ def report(name, arm, robot, outcome, held, spent) -> None:
     print(f"  delay {1e3 * servos.delay:.2f} ± {1e3 * delay_error:.2f} ms, true 20")
     truth = (arm.stiffness, arm.damping, arm.coulomb, arm.armature)
     for (term, unit), values in zip(UNITS.items(), truth):
-        figures = [own[term] for own in found.numbers.values()]
+        figures = [own[term] for own in found.joint_numbers.values()]
         before, after, errors = (
             np.array([figure[key] for figure in figures])
             for key in ("before", "value", "standard_error")
         )
         print(f"  {term} [{unit}]: model {before}\n    true {values}")
         print(f"    found {after}\n    error {errors}")
-    pair = model_servos(robot), servos
+    pair = servos_in_model(robot), servos
     without = play_servos(ServoRollouts(robot), held, pair, "").errors
     for error, bare in zip(found.rollout.errors, without):
         (late, new) = error.overall

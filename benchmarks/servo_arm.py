@@ -9,7 +9,7 @@ import numpy as np
 from robot_sysid.records import JointFriction
 from robot_sysid.records.arm import RobotModel
 from robot_sysid.simulation.forward_dynamics import ArmStepper
-from robot_sysid.simulation.servos import actuators_of
+from robot_sysid.simulation.playback import chain_actuators
 
 TICK = 1e-3
 
@@ -72,7 +72,7 @@ def other_than(
     """An arm whose servos and joints are not those of its model."""
     n = robot.n_joints
     dofs = robot.dof_index
-    own = actuators_of(robot)
+    own = chain_actuators(robot)
     factor = rng.uniform(*gain, n)
     damping = robot.mj_model.dof_damping[dofs] + np.nan_to_num(own.damping)
     return ServoArm(

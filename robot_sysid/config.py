@@ -20,7 +20,7 @@ from robot_sysid.records import atomic_files, options
 from robot_sysid.records.options import Option, OptionRecord, folder, option
 from robot_sysid.records.sampling import TrajectoryOptions
 from robot_sysid.records.torque_scale import SCALE, joint_factors
-from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation import SimulatedArmOptions
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")
 EMPTY = "A"

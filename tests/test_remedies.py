@@ -42,7 +42,7 @@ def places(module: str, *names: str) -> tuple[Place, ...]:
 
 ONLY = {
     "identify": places("pipeline.recordings", "identify_logs")
-    + places("servo.run", "run_servo")
+    + places("servo", "run_servo")
 }
 """Command to the stage that it takes of those that all questions share."""
 UNSAID = {

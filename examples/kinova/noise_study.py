@@ -36,7 +36,7 @@ from robot_sysid.records import (
 )
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.resampling import join_measurements
-from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks

@@ -48,7 +48,7 @@ from robot_sysid.records import RobotModel
 from robot_sysid.records import options as option_records
 from robot_sysid.records.options import Option, default_of, keys_of, options_of
 from robot_sysid.records.sampling import TrajectoryOptions
-from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation import SimulatedArmOptions
 
 Model = Union[str, "os.PathLike[str]", InMemory]
 """Path of an MJCF or URDF file, or a model of MuJoCo's."""

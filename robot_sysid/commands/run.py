@@ -33,7 +33,7 @@ from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, Pos
 from robot_sysid.records import atomic_files
 from robot_sysid.records.options import default_of, keys_of, options_of, record_from
 from robot_sysid.records.sampling import TrajectoryOptions
-from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation import SimulatedArmOptions
 
 
 class Question(NamedTuple):

@@ -41,7 +41,7 @@ from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.options import record_from
 from robot_sysid.records.plan_settings import WEIGHT, settings_of
 from robot_sysid.simulation.forward_dynamics import ArmStepper
-from robot_sysid.simulation.playback import interpolated
+from robot_sysid.simulation.playback import interpolate
 from robot_sysid.simulator import ArmTorque
 
 # Relative; for limits and trajectories that came out of the same numbers.
@@ -64,7 +64,7 @@ class SampledTrajectory:
 
     def evaluate(self, time: Array) -> Motion:
         """Return the motion at times (N,) [s]; the acceleration is left at zero."""
-        q = interpolated(time, self.time, self.q)
+        q = interpolate(time, self.time, self.q)
         between = np.searchsorted(self.time, time, side="right") - 1
         qd = self.slope[np.clip(between, 0, len(self.slope) - 1)]
         return Motion(time, q, qd, np.zeros_like(q))

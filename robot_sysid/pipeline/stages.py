@@ -58,7 +58,7 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
     """
     progress = progress or Progress()
     if isinstance(config, SysidConfig) and config.estimation.torque_from is not None:
-        from robot_sysid.servo.run import run_servo
+        from robot_sysid.servo import run_servo
 
         with meshes_not_kept():
             robot = load_arm(config.model, progress)

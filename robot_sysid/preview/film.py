@@ -21,7 +21,7 @@ from robot_sysid.preview.studio import NO_RENDERER, Picture, Studio, backend
 from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.progress import Progress
-from robot_sysid.simulation.playback import interpolated
+from robot_sysid.simulation.playback import interpolate
 
 RATE = 20.0
 """Pictures per second."""
@@ -67,10 +67,8 @@ def shown_log(robot: RobotModel, log: Measurement) -> Shown:
     """Return the motion of a log with the model's limits."""
     time = log.time - log.time[0]
     at = np.linspace(0.0, float(time[-1]), _count(float(time[-1])))
-    q, tau = (interpolated(at, time, values) for values in (log.q, log.tau))
-    qd = (
-        np.gradient(q, at, axis=0) if log.qd is None else interpolated(at, time, log.qd)
-    )
+    q, tau = (interpolate(at, time, values) for values in (log.q, log.tau))
+    qd = np.gradient(q, at, axis=0) if log.qd is None else interpolate(at, time, log.qd)
     limits = robot.limits
     span = 0.5 * (limits.upper - limits.lower)
     center = np.where(np.isfinite(span), limits.upper, 0.0) - np.where(
@@ -203,7 +201,7 @@ def _play_once(robot: RobotModel, shown: Shown, data: Any, window: Any) -> None:
         now = time.monotonic() - began
         if now > shown.time[-1] + _PAUSE:
             return
-        q = interpolated(now, shown.time, shown.q)
+        q = interpolate(now, shown.time, shown.q)
         with window.lock():
             data.qpos[robot.qpos_index] = q
             mujoco.mj_forward(robot.mj_model, data)

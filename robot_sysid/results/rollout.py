@@ -37,7 +37,7 @@ HELD_OUT_SHARE = 0.2
 LAST_FIFTH = "the last fifth of every log, which was not fitted for it"
 """Part of each log, its end, that is not fitted: the fifth that cross-validation leaves out too."""
 SERVO_WORDS = (
-    f"measured torques and a critically damped servo of {playback.SERVO_RATE:g} Hz towards the "
+    f"measured torques and a critically damped servo of {playback.TRACKING_RATE:g} Hz towards the "
     "measured motion"
 )
 
@@ -58,7 +58,7 @@ def play(
     """
     try:
         pieces = [
-            p for log in signals for p in playback.pieces_of_signals(log, since(log))
+            p for log in signals for p in playback.low_passed_pieces(log, since(log))
         ]
         checkpoints = signals[0].motion(signals[0].spread_indices(CHECKPOINTS))
         with temporary_folder() as folder:
@@ -88,15 +88,15 @@ def compare(
     """Play two models of an arm on the same pieces."""
     errors = []
     notes = []
-    servo = playback.stated_servo((before, after), pieces) if pieces else None
+    servo = playback.tracking_servo((before, after), pieces) if pieces else None
     for horizon in HORIZONS:
-        windows = playback.starts(pieces, horizon)
+        windows = playback.window_starts(pieces, horizon)
         if not windows:
             notes.append(f"no held-out piece is as long as {horizon:g} s")
             continue
         for loop, own in ((OPEN, None), (CLOSED, servo)):
             old, new = (
-                playback.played(robot, windows, horizon, own)
+                playback.rollout_error(robot, windows, horizon, own)
                 for robot in (before, after)
             )
             away = (old[1], new[1])

@@ -1,1 +1,534 @@
-"""An arm without torque sensors: servos, friction and rotor inertia from commands and positions."""
+"""An arm without torque sensors: servos, friction and rotor inertia from commands and positions.
+
+From the log files to the written files, and the sentences that are printed about them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.errors import ExportError, InputError
+from robot_sysid.export import locked_folder, remove_earlier
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
+from robot_sysid.pipeline.outcome import Outcome
+from robot_sysid.records import (
+    CLOSED,
+    Array,
+    DataOrigin,
+    Measurement,
+    Motion,
+    RobotModel,
+    atomic_files,
+)
+from robot_sysid.records.progress import Progress
+from robot_sysid.records.results import RolloutError, RolloutTest
+from robot_sysid.results.console import folder_text, rollout_lines
+from robot_sysid.results.json import json_text, rollout_entry
+from robot_sysid.results.model import ModelTarget, versions, write_joints
+from robot_sysid.results.rollout import HORIZONS, LAST_FIFTH, refusal
+from robot_sysid.results.verdict import two_lines
+from robot_sysid.servo import fit as servo_fit
+from robot_sysid.servo.fit import MAX_DELAY_PERIODS, ErrorDerivatives, ServoFit
+from robot_sysid.signals.resampling import sampling_period
+from robot_sysid.simulation.playback import (
+    MAX_WINDOWS,
+    ServoParameters,
+    ServoRollouts,
+    chain_actuators,
+    servos_in_model,
+)
+
+SERVO_SCHEMA = "robot-sysid servo 1"
+WITHOUT_TORQUE = (
+    "No torque was measured: all of this follows from commanded and measured positions, and from "
+    "the masses of the model, which fix its scale"
+)
+ROLLOUT_INPUT = (
+    "the log's commands through the model's servos, both late by the delay that was "
+    "found"
+)
+"""What drives the rollouts that compare two models, as printed."""
+UNITS = {
+    "gain": "N·m/rad",
+    "damping": "N·m·s/rad",
+    "frictionloss": "N·m",
+    "armature": "kg·m²",
+}
+"""The identified numbers of a joint, in the order of ``ServoParameters``, and their units."""
+_KEYS = ("before", "value", "standard_error", "source")
+OFTEN_LIMITED = 0.2
+"""Share of time at its limit from which on a servo is mentioned; chosen, nothing else depends on
+it."""
+LARGE_ERROR = 0.5
+"""Relative error of a gain from which on only ratios of a joint's numbers are called identified;
+chosen, nothing else depends on it."""
+_POSITIONS = 200
+"""Number of positions that stand for a whole log."""
+MOVING_RANGE = 0.02
+"""Range of positions from which on a joint moves [rad or m]."""
+_SLOPES = {"degrees": 180.0 / np.pi, "steps of 4096 a turn": 4096 / (2 * np.pi)}
+"""Change of commands per change of positions where they are in other units than rad."""
+_COPIED_SHARE = 0.98
+"""Share of commands that equal a position from which on they are a copy of the positions."""
+_LEAST_CORRELATION = 0.5
+_LARGEST_OFFSET = 0.3
+
+
+def commanded_pieces(
+    logs: Sequence[MeasurementLog], joint_names: Sequence[str]
+) -> list[Measurement]:
+    """Return all pieces of logs that were read for their commands.
+
+    Raises:
+        InputError: the commands of a moving joint are implausible; says which joint's and why.
+    """
+    for log in logs:
+        for joint in np.flatnonzero(is_moving(log.pieces)).tolist():
+            pairs = []
+            for piece in log.pieces:
+                if piece.command is not None:
+                    pairs.append((piece.q[:, joint], piece.command[:, joint]))
+            for fault in _command_faults(pairs):
+                raise InputError(
+                    f"{log.path}: the commands of joint {joint_names[joint]} {fault}"
+                )
+    return [piece for log in logs for piece in log.pieces]
+
+
+def is_moving(pieces: Sequence[Measurement]) -> NDArray[np.bool_]:
+    """Return (n,) which joints move in pieces of logs."""
+    q = np.concatenate([piece.q for piece in pieces])
+    return np.asarray(np.ptp(q, axis=0) >= MOVING_RANGE)
+
+
+def _command_faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
+    """Yield each fault of a joint's commands, as the end of a sentence.
+
+    Args:
+        pairs: positions (N,) and commands (N,) of the joint in each piece of a log.
+    """
+    correlation, lag, slope = _best_lag(pairs)
+    offset = float(np.median(np.concatenate([c - q for q, c in pairs])))
+    copied_shares = []
+    for samples in range(4):
+        matches = [np.abs(c[: len(c) - samples] - q[samples:]) < 1e-9 for q, c in pairs]
+        copied_shares.append(float(np.mean(np.concatenate(matches))))
+    if max(copied_shares) > _COPIED_SHARE:
+        yield (
+            "repeat the measured positions: the log holds no real commands; record what was sent "
+            "to the servos"
+        )
+    for unit, unit_slope in _SLOPES.items():
+        if 0.7 < abs(slope) / unit_slope < 1.4:
+            yield (
+                f"change {abs(slope):.3g} times as much as its positions: they look like {unit}; "
+                "say what they are with --units, or scale the columns with --columns FILE, such as "
+                f"'command.JOINT = {1.0 / slope:.4g} * TITLE'"
+            )
+    if correlation < _LEAST_CORRELATION:
+        yield (
+            f"are not followed (correlation {correlation:.2f} at the best delay); check the "
+            "columns, and that the servos were on"
+        )
+    if not 0.5 < slope < 2.0:
+        yield f"change {slope:.3g} times as much as its positions; check their units and sign"
+    if lag < 0:
+        yield (
+            f"come {-lag} samples after its positions; check the time stamps, and whether the "
+            "columns of commands and positions were exchanged"
+        )
+    if lag > MAX_DELAY_PERIODS:
+        yield (
+            f"come {lag} samples before its positions, more than the {MAX_DELAY_PERIODS} that are "
+            "sought; check the time stamps, or record faster"
+        )
+    if abs(offset) > _LARGEST_OFFSET:
+        yield (
+            f"differ from its positions by {offset:.3g} all the time; check that both count from "
+            "the same zero"
+        )
+
+
+def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
+    """Return the lag of a joint's positions behind its commands at the largest correlation.
+
+    Args:
+        pairs: positions (N,) and commands (N,) of the joint in each piece of a log.
+
+    Returns:
+        The absolute correlation, the lag in samples, and the slope of commands over positions.
+    """
+    reach = min(3 * MAX_DELAY_PERIODS, min(len(q) for q, _ in pairs) // 4)
+    fits = []
+    for lag in range(-reach, reach + 1):
+        start = max(0, lag)
+        end = min(0, lag)
+        positions = []
+        commands = []
+        for q, command in pairs:
+            q_overlap = q[start : len(q) + end]
+            command_overlap = command[-end : len(command) - start]
+            positions.append(q_overlap - np.mean(q_overlap))
+            commands.append(command_overlap - np.mean(command_overlap))
+        position = np.concatenate(positions)
+        command = np.concatenate(commands)
+        square = float(position @ position)
+        product = float(position @ command)
+        norm = np.sqrt(square) * float(np.linalg.norm(command))
+        correlation = abs(product) / norm if norm > 0.0 else 0.0
+        slope = product / square if norm > 0.0 else 0.0
+        # Of equal correlations the shortest lag.
+        fits.append((correlation, -abs(lag), lag, slope))
+    correlation, _, lag, slope = max(fits)
+    return correlation, lag, slope
+
+
+@dataclass(frozen=True)
+class ServoIdentification:
+    """The result for an arm identified from commands and positions alone.
+
+    Attributes:
+        robot: the arm as in the model file.
+        fit: the identified numbers; joints that do not move keep the model's.
+        is_moving: (n,) whether a joint moves in the logs.
+        limit_share: (n,) share of time in which a servo needs more than its torque limit.
+        data: the logs.
+        rollout: the models before and after, played on held-out pieces.
+        notes: sentences for the user.
+    """
+
+    robot: RobotModel
+    fit: ServoFit
+    is_moving: NDArray[np.bool_]
+    limit_share: Array
+    data: DataOrigin
+    rollout: RolloutTest
+    notes: tuple[str, ...] = ()
+
+    @property
+    def has_servo(self) -> NDArray[np.bool_]:
+        """Whether the model has a position actuator that takes the gain (n,)."""
+        return np.isfinite(chain_actuators(self.robot).stiffness)
+
+    @property
+    def joint_numbers(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Each joint's numbers by name, as in ``UNITS``.
+
+        A number is a dict of "before" (NaN where the model has none), "value", "standard_error" and
+        "source" ("identified" or "from_model").
+        """
+        before = servos_in_model(self.robot).vector()
+        value = self.fit.servos.vector()
+        error = self.fit.errors.vector()
+        is_identified = self.fit.is_identified | (value != before)
+        source = np.where(is_identified, "identified", "from_model")
+        columns = [column.tolist() for column in (before, value, error, source)]
+        numbers = [dict(zip(_KEYS, row)) for row in zip(*columns)]
+        names = self.robot.joint_names
+        by_joint = {}
+        for k, joint in enumerate(names):
+            by_joint[joint] = dict(zip(UNITS, numbers[k : -1 : len(names)]))
+        return by_joint
+
+    def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
+        """Return the changes of the model file's joints and position actuators."""
+        actuators = chain_actuators(self.robot)
+        servos = self.fit.servos
+        joint_changes = []
+        actuator_changes = []
+        for k in np.flatnonzero(self.is_moving).tolist():
+            kv = float(actuators.damping_share[k] * servos.damping[k])
+            joint_changes.append(
+                JointChange(
+                    self.robot.joint_names[k],
+                    float(servos.armature[k]),
+                    float(servos.damping[k]) - kv,
+                    float(servos.frictionloss[k]),
+                )
+            )
+            if self.has_servo[k]:
+                squared_gear = float(actuators.gear[k]) ** 2
+                gain = float(servos.stiffness[k]) / squared_gear
+                index = int(actuators.index[k])
+                actuator_changes.append(ActuatorChange(index, gain, kv / squared_gear))
+        return joint_changes, actuator_changes
+
+    def json_content(self) -> dict[str, Any]:
+        """Return the content of servo.json."""
+        joints = {}
+        for k, (joint, numbers) in enumerate(self.joint_numbers.items()):
+            entry: dict[str, Any] = {}
+            for name, number in numbers.items():
+                entry[name] = {**number, "unit": UNITS[name]}
+            entry["moves"] = self.is_moving[k]
+            entry["has_servo"] = self.has_servo[k]
+            entry["at_limit"] = self.limit_share[k]
+            joints[joint] = entry
+        delay = {
+            "value": self.fit.servos.delay,
+            "standard_error": self.fit.errors.delay,
+        }
+        return {
+            "schema": SERVO_SCHEMA,
+            "torque": "none measured; from position error",
+            "meaning": WITHOUT_TORQUE,
+            "delay": delay,
+            "joints": joints,
+            "rollout": rollout_entry(self.rollout),
+            "position_errors": dict(
+                zip(self.robot.joint_names, self.fit.position_error)
+            ),
+            "source": self.data.words,
+            "duration": self.data.duration,
+            "model": {"path": str(self.robot.path), "sha256": self.robot.sha256},
+            "versions": versions(),
+            "notes": self.notes,
+        }
+
+
+def servo_lines(result: ServoIdentification) -> list[str]:
+    """Return the printed lines of a result."""
+    delay = result.fit.servos.delay
+    error = result.fit.errors.delay
+    lines = [
+        "Servos, friction and rotor inertia, before -> after, ± one standard error:",
+        f"  {WITHOUT_TORQUE}.",
+        f"  delay of the commands: {1e3 * delay:.1f} ± {1e3 * error:.1g} ms",
+    ]
+    for moves, (joint, numbers) in zip(result.is_moving, result.joint_numbers.items()):
+        text = "does not move in these logs; all as in the model"
+        if moves:
+            text = "; ".join(map(_number_text, numbers, numbers.values()))
+        lines.append(f"  {joint}: {text}")
+    return [*lines, *rollout_lines(result.rollout)]
+
+
+def _number_text(name: str, number: dict[str, Any]) -> str:
+    """Return one identified number of a joint with its unit, as printed."""
+    before, value, error, source = number.values()
+    in_model = source == "from_model"
+    old = "" if np.isnan(before) or in_model else f"{before:.3g} -> "
+    doubt = " (not seen: as in the model)" if in_model else ""
+    return f"{name} {old}{value:.3g} ± {error:.1g} {UNITS[name]}{doubt}"
+
+
+def servo_notes(result: ServoIdentification, period: float) -> Iterator[str]:
+    """Yield sentences on the assumptions behind a result and on its weak points.
+
+    Args:
+        period: sampling period of the logs [s].
+    """
+    other_joints = result.robot.mj_model.nv - result.robot.n_joints
+    if other_joints:
+        yield (
+            f"{other_joints} joints outside the arm (a gripper's, say) are held at rest: what "
+            "their servos do is not looked at"
+        )
+    yield (
+        "damping is that of joint and servo together, which look alike: the servo keeps the share "
+        "of it that it has in the model"
+    )
+    if result.fit.servos.delay > 0.95 * MAX_DELAY_PERIODS * period:
+        yield (
+            f"the delay is at the end of what is sought ({MAX_DELAY_PERIODS} samples): check the "
+            "time stamps of the commands"
+        )
+    for k, joint in enumerate(result.robot.joint_names):
+        if result.is_moving[k]:
+            yield from _joint_notes(result, k)
+        else:
+            yield f"{joint} does not move in these logs: it keeps the model's numbers"
+
+
+def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
+    """Yield sentences on the weak points of the k-th joint's numbers."""
+    joint = result.robot.joint_names[k]
+    numbers = result.joint_numbers[joint]
+    gain = numbers["gain"]
+    unseen = [name for name in numbers if numbers[name]["source"] == "from_model"]
+    if unseen:
+        yield (
+            f"the servo of {joint} hides its {', '.join(unseen)}: what the model has stays, and "
+            "may be off by twice the stated error; a softer servo (a lower gain) would show more"
+        )
+    if result.limit_share[k] > OFTEN_LIMITED:
+        yield (
+            f"the servo of {joint} asks for more than its limit of "
+            f"{chain_actuators(result.robot).limit[k]:.3g} N·m (the model's) in "
+            f"{100.0 * result.limit_share[k]:.0f} % of the time: what is found rests on that limit"
+        )
+    is_unsure = gain["standard_error"] > LARGE_ERROR * gain["value"]
+    if gain["source"] == "identified" and is_unsure:
+        yield (
+            "these logs hardly show the absolute size of gain, friction and rotor inertia of "
+            f"{joint}, only their ratios (gravity and the links' inertia would); the size "
+            "stays near where the search began"
+        )
+    if not result.has_servo[k]:
+        yield (
+            f"the model has no position actuator on {joint}: its gain of {gain['value']:.4g} "
+            "N·m/rad is told, not written"
+        )
+
+
+def run_servo(
+    robot: RobotModel,
+    logs: LogOptions,
+    folder: Path,
+    mesh_dir: Path | None,
+    progress: Progress,
+    input_files: Sequence[Path | None] = (),
+) -> Outcome:
+    """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
+
+    Args:
+        folder: for the results; those of an earlier run in it are removed.
+        mesh_dir: folder of the model's meshes; None where the file says.
+        input_files: files that the run reads, which are never removed.
+    """
+    with locked_folder(folder, progress):
+        result, poses = identify_servos(robot, logs, progress)
+        progress.note(*result.notes)
+        with atomic_files.whole_files() as files:
+            path = folder / atomic_files.MODEL_NAMES[robot.kind]
+            target = ModelTarget(files, path, poses, 0.0, mesh_dir)
+            reason = refusal(result.rollout, logs.accept)
+            outcome = _write_results(result, target, reason)
+            model_files = [file.path for file in read_document(robot.path).files]
+            protected = [*filter(None, input_files), *model_files]
+            notes = remove_earlier(files, folder, outcome.files, protected)
+    progress.note(*outcome.result.notes[len(result.notes) :], *notes)
+    return outcome
+
+
+def identify_servos(
+    robot: RobotModel, logs: LogOptions, progress: Progress
+) -> tuple[ServoIdentification, Motion]:
+    """Identify from logs; return the result and some of the logs' positions as poses at rest.
+
+    The beginnings of the logs are fitted and their ends, or the validation log, are held out to
+    compare the models. Numbers that the data does not show go back to the model's. At last the
+    remaining numbers are fitted to the whole logs.
+    """
+    names = robot.joint_names
+
+    def read(path: Path) -> MeasurementLog:
+        progress.stage(f"Reading commands and positions from {path}...")
+        return open_log(robot, path, replace(logs, commanded=True), progress)
+
+    measurement_logs = [read(path) for path in logs.measurements]
+    pieces = commanded_pieces(measurement_logs, names)
+    validation_path = logs.validation_measurements
+    if validation_path is None:
+        fitted, held_out = servo_fit.split_pieces(pieces)
+        held_out_text = LAST_FIFTH
+    else:
+        fitted = pieces
+        held_out = commanded_pieces([read(validation_path)], names)
+        held_out_text = "the validation log"
+    moves = is_moving(pieces)
+    period = float(np.median([sampling_period(piece.time) for piece in pieces]))
+    q = np.concatenate([piece.q for piece in pieces])
+    q = q[np.linspace(0, len(q) - 1, _POSITIONS).astype(int)]
+    every_number = servo_fit.initial_parametrisation(robot, q, period, moves)
+    progress.stage("Searching for servos, friction and rotor inertia...")
+    rollouts = ServoRollouts(robot)
+    derivatives = ErrorDerivatives(servo_fit.make_problem(rollouts, fitted))
+    start = servo_fit.improve_start(derivatives.problem, every_number)
+    servos = servo_fit.search_servos(derivatives, start, progress)
+    first_fit = servo_fit.estimate_errors(derivatives, every_number, servos)
+    is_identified = first_fit.is_identified
+    shown_numbers = replace(every_number, free=every_number.free & is_identified)
+    if not np.array_equal(shown_numbers.free, every_number.free):
+        start_servos = servo_fit.keep_model_values(robot, servos, ~is_identified)
+        shown_numbers = replace(shown_numbers, start=start_servos)
+        servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
+    before = servo_fit.keep_model_values(robot, servos)
+    rollout = play_servos(rollouts, held_out, (before, servos), held_out_text)
+    if validation_path is None:
+        # The held-out ends have done their work; the numbers come from the whole logs.
+        derivatives = ErrorDerivatives(servo_fit.make_problem(rollouts, pieces))
+        shown_numbers = replace(shown_numbers, start=servos)
+        servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
+    fit = servo_fit.estimate_errors(derivatives, every_number, servos)
+    fit = replace(fit, is_identified=is_identified)
+    link_share = servo_fit.link_torque_share(robot, pieces, fit.servos)
+    fit = servo_fit.add_link_errors(fit, link_share)
+    limited = servo_fit.limit_share(derivatives.problem, fit.servos)
+    origin = origin_of(measurement_logs)
+    result = ServoIdentification(robot, fit, moves, limited, origin, rollout)
+    notes = [note for log in measurement_logs for note in log.notes]
+    notes += servo_notes(result, period)
+    poses = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
+    return replace(result, notes=tuple(dict.fromkeys(notes))), poses
+
+
+def play_servos(
+    rollouts: ServoRollouts,
+    pieces: Sequence[Measurement],
+    pair: Sequence[ServoParameters],
+    held_out: str,
+) -> RolloutTest:
+    """Play held-out pieces with two sets of parameters, over every horizon that fits into them.
+
+    Args:
+        pair: parameters before and after identification.
+        held_out: what the pieces are, as printed.
+    """
+    errors = []
+    notes = ["open loop was not played: no torque was measured"]
+    for horizon in HORIZONS:
+        try:
+            problem = servo_fit.make_problem(
+                rollouts, pieces, MAX_WINDOWS, horizon, 0.0
+            )
+        except InputError:
+            notes.append(f"no held-out piece is as long as {horizon:g} s")
+            continue
+        old, new = np.sqrt(np.mean(problem.errors(pair) ** 2, axis=1))
+        errors.append(RolloutError(CLOSED, horizon, len(problem.windows), old, new))
+    names = rollouts.robot.joint_names
+    return RolloutTest(names, held_out, ROLLOUT_INPUT, tuple(errors), tuple(notes))
+
+
+def _write_results(
+    result: ServoIdentification, target: ModelTarget, failure: str | None
+) -> Outcome:
+    """Write servo.json and the new model; return what was written and its lines.
+
+    Args:
+        target: the model file to write; servo.json goes beside it.
+        failure: why no model may be written, or None.
+    """
+    path = target.path.parent / atomic_files.SERVO_NAME
+    written = [path]
+    if failure is None:
+        try:
+            notes = write_joints(result.robot, *result.changes(), target)
+            result = replace(result, notes=(*result.notes, *notes))
+            written = [target.path, path]
+        except ExportError as error:
+            failure = (
+                f"{error} (the identified numbers are in {atomic_files.SERVO_NAME})"
+            )
+    target.files.write(path, json_text(result.json_content()))
+    lines = (*servo_lines(result), f"Results saved to {folder_text(path.parent)}")
+    verdict: tuple[str, ...] = (f"Not usable: {failure}",)
+    if failure is None:
+        score = result.rollout.score
+        times = "not known" if score is None else f"{score:.2g} times those before"
+        verdict = two_lines(
+            "Usable: position errors of the model, played on what was not fitted, are "
+            f"{times}",
+            f"load {target.path.name} in place of {result.robot.path}",
+        )
+    return Outcome(lines, verdict, failure, tuple(written), result)

@@ -1,1 +1,55 @@
-"""A simulated arm that plays the real one."""
+"""A simulated arm that plays the real one: the options that choose it. Light to import."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from robot_sysid.records.options import OptionRecord, PerJoint, not_negative, option
+
+LONGEST_DELAY = 1.0
+"""Longest torque delay that is accepted [s]; more is surely a slip of the unit."""
+
+
+def _delay_complaint(value: float) -> str | None:
+    """Return why a torque delay [s] is refused, or None."""
+    if value > LONGEST_DELAY:
+        return (
+            f"is given in seconds and may be at most {LONGEST_DELAY:g} (got {value:g})"
+        )
+    return not_negative(value)
+
+
+@dataclass(frozen=True)
+class SimulatedArmOptions(OptionRecord):
+    """The model that plays the real arm, and the errors of its sensors.
+
+    Attributes:
+        plant_model: MJCF or URDF file of the arm that makes the torques; None for no such arm.
+        noise_torque: standard deviation of the torque noise, one number or one per joint [N m].
+        encoder_resolution: step of the measured positions [rad or m]; 0 for exact ones.
+        torque_delay: time by which the measured torque lags [s].
+        save_measurements: CSV file to write the measurements to.
+    """
+
+    plant_model: Path | None = option(
+        None, "model that plays the real arm and makes the torques", "TRUTH.xml"
+    )
+    noise_torque: PerJoint = option(
+        0.0,
+        "standard deviation of the torque noise, one number or one per joint",
+        "S [N·m] >= 0",
+    )
+    encoder_resolution: float = option(0.0, "step of the encoders", "R [rad] >= 0")
+    torque_delay: float = option(
+        0.0, "how much the measured torque lags", "S [s]", check=_delay_complaint
+    )
+    save_measurements: Path | None = option(
+        None, "write the measurements in the form that --measurements reads", "FILE"
+    )
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the sensors' torques hold random noise."""
+        noise = self.noise_torque
+        return any(noise) if isinstance(noise, tuple) else noise != 0.0

@@ -37,9 +37,13 @@ DEFAULT_TIMESTEP = 5e-4
 """Step of an arm that motors drive [s]."""
 
 
-def forward_copy(plant: RobotModel) -> Any:
-    """Return a copy of the plant's compiled model set up to be stepped as described above."""
-    model = analysis_copy(plant.mj_model)
+def forward_model(robot: RobotModel) -> Any:
+    """Return a copy of an arm's compiled MuJoCo model in which only the chain moves.
+
+    Contacts, joint stops, equalities, actuators, gravity compensation and drag are switched off;
+    joints outside the chain get ``HELD_ARMATURE``. The copy may be changed by the caller.
+    """
+    model = analysis_copy(robot.mj_model)
     flags = int(model.opt.disableflags)
     disable = mujoco.mjtDisableBit
     for name in ("EQUALITY", "LIMIT", "ACTUATION"):
@@ -47,31 +51,38 @@ def forward_copy(plant: RobotModel) -> Any:
     model.opt.disableflags = flags & ~int(disable.mjDSBL_CONSTRAINT)
     model.opt.solver = int(mujoco.mjtSolver.mjSOL_NEWTON)
     model.opt.iterations = 100
-    chain = plant.dof_index
-    model.dof_damping[chain] = plant.mj_model.dof_damping[chain]
-    held = np.setdiff1d(np.arange(model.nv), chain)
-    model.dof_armature[held] = HELD_ARMATURE
-    model.dof_frictionloss[held] = 0.0
+    chain = robot.dof_index
+    model.dof_damping[chain] = robot.mj_model.dof_damping[chain]
+    held_dofs = np.setdiff1d(np.arange(model.nv), chain)
+    model.dof_armature[held_dofs] = HELD_ARMATURE
+    model.dof_frictionloss[held_dofs] = 0.0
     return model
 
 
-def placed(plant: RobotModel, model: Any, data: Any, q: Array, qd: Array) -> None:
-    """Forget the past and put the chain at positions and velocities (n,), the rest at rest."""
+def set_chain_state(
+    robot: RobotModel, model: Any, data: Any, q: Array, qd: Array
+) -> None:
+    """Reset MuJoCo's ``data`` and put the chain at positions q (n,) with velocities qd (n,).
+
+    All other joints go to the arm's reference configuration, with zero velocity.
+    """
     mujoco.mj_resetData(model, data)
-    data.qpos[:] = plant.reference_qpos
-    data.qpos[plant.qpos_index] = q
-    data.qvel[plant.dof_index] = qd
+    data.qpos[:] = robot.reference_qpos
+    data.qpos[robot.qpos_index] = q
+    data.qvel[robot.dof_index] = qd
 
 
 class ArmStepper:
-    """The chain of a model, torques in, motion out.
+    """Steps the chain of an arm under joint torques, with Coulomb friction and motor damping.
 
     Args:
-        q: (n,) where it starts, at rest; the reference configuration if not given.
+        q: (n,) positions at the start [rad or m], where the arm is at rest; the reference
+            configuration if not given.
         timestep: length of a step [s].
 
     Attributes:
-        q, qd: (n,) positions and velocities [rad, rad/s].
+        q: (n,) positions after the last step [rad or m].
+        qd: (n,) velocities after the last step [rad/s or m/s].
     """
 
     def __init__(
@@ -83,16 +94,20 @@ class ArmStepper:
         self._robot = robot
         self.n_joints = robot.n_joints
         self.timestep = timestep
-        self._model = forward_copy(robot)
+        self._model = forward_model(robot)
+        # Damping and dry friction are stepped here, not by MuJoCo.
         self._model.dof_damping[:] = 0.0
         self._data = posed(self._model, robot.reference_qpos)
         self._viscous = robot.friction.viscous
         shared = robot.friction.shared
         assert shared is not None
         levels = np.max(np.abs(shared), axis=1)
-        # Dry friction has these levels (k,), along these directions (k, n) of the joints' speeds.
+        # Coulomb friction levels (k,): those of the n joints, then those of motors that turn
+        # several joints. Each acts along one direction in joint velocities, a row of (k, n).
         self._coulomb = np.concatenate((robot.friction.coulomb, levels))
-        self._rubs_along = np.vstack((np.eye(robot.n_joints), shared / levels[:, None]))
+        self._friction_axes = np.vstack(
+            (np.eye(robot.n_joints), shared / levels[:, None])
+        )
         self.q: Array = np.array(robot.reference if q is None else q, dtype=float)
         self.qd: Array = np.zeros(robot.n_joints)
         self._last_change: Array = np.zeros(robot.n_joints)
@@ -103,8 +118,12 @@ class ArmStepper:
     def step(
         self, torque: Array, damping: Array, duration: float | None = None
     ) -> Array:
-        """Advance by ``duration`` [s], a timestep if not given, under ``torque - damping qd``, and
-        return the mean torque (n,) that acted [N m]; ``damping`` (n,) is in [N m s/rad].
+        """Advance under the motor torque ``torque - damping qd``; return its mean (n,) [N m].
+
+        Args:
+            torque: (n,) constant part of the motor torque [N m].
+            damping: (n,) damping by the motors [N m s/rad].
+            duration: length of this step [s]; ``timestep`` if not given.
 
         Raises:
             SimulationError: the state is not finite any more.
@@ -134,19 +153,19 @@ class ArmStepper:
         return np.asarray(torque - damping * mean_velocity)
 
     def tip(self) -> Array:
-        """Return where the terminal link's centre of mass is (3,) [m]."""
+        """Return the world position of the terminal link's centre of mass (3,) [m]."""
         self._dynamics(self.q, self.qd)
         return np.array(self._data.xipos[self._robot.body_id])
 
     def axis(self, joint: int) -> Array:
-        """Return the direction (3,) of a chain joint's axis in the world."""
+        """Return the direction (3,) of a chain joint's axis in the world, a unit vector."""
         self._dynamics(self.q, self.qd)
         return np.array(
             self._data.xaxis[self._model.dof_jntid[self._robot.dof_index[joint]]]
         )
 
     def moved_inertia(self) -> Array:
-        """Return the inertia (n,) that each joint moves, the others being free [kg m^2]."""
+        """Return the inertia (n,) that each joint moves, all others being free [kg m^2]."""
         return np.asarray(1.0 / np.diag(self.mobility(self.q)))
 
     def mobility(self, q: Array) -> Array:
@@ -166,62 +185,74 @@ class ArmStepper:
         return self._columns[:, dofs], data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
 
     def _resolve_dry_friction(
-        self, free: Array, response: Array
+        self, free_velocity: Array, response: Array
     ) -> tuple[Array, Array]:
-        """Return (velocities, dry friction torques) (n,) at the end of a step.
+        """Return joint velocities (n,) and dry friction torques (n,) at the end of a step.
 
-        ``free`` (n,) are the velocities without dry friction, which changes them by -response
-        (n, n) times its torques.
+        A direction of friction slides the way it moves, or would start to move without friction; if
+        friction would turn it round within the step it sticks, until holding it needs more than
+        its Coulomb level.
+
+        Args:
+            free_velocity: (n,) joint velocities at the end of the step without dry friction.
+            response: (n, n) matrix by which friction torques, negative, change the velocities.
         """
-        # A joint slides in the direction it has, or would take without friction; one that would
-        # turn round against its own friction sticks instead, until that needs more than fc. So does
-        # a motor that turns several joints.
-        fc = self._coulomb
-        rubs = self._coulomb > 0.0
-        along = self._rubs_along
-        of_friction = response @ along.T
-        crossed = along @ of_friction
-        without = along @ free
+        axes = self._friction_axes
+        coulomb = self._coulomb
+        has_friction = coulomb > 0.0
+        joint_response = response @ axes.T
+        axis_response = axes @ joint_response
+        free_speed = axes @ free_velocity
         direction = np.where(
-            along @ self.qd != 0.0, np.sign(along @ self.qd), np.sign(without)
+            axes @ self.qd != 0.0, np.sign(axes @ self.qd), np.sign(free_speed)
         )
-        stuck = np.zeros(len(fc), dtype=bool)
-        for _ in range(2 * len(fc) + 1):
-            friction = np.where(stuck, 0.0, fc * direction)
-            velocity = without - crossed @ friction
-            if np.any(stuck):
-                friction[stuck] = self._holding(
-                    crossed[np.ix_(stuck, stuck)], velocity[stuck]
+        sticks = np.zeros(len(coulomb), dtype=bool)
+        for _ in range(2 * len(coulomb) + 1):
+            friction = np.where(sticks, 0.0, coulomb * direction)
+            speed = free_speed - axis_response @ friction
+            if np.any(sticks):
+                friction[sticks] = self._holding_friction(
+                    axis_response[np.ix_(sticks, sticks)], speed[sticks]
                 )
-                velocity -= crossed[:, stuck] @ friction[stuck]
-                velocity[stuck] = 0.0
-            turned = rubs & ~stuck & (velocity * direction < 0.0)
-            broken = stuck & (np.abs(friction) > fc * (1.0 + 1e-9))
-            if not np.any(turned | broken):
+                speed -= axis_response[:, sticks] @ friction[sticks]
+                speed[sticks] = 0.0
+            reverses = has_friction & ~sticks & (speed * direction < 0.0)
+            breaks_loose = sticks & (np.abs(friction) > coulomb * (1.0 + 1e-9))
+            if not np.any(reverses | breaks_loose):
                 break
-            direction = np.where(broken, np.sign(friction), direction)
-            stuck = (stuck | turned) & ~broken
-        n = self.n_joints
-        of_joints = np.where(stuck[:n], 0.0, free - of_friction @ friction)
-        return of_joints, along.T @ friction
+            direction = np.where(breaks_loose, np.sign(friction), direction)
+            sticks = (sticks | reverses) & ~breaks_loose
+        joint_velocity = free_velocity - joint_response @ friction
+        joint_sticks = sticks[: self.n_joints]
+        return np.where(joint_sticks, 0.0, joint_velocity), axes.T @ friction
 
-    def _holding(self, response: Array, velocity: Array) -> Array:
-        """Return the dry friction (k,) that stops what sticks, by its response (k, k)."""
+    def _holding_friction(self, response: Array, velocity: Array) -> Array:
+        """Return the friction (k,) that stops k directions which move at ``velocity`` (k,).
+
+        ``response`` (k, k) is what the friction takes from these velocities per unit.
+        """
         if len(self._coulomb) == self.n_joints:
             return np.asarray(np.linalg.solve(response, velocity))
-        # A motor and all joints that it turns may stick together, which is once too often.
+        # A motor and all joints that it turns may stick together: the system is then singular.
         return np.asarray(np.linalg.lstsq(response, velocity, rcond=None)[0])
 
 
-# Implicit share of each stage that makes the two-stage method below of second order and L-stable.
 _STAGE = 1.0 - math.sqrt(0.5)
+"""Implicit share of each stage that makes the two-stage method below of second order, L-stable."""
 
 
 def _velocity_responses(
     mobility: Array, resistance: Array, h: float
 ) -> tuple[Array, Array]:
-    """Return what a constant torque adds to the velocities at the end of a step of ``h`` [s], and
-    to their mean over it, as matrices (n, n), while ``resistance`` (n,) [N m s/rad] damps.
+    """Return how a constant torque changes the velocities in a damped step of length ``h`` [s].
+
+    Args:
+        mobility: (n, n) inverse mass matrix [1 / (kg m^2)].
+        resistance: (n,) damping of the joints [N m s/rad].
+
+    Returns:
+        Two matrices (n, n) [rad/s per N m]: the change of the velocities at the end of the step,
+        and of their mean over the step.
     """
     identity = np.eye(len(resistance))
     stage = np.linalg.solve(identity + _STAGE * h * mobility * resistance, h * mobility)

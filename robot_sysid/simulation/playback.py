@@ -1,4 +1,4 @@
-"""Rollouts: torques or commands in, motion out; pieces of a log played by a model.
+"""Rollouts: torques or servo commands in, motion out; windows of a log played by a model.
 
 The model is the file's own: links, rotor inertia, springs, damping and MuJoCo's ``frictionloss`` as
 written. As in ``forward_dynamics`` joints outside the chain are held, and contacts, joint stops,
@@ -7,43 +7,67 @@ derivatives of forces between bodies, which is stable under any damping. ``mujoc
 steps on all processors where the installed release has it with several models at a time; older ones
 step in Python.
 
-Open loop: the model starts where the arm was and gets the torques that were measured. Closed loop:
-it gets them too, and a servo pulls it towards the measured motion,
+Open loop: the model starts in the measured state and gets the torques that were measured. Closed
+loop: it gets them too, and a tracking servo pulls it towards the measured motion,
 
     tau = tau_measured + Kp (q_measured - q) + Kd (qd_measured - qd),
 
 so that a perfect model makes no error in either, and a wrong one an error that does not run away.
-The servo acts as a spring and a damper of the joint, whose rest position is where the arm was.
+The tracking servo acts as a spring and a damper of the joint, whose rest position is the measured
+one.
+
+An arm behind position servos gets commanded positions instead of torques:
+
+    tau = clip(Kp (command(t - delay) - q) - kv qd, +-limit) - (D - kv) qd - friction
+
+D is the damping of joint and servo together. The servo's part kv shows in the motion only while the
+servo is at its limit, so kv/D stays the model's: with kv itself kept, an arm of less damping would
+have none left at the limit, and swing. A command holds until the next one comes. A joint whose
+actuator the model does not have, or that has dynamics of its own, is pulled by a spring, and has no
+limit.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from robot_sysid.model.chain import actuators_on
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.options import processors
 from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.simulation.forward_dynamics import forward_copy, placed
+from robot_sysid.simulation.forward_dynamics import forward_model, set_chain_state
 
-_FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+STEP = 0.002
+"""Time step of the rollouts [s]."""
+TRACKING_RATE = 2.0
+"""Bandwidth of the tracking servo of the closed loop [Hz], critically damped."""
+MAX_WINDOWS = 60
+"""Number of windows of one horizon that are played, spread evenly over the pieces of the logs."""
+LARGEST_ERROR = {False: np.pi, True: 1.0}
+"""Position error beyond which a rollout has run away: by "is a slide joint", [rad] or [m]."""
+NO_ACTUATOR = -1
+"""Stands for a MuJoCo actuator id where a joint has none that a rollout can use."""
+_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """What B rollouts of S steps start from and are driven by.
+class RolloutInputs:
+    """Start states and driving inputs of B rollouts with S steps.
 
     Attributes:
-        q, qd: (B, n) chain state at the start [rad, rad/s].
-        torque: (B, S, n) applied during each step [N m].
-        control: (B, S, nu) of the model's actuators; None where they are off.
+        q: (B, n) chain positions at the start [rad or m].
+        qd: (B, n) chain velocities at the start [rad/s or m/s].
+        torque: (B, S, n) applied to the chain during each step [N m].
+        control: (B, S, nu) inputs of the model's actuators; None where they are switched off.
     """
 
     q: Array
@@ -52,26 +76,27 @@ class Inputs:
     control: Array | None = None
 
 
-def rollout_copy(robot: RobotModel, timestep: float) -> Any:
-    """Return a copy of an arm's compiled model that is set up to be rolled out."""
-    model = forward_copy(robot)
+def rollout_model(robot: RobotModel, timestep: float) -> Any:
+    """Return a copy of an arm's compiled MuJoCo model, set up for rollouts with a time step [s]."""
+    model = forward_model(robot)
     model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     model.opt.timestep = timestep
     model.opt.tolerance = 1e-8
     # A rollout that diverges must not go on from the start; a chain has no islands to be found.
     for name in ("AUTORESET", "ISLAND"):
-        model.opt.disableflags |= int(
-            getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0)
-        )
+        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0)
+        model.opt.disableflags |= int(flag)
     if not model.ntendon:
-        # Nothing asks where a geom is: what lies at its body's origin is not worked out.
+        # No rollout needs the pose of a geom: MuJoCo then takes it from its body.
         model.geom_sameframe[:] = 1
     return model
 
 
-class Roller:
-    """Rolls a ``rollout_copy``, whose numbers may change from call to call, out from many starts at
-    a time, on all processors where MuJoCo can.
+class RolloutRunner:
+    """Plays many rollouts of one model at a time, on all processors where MuJoCo can.
+
+    Args:
+        model: from ``rollout_model``; its numbers may be changed between calls.
     """
 
     def __init__(self, robot: RobotModel, model: Any) -> None:
@@ -85,46 +110,48 @@ class Roller:
 
             self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
-    def __call__(self, inputs: Inputs) -> Array:
+    def positions(self, inputs: RolloutInputs) -> Array:
         """Return chain positions (B, S, n) after each step; NaN from where a rollout diverged."""
+        run = self._run_stepwise if self._pool is None else self._run_threads
         with captured_warnings():
-            q = self._stepped(inputs) if self._pool is None else self._threaded(inputs)
+            q = run(inputs)
         q[np.logical_or.accumulate(~np.all(np.isfinite(q), axis=2), axis=1)] = np.nan
         return q
 
-    def _threaded(self, inputs: Inputs) -> Array:
+    def _run_threads(self, inputs: RolloutInputs) -> Array:
+        """Return positions (B, S, n) by ``mujoco.rollout``."""
         robot = self._robot
         model = self.model
-        data = self._data
-        starts = np.empty((len(inputs.q), mujoco.mj_stateSize(model, _FULL)))
-        for start, q, qd in zip(starts, inputs.q, inputs.qd):
-            placed(robot, model, data[0], q, qd)
-            mujoco.mj_getState(model, data[0], start, _FULL)
-        given = np.zeros(
-            (*inputs.torque.shape[:2], mujoco.mj_stateSize(model, _INPUTS))
-        )
-        given[:, :, model.nu + robot.dof_index] = inputs.torque
+        data = self._data[0]
+        states = np.empty((len(inputs.q), mujoco.mj_stateSize(model, _STATE)))
+        for state, q, qd in zip(states, inputs.q, inputs.qd):
+            set_chain_state(robot, model, data, q, qd)
+            mujoco.mj_getState(model, data, state, _STATE)
+        input_size = mujoco.mj_stateSize(model, _INPUTS)
+        controls = np.zeros((*inputs.torque.shape[:2], input_size))
+        controls[:, :, model.nu + robot.dof_index] = inputs.torque
         if inputs.control is not None:
-            given[:, :, : model.nu] = inputs.control
-        models = [model] * len(starts)
-        states, _ = self._pool.rollout(
-            models, data, starts, given, control_spec=_INPUTS
+            controls[:, :, : model.nu] = inputs.control
+        models = [model] * len(states)
+        trajectories, _ = self._pool.rollout(
+            models, self._data, states, controls, control_spec=_INPUTS
         )
-        q = np.array(states[:, :, 1 + robot.qpos_index])
-        # A rollout that diverges stands still from there, its clock too.
-        expected = model.opt.timestep * np.arange(1, q.shape[1] + 1)
-        q[states[:, :, 0] < expected - 0.5 * model.opt.timestep] = np.nan
+        q = np.array(trajectories[:, :, 1 + robot.qpos_index])
+        # A rollout that diverges stands still from there, and so does its clock.
+        timestep = model.opt.timestep
+        expected_time = timestep * np.arange(1, q.shape[1] + 1)
+        q[trajectories[:, :, 0] < expected_time - 0.5 * timestep] = np.nan
         return q
 
-    def _stepped(self, inputs: Inputs) -> Array:
-        """Do what ``mujoco.rollout`` does, step by step."""
+    def _run_stepwise(self, inputs: RolloutInputs) -> Array:
+        """Return positions (B, S, n) by single steps, for releases without ``mujoco.rollout``."""
         robot = self._robot
         model = self.model
         data = self._data[0]
         q: Array = np.full(inputs.torque.shape, math.nan)
-        for row, steps in enumerate(inputs.torque):
-            placed(robot, model, data, inputs.q[row], inputs.qd[row])
-            for step, torque in enumerate(steps):
+        for row, torques in enumerate(inputs.torque):
+            set_chain_state(robot, model, data, inputs.q[row], inputs.qd[row])
+            for step, torque in enumerate(torques):
                 data.qfrc_applied[robot.dof_index] = torque
                 if inputs.control is not None:
                     data.ctrl[:] = inputs.control[row, step]
@@ -136,6 +163,7 @@ class Roller:
 
 
 def _has_threads() -> bool:
+    """Tell whether the installed MuJoCo rolls several models out at a time."""
     try:
         from mujoco import rollout
     except ImportError:
@@ -143,116 +171,381 @@ def _has_threads() -> bool:
     return hasattr(rollout, "Rollout")
 
 
-STEP = 0.002
-"""Time step of the rollouts [s]."""
-SERVO_RATE = 2.0
-"""Bandwidth of the servo of the closed loop [Hz], critically damped."""
-MOST_WINDOWS = 60
-"""Windows of one horizon that are played, spread evenly over the pieces."""
-RAN_AWAY = {False: np.pi, True: 1.0}
-"""Largest position error that counts: hinge [rad], slide [m]."""
-
-
 @dataclass(frozen=True)
-class Servo:
-    """Gains (n,) of what holds the model near the measured motion [N m/rad, N m s/rad]."""
+class TrackingServo:
+    """Servo of the closed loop, which holds the model near the measured motion.
+
+    Attributes:
+        stiffness: (n,) Kp [N m/rad].
+        damping: (n,) Kd [N m s/rad].
+    """
 
     stiffness: Array
     damping: Array
 
 
-def pieces_of_signals(
-    signals: ProcessedSignals, first: float = -np.inf
+def low_passed_pieces(
+    signals: ProcessedSignals, first_time: float = -np.inf
 ) -> list[Measurement]:
-    """Return what can be played, low-passed, of a log from a time [s] on, cut at its long holes."""
+    """Return the pieces of a low-passed log from a time [s] on that can be played.
+
+    A log is cut where a long gap in its samples was bridged, and loses the ends that the low-pass
+    filter does not reach.
+    """
     half = signals.low_pass.half_width
     inner = slice(half, len(signals) - half)
     time = signals.time[inner]
     bridged = signals.bridged[inner]
     tau = signals.low_pass.filter(signals.tau)
-    usable = np.flatnonzero((time >= first) & ~bridged)
+    usable = np.flatnonzero((time >= first_time) & ~bridged)
     runs = np.split(usable, np.flatnonzero(np.diff(usable) > 1) + 1)
     q = signals.q[inner]
     qd = signals.qd[inner]
-    return [
-        Measurement(time[run], q[run], qd[run], tau[run])
-        for run in runs
-        if len(run) > 1
-    ]
+    pieces = []
+    for run in runs:
+        if len(run) > 1:
+            pieces.append(Measurement(time[run], q[run], qd[run], tau[run]))
+    return pieces
 
 
-def stated_servo(robots: Sequence[RobotModel], pieces: Sequence[Measurement]) -> Servo:
-    """Return the servo for some models of one arm: for the largest inertia that one of them has."""
+def tracking_servo(
+    robots: Sequence[RobotModel], pieces: Sequence[Measurement]
+) -> TrackingServo:
+    """Return one servo for several models of an arm, made for the largest inertia of any of them.
+
+    A joint's inertia is its diagonal element of the mass matrix, at about ten positions per piece.
+    """
     q = np.concatenate([piece.q[:: max(1, len(piece.q) // 10)] for piece in pieces])
-    largest = np.zeros(q.shape[1])
+    inertia = np.zeros(q.shape[1])
     for robot in robots:
-        model = forward_copy(robot)
+        model = forward_model(robot)
         data = mujoco.MjData(model)
         mass_column = np.empty(model.nv)
         for positions in q:
-            placed(robot, model, data, positions, np.zeros_like(positions))
+            set_chain_state(robot, model, data, positions, np.zeros_like(positions))
             mujoco.mj_forward(model, data)
             for joint, dof in enumerate(robot.dof_index):
                 mujoco.mj_mulM(model, data, mass_column, np.eye(model.nv)[dof])
-                largest[joint] = max(largest[joint], mass_column[dof])
-    rate = 2.0 * np.pi * SERVO_RATE
-    return Servo(largest * rate**2, 2.0 * largest * rate)
+                inertia[joint] = max(inertia[joint], mass_column[dof])
+    rate = 2.0 * np.pi * TRACKING_RATE
+    return TrackingServo(inertia * rate**2, 2.0 * inertia * rate)
 
 
-Start = tuple[Measurement, float]
-"""A piece, and when a window of it begins [s]."""
+def window_starts(
+    pieces: Sequence[Measurement], horizon: float
+) -> list[tuple[Measurement, float]]:
+    """Return up to ``MAX_WINDOWS`` windows of a length [s], as (piece, time at the start [s]).
+
+    Windows follow each other without a gap within each piece.
+    """
+    windows = []
+    for piece in pieces:
+        count = int((piece.time[-1] - piece.time[0]) / horizon + 1e-9)
+        for number in range(count):
+            windows.append((piece, float(piece.time[0] + number * horizon)))
+    indices = np.linspace(0, len(windows) - 1, min(len(windows), MAX_WINDOWS))
+    return [windows[k] for k in indices.round().astype(int)]
 
 
-def starts(pieces: Sequence[Measurement], horizon: float) -> list[Start]:
-    """Return where windows of a length [s] begin, one after the other in each piece."""
-    found = [
-        (piece, float(piece.time[0] + number * horizon))
-        for piece in pieces
-        for number in range(int((piece.time[-1] - piece.time[0]) / horizon + 1e-9))
-    ]
-    keep = (
-        np.linspace(0, len(found) - 1, min(len(found), MOST_WINDOWS))
-        .round()
-        .astype(int)
-    )
-    return [found[k] for k in keep]
-
-
-def interpolated(
+def interpolate(
     at: Array | float, time: Array, values: Array, outside: float | None = None
 ) -> Array:
-    """Return values (N, n) at other times (K,) or one, ``outside`` or those at the ends beyond."""
-    return np.stack(
-        [np.interp(at, time, column, outside, outside) for column in values.T], axis=-1
-    )
+    """Interpolate the columns of ``values`` (N, n), sampled at ``time`` (N,), linearly.
+
+    Args:
+        at: new times (K,), or one time.
+        outside: value before the first and after the last sample; default those samples' own.
+
+    Returns:
+        (K, n), or (n,) for one time.
+    """
+    columns = [np.interp(at, time, column, outside, outside) for column in values.T]
+    return np.stack(columns, axis=-1)
 
 
-def played(
-    robot: RobotModel, windows: Sequence[Start], horizon: float, servo: Servo | None
+def rollout_error(
+    robot: RobotModel,
+    windows: Sequence[tuple[Measurement, float]],
+    horizon: float,
+    servo: TrackingServo | None,
 ) -> tuple[Array, int]:
-    """Return the position error of a model in windows of a log that are ``horizon`` [s] long: root
-    mean square over all windows (n,) [rad or m], and how many ran away; open loop without a servo.
+    """Return a model's position error when it plays windows of a log, and how many ran away.
+
+    Args:
+        windows: from ``window_starts``.
+        horizon: length of each window [s].
+        servo: pulls the model towards the measured motion; None for open loop.
+
+    Returns:
+        Root mean square error over all windows and steps (n,) [rad or m], in which no error counts
+        for more than ``LARGEST_ERROR``; number of windows in which one was larger.
     """
     steps = max(1, round(horizon / STEP))
-    model = rollout_copy(robot, horizon / steps)
-    grid = np.arange(steps + 1) * model.opt.timestep
-    middle = 0.5 * (grid[1:] + grid[:-1])
-    q, qd, torque = (
-        np.stack(
-            [interpolated(at + start, p.time, getattr(p, name)) for p, start in windows]
-        )
-        for name, at in (("q", grid), ("qd", grid), ("tau", middle))
-    )
+    model = rollout_model(robot, horizon / steps)
+    edges = np.arange(steps + 1) * model.opt.timestep
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    positions = []
+    velocities = []
+    torques = []
+    for piece, start in windows:
+        assert piece.qd is not None
+        positions.append(interpolate(edges + start, piece.time, piece.q))
+        velocities.append(interpolate(edges + start, piece.time, piece.qd))
+        torques.append(interpolate(middles + start, piece.time, piece.tau))
+    q = np.stack(positions)
+    qd = np.stack(velocities)
+    torque = np.stack(torques)
     if servo is not None:
         model.jnt_stiffness[model.dof_jntid[robot.dof_index]] += servo.stiffness
         model.dof_damping[robot.dof_index] += servo.damping
-        rest = np.array(model.qpos_spring[robot.qpos_index])
+        spring_rest = np.array(model.qpos_spring[robot.qpos_index])
         torque = (
-            torque + servo.stiffness * (q[:, :-1] - rest) + servo.damping * qd[:, 1:]
+            torque
+            + servo.stiffness * (q[:, :-1] - spring_rest)
+            + servo.damping * qd[:, 1:]
         )
-    found = Roller(robot, model)(Inputs(q[:, 0], qd[:, 0], torque))
-    most = np.array([RAN_AWAY[bool(slide)] for slide in robot.is_slide])
-    error = np.abs(found - q[:, 1:])
-    away = ~np.all(error < most, axis=(1, 2))
-    error = np.where(error < most, error, most)
-    return np.sqrt(np.mean(error**2, axis=(0, 1))), int(np.count_nonzero(away))
+    inputs = RolloutInputs(q[:, 0], qd[:, 0], torque)
+    error = np.abs(RolloutRunner(robot, model).positions(inputs) - q[:, 1:])
+    largest = np.array([LARGEST_ERROR[bool(is_slide)] for is_slide in robot.is_slide])
+    # A rollout that diverged is NaN, and no comparison with NaN is true.
+    is_small = error < largest
+    ran_away = ~np.all(is_small, axis=(1, 2))
+    error = np.where(is_small, error, largest)
+    return np.sqrt(np.mean(error**2, axis=(0, 1))), int(np.count_nonzero(ran_away))
+
+
+@dataclass(frozen=True)
+class ServoParameters:
+    """Numbers of an arm behind position servos: of its servos and of the joints that they drive.
+
+    Attributes:
+        stiffness: (n,) gain Kp [N m/rad].
+        damping: (n,) D, of joint and servo together [N m s/rad].
+        frictionloss: (n,) dry friction [N m].
+        armature: (n,) rotor inertia [kg m^2].
+        delay: time by which all commands act late [s].
+    """
+
+    stiffness: Array
+    damping: Array
+    frictionloss: Array
+    armature: Array
+    delay: float
+
+    def vector(self) -> Array:
+        """Return all numbers as one vector (4 n + 1,), in the order of the attributes."""
+        return np.hstack(astuple(self))
+
+    @staticmethod
+    def from_vector(vector: Array) -> ServoParameters:
+        """Return the parameters that a vector (4 n + 1,) from ``vector()`` holds."""
+        stiffness, damping, frictionloss, armature = np.split(vector[:-1], 4)
+        delay = float(vector[-1])
+        return ServoParameters(stiffness, damping, frictionloss, armature, delay)
+
+
+@dataclass(frozen=True)
+class ChainActuators:
+    """The model's actuator on each chain joint, reduced to the joint by its gear ratio.
+
+    Attributes:
+        index: (n,) MuJoCo ids; ``NO_ACTUATOR`` where there is none that a rollout can use.
+        gear: (n,) gear ratios.
+        stiffness: (n,) Kp of position actuators [N m/rad]; NaN for others.
+        damping: (n,) kv of position actuators [N m s/rad]; NaN for others.
+        limit: (n,) largest torque, infinite where the model has no limit [N m].
+        damping_share: (n,) kv/D, the servo's share of the joint's damping, between 0 and 1.
+    """
+
+    index: NDArray[np.int64]
+    gear: Array
+    stiffness: Array
+    damping: Array
+    limit: Array
+    damping_share: Array
+
+
+def chain_actuators(robot: RobotModel) -> ChainActuators:
+    """Return the actuators of the chain; of several on a joint, the first position actuator."""
+    rows = [_joint_actuator(robot.mj_model, int(j)) for j in _chain_joints(robot)]
+    index, gear, stiffness, damping, limit = map(np.array, zip(*rows))
+    limit = np.minimum(limit, robot.limits.torque)
+    kv = np.nan_to_num(damping)
+    total_damping = kv + robot.mj_model.dof_damping[robot.dof_index]
+    share = kv / np.maximum(total_damping, 1e-300)
+    index = index.astype(np.int64)
+    return ChainActuators(index, gear, stiffness, damping, limit, share)
+
+
+def _chain_joints(robot: RobotModel) -> NDArray[np.int64]:
+    """Return the MuJoCo joint ids of the chain (n,)."""
+    return np.asarray(robot.mj_model.dof_jntid[robot.dof_index])
+
+
+def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float, float]:
+    """Return (id, gear, Kp, kv, limit) of the actuator that drives a joint, as ``ChainActuators``
+    has them.
+    """
+    usable = []
+    for actuator in actuators_on(model, joint):
+        is_static = model.actuator_dyntype[actuator] == int(mujoco.mjtDyn.mjDYN_NONE)
+        if is_static and model.actuator_gear[actuator, 0] != 0.0:
+            usable.append(actuator)
+    if not usable:
+        return NO_ACTUATOR, 1.0, np.nan, np.nan, np.inf
+    # The first position actuator, or else the first of all.
+    actuator = min(usable, key=lambda a: not _is_position_actuator(model, a))
+    gear = float(model.actuator_gear[actuator, 0])
+    limit = np.inf
+    if model.actuator_forcelimited[actuator]:
+        limit = abs(gear) * float(np.max(np.abs(model.actuator_forcerange[actuator])))
+    if not _is_position_actuator(model, actuator):
+        return actuator, gear, np.nan, np.nan, limit
+    kp = float(gear**2 * model.actuator_gainprm[actuator, 0])
+    kv = float(gear**2 * -model.actuator_biasprm[actuator, 2])
+    return actuator, gear, kp, kv, limit
+
+
+def _is_position_actuator(model: Any, actuator: int) -> bool:
+    """Tell whether an actuator's force is Kp (control - length) - kv speed."""
+    kp = model.actuator_gainprm[actuator, 0]
+    bias = model.actuator_biasprm[actuator, :2]
+    gain_type = int(model.actuator_gaintype[actuator])
+    bias_type = int(model.actuator_biastype[actuator])
+    return bool(
+        gain_type == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and bias_type == int(mujoco.mjtBias.mjBIAS_AFFINE)
+        and kp > 0.0
+        and bias[0] == 0.0
+        and bias[1] == -kp
+    )
+
+
+def servos_in_model(robot: RobotModel) -> ServoParameters:
+    """Return the servo parameters that the model has: no delay, NaN gains without a servo."""
+    model = robot.mj_model
+    dofs = robot.dof_index
+    actuators = chain_actuators(robot)
+    damping = model.dof_damping[dofs] + np.nan_to_num(actuators.damping)
+    friction = model.dof_frictionloss[dofs]
+    armature = model.dof_armature[dofs]
+    return ServoParameters(actuators.stiffness, damping, friction, armature, 0.0)
+
+
+def servo_model(robot: RobotModel, timestep: float) -> Any:
+    """Return a rollout copy of an arm's MuJoCo model with actuators that do nothing yet."""
+    model = rollout_model(robot, timestep)
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    model.actuator_gaintype[:] = int(mujoco.mjtGain.mjGAIN_FIXED)
+    model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_AFFINE)
+    model.actuator_gainprm[:] = 0.0
+    model.actuator_biasprm[:] = 0.0
+    model.actuator_ctrllimited[:] = 0
+    if hasattr(model, "actuator_delay"):
+        # In releases with delayed actuators; the commands of a window are delayed already.
+        model.actuator_delay[:] = 0.0
+    return model
+
+
+def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
+    """Write servo parameters into a ``servo_model``, over those of an earlier call."""
+    dofs = robot.dof_index
+    actuators = chain_actuators(robot)
+    model.dof_armature[dofs] = servos.armature
+    model.dof_frictionloss[dofs] = servos.frictionloss
+    kv = actuators.damping_share * servos.damping
+    model.dof_damping[dofs] = servos.damping - kv
+    driven = actuators.index != NO_ACTUATOR
+    ids = actuators.index[driven]
+    # At the joint: Kp and kv are reduced by the gear ratio already.
+    model.actuator_gear[ids] = 0.0
+    model.actuator_gear[ids, 0] = 1.0
+    model.actuator_gainprm[ids, 0] = servos.stiffness[driven]
+    model.actuator_biasprm[ids, 1] = -servos.stiffness[driven]
+    model.actuator_biasprm[ids, 2] = -kv[driven]
+    limit = actuators.limit[driven]
+    model.actuator_forcelimited[ids] = np.isfinite(limit)
+    model.actuator_forcerange[ids] = np.column_stack((-limit, limit))
+    springs = _chain_joints(robot)[~driven]
+    model.jnt_stiffness[springs] = (
+        robot.mj_model.jnt_stiffness[springs] + servos.stiffness[~driven]
+    )
+
+
+@dataclass(frozen=True)
+class ServoWindow:
+    """Start of a rollout behind servos, and the commands that drive it.
+
+    Attributes:
+        start: time at which the rollout begins [s], on the log's clock.
+        q: (n,) positions at the start [rad or m].
+        qd: (n,) velocities at the start [rad/s or m/s].
+        time: (N,) when each command of the log was given [s].
+        command: (N, n) commanded positions [rad or m].
+    """
+
+    start: float
+    q: Array
+    qd: Array
+    time: Array
+    command: Array
+
+    def controls(self, delay: float, edges: Array) -> Array:
+        """Return the mean commanded position during each step (S, n).
+
+        Args:
+            delay: time by which the commands act late [s].
+            edges: (S + 1,) ends of the steps, from the start of the window [s].
+        """
+        times = self.start + edges - delay
+        # The integral of the commands over time is piecewise linear; the last command lasts 1 s.
+        knots = np.append(self.time, self.time[-1] + 1.0)
+        durations = np.diff(self.time, append=self.time[-1] + 1.0)[:, None]
+        integral = np.vstack(
+            (np.zeros_like(self.q), np.cumsum(self.command * durations, axis=0))
+        )
+        time_before_first = np.minimum(times - self.time[0], 0.0)[:, None]
+        values = (
+            interpolate(times, knots, integral) + time_before_first * self.command[0]
+        )
+        return np.asarray(np.diff(values, axis=0) / np.diff(edges)[:, None])
+
+
+class ServoRollouts:
+    """Rollouts of an arm behind servos, on one copy of its model, which meshes make large."""
+
+    def __init__(self, robot: RobotModel, timestep: float = STEP) -> None:
+        self.robot = robot
+        self._runner = RolloutRunner(robot, servo_model(robot, timestep))
+
+    def positions(
+        self,
+        candidates: Sequence[ServoParameters],
+        windows: Sequence[ServoWindow],
+        edges: Array,
+    ) -> Iterator[Array]:
+        """Yield chain positions (W, S + 1, n) of each candidate in W windows.
+
+        Args:
+            edges: (S + 1,) ends of the steps of every window, from its start [s], evenly spaced.
+        """
+        robot = self.robot
+        model = self._runner.model
+        model.opt.timestep = edges[1] - edges[0]
+        q = np.stack([window.q for window in windows])
+        qd = np.stack([window.qd for window in windows])
+        commands = {}
+        for delay in {servos.delay for servos in candidates}:
+            controls = [window.controls(delay, edges) for window in windows]
+            commands[delay] = np.stack(controls)
+        index = chain_actuators(robot).index
+        driven = index != NO_ACTUATOR
+        spring_rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
+        for servos in candidates:
+            set_servos(model, robot, servos)
+            command = commands[servos.delay]
+            control = np.zeros((*command.shape[:2], model.nu))
+            control[:, :, index[driven]] = command[:, :, driven]
+            torque = servos.stiffness * ~driven * (command - spring_rest)
+            inputs = RolloutInputs(q, qd, torque, control)
+            yield np.concatenate((q[:, None], self._runner.positions(inputs)), axis=1)

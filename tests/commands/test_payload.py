@@ -12,7 +12,7 @@ from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.parser import load_robot_model
-from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory

@@ -1,11 +1,18 @@
-"""Playing a log: a perfect model makes no error, in open and closed loop; a wrong one does."""
+"""Playing logs: a perfect model makes no error, in open and closed loop; a wrong one does.
 
+Servos in rollouts are the model's own actuators where it has them, and springs else.
+"""
+
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 import pytest
 
 from robot_sysid.records import Measurement
 from robot_sysid.simulation import playback
 from tests.support.arms import SEVEN, X, Y, Z, robot_of, serial_arm
+from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
 
 JOINT = 'range="-2.5 2.5" armature="{}" damping="3" frictionloss=".5"'
 SECONDS = 1.2
@@ -16,81 +23,168 @@ def arm(armature=0.2):
 
 
 def recording(robot):
-    """What an arm does under smooth torques, every step of it."""
-    steps = round(SECONDS / playback.STEP)
-    time = playback.STEP * np.arange(steps + 1)
+    """The motion of an arm under smooth torques, every step of it."""
+    time = playback.STEP * np.arange(round(SECONDS / playback.STEP) + 1)
     torque = 6.0 * np.sin(np.outer(time[:-1] + 0.5 * playback.STEP, [3.0, 4.0, 5.0]))
     start = np.array([[0.1, -0.2, 0.3]])
-    q = playback.Roller(robot, playback.rollout_copy(robot, playback.STEP))(
-        playback.Inputs(start, 0.0 * start, torque[None])
-    )[0]
-    q = np.vstack((start, q))
+    model = playback.rollout_model(robot, playback.STEP)
+    inputs = playback.RolloutInputs(start, 0.0 * start, torque[None])
+    positions = playback.RolloutRunner(robot, model).positions(inputs)[0]
+    q = np.vstack((start, positions))
     qd = np.vstack((0.0 * start, np.diff(q, axis=0) / playback.STEP))
     return Measurement(time, q, qd, np.vstack((torque, torque[-1:])))
 
 
-@pytest.mark.parametrize("closed", [False, True])
-def test_the_arm_itself_makes_no_error_and_another_one_does(closed):
+@pytest.mark.parametrize("is_closed", [False, True])
+def test_the_arm_itself_makes_no_error_and_another_one_does(is_closed):
     robot = arm()
     other = arm(0.5)
     piece = recording(robot)
-    windows = playback.starts([piece], 0.3)
+    windows = playback.window_starts([piece], 0.3)
     assert len(windows) == 4
-    servo = playback.stated_servo((robot, other), [piece]) if closed else None
-    own, _ = playback.played(robot, windows, 0.3, servo)
-    wrong, away = playback.played(other, windows, 0.3, servo)
+    servo = playback.tracking_servo((robot, other), [piece]) if is_closed else None
+    error, _ = playback.rollout_error(robot, windows, 0.3, servo)
+    other_error, diverged = playback.rollout_error(other, windows, 0.3, servo)
     # Torques are interpolated, so the first steps of a window are not quite the arm's.
-    assert np.max(own) < (2e-4 if closed else 1e-3)
-    assert np.all(wrong > 5.0 * own)
-    assert away == 0
+    assert np.max(error) < (2e-4 if is_closed else 1e-3)
+    assert np.all(other_error > 5.0 * error)
+    assert diverged == 0
 
 
 def test_an_error_that_runs_away_counts_with_the_largest_one():
     robot = arm()
     piece = recording(robot)
     wild = Measurement(piece.time, piece.q, piece.qd, 1e6 * np.ones_like(piece.tau))
-    error, away = playback.played(robot, playback.starts([wild], 1.0), 1.0, None)
-    assert away == 1
+    windows = playback.window_starts([wild], 1.0)
+    error, diverged = playback.rollout_error(robot, windows, 1.0, None)
+    assert diverged == 1
     assert np.all(error <= np.pi + 1e-12)
 
 
-STEPS = 30
-COUNT = 4
-
-
-def inputs(robot, seed=0):
-    rng = np.random.default_rng(seed)
-    shape = (COUNT, robot.n_joints)
-    torque = rng.normal(0.0, 5.0, (COUNT, STEPS, robot.n_joints))
-    return playback.Inputs(
-        rng.uniform(-1.0, 1.0, shape), rng.normal(size=shape), torque
-    )
+def random_inputs(robot, count=4, steps=30):
+    rng = np.random.default_rng(0)
+    torque = rng.normal(0.0, 5.0, (count, steps, robot.n_joints))
+    q = rng.uniform(-1.0, 1.0, (count, robot.n_joints))
+    return playback.RolloutInputs(q, rng.normal(size=q.shape), torque)
 
 
 def test_rollouts_on_threads_are_the_same_as_single_steps(monkeypatch):
     robot = robot_of(SEVEN)
-    model = playback.rollout_copy(robot, 0.002)
-    threads = playback.Roller(robot, model)
+    model = playback.rollout_model(robot, 0.002)
+    threads = playback.RolloutRunner(robot, model)
     monkeypatch.setattr(playback, "_has_threads", lambda: False)
-    steps = playback.Roller(robot, model)
+    steps = playback.RolloutRunner(robot, model)
+    inputs = random_inputs(robot)
     for armature in (0.0, 0.3):
-        # Its numbers may change between calls.
+        # The numbers of a model may change between calls.
         model.dof_armature[:] = armature
-        np.testing.assert_array_equal(threads(inputs(robot)), steps(inputs(robot)))
-
-
-def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(monkeypatch):
-    robot = robot_of(SEVEN)
-    model = playback.rollout_copy(robot, 0.002)
-    usual = inputs(robot)
-    whole = playback.Roller(robot, model)(usual)
-    torque = usual.torque.copy()
-    torque[1, 10:] = 1e15
-    for has_threads in (playback._has_threads(), False):
-        monkeypatch.setattr(playback, "_has_threads", lambda has=has_threads: has)
-        found = playback.Roller(robot, model)(
-            playback.Inputs(usual.q, usual.qd, torque)
+        np.testing.assert_array_equal(
+            threads.positions(inputs), steps.positions(inputs)
         )
-        np.testing.assert_array_equal(found[[0, 2, 3]], whole[[0, 2, 3]])
-        np.testing.assert_array_equal(found[1, :10], whole[1, :10])
-        assert np.all(np.isnan(found[1, 13:]))
+
+
+@pytest.mark.parametrize("has_threads", [playback._has_threads(), False])
+def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(
+    monkeypatch, has_threads
+):
+    monkeypatch.setattr(playback, "_has_threads", lambda: has_threads)
+    robot = robot_of(SEVEN)
+    runner = playback.RolloutRunner(robot, playback.rollout_model(robot, 0.002))
+    inputs = random_inputs(robot)
+    expected = runner.positions(inputs)
+    torque = inputs.torque.copy()
+    torque[1, 10:] = 1e15
+    positions = runner.positions(replace(inputs, torque=torque))
+    np.testing.assert_array_equal(positions[[0, 2, 3]], expected[[0, 2, 3]])
+    np.testing.assert_array_equal(positions[1, :10], expected[1, :10])
+    assert np.all(np.isnan(positions[1, 13:]))
+
+
+EDGES = np.linspace(0.0, 1.0, 501)
+TIME, COMMAND = commanded(4.0)
+WINDOW = playback.ServoWindow(1.0, COMMAND[50], np.zeros(2), TIME, COMMAND)
+
+
+def play(robot, *candidates):
+    """Positions (S + 1, n) of each candidate in one window."""
+    rollouts = playback.ServoRollouts(robot).positions(candidates, [WINDOW], EDGES)
+    return [positions[0] for positions in rollouts]
+
+
+def test_the_models_own_servos_move_it_as_mujoco_does():
+    robot = robot_of(XML)
+    (positions,) = play(robot, playback.servos_in_model(robot))
+    model = mujoco.MjModel.from_xml_string(XML)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.timestep = 0.002
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data = mujoco.MjData(model)
+    data.qpos[:] = WINDOW.q
+    for control in WINDOW.controls(0.0, EDGES):
+        data.ctrl[:] = control
+        mujoco.mj_step(model, data)
+    np.testing.assert_allclose(positions[-1], data.qpos, atol=1e-7)
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])
+def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
+    robot = robot_of(XML)
+    servos = playback.servos_in_model(robot)
+    model = playback.servo_model(robot, 0.002)
+    playback.set_servos(model, robot, TRUTH)
+    playback.set_servos(model, robot, replace(servos, damping=factor * servos.damping))
+    np.testing.assert_allclose(
+        model.dof_damping, factor * robot.mj_model.dof_damping, rtol=1e-12
+    )
+    kv = factor * playback.chain_actuators(robot).damping
+    np.testing.assert_allclose(-model.actuator_biasprm[:, 2], kv, rtol=1e-12)
+
+
+def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
+    actuated = robot_of(XML.replace(' forcerange="-60 60"', ""))
+    bare = robot_of(XML.replace(SERVOS, ""))
+    assert np.all(playback.chain_actuators(bare).index == playback.NO_ACTUATOR)
+    candidates = (playback.servos_in_model(actuated), TRUTH)
+    np.testing.assert_allclose(
+        play(actuated, *candidates)[1], play(bare, *candidates)[1], atol=1e-6
+    )
+
+
+def test_candidates_played_together_do_not_disturb_each_other():
+    robot = robot_of(XML)
+    late = replace(TRUTH, delay=0.05)
+    candidates = [TRUTH, late, replace(late, armature=2.0 * late.armature), TRUTH]
+    alone = [play(robot, servos)[0] for servos in candidates]
+    np.testing.assert_array_equal(play(robot, *candidates), alone)
+
+
+def test_a_servo_pulls_no_harder_than_its_limit():
+    robot = robot_of(XML.replace("-60 60", "-1 1"))
+    assert playback.chain_actuators(robot).limit.tolist() == [1.0, np.inf]
+    (strong,) = play(robot_of(XML), TRUTH)
+    (weak,) = play(robot, TRUTH)
+    assert np.ptp(weak[:, 0]) < 0.7 * np.ptp(strong[:, 0])
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.013, 0.05])
+def test_commands_act_late_and_hold_until_the_next(delay):
+    controls = WINDOW.controls(delay, EDGES)
+    middles = WINDOW.start + 0.5 * (EDGES[1:] + EDGES[:-1]) - delay
+    held = COMMAND[np.searchsorted(TIME, middles, side="right") - 1]
+    # Steps in which a command changes hold a mean of both.
+    assert np.isclose(controls, held).all(axis=1).mean() > 0.85
+    mean = WINDOW.controls(delay, np.array([0.0, 1.0]))[0]
+    np.testing.assert_allclose(controls.mean(axis=0), mean, atol=1e-12)
+
+
+@pytest.mark.skipif(
+    not hasattr(mujoco.MjModel, "actuator_delay"),
+    reason="actuators of this MuJoCo cannot act late",
+)
+def test_a_delay_of_the_models_own_does_not_act_a_second_time():
+    positions = []
+    for attributes in ("", ' delay="0.04" nsample="50"'):
+        robot = robot_of(XML.replace(' name="a"', f' name="a"{attributes}'))
+        servos = replace(playback.servos_in_model(robot), delay=0.04)
+        positions += play(robot, servos)
+    np.testing.assert_array_equal(*positions)

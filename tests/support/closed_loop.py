@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.inverse_dynamics import inverse_dynamics, posed
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
-from robot_sysid.simulation.forward_dynamics import forward_copy, placed
+from robot_sysid.simulation.forward_dynamics import forward_model, set_chain_state
 from robot_sysid.trajectory import sample_times
 
 
@@ -51,7 +51,7 @@ class ForwardPlant:
 
     def __init__(self, plant: RobotModel, period: float, configurations: Array) -> None:
         self._plant = plant
-        self.model = forward_copy(plant)
+        self.model = forward_model(plant)
         self.model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
         self.model.opt.tolerance = 1e-12
         self.data = mujoco.MjData(self.model)
@@ -64,7 +64,7 @@ class ForwardPlant:
 
     def reset(self, q: Array, qd: Array) -> None:
         """Forget the past and put the chain at positions and velocities (n,)."""
-        placed(self._plant, self.model, self.data, q, qd)
+        set_chain_state(self._plant, self.model, self.data, q, qd)
         mujoco.mj_forward(self.model, self.data)
 
     def state(self) -> tuple[Array, Array]:

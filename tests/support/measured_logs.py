@@ -10,7 +10,7 @@ from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.records import InertialParameters
 from robot_sysid.signals.resampling import join_measurements
-from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory

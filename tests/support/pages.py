@@ -19,7 +19,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.resampling import join_measurements
-from robot_sysid.simulation.options import SimulatedArmOptions
+from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, recorded

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.simulation.servos import ServoRollouts, Servos, Window
+from robot_sysid.simulation.playback import ServoParameters, ServoRollouts, ServoWindow
 from tests.support.arms import Y, Z, serial_arm
 
 RATE = 50.0
@@ -18,34 +18,31 @@ SERVOS = (
 XML = serial_arm((Z, Y), joint=JOINT, extra=SERVOS)
 
 
-TRUTH = Servos(
+TRUTH = ServoParameters(
     np.array([60.0, 110.0]),
     np.array([4.0, 5.0]),
     np.array([0.9, 0.6]),
     np.array([0.2, 0.1]),
     0.03,
 )
-"""What the arm behind the logs is like."""
+"""The true parameters of the arm behind the logs."""
 
 
 def commanded(seconds=14.0, seed=0):
     """(time (N,), command (N, 2)) of sines and steps, on steps of 1 mrad."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * RATE)) / RATE
-    slow = 0.4 * np.sin(
-        2.0 * np.pi * np.outer(time, [0.31, 0.43]) + rng.uniform(0.0, 6.0, 2)
-    )
-    steps = np.repeat(rng.uniform(-0.3, 0.3, (len(time) // 40 + 1, 2)), 40, axis=0)[
-        : len(time)
-    ]
-    return time, np.round(slow + steps, 3)
+    phase = 2.0 * np.pi * np.outer(time, [0.31, 0.43]) + rng.uniform(0.0, 6.0, 2)
+    levels = rng.uniform(-0.3, 0.3, (len(time) // 40 + 1, 2))
+    steps = np.repeat(levels, 40, axis=0)[: len(time)]
+    return time, np.round(0.4 * np.sin(phase) + steps, 3)
 
 
 def positions(robot, time, command, servos=TRUTH, steps=10):
-    """What an encoder of 1 mrad reads of an arm played in so many time steps a sample."""
-    start = Window(float(time[0]), command[0], 0.0 * command[0], time, command)
+    """Readings (N, n) of an encoder with 1 mrad, of an arm played in ``steps`` steps a sample."""
+    window = ServoWindow(float(time[0]), command[0], 0.0 * command[0], time, command)
     edges = np.linspace(0.0, time[-1] - time[0], steps * (len(time) - 1) + 1)
-    q = next(ServoRollouts(robot).played([servos], [start], edges))[0]
+    q = next(ServoRollouts(robot).positions([servos], [window], edges))[0]
     return np.round(q[::steps], 3)
 
 
@@ -53,12 +50,6 @@ def write(path, time, q, command, title="action {}.pos"):
     """Write a log with commands."""
     names = [f"joint{k}" for k in range(q.shape[1])]
     titles = ["time", *(f"{n}.pos" for n in names), *(title.format(n) for n in names)]
-    np.savetxt(
-        path,
-        np.column_stack((time, q, command)),
-        "%.9g",
-        ",",
-        header=",".join(titles),
-        comments="",
-    )
+    rows = np.column_stack((time, q, command))
+    np.savetxt(path, rows, "%.9g", ",", header=",".join(titles), comments="")
     return path

@@ -1,0 +1,570 @@
+"""Servos, friction and rotor inertia fitted to an arm's commands and positions by output error.
+
+The fitted numbers are those whose rollouts come nearest to the measured positions. The unknowns are
+logarithms of the numbers over their typical sizes, softened so that zero is not far away: gain,
+damping, friction and rotor inertia of a joint that grow together by one factor change the motion
+little where links and gravity are small beside them, and in logarithms that direction is a straight
+line.
+
+Arrays of all numbers of an arm have the order of ``ServoParameters.vector()``, (4 n + 1,).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.uncertainty import autocovariance, memory_of
+from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records.progress import Progress
+from robot_sysid.results.rollout import split_time
+from robot_sysid.signals.resampling import sampling_period, slice_samples
+from robot_sysid.simulation.playback import (
+    STEP,
+    ServoParameters,
+    ServoRollouts,
+    ServoWindow,
+    chain_actuators,
+    servos_in_model,
+)
+
+WINDOW_LENGTH = 3.0
+"""Length of a fitted window [s]."""
+SETTLING_TIME = 0.6
+"""Beginning of a fitted window in which errors do not count: the start state is uncertain [s]."""
+SMOOTHING_TIME = 0.12
+"""Length of the parabolas that give the start state from encoder steps [s]."""
+FITTED_WINDOWS = 24
+"""Largest number of windows that are fitted."""
+MAX_DELAY_PERIODS = 10
+"""Largest delay of the commands that is searched for, in sampling periods."""
+GAIN_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0)
+"""Factors on the start's gains on the grid before the search. With a larger one a servo is at its
+limit all the time, and chance decides which fits best."""
+_GRID_WINDOWS = 6
+MAX_RATIO = 100.0
+"""Upper bound of a number, in typical sizes."""
+LOG_OFFSET = 0.3
+"""Added to a number, in typical sizes, before its logarithm: far below it, steps are absolute."""
+PRIOR_DEVIATION = 2.5
+"""Standard deviation of the weak prior of each unknown about its start: a factor of twelve."""
+MAX_EVALUATIONS = 8
+"""Largest number of evaluations in one search."""
+_TOLERANCE = 1e-4
+# A servo that is at its limit again and again makes the error rough on smaller scales.
+_DIFFERENCE_STEP = 0.04
+_LEAST_SIZE = 1e-3
+UNSEEN_SPREAD = 1.0 / 3.0
+"""Standard error, in units of the search, from which on the data does not show a number: thrice it
+is as large as the number typically is."""
+_FRICTION = 2
+"""Position of friction among the four numbers of a joint."""
+_DEFAULT_RATE = 20.0
+"""Bandwidth of a servo of which the model says nothing [rad/s]."""
+LINK_MASS_ERROR = 0.02
+"""Relative error of the links' masses, which are trusted (docs/rollout.md)."""
+UNEXPLAINED_TORQUE = 0.005
+"""Share of a joint's torque that no model explains (docs/rollout.md)."""
+LEAST_LINK_SHARE = 0.1
+"""Share of the links in a joint's torque below which the data shows only ratios of its numbers."""
+
+
+@dataclass(frozen=True)
+class ServoProblem:
+    """Windows of logs and the errors of rollouts in them.
+
+    Attributes:
+        rollouts: of the arm.
+        windows: for each window its start and commands, the times after its start that count (m,)
+            [s] and the positions measured then (m, n). M is the sum of all m.
+        edges: (S + 1,) ends of the rollout steps of each window, from its start [s].
+    """
+
+    rollouts: ServoRollouts
+    windows: tuple[tuple[ServoWindow, Array, Array], ...]
+    edges: Array
+
+    def subset(self, max_count: int) -> ServoProblem:
+        """Return the problem with at most ``max_count`` of its windows, spread evenly."""
+        count = min(len(self.windows), max_count)
+        indices = np.linspace(0, len(self.windows) - 1, count).round().astype(int)
+        return replace(self, windows=tuple(self.windows[k] for k in indices))
+
+    def is_moving(self) -> NDArray[np.bool_]:
+        """Return (M, n) whether each joint moves: faster than a tenth of its root mean square."""
+        speeds = [np.gradient(q, time, axis=0) for _, time, q in self.windows]
+        speed = np.concatenate(speeds)
+        return np.asarray(np.abs(speed) > 0.1 * np.sqrt(np.mean(speed**2, axis=0)))
+
+    def positions(self, candidates: Sequence[ServoParameters]) -> Iterator[Array]:
+        """Yield positions (W, S + 1, n) of each candidate in every window."""
+        starts = [window for window, _, _ in self.windows]
+        return self.rollouts.positions(candidates, starts, self.edges)
+
+    def errors(self, candidates: Sequence[ServoParameters]) -> Array:
+        """Return position errors (C, M, n) of all windows [rad]; pi where a rollout diverges."""
+        _, times, measured = zip(*self.windows)
+        window = np.repeat(np.arange(len(times)), [len(time) for time in times])
+        # The rollout is interpolated linearly between its steps.
+        step_count = np.concatenate(times) / (self.edges[1] - self.edges[0])
+        step = np.minimum(step_count.astype(int), len(self.edges) - 2)
+        fraction = (step_count - step)[:, None]
+        target = np.concatenate(measured)
+        errors = []
+        for q in self.positions(candidates):
+            played = (1.0 - fraction) * q[window, step] + fraction * q[window, step + 1]
+            errors.append(np.nan_to_num(played - target, nan=np.pi))
+        return np.stack(errors)
+
+
+def make_problem(
+    rollouts: ServoRollouts,
+    pieces: Sequence[Measurement],
+    max_windows: int = FITTED_WINDOWS,
+    length: float = WINDOW_LENGTH,
+    settling_time: float = SETTLING_TIME,
+) -> ServoProblem:
+    """Cut pieces of logs with commands into consecutive windows.
+
+    Args:
+        max_windows: of more windows, so many are taken, spread evenly.
+        length: of a window [s].
+        settling_time: beginning of a window that does not count [s].
+
+    Raises:
+        InputError: no piece is long enough.
+    """
+    windows = []
+    for piece in pieces:
+        # Commands before the window act in it, and parabolas need samples before its start.
+        lead = max(MAX_DELAY_PERIODS * sampling_period(piece.time), SMOOTHING_TIME)
+        starts = np.arange(piece.time[0] + lead, piece.time[-1] - length, length)
+        if not len(starts) or piece.command is None:
+            continue
+        q, qd = smooth_states(piece)
+        for k in np.searchsorted(piece.time, starts).tolist():
+            start = float(piece.time[k])
+            is_late = piece.time > start + settling_time
+            counts = is_late & (piece.time <= start + length)
+            window = ServoWindow(start, q[k], qd[k], piece.time, piece.command)
+            windows.append((window, piece.time[counts] - start, piece.q[counts]))
+    if not windows:
+        raise InputError(
+            f"no piece of the log is as long as {length:g} s; record longer"
+        )
+    edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
+    return ServoProblem(rollouts, tuple(windows), edges).subset(max_windows)
+
+
+def smooth_states(piece: Measurement) -> tuple[Array, Array]:
+    """Return positions and velocities (N, n) from parabolas through the measured positions.
+
+    Savitzky-Golay filters over ``SMOOTHING_TIME`` [rad or m, rad/s or m/s].
+    """
+    from scipy.signal import savgol_filter
+
+    period = sampling_period(piece.time)
+    length = max(5, 2 * round(0.5 * SMOOTHING_TIME / period) + 1)
+    qd = savgol_filter(piece.q, length, 2, deriv=1, delta=period, axis=0)
+    return savgol_filter(piece.q, length, 2, axis=0), qd
+
+
+def split_pieces(
+    pieces: Sequence[Measurement],
+) -> tuple[list[Measurement], list[Measurement]]:
+    """Split every piece in two: return the beginnings, to be fitted, and the last fifths."""
+    fitted = []
+    held_out = []
+    for piece in pieces:
+        index = int(np.searchsorted(piece.time, split_time(piece), "right"))
+        fitted.append(slice_samples(piece, 0, index))
+        held_out.append(slice_samples(piece, index, len(piece)))
+    return fitted, held_out
+
+
+@dataclass(frozen=True)
+class Parametrisation:
+    """How a vector of p unknowns (p,) stands for servo parameters.
+
+    Attributes:
+        start: parameters where the search starts; fixed numbers keep these.
+        typical: typical size of every number.
+        free: (4 n + 1,) which numbers are unknown.
+    """
+
+    start: ServoParameters
+    typical: ServoParameters
+    free: NDArray[np.bool_]
+
+    def unknowns(self, servos: ServoParameters) -> Array:
+        """Return the vector of unknowns (p,) that stands for parameters."""
+        values = servos.vector() / self.typical.vector()
+        values[:-1] = np.log(values[:-1] + LOG_OFFSET)
+        return values[self.free]
+
+    def servos(self, unknowns: Array) -> ServoParameters:
+        """Return the parameters that a vector of unknowns (p,) stands for."""
+        values = np.zeros(len(self.free))
+        values[self.free] = unknowns
+        values[:-1] = np.maximum(np.exp(values[:-1]) - LOG_OFFSET, 0.0)
+        free_values = values * self.typical.vector()
+        return ServoParameters.from_vector(
+            np.where(self.free, free_values, self.start.vector())
+        )
+
+    def derivative(self, servos: ServoParameters) -> Array:
+        """Return the derivative (4 n + 1,) of each number in its own unknown."""
+        size = self.typical.vector()
+        size[:-1] = servos.vector()[:-1] + LOG_OFFSET * size[:-1]
+        return size
+
+    def unit(self, servos: ServoParameters) -> Array:
+        """Return the scale (4 n + 1,) of each number: its derivative, at least its typical size."""
+        return np.maximum(self.derivative(servos), self.typical.vector())
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the lower and the upper bound of the unknowns (p,)."""
+        size = self.typical.vector()
+        largest = replace(
+            ServoParameters.from_vector(MAX_RATIO * size),
+            delay=MAX_DELAY_PERIODS * self.typical.delay,
+        )
+        zero = ServoParameters.from_vector(0.0 * size)
+        return self.unknowns(zero), self.unknowns(largest)
+
+
+def initial_parametrisation(
+    robot: RobotModel, q: Array, period: float, moves: NDArray[np.bool_]
+) -> Parametrisation:
+    """Return where a search starts: the model's numbers, or typical ones where it has none.
+
+    Args:
+        q: (m, n) positions that stand for the whole log [rad or m].
+        period: sampling period of the log [s].
+        moves: (n,) which joints move; the numbers of the others are fixed.
+    """
+    in_model = servos_in_model(robot)
+    gravity, inertia = _gravity_and_inertia(robot, q)
+    inertia += in_model.armature
+    stiffness = inertia * _DEFAULT_RATE**2
+    typical_damping = 0.2 * inertia * _DEFAULT_RATE
+    has_servo = ~np.isnan(in_model.stiffness)
+    stiffness = np.where(has_servo, in_model.stiffness, stiffness)
+    damping = np.where(in_model.damping > 0.0, in_model.damping, typical_damping)
+    start = replace(in_model, stiffness=stiffness, damping=damping, delay=period)
+    # Friction is rarely less than this share of a geared motor's load or limit.
+    limit = np.nan_to_num(chain_actuators(robot).limit, posinf=0.0)
+    typical_friction = np.maximum(0.05 * gravity, 0.02 * limit)
+    typical = ServoParameters(
+        stiffness,
+        np.maximum(damping, typical_damping),
+        np.maximum(in_model.frictionloss, np.maximum(typical_friction, _LEAST_SIZE)),
+        np.maximum(in_model.armature, np.maximum(0.2 * inertia, 1e-2 * _LEAST_SIZE)),
+        period,
+    )
+    free = np.append(np.tile(moves, 4), True)
+    # From zero the search would hardly get away.
+    start_vector = np.maximum(start.vector(), 0.1 * typical.vector() * free)
+    return Parametrisation(ServoParameters.from_vector(start_vector), typical, free)
+
+
+def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:
+    """Return each joint's largest gravity torque (n,) [N m] and mean inertia (n,) [kg m^2].
+
+    Over positions q (m, n).
+    """
+    thetas = robot.thetas
+    dynamics = LinkDynamics(robot)
+    gravity = dynamics.motion(q, 0.0 * q, 0.0 * q).torque(thetas)
+    inertia = []
+    for joint_axis in np.eye(q.shape[1]):
+        acceleration = np.tile(joint_axis, (len(q), 1))
+        torque = dynamics.motion(q, 0.0 * q, acceleration).torque(thetas)
+        inertia.append(np.mean((torque - gravity) @ joint_axis))
+    return np.max(np.abs(gravity), axis=0), np.maximum(inertia, 1e-6)
+
+
+def improve_start(problem: ServoProblem, initial: Parametrisation) -> Parametrisation:
+    """Return the parametrisation with the best start gains and delay of a coarse grid.
+
+    All joints share the delay; each gets its own gain.
+
+    Raises:
+        InputError: the model cannot be played with these commands.
+    """
+    start = initial.start
+    delays = initial.typical.delay * np.arange(0.0, MAX_DELAY_PERIODS + 1.0)
+    candidates = []
+    for factor in GAIN_FACTORS:
+        stiffness = factor * start.stiffness
+        for delay in delays.tolist():
+            candidates.append(replace(start, stiffness=stiffness, delay=delay))
+    # Absolute errors: where a stiff servo comes off its limit, single windows run off and would
+    # dominate the squares.
+    errors = problem.subset(_GRID_WINDOWS).errors(candidates)
+    error = np.mean(np.abs(errors), axis=1)
+    if not np.all(np.isfinite(error)):
+        raise InputError(
+            "the model cannot be played with these commands; check their units"
+        )
+    error_grid = error.reshape(len(GAIN_FACTORS), len(delays), -1)
+    best_delay = int(np.argmin(np.sum(np.min(error_grid, axis=0), axis=1)))
+    factors = np.array(GAIN_FACTORS)[np.argmin(error_grid[:, best_delay], axis=0)]
+    stiffness = factors * start.stiffness
+    best_start = replace(start, stiffness=stiffness, delay=float(delays[best_delay]))
+    return replace(initial, start=best_start)
+
+
+@dataclass(frozen=True)
+class ServoFit:
+    """The fitted numbers of an arm and how sure they are.
+
+    Attributes:
+        servos: the numbers.
+        errors: their standard errors, zero for fixed numbers.
+        is_identified: (4 n + 1,) which numbers the data shows; the others are the model's own.
+        position_error: (n,) root mean square error of the rollouts [rad].
+    """
+
+    servos: ServoParameters
+    errors: ServoParameters
+    is_identified: NDArray[np.bool_]
+    position_error: Array
+
+
+def search_servos(
+    derivatives: ErrorDerivatives, parametrisation: Parametrisation, progress: Progress
+) -> ServoParameters:
+    """Search for the parameters whose rollouts come nearest to the measured positions.
+
+    Two bounded least-squares searches; each divides a joint's errors by their root mean square at
+    its start.
+    """
+    from scipy.optimize import least_squares
+
+    problem = derivatives.problem
+    bounds = parametrisation.bounds()
+    origin = np.clip(parametrisation.unknowns(parametrisation.start), *bounds)
+    x = origin
+    evaluations = 0.0
+
+    def residuals(unknowns: Array, scale: Array, _: str) -> Array:
+        error = problem.errors([parametrisation.servos(unknowns)])[0] / scale
+        prior = (unknowns - origin) / PRIOR_DEVIATION
+        return np.concatenate((error.ravel(), prior))
+
+    def jacobian(unknowns: Array, scale: Array, stage: str) -> Array:
+        nonlocal evaluations
+        evaluations = min(evaluations + 1.0, MAX_EVALUATIONS - 0.5)
+        progress.advance(stage, evaluations, MAX_EVALUATIONS, "")
+        servos = parametrisation.servos(unknowns)
+        chain_rule = parametrisation.derivative(servos)[parametrisation.free]
+        slopes = derivatives.at(parametrisation, servos) * chain_rule
+        slopes /= scale[:, None]
+        prior = np.eye(len(unknowns)) / PRIOR_DEVIATION
+        return np.vstack((slopes.reshape(-1, len(unknowns)), prior))
+
+    for stage in ("First search", "Second search"):
+        evaluations = 0.0
+        stage_start = x
+        scale = _rms_error(problem.errors([parametrisation.servos(x)])[0])
+        x = least_squares(
+            residuals,
+            x,
+            jacobian,
+            bounds,
+            args=(scale, stage),
+            xtol=_TOLERANCE,
+            ftol=_TOLERANCE,
+            max_nfev=MAX_EVALUATIONS,
+        ).x
+        progress.advance(stage, 1.0, 1.0, "")
+        if np.array_equal(x, stage_start):  # another search would not move either
+            break
+    return parametrisation.servos(x)
+
+
+def keep_model_values(
+    robot: RobotModel, servos: ServoParameters, keep: Any = True
+) -> ServoParameters:
+    """Return the parameters with the model's numbers where ``keep`` (4 n + 1,), or all, is true.
+
+    The delay stays as fitted, and so do gain and damping of a joint without servo in the model.
+    """
+    in_model = servos_in_model(robot)
+    # NaN where the model has no servo.
+    damping = in_model.damping + 0.0 * in_model.stiffness
+    model_values = replace(in_model, damping=damping, delay=np.nan).vector()
+    is_kept = np.isfinite(model_values) & keep
+    return ServoParameters.from_vector(np.where(is_kept, model_values, servos.vector()))
+
+
+def _rms_error(errors: Array) -> Array:
+    """Return the root mean square (n,) of errors (M, n) [rad], never zero."""
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)) + 1e-9)
+
+
+class ErrorDerivatives:
+    """Derivatives of a problem's errors; those at the last parameters are cached."""
+
+    def __init__(self, problem: ServoProblem) -> None:
+        self.problem = problem
+        self._cached_at = b""
+        self._cache: dict[int, Array] = {}
+
+    def at(self, parametrisation: Parametrisation, servos: ServoParameters) -> Array:
+        """Return the derivative (M, n, p) of the errors in each free number, not its unknown.
+
+        By central differences: one-sided ones would hide the directions in which hardly anything
+        changes. Friction changes by as much as is typical: behind a stiff servo a small change
+        moves the rollouts less than chance does.
+        """
+        x = servos.vector()
+        free = np.flatnonzero(parametrisation.free).tolist()
+        if self._cached_at != x.tobytes():
+            self._cached_at = x.tobytes()
+            self._cache = {}
+        is_friction = np.arange(len(x)) // len(servos.stiffness) == _FRICTION
+        step = np.where(is_friction, 1.0, _DIFFERENCE_STEP)
+        step *= parametrisation.unit(servos)
+        for k in free:
+            if k in self._cache:
+                continue
+            change = step * np.eye(len(x))[k]
+            low = np.maximum(x - change, 0.0)
+            high = x + change
+            ends = [ServoParameters.from_vector(end) for end in (low, high)]
+            errors = self.problem.errors(ends)
+            self._cache[k] = (errors[1] - errors[0]) / (high - low)[k]
+        return np.stack([self._cache[k] for k in free], axis=-1)
+
+
+def estimate_errors(
+    derivatives: ErrorDerivatives,
+    parametrisation: Parametrisation,
+    servos: ServoParameters,
+) -> ServoFit:
+    """Return fitted parameters with their standard errors.
+
+    The errors are those of weighted least squares with residuals that are correlated in time (a
+    sandwich estimate), plus the bias from the rollouts' step length, which is twice the change that
+    half a step makes. A number that the data does not show gets its prior's standard error.
+    """
+    problem = derivatives.problem
+    free = np.flatnonzero(parametrisation.free)
+    joints = len(servos.stiffness)
+    unit = parametrisation.unit(servos)[free]
+    residuals = problem.errors([servos])[0]
+    half_steps = np.linspace(0.0, problem.edges[-1], 2 * len(problem.edges) - 1)
+    finer_residuals = replace(problem, edges=half_steps).errors([servos])[0]
+    step_error = 2.0 * (residuals - finer_residuals)
+    scale = _rms_error(residuals)
+    normal = np.eye(len(free)) / PRIOR_DEVIATION**2
+    score = normal.copy()
+    bias = np.zeros(len(free))
+    slopes = derivatives.at(parametrisation, servos) * unit
+    is_moving = problem.is_moving()
+    for joint in range(joints):
+        rows = slopes[:, joint] / scale[joint]
+        of_joint = (free % joints == joint) & (free < 4 * joints)
+        weight = row_weights(rows[:, of_joint], is_moving[:, joint])
+        rows *= weight[:, None]
+        normal += rows.T @ rows
+        weighted = weight * residuals[:, joint]
+        covariance, _ = autocovariance(weighted, max(len(rows) // 4, 1) - 1)
+        score += memory_of(covariance, np.inf) * rows.T @ rows
+        bias += rows.T @ (weight * step_error[:, joint]) / scale[joint]
+    inverse = np.linalg.inv(normal)
+    variance = np.diag(inverse @ score @ inverse) + (inverse @ bias) ** 2
+    spread = np.sqrt(np.minimum(variance, PRIOR_DEVIATION**2))
+    errors = np.zeros(len(parametrisation.free))
+    is_identified = np.zeros(len(parametrisation.free), dtype=bool)
+    is_seen = spread < UNSEEN_SPREAD
+    is_identified[free] = is_seen
+    errors[free] = np.where(is_seen, spread, np.maximum(spread, 1.0)) * unit
+    return ServoFit(servos, ServoParameters.from_vector(errors), is_identified, scale)
+
+
+def row_weights(rows: Array, is_moving: NDArray[np.bool_]) -> Array:
+    """Return the weight (M,) of each row of slopes (M, k), which bounds its influence.
+
+    A row counts fully up to the typical size of every column, 1.48 times the median of the rows in
+    motion: where a servo comes off its limit, or a joint begins to slip, rollouts diverge by
+    chance, and tiny changes of a number look like large ones. (Bounded influence: Hampel,
+    Ronchetti, Rousseeuw, Stahel, "Robust Statistics", 1986, ch. 6; 1.48 medians are a standard
+    deviation.)
+
+    Args:
+        is_moving: (M,) whether the joint moves; all weights are one where it never does.
+    """
+    if not np.any(is_moving):
+        return np.ones(len(rows))
+    medians = np.median(np.abs(rows[is_moving]), axis=0)
+    typical = np.maximum(1.48 * medians, 1e-300)
+    return np.asarray(1.0 / np.max(np.abs(rows) / typical, axis=1, initial=1.0))
+
+
+def link_torque_share(
+    robot: RobotModel, pieces: Sequence[Measurement], servos: ServoParameters
+) -> Array:
+    """Return the share (n,) of the links in each joint's torque, by root mean squares.
+
+    The links' torque is gravity and inertia; the joint's own is rotor inertia, damping and
+    friction.
+    """
+    thetas = robot.thetas
+    link_torques = []
+    joint_torques = []
+    for piece in pieces:
+        q, qd = smooth_states(piece)
+        qdd = np.gradient(qd, piece.time, axis=0)
+        joint_torques.append(
+            servos.armature * qdd
+            + servos.damping * qd
+            + servos.frictionloss * np.sign(qd)
+        )
+        link_torques.append(LinkDynamics(robot).motion(q, qd, qdd).torque(thetas))
+    links = np.sqrt(np.mean(np.concatenate(link_torques) ** 2, axis=0))
+    joints = np.sqrt(np.mean(np.concatenate(joint_torques) ** 2, axis=0))
+    return np.asarray(links / np.maximum(links + joints, 1e-12))
+
+
+def add_link_errors(fit: ServoFit, link_share: Array) -> ServoFit:
+    """Return the fit with standard errors that include those of the trusted link masses.
+
+    All numbers of a joint scale with the links' torque, so masses that are off by
+    ``LINK_MASS_ERROR`` change them by as much. Where the links' torque is a small share of the
+    joint's, torque that no model explains is fitted as a part of it; below ``LEAST_LINK_SHARE`` the
+    scale is unknown, and the errors are as large as the numbers. A step h of the implicit
+    integrator adds an apparent rotor inertia of h times the damping and leaves half a step open in
+    the delay.
+
+    Args:
+        link_share: (n,) from ``link_torque_share``.
+    """
+    bounded_share = np.maximum(link_share, LEAST_LINK_SHARE)
+    scale_error = np.hypot(LINK_MASS_ERROR, UNEXPLAINED_TORQUE / bounded_share)
+    scale_error = np.where(link_share > LEAST_LINK_SHARE, scale_error, 1.0)
+    errors = fit.errors.vector()
+    numbers = fit.servos.vector()[:-1]
+    added = np.append(np.tile(scale_error, 4) * numbers, 0.5 * STEP)
+    added[3 * len(link_share) : -1] += STEP * fit.servos.damping
+    errors = np.where(errors > 0.0, np.hypot(errors, added), 0.0)
+    return replace(fit, errors=ServoParameters.from_vector(errors))
+
+
+def limit_share(problem: ServoProblem, servos: ServoParameters) -> Array:
+    """Return the share of time (n,) in which each servo would need more than its torque limit."""
+    beyond = []
+    limit = chain_actuators(problem.rollouts.robot).limit
+    (positions,) = problem.positions([servos])
+    for (window, _, _), q in zip(problem.windows, positions):
+        distance = window.controls(servos.delay, problem.edges) - q[:-1]
+        beyond.append(np.abs(servos.stiffness * distance) > limit)
+    return np.mean(np.concatenate(beyond), axis=0)
