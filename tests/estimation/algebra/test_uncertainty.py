@@ -1,16 +1,28 @@
-"""Covariances against closed forms, and intervals that cover; the full study is a benchmark."""
+"""Covariances, autocorrelation and effective samples, against closed forms and dense matrices."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.optimize import nnls
 
-from robot_sysid.estimation.algebra.uncertainty import uncertainty
+from robot_sysid.estimation.algebra.uncertainty import (
+    concentration,
+    joint_residuals,
+    non_negative,
+    uncertainty,
+)
 from tests.support.arms import SEEDS
 from tests.support.estimates import identify
-from tests.support.smooth_arm import SmoothArm, information_of_samples, samples_of
+from tests.support.smooth_arm import (
+    SmoothArm,
+    information_of_samples,
+    remembering_noise,
+    samples_of,
+)
 from tests.support.synthetic_data import (
     arm_equations,
     information_of,
@@ -18,14 +30,7 @@ from tests.support.synthetic_data import (
     terminal_information,
 )
 
-
-def dense(equations, size):
-    rows = []
-    for block, columns in equations:
-        wide = np.zeros((len(block), size))
-        wide[:, columns] = block
-        rows.append(wide)
-    return rows
+# ---- covariances
 
 
 @given(SEEDS)
@@ -35,31 +40,33 @@ def test_white_covariance_is_the_sandwich_of_the_dense_rows(seed):
     information = information_of(equations, names, rng.normal(size=16))
     noise = rng.uniform(0.1, 1.0, 3)
     weights = rng.uniform(0.5, 2.0, 3)
-    rows = dense(equations, 16)
-    normal = sum(w**2 * r.T @ r for w, r in zip(weights, rows))
-    score = sum(w**4 * s**2 * r.T @ r for w, s, r in zip(weights, noise, rows))
+    normal = np.zeros((16, 16))
+    score = np.zeros((16, 16))
+    for joint, (rows, columns) in enumerate(equations):
+        gram = weights[joint] ** 2 * rows.T @ rows
+        block = np.ix_(columns, columns)
+        normal[block] += gram
+        score[block] += (weights[joint] * noise[joint]) ** 2 * gram
     expected = np.linalg.solve(normal, np.linalg.solve(normal, score).T)
-    found = uncertainty(information, weights, noise)
-    assert_allclose(found.covariance, expected, rtol=1e-7, atol=1e-12)
-    assert_allclose(found.standard_errors**2, np.diag(expected), rtol=1e-7)
+    errors = uncertainty(information, weights, noise)
+    assert_allclose(errors.covariance, expected, rtol=1e-7, atol=1e-12)
+    assert_allclose(errors.standard_errors**2, np.diag(expected), rtol=1e-7)
 
 
 def test_unidentifiable_parameters_have_no_error_bars_and_no_share_of_the_data():
     rng = np.random.default_rng(0)
     truth = np.append(random_body(rng), [0.4, 0.1])
-    estimate = uncertainty(terminal_information(rng, truth), np.ones(1), np.ones(1))
-    unseen = [0, 3, 4, 7]
-    seen = [1, 2, 5, 6, 8, 9, 10, 11]
-    assert np.all(np.isinf(estimate.standard_errors[unseen]))
-    assert np.all(np.isfinite(estimate.standard_errors[seen]))
-    assert np.all(np.isfinite(estimate.covariance))
-    assert_allclose(estimate.data_share[[0, 3]], 0.0, atol=1e-12)
-    assert_allclose(estimate.data_share[[4, 7]], 0.5, atol=0.05)
-    assert_allclose(estimate.data_share[seen], 1.0, atol=1e-12)
+    errors = uncertainty(terminal_information(rng, truth), np.ones(1), np.ones(1))
+    is_hidden = np.isin(np.arange(12), [0, 3, 4, 7])
+    assert np.all(np.isinf(errors.standard_errors) == is_hidden)
+    assert np.all(np.isfinite(errors.covariance))
+    assert_allclose(errors.data_share[[0, 3]], 0.0, atol=1e-12)
+    assert_allclose(errors.data_share[[4, 7]], 0.5, atol=0.05)
+    assert_allclose(errors.data_share[~is_hidden], 1.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("duration", [0.05, 15.0])
-def test_nothing_to_explain_leaves_no_nan(duration):
+def test_zero_torque_gives_finite_covariances(duration):
     rng = np.random.default_rng(2)
     arm = SmoothArm(rng, rate=100.0, duration=duration)
     samples = samples_of(arm, arm.torques(np.zeros((arm.count, 7))))
@@ -72,21 +79,158 @@ def test_nothing_to_explain_leaves_no_nan(duration):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.1])
-def test_intervals_cover_under_white_and_under_slow_noise(memory):
+def test_intervals_cover_under_white_and_under_autocorrelated_noise(memory):
     """30 arms times 31 parameters: 95 % would give 883 of 930; white intervals fail at 0.1 s."""
-    hits = []
-    naive = []
+    is_covered = []
+    is_covered_if_white = []
     for seed in range(30):
         rng = np.random.default_rng(seed)
         arm = SmoothArm(rng, rate=100.0)
-        samples = samples_of(
-            arm, arm.torques(arm.noise(rng, rng.uniform(0.1, 0.5, 7), memory))
-        )
+        noise = arm.noise(rng, rng.uniform(0.1, 0.5, 7), memory)
+        samples = samples_of(arm, arm.torques(noise))
         information = information_of_samples(arm, samples)
-        aware = identify(information, np.zeros(31), "wls", samples=samples)
+        estimate = identify(information, np.zeros(31), "wls", samples=samples)
         white = identify(information, np.zeros(31), "wls")
-        error = np.abs(aware.values - arm.truth)
-        hits.append(error < 1.96 * aware.standard_errors)
-        naive.append(error < 1.96 * white.standard_errors)
-    assert 0.91 < np.mean(hits) < 0.98
-    assert (np.mean(naive) < 0.6) == (memory > 0.0)
+        error = np.abs(estimate.values - arm.truth)
+        is_covered.append(error < 1.96 * estimate.standard_errors)
+        is_covered_if_white.append(error < 1.96 * white.standard_errors)
+    assert 0.91 < np.mean(is_covered) < 0.98
+    assert (np.mean(is_covered_if_white) < 0.6) == (memory > 0.0)
+
+
+# ---- autocorrelation
+
+
+def residuals_of(rows, residual, *options):
+    """Return JointResiduals of all columns of some rows."""
+    width = rows.shape[1]
+    root = 0.1 * np.eye(width)
+    return joint_residuals(np.arange(width), root, rows, residual, *options)
+
+
+def dense_kernels(residuals, count):
+    """Return the covariance (count, count) of each kernel."""
+    lag = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    return [np.eye(count), *(decay**lag for decay in residuals.decay)]
+
+
+@given(SEEDS)
+def test_kernel_sums_are_those_of_the_dense_kernels(seed):
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(80, 3))
+    residuals = residuals_of(rows, rng.normal(size=80))
+    expected = [rows.T @ kernel @ rows for kernel in dense_kernels(residuals, 80)]
+    assert_allclose(residuals.sums, expected, rtol=0.0, atol=1e-10)
+
+
+@given(SEEDS)
+def test_sums_kept_as_rows_equal_sums_in_the_parameters(seed):
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(30, 40))
+    factor = rng.normal(size=(40, 40))
+    residual = rng.normal(size=30)
+    spread = 1e-3 * factor @ factor.T
+    residual[7] = np.nan
+    as_rows = residuals_of(rows, residual)
+    as_sums = residuals_of(rows, residual, True).shorten()
+    kernels = rng.uniform(size=len(as_rows.sums))
+    assert_allclose(as_rows.score(kernels), as_sums.score(kernels), atol=1e-10)
+    shares = [
+        residuals.absorbed_share(residuals.inside(spread))
+        for residuals in (as_rows, as_sums)
+    ]
+    assert_allclose(*shares, atol=1e-12)
+
+
+@given(
+    SEEDS,
+    st.integers(1, 10),
+    st.sampled_from(("random", "kernels", "repeated column", "zero column")),
+)
+def test_non_negative_least_squares_fits_as_well_as_scipy(seed, size, columns):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(40, size))
+    right = rng.normal(size=40)
+    if columns == "kernels":
+        decays = np.exp(-np.arange(40)[:, None] / 2.0 ** np.arange(size))
+        matrix = decays + 1e-3 * matrix
+        right = matrix @ np.maximum(rng.normal(size=size), 0.0) + 0.01 * right
+    elif columns == "repeated column":
+        matrix[:, -1] = matrix[:, 0]
+    elif columns == "zero column":
+        matrix[:, -1] = 0.0
+    values, misfit = non_negative(matrix, right)
+    assert np.all(values >= 0.0)
+    assert misfit == pytest.approx(np.linalg.norm(matrix @ values - right), abs=1e-9)
+    assert misfit == pytest.approx(nnls(matrix, right)[1], abs=1e-9)
+
+
+def test_lagged_products_are_means_over_the_pairs_that_exist():
+    residual = np.random.default_rng(0).normal(size=60)
+    residual[[5, 6, 30]] = np.nan
+    residuals = residuals_of(np.ones((60, 1)), residual)
+    assert residuals.count == 57
+    means = [
+        np.nanmean(residual[: 60 - lag] * residual[lag:]) for lag in residuals.lags
+    ]
+    assert_allclose(residuals.products, means, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("memory", [0.0, 4.0, 20.0, 50.0])
+def test_effective_samples_of_noise_with_a_known_memory(memory):
+    count = 40_000
+    noise = remembering_noise(np.random.default_rng(1), count, 1, memory)
+    residuals = residuals_of(np.zeros((count, 1)), noise[:, 0])
+    kernels = residuals.fit(residuals.absorbed_share(np.zeros((1, 1))), 0.0)
+    decay = np.exp(-1.0 / memory) if memory else 0.0
+    expected = count * (1.0 - decay) / (1.0 + decay)
+    assert np.all(kernels >= 0.0)
+    assert np.sum(kernels) == pytest.approx(1.0, rel=0.1)
+    assert residuals.effective_samples(kernels) == pytest.approx(expected, rel=0.2)
+
+
+def test_an_absorbed_share_is_that_of_the_dense_projection():
+    rng = np.random.default_rng(2)
+    ramp = np.linspace(-1.0, 1.0, 70)
+    rows = np.column_stack((np.ones(70), ramp, rng.normal(size=70)))
+    inverse = np.linalg.inv(rows.T @ rows)
+    residuals = residuals_of(rows, rng.normal(size=70))
+    residual_maker = np.eye(70) - rows @ inverse @ rows.T
+    expected = [
+        1.0 - np.trace(residual_maker @ kernel @ residual_maker) / 70.0
+        for kernel in dense_kernels(residuals, 70)
+    ]
+    assert_allclose(
+        residuals.absorbed_share(inverse), np.clip(expected, 0.0, 0.8), atol=1e-10
+    )
+
+
+def random_log(rng):
+    """Return JointResiduals of a log of random length with gaps."""
+    count = int(rng.integers(30, 400))
+    rows = rng.normal(size=(count, 2))
+    residual = rng.normal(size=count)
+    residual[:: int(rng.integers(5, 50))] = np.nan
+    return residuals_of(rows, residual, True)
+
+
+@given(SEEDS)
+def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
+    rng = np.random.default_rng(seed)
+    logs = [random_log(rng) for _ in range(3)]
+    one, two, three = logs
+    total = (one + two) + three
+    regrouped = one + (two + three)
+    for name in ("count", "sums", "products", "hats", "pairs"):
+        assert_allclose(getattr(total, name), getattr(regrouped, name), atol=1e-11)
+    expected = sum(log.products * log.pairs for log in logs)
+    assert_allclose(total.products * total.pairs, expected, atol=1e-10)
+
+
+def test_a_burst_counts_as_few_rows():
+    residual = np.random.default_rng(1).standard_normal(1000)
+    assert concentration(residual) < 1.3
+    residual[400:440] *= 20.0
+    assert concentration(residual) > 10.0
+    assert concentration(np.append(residual, np.nan)) > 10.0
+    assert concentration(np.zeros(1000)) == 1.0
