@@ -14,7 +14,6 @@ from numpy.testing import assert_allclose
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra import priors
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator, solver
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.priors import (
     WIDEST,
     LinkEvidence,
@@ -30,10 +29,10 @@ from robot_sysid.estimation.algebra.priors import (
     with_prior,
 )
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
+from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import (
     LINKS,
     SCALES,
-    Question,
     Unknowns,
     independent_prior,
     with_common,
