@@ -1,0 +1,49 @@
+"""The planning stage: the torque that motors are sent with a planned motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.config import MotorOptions
+from robot_sysid.errors import InputError
+from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline.planning import motor_commands, motor_writer, require_motors
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import SineTrajectory
+from tests.support import arms
+
+XML = arms.serial_arm((arms.Z, arms.Y), joint='range="-2 2" frictionloss=".4"')
+
+
+@pytest.fixture
+def robot(arm_file):
+    return load_robot_model(arm_file(XML))
+
+
+def test_sent_torques_differ_from_the_models_at_reversals_only(robot):
+    """There dry friction passes through zero instead of jumping between +-0.4 N m."""
+    amplitude = np.array([[0.5], [0.3]])
+    frequency_hz = np.full((2, 1), 0.5)
+    plan = SineTrajectory(
+        np.zeros(2), amplitude, frequency_hz, np.zeros((2, 1)), duration=4.0, fade=1.0
+    )
+    for time, q, qd, tau in motor_commands(robot, plan, 500.0):
+        motion = plan.evaluate(time)
+        difference = np.abs(tau - ArmTorque(robot)(motion))
+        np.testing.assert_array_equal(q, motion.q)
+        np.testing.assert_array_equal(qd, motion.qd)
+        assert np.all(difference <= 0.4 + 1e-12)
+        assert np.all(difference[np.abs(qd) > 0.05] < 1e-4)
+        assert np.any(difference > 0.1)
+
+
+def test_motors_of_another_number_of_joints_are_refused(robot):
+    motors = MotorOptions(export_damiao=True, motor_type=("DM4340",))
+    with pytest.raises(InputError, match="motor"):
+        require_motors(motors, robot)
+    require_motors(MotorOptions(), robot)
+
+
+def test_no_motor_file_is_written_that_no_option_asks_for(robot):
+    assert motor_writer(MotorOptions(), robot, None, 100.0) is None
