@@ -25,22 +25,28 @@ from robot_sysid.records import Array, Estimate, SquareRootInformation
 def identify_parameters(
     information: SquareRootInformation, prior: Array, possible: bool = False
 ) -> Estimate:
-    """Estimate all parameters; what the data cannot see keeps the prior's value.
+    """Estimate all parameters; those that the data does not identify keep the prior's value.
 
     Args:
+        information: the equations of all joints.
         prior: (p,) the model's own values, in the order of ``information.names``.
-        possible: replace a link that no rigid body can be by the best that one can.
+        possible: where the estimated link is no possible rigid body, constrain it to be one.
     """
     solved = solver(information, prior)
     noise = ordinary(information, solved)
-    values = free = solved(1.0 / noise)[0]
+    free = solved(1.0 / noise)[0]
+    values = free
     if possible and not spatial.is_consistent(free[:N_INERTIAL]):
-        usual = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
-        problem = LinksProblem((np.arange(N_INERTIAL),), usual)
+        link_only = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
+        problem = LinksProblem((np.arange(N_INERTIAL),), link_only)
         values = ConsistentLinks(*information.stacked(1.0 / noise), problem).best()
     errors = uncertainty(information, 1.0 / noise, noise)
-    counts = {joint.joint: joint.n_samples for joint in information.joints}
-    each = dict(zip(counts, noise.tolist()))
+    n_samples = {}
+    noise_per_joint = {}
+    for joint, joint_noise in zip(information.joints, noise.tolist()):
+        n_samples[joint.joint] = float(joint.n_samples)
+        if joint.n_samples:
+            noise_per_joint[joint.joint] = joint_noise
     return Estimate(
         names=information.names,
         values=values,
@@ -49,9 +55,7 @@ def identify_parameters(
         method="ols",
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
-        noise_per_joint={
-            joint: each[joint] for joint, count in counts.items() if count
-        },
-        effective_samples={joint: float(count) for joint, count in counts.items()},
+        noise_per_joint=noise_per_joint,
+        effective_samples=n_samples,
         constrained=bool(np.any(values != free)),
     )

@@ -85,7 +85,8 @@ NEVER = {
     + places("pipeline.planning", "design_motion", "motor_writer")
     + (*OF_PLANS, *USUAL, *EXPORT, *others("IDENTIFY", *SHOWN)),
     "payload": (
-        *places("pipeline.stages", "_self_test", "identify"),
+        *places("pipeline.stages", "identify"),
+        *places("pipeline.self_test", "run_self_test"),
         *places("pipeline.planning", "design_motion", "motor_writer"),
         *USUAL,
     )

@@ -10,11 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
-from robot_sysid.pipeline.self_test import of_own_simulation
-from robot_sysid.records import Identifiability, SquareRootInformation
-from robot_sysid.results.record import Verdict
+from robot_sysid.records import SquareRootInformation
 from robot_sysid.solver import identify_parameters
-from tests.support import results
 from tests.support.synthetic_data import (
     arm_equations,
     information_of,
@@ -146,30 +143,3 @@ def test_data_at_rest_gives_the_prior_or_its_nearest_possible_body():
     assert_array_equal(found.values, body)
     repaired = identify_parameters(information, -body, possible=True)
     assert spatial.is_consistent(repaired.values)
-
-
-POSSIBLE = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))
-
-
-@pytest.mark.parametrize(
-    ("scale", "error", "rank", "expected"),
-    [
-        (1.0, 0.49, 12, Verdict.OK),
-        (1.0, 0.51, 12, Verdict.TOO_WEAK),
-        (1.0, 0.51, 11, Verdict.TOO_WEAK),
-        (1.0, 0.49, 11, Verdict.PARTLY_FROM_MODEL),
-        (1.0, np.inf, 11, Verdict.PARTLY_FROM_MODEL),
-        # An error that a scale would not show is never too large.
-        (1e-9, 0.9e-6, 12, Verdict.OK),
-        (1e-9, 1.1e-6, 12, Verdict.TOO_WEAK),
-    ],
-)
-def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
-    scale, error, rank, expected
-):
-    estimate = results.estimate(
-        values=np.append(scale * POSSIBLE, np.zeros(4)),
-        standard_errors=np.append(error, np.zeros(13)),
-        identifiability=Identifiability(rank, 12, 1.0, 1.0, (True,) * 14, ()),
-    )
-    assert of_own_simulation(estimate) is expected

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -17,34 +16,35 @@ from robot_sysid.dynamics.equations import (
 )
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.pipeline.outcome import Identification
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress
+from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion
 
-# Samples of a simulation in a report.
-_DRAWN = 2000
+_DRAWN_SAMPLES = 2000
+"""Samples of the simulation that a report draws."""
+_NEGLIGIBLE_MASS_ERROR = 1e-6
+"""Standard error of a mass that is small enough whatever the mass is [kg]."""
 
 
-# Standard error of a mass that is always small enough [kg].
-_KNOWN_MASS = 1e-6
-
-
-def identify_itself(
+def run_self_test(
     robot: RobotModel,
     plan: MotionPlan,
     rate: float,
     seed: int,
     options: EstimationOptions,
     progress: Progress,
-) -> tuple[Result, Callable[[], Traces]]:
-    """Simulate the model at a rate [Hz] along a trajectory that was drawn with a seed; identify it.
+) -> Identification:
+    """Simulate the model along a trajectory and identify its terminal link, in constant memory.
 
-    Returns:
-        (the result, a function that computes its traces).
+    Args:
+        rate: of the simulated samples [Hz].
+        seed: that the trajectory was drawn with, for the record.
     """
     progress.stage("Running MuJoCo simulation...")
     model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
@@ -57,51 +57,57 @@ def identify_itself(
     information = collect_sysid_data(equations, tracked)
     progress.stage("Solving for parameters...")
     estimate = identify_parameters(information, equations.prior, possible=True)
-    values = zip(equations.names[N_INERTIAL:], equations.prior[N_INERTIAL:].tolist())
-    friction = {name.partition("[")[0]: value for name, value in values}
+    friction = {}
+    for index in range(N_INERTIAL, len(equations.names)):
+        term = equations.names[index].partition("[")[0]
+        friction[term] = float(equations.prior[index])
     result = Result(
         robot=robot,
         question=LINK,
         estimate=estimate,
-        verdict=of_own_simulation(estimate),
+        verdict=self_test_verdict(estimate),
         torques=options.torques,
         data=DataOrigin(Source.ITSELF, "", plan.duration, rate, seed),
         joints={robot.terminal_joint: JointEstimate(model.name, {}, friction)},
         notes=robot.notes,
     )
 
-    return result, partial(
-        _traces_of_itself, robot, plan, options.torques, model, estimate
-    )
+    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
+    traces = partial(_traces, robot, plan, options.torques, model, estimate)
+    return Identification(result, checkpoints, traces)
 
 
-def _traces_of_itself(
+def _traces(
     robot: RobotModel,
     plan: MotionPlan,
     torques: str,
     model: FrictionModel,
     estimate: Estimate,
 ) -> Traces:
-    """Return the traces for a report, from records alone: MuJoCo's data is not safely pickled."""
+    """Return measured and predicted torques for a report.
+
+    It simulates anew from records: MuJoCo's own data cannot be kept safely until then.
+    """
     from robot_sysid.estimation.build_result import make_traces
     from robot_sysid.estimation.dataset import equations_at
 
     equations = Equations(robot, torques, friction_per_joint(robot, "terminal", model))
-    motion = spread_motion(plan, _DRAWN)
+    motion = spread_motion(plan, _DRAWN_SAMPLES)
     (measurement,) = simulate_inverse(robot, [motion])
     samples = equations_at(equations, measurement)
-    values, prior = (
-        dict(zip(equations.names, v)) for v in (estimate.values, equations.prior)
-    )
+    values = dict(zip(equations.names, estimate.values))
+    prior = dict(zip(equations.names, equations.prior))
     return make_traces(robot, [samples], [motion], values, prior)
 
 
-def of_own_simulation(estimate: Estimate) -> Verdict:
-    """Return the verdict on the identification of a model's own simulation."""
+def self_test_verdict(estimate: Estimate) -> Verdict:
+    """Return the verdict on the identification of a model from its own simulation."""
     errors = estimate.standard_errors
-    weak = np.inf if errors is None else errors[0]
-    if np.isfinite(weak) and weak > max(_KNOWN_MASS, 0.5 * estimate.inertial.mass):
+    mass_error = np.inf if errors is None else errors[0]
+    largest = max(_NEGLIGIBLE_MASS_ERROR, 0.5 * estimate.inertial.mass)
+    if np.isfinite(mass_error) and mass_error > largest:
         return Verdict.TOO_WEAK
     identifiability = estimate.identifiability
-    is_full = identifiability.rank >= identifiability.n_parameters
-    return Verdict.OK if is_full else Verdict.PARTLY_FROM_MODEL
+    if identifiability.rank < identifiability.n_parameters:
+        return Verdict.PARTLY_FROM_MODEL
+    return Verdict.OK

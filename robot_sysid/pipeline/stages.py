@@ -9,11 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from robot_sysid.config import Config, PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
-from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.export import locked_folder, save
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import meshes_not_kept
@@ -27,8 +24,8 @@ from robot_sysid.pipeline.planning import (
     require_motors,
     write_plan,
 )
-from robot_sysid.pipeline.self_test import identify_itself
-from robot_sysid.records import MotionPlan, RobotModel
+from robot_sysid.pipeline.self_test import run_self_test
+from robot_sysid.records import RobotModel
 from robot_sysid.records.atomic_files import MODEL_NAMES, whole_files
 from robot_sysid.records.options import PerJoint
 from robot_sysid.records.plan_settings import command_after_weighing
@@ -40,7 +37,6 @@ from robot_sysid.results.console import (
     folder_text,
     more_lines,
 )
-from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.results.verdict import verdict_lines
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
@@ -129,7 +125,7 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
             draft_plan(files, config.plan_file, robot, checked.plan, rate)
     plan = checked.plan
     if config.arm.plant_model is None:
-        identification = _self_test(
+        identification = run_self_test(
             robot, plan, rate, seed, config.estimation, progress
         )
         log_path = config.arm.save_measurements
@@ -143,20 +139,6 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
 
         identification = identify_plant(config, robot, plan, seed, progress)
     return replace(identification, plan=plan)
-
-
-def _self_test(
-    robot: RobotModel,
-    plan: MotionPlan,
-    rate: float,
-    seed: int,
-    options: EstimationOptions,
-    progress: Progress,
-) -> Identification:
-    """Simulate the model along the trajectory, at a rate [Hz], and identify it."""
-    result, traces = identify_itself(robot, plan, rate, seed, options, progress)
-    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
-    return Identification(result, checkpoints, traces)
 
 
 def write_results(

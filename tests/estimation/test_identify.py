@@ -21,11 +21,7 @@ from robot_sysid.estimation.identify import (
     refit,
 )
 from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.pipeline.self_test import identify_itself
-from robot_sysid.records import Source
 from robot_sysid.records.progress import Progress
-from robot_sysid.results.record import Verdict
-from robot_sysid.trajectory import CHUNK
 from tests.support import arms
 from tests.support.core_fits import BASIC, ORIGIN, filter_logs, fit_recordings
 from tests.support.measured_logs import XML, log_of, plan_of
@@ -213,31 +209,3 @@ class Listener(Progress):
             self.steps += 1
             yield item
         assert self.steps == total
-
-
-@pytest.mark.parametrize(
-    ("torques", "friction"), [("chain", True), ("terminal", False)]
-)
-def test_the_models_own_values_come_back_with_where_they_are_from(
-    plant, torques, friction
-):
-    options = EstimationOptions(torques=torques, no_friction=not friction)
-    listener = Listener()
-    plan = plan_of(plant, 1, 4.0)
-    found, traces = identify_itself(plant, plan, 500.0, 7, options, listener)
-    estimate = found.estimate
-    data = found.data
-    assert_allclose(estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10)
-    values = [estimate.value(f"{term}[joint2]") for term in ("coulomb", "viscous")]
-    assert values == (
-        pytest.approx([0.3, 0.2], abs=1e-10) if friction else [None, None]
-    )
-    whole = torques == "chain"
-    assert found.verdict is (Verdict.OK if whole else Verdict.PARTLY_FROM_MODEL)
-    assert (found.torques, found.known_to, found.is_measured) == (torques, None, False)
-    drawn = traces()
-    assert_allclose(drawn.predicted, drawn.measured, atol=1e-9)
-    assert_allclose(drawn.before, drawn.measured, atol=1e-9)
-    assert listener.notes == [] and listener.steps == int(np.ceil(2001 / CHUNK))
-    origin = data.source, data.duration, data.sample_rate, data.seed
-    assert origin == (Source.ITSELF, plan.duration, 500.0, 7)
