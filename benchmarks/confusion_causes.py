@@ -16,8 +16,7 @@ from benchmarks import wrong_logs
 from benchmarks.real_arms import SENSOR_ARMS, RealArm, draw_arm
 from benchmarks.wrong_logs import carrying_joint
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import gravity, turned
+from robot_sysid.dynamics.newton_euler import LinkDynamics, gravity_vector, turn_gravity
 from robot_sysid.model.compilation import compiled_in_memory
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import Array, Measurement, RobotModel
@@ -200,7 +199,7 @@ def balancer(scene: Scene) -> Scene:
 def tilt(scene: Scene) -> Scene:
     """Return a log of an arm whose base is 3.6 degrees off."""
     angles = np.radians([3.0, -2.0])
-    tilted = turned(gravity(scene.robot), angles)
+    tilted = turn_gravity(gravity_vector(scene.robot), angles)
     held = resting_torque(scene.robot, scene.arm.motion.q, scene.arm.thetas, tilted)
     return scene.with_more_torque(held - scene.still)
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.example_study import NoiseStudy, designed_plan, random_plan
-from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, with_gravity
+from robot_sysid.dynamics.newton_euler import TILT_NAMES, gravity_vector, with_gravity
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import DELAY_NAME
@@ -55,7 +55,7 @@ def found(study, plan, pair, noise, step, seed):
     """(error of delay, its standard error [ms], error of gravity's direction, stated [degrees])."""
     delay, tilt = pair
     turn = np.radians(tilt) * np.array([np.cos(seed), np.sin(seed), 0.0])
-    down = Rotation.from_rotvec(turn).apply(gravity(study.plant))
+    down = Rotation.from_rotvec(turn).apply(gravity_vector(study.plant))
     sensors = SimulatedArmOptions(
         noise_torque=noise, encoder_resolution=step, torque_delay=delay
     )

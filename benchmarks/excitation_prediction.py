@@ -26,8 +26,13 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, turned, with_gravity
+from robot_sysid.dynamics.newton_euler import (
+    TILT_NAMES,
+    LinkDynamics,
+    gravity_vector,
+    turn_gravity,
+    with_gravity,
+)
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.consistent_bodies import possible_covariance
 from robot_sysid.estimation.algebra.priors import own_errors
@@ -111,7 +116,9 @@ def measured(robot, columns, values, motion):
     def of(term):
         return np.array([at[f"{term}[{joint}]"] for joint in robot.joint_names])
 
-    down = turned(gravity(robot), np.array([at[name] for name in TILT_NAMES]))
+    down = turn_gravity(
+        gravity_vector(robot), np.array([at[name] for name in TILT_NAMES])
+    )
     dynamics = LinkDynamics(with_gravity(robot, down))
     gear = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(
         columns.thetas(values)

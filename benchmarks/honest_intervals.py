@@ -33,8 +33,12 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
+from robot_sysid.dynamics.newton_euler import (
+    LinkDynamics,
+    gravity_vector,
+    turn_gravity,
+    with_gravity,
+)
 from robot_sysid.estimation.algebra.priors import link_factor
 from robot_sysid.estimation.build_result import WIDER, payload_of
 from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
@@ -101,7 +105,7 @@ class Arm:
         self.rng = rng
         self.bent = cell.bent
         angles = np.radians(cell.tilt) * rng.standard_normal(2)
-        self.arm = with_gravity(robot, turned(gravity(robot), angles))
+        self.arm = with_gravity(robot, turn_gravity(gravity_vector(robot), angles))
         links = other_links(robot)
         lengths = [
             float(np.linalg.norm(robot.links[link + 1].translation)) for link in links

@@ -32,8 +32,12 @@ import numpy as np
 from benchmarks.honest_intervals import Off, body_off
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
+from robot_sysid.dynamics.newton_euler import (
+    LinkDynamics,
+    gravity_vector,
+    turn_gravity,
+    with_gravity,
+)
 from robot_sysid.estimation.algebra.priors import model_link_factor
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
@@ -130,7 +134,7 @@ def draw_arm(
 
     is_off = kind != "exact"
     angles = np.radians(0.3) * rng.standard_normal(2) * is_off
-    arm = with_gravity(robot, turned(gravity(robot), angles))
+    arm = with_gravity(robot, turn_gravity(gravity_vector(robot), angles))
     draw_links = {
         "real": wrong_links,
         "priors": prior_links,

@@ -17,8 +17,7 @@ import numpy as np
 from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.evidence import Posterior
 from robot_sysid.diagnosis.rows import PAYLOAD, REACH, LogRows, Prior, rms
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity
+from robot_sysid.dynamics.newton_euler import TILT_NAMES, LinkDynamics, gravity_vector
 from robot_sysid.dynamics.spatial import parameter_scale
 from robot_sysid.records import Array, Motion
 from robot_sysid.records.figures import percent, with_error
@@ -246,7 +245,7 @@ def zeros(fit: Fitted) -> Iterator[Explanation]:
 
 def tilt(fit: Fitted) -> Iterator[Explanation]:
     """Yield that the base is not as the model says."""
-    if np.any(gravity(fit.robot)):
+    if np.any(gravity_vector(fit.robot)):
         text = "the base is tilted by {} against the model's; have it found (identify --tilt auto)"
         words = _size_says(text, float(np.degrees(1.0)), "degrees")
         yield Explanation(
@@ -363,7 +362,7 @@ def _more(mass: float, error: float) -> str:
 def forces(fit: Fitted) -> Iterator[Explanation]:
     """Yield that something pulls at the last link, or carries a part of it."""
     total = fit.robot.mass
-    down = float(np.linalg.norm(gravity(fit.robot))) or 9.81
+    down = float(np.linalg.norm(gravity_vector(fit.robot))) or 9.81
     text = "a constant force of {} acts on the last link, as of a hand, a cable or a spring; take "
     size_says = _size_says(f"{text}it away, and record again", 1.0, "N")
     spread = np.outer(np.full(3, 0.1 * total * down), (1.0, 0.1, 0.1, 0.1)).ravel()

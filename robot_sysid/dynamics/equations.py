@@ -1,10 +1,11 @@
-"""The linear equations of every joint: regressor, friction and known torques of a chunk.
+"""The linear equations of every joint: regressor, friction and known torques of a motion.
 
 The parameters are the terminal link's ten, each joint's friction terms, those of motors that turn
-with several joints, and last, where they are sought, the ten of other links (``link_names``).
+with several joints and, last, the ten of other links that are estimated too (``link_names``).
 
-The torque of the rest of the arm is Newton's and Euler's, without the regressor: a wrong regressor
-shows as a wrong result, also on the model's own simulation, whose torques are MuJoCo's.
+The torque of the links that are not estimated is computed by Newton-Euler recursion, without the
+regressor: a wrong regressor then shows as a wrong result, also on the model's own simulation, whose
+torques are MuJoCo's.
 """
 
 from __future__ import annotations
@@ -24,14 +25,19 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
 
 TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
+"""Friction of the terminal joint in simulated data."""
 NO_FRICTION = FrictionModel(())
+"""No friction terms: the model's own friction is taken as known."""
 N_INERTIAL = len(PARAMETER_NAMES)
+"""Inertial parameters of one link."""
 
 
 def friction_per_joint(
     robot: RobotModel, torques: str, model: FrictionModel
 ) -> tuple[FrictionModel, ...]:
-    """Return the friction terms of each chain joint: all of them, or the last one's only."""
+    """Return the friction terms of each chain joint; ``torques`` is "chain" for all joints, or
+    "terminal" for terms at the last joint only.
+    """
     others = model if torques == "chain" else NO_FRICTION
     return (others,) * (robot.n_joints - 1) + (model,)
 
@@ -47,14 +53,23 @@ def other_links(robot: RobotModel) -> tuple[int, ...]:
 
 
 class Equations:
-    """The linear equations rows x = tau of one arm: parameter names, priors, and rows of a chunk.
+    """The linear equations rows x = tau of one arm.
 
     Args:
-        torques: "chain" for every joint that carries the link, "terminal" for the last one only.
+        robot: the arm.
+        torques: "chain" for the equation of every joint that carries the link, "terminal" for the
+            last joint's only.
         friction: terms to estimate, one model per chain joint; where a joint has none, the model's
             own friction is taken as known.
         motors: those that turn with several joints.
-        links: numbers of other links whose parameters are sought too.
+        links: numbers of other links whose parameters are estimated too.
+
+    Attributes:
+        joint_indices: chain indices of the joints whose equations these are.
+        joints: their names.
+        names: of all p parameters.
+        columns: per joint the indices (k,) in ``names`` of the parameters in its equation, in the
+            order of the columns of its rows.
     """
 
     def __init__(
@@ -73,62 +88,70 @@ class Equations:
             coulomb=np.where(is_known, robot.friction.coulomb, 0.0),
             viscous=np.where(is_known, robot.friction.viscous, 0.0),
         )
-        self._armature_sought = np.array(
-            ["armature" in model.terms for model in friction]
-        )
+        is_estimated = ["armature" in model.terms for model in friction]
+        self._estimates_armature = np.array(is_estimated)
         self._links = tuple(links)
         self._dynamics = LinkDynamics(robot)
         self._beyond = BeyondRigidBodies(robot)
-        self._rest = robot.thetas
-        self._rest[[*self._links, -1]] = 0.0
-        last = robot.n_joints - 1
-        self.rows_of = tuple(range(robot.n_joints)) if torques == "chain" else (last,)
-        self.joints = tuple(robot.joint_names[j] for j in self.rows_of)
+        # Of the links that are not estimated.
+        self._known_thetas = robot.thetas
+        self._known_thetas[[*self._links, -1]] = 0.0
+        n = robot.n_joints
+        self.joint_indices = tuple(range(n)) if torques == "chain" else (n - 1,)
+        self.joints = tuple(robot.joint_names[j] for j in self.joint_indices)
         self._motors = tuple(motors)
-        names = zip(self._friction, robot.joint_names)
-        own = [model.parameter_names(name) for model, name in names]
-        others = {link: link_names(robot, link) for link in self._links}
-        of_rows = (name for j in self.rows_of for name in own[j])
-        of_motors = (name for each in self._motors for name in each.parameter_names)
-        of_links = (name for each in others.values() for name in each)
-        self.names = (*PARAMETER_NAMES, *of_rows, *of_motors, *of_links)
-        place = {name: index for index, name in enumerate(self.names)}
-        # Which parameters (k,) each joint's equations contain: of links those that it carries.
-        self.columns: tuple[NDArray[np.int64], ...] = ()
-        for j in self.rows_of:
-            beyond = (
-                name for link, each in others.items() if link >= j for name in each
-            )
-            turned = (
-                n
-                for each in self._motors
-                if each.ratios[j]
-                for n in each.parameter_names
-            )
-            mine = (*PARAMETER_NAMES, *own[j], *turned, *beyond)
-            self.columns += (np.array([place[name] for name in mine]),)
+        self.names, self.columns = self._parameters()
         thetas = [robot.links[link].theta for link in self._links]
-        self._known_links = np.concatenate([np.zeros(0), *thetas])
+        self._link_thetas = np.concatenate([np.zeros(0), *thetas])
+
+    def _parameters(self) -> tuple[tuple[str, ...], tuple[NDArray[np.int64], ...]]:
+        """Return the names of all parameters, and per joint the indices (k,) of those in its
+        equation: of other links those that the joint carries.
+        """
+        robot = self._robot
+        names = list(PARAMETER_NAMES)
+        for joint in self.joint_indices:
+            names += self._friction[joint].parameter_names(robot.joint_names[joint])
+        for motor in self._motors:
+            names += motor.parameter_names
+        for link in self._links:
+            names += link_names(robot, link)
+        index = {name: number for number, name in enumerate(names)}
+        columns = []
+        for joint in self.joint_indices:
+            joint_names = list(PARAMETER_NAMES)
+            friction = self._friction[joint]
+            joint_names += friction.parameter_names(robot.joint_names[joint])
+            for motor in self._motors:
+                if motor.ratios[joint]:
+                    joint_names += motor.parameter_names
+            for link in self._links:
+                if link >= joint:
+                    joint_names += link_names(robot, link)
+            columns.append(np.array([index[name] for name in joint_names]))
+        return tuple(names), tuple(columns)
 
     @property
     def prior(self) -> Array:
-        """The model's own values of all parameters (p,)."""
-        values = dict(zip(PARAMETER_NAMES, self._robot.prior.theta))
-        for j in self.rows_of:
-            joint = self._robot.joint_names[j]
-            values[f"coulomb[{joint}]"] = self._robot.friction.coulomb[j]
-            values[f"viscous[{joint}]"] = self._robot.friction.viscous[j]
-            values[f"armature[{joint}]"] = self._robot.armature[j]
+        """The model's own values (p,) of all parameters; zero for friction it does not have."""
+        robot = self._robot
+        values = dict(zip(PARAMETER_NAMES, robot.prior.theta))
+        for j, joint in zip(self.joint_indices, self.joints):
+            values[f"coulomb[{joint}]"] = robot.friction.coulomb[j]
+            values[f"viscous[{joint}]"] = robot.friction.viscous[j]
+            values[f"armature[{joint}]"] = robot.armature[j]
         for motor in self._motors:
             values.update(zip(motor.parameter_names, motor.model))
         for link in self._links:
-            values.update(
-                zip(link_names(self._robot, link), self._robot.links[link].theta)
-            )
+            values.update(zip(link_names(robot, link), robot.links[link].theta))
         return np.array([float(values.get(name, 0.0)) for name in self.names])
 
     def rows(self, measurement: Measurement) -> Iterator[tuple[Array, Array]]:
-        """Yield (rows (N, k), right-hand side (N,)) per joint of ``joints``."""
+        """Yield (rows (N, k), right-hand side (N,)) per joint of ``joints``.
+
+        Raises:
+            InputError: the measurement has no velocities or accelerations.
+        """
         qd = measurement.qd
         qdd = measurement.qdd
         if qd is None or qdd is None:
@@ -136,77 +159,93 @@ class Equations:
                 "a log without velocities or accelerations; differentiate it first"
             )
         motion = Motion(measurement.time, measurement.q, qd, qdd)
-        # Joint by joint: all of a long arm's rows are far more than one's.
-        bodies, same = itertools.tee(self.bodies(motion))
-        # The model's own: the measured torque has friction in it already.
-        carried = (each[:, :-1] @ self._known(each) + each[:, -1] for each in same)
-        tau = measurement.tau[:, list(self.rows_of)].T
-        yield from map(joined, bodies, self.friction(motion, carried), tau)
+        # Joint by joint: the rows of a long arm take far more memory than those of one joint.
+        bodies, same_bodies = itertools.tee(self.bodies(motion))
+        # By the model's own links: the measured torque has friction in it already.
+        loads = map(self._model_torque, same_bodies)
+        tau = measurement.tau[:, list(self.joint_indices)].T
+        yield from map(assemble_rows, bodies, self.friction(motion, loads), tau)
 
-    def _known(self, bodies: Array) -> Array:
-        """Return the model's own values (k,) of the links in one joint's equation."""
-        carried = bodies.shape[1] - 1 - N_INERTIAL
-        beyond = self._known_links[len(self._known_links) - carried :]
-        return np.concatenate((self._robot.prior.theta, beyond))
+    def _model_torque(self, bodies: Array) -> Array:
+        """Return the torque (N,) that the model's links make at one joint [N m]; ``bodies``
+        (N, k + 1) as ``self.bodies`` yields them.
+        """
+        n_carried = bodies.shape[1] - 1 - N_INERTIAL
+        carried = self._link_thetas[len(self._link_thetas) - n_carried :]
+        values = np.concatenate((self._robot.prior.theta, carried))
+        return np.asarray(bodies[:, :-1] @ values + bodies[:, -1])
 
     def bodies(self, motion: Motion) -> Iterator[Array]:
-        """Yield (N, k + 1) per joint of ``joints``: columns of the terminal link, of other links
-        that it carries, and the torque of the rest of the arm [N m]. They follow the motion
-        smoothly.
-        """
-        moved = motion.q, motion.qd, motion.qdd
-        links = self._dynamics.motion(*moved)
-        rest = self._beyond.torque(*moved)
-        if np.any(self._rest):
-            rest = rest + links.torque(self._rest)
-        for j, (own, beyond) in zip(self.rows_of, self._columns(links)):
-            yield np.concatenate((own.T, beyond.T, rest[None, :, j])).T
+        """Yield (N, k + 1) per joint of ``joints``: columns of the terminal link, columns of other
+        links that it carries, and the torque of all other bodies, springs and rotors [N m].
 
-    def friction(self, motion: Motion, carried: Iterable[Array]) -> Iterator[Array]:
-        """Yield (N, k + 1) per joint of ``joints``: columns of its friction and of motors that turn
-        with several joints, and the torque of friction that is known, less what the model has of
-        rotors and shared motors that are sought
-        [N m]. ``carried`` (N,) is the torque that each joint's gear transmits [N m].
+        They follow the motion smoothly, without signs of speeds.
+        """
+        links = self._dynamics.motion(motion.q, motion.qd, motion.qdd)
+        torque = self._beyond.torque(motion.q, motion.qd, motion.qdd)
+        if np.any(self._known_thetas):
+            torque = torque + links.torque(self._known_thetas)
+        for j, (terminal, carried) in zip(self.joint_indices, self._columns(links)):
+            yield np.concatenate((terminal.T, carried.T, torque[None, :, j])).T
+
+    def friction(self, motion: Motion, loads: Iterable[Array]) -> Iterator[Array]:
+        """Yield (N, k + 1) per joint of ``joints``: columns of its friction, columns of motors that
+        turn with several joints, and the known torque of friction [N m].
+
+        The known torque is that of joints whose friction is not estimated, less what the model has
+        of rotors and shared motors that are estimated: ``bodies`` contains them.
+
+        Args:
+            motion: of N samples.
+            loads: per joint the torque (N,) that its gear transmits [N m].
         """
         qd = motion.qd
         qdd = motion.qdd
         known = self._known_friction.torque(qd)
-        known -= np.where(self._armature_sought, self._robot.armature * qdd, 0.0)
-        shared = [(each.ratios, each.columns(qd, qdd).T) for each in self._motors]
-        for (ratios, columns), motor in zip(shared, self._motors):
-            known -= np.outer(motor.model @ columns, ratios)
-        for load, j in zip(carried, self.rows_of):
-            own = self._friction[j].columns(qd[:, j], qdd[:, j], load)
-            turned = [ratios[j] * torque for ratios, torque in shared if ratios[j]]
-            yield np.concatenate((own.T, *turned, known[None, :, j])).T
+        armature_torque = self._robot.armature * qdd
+        known -= np.where(self._estimates_armature, armature_torque, 0.0)
+        motor_columns = [motor.columns(qd, qdd).T for motor in self._motors]
+        for motor, columns in zip(self._motors, motor_columns):
+            known -= np.outer(motor.model @ columns, motor.ratios)
+        for load, j in zip(loads, self.joint_indices):
+            blocks = [self._friction[j].columns(qd[:, j], qdd[:, j], load).T]
+            for motor, columns in zip(self._motors, motor_columns):
+                if motor.ratios[j]:
+                    blocks.append(motor.ratios[j] * columns)
+            yield np.concatenate((*blocks, known[None, :, j])).T
 
     def rows_of_gravity(self, q: Array, gravity: Array) -> Iterator[Array]:
-        """Yield the part (N, k) of the rows of each joint of ``joints`` that is made by a gravity
-        (3,) [m/s^2] at positions (N, n), which is linear in it.
+        """Yield per joint of ``joints`` the term (N, k) of its rows that a gravity (3,) [m/s^2]
+        makes at positions (N, n); it is linear in gravity.
         """
         still = np.zeros_like(q)
         dynamics = LinkDynamics(self._robot, gravity)
-        each = self._columns(dynamics.motion(q, still, still))
-        for places, (own, beyond) in zip(self.columns, each):
-            rows = np.zeros((len(q), len(places)))
-            rows[:, :N_INERTIAL] = own
-            rows[:, len(places) - beyond.shape[1] :] = beyond
+        columns = self._columns(dynamics.motion(q, still, still))
+        for indices, (terminal, carried) in zip(self.columns, columns):
+            rows = np.zeros((len(q), len(indices)))
+            rows[:, :N_INERTIAL] = terminal
+            rows[:, len(indices) - carried.shape[1] :] = carried
             yield rows
 
     def _columns(self, motion: LinksMotion) -> Iterator[tuple[Array, Array]]:
-        """Yield columns of the terminal link (N, 10), and of other links that are carried, per
-        joint of ``joints``.
+        """Yield per joint of ``joints`` the columns of the terminal link (N, 10), and those of the
+        other estimated links that it carries.
         """
         columns = motion.columns((*self._links, len(motion.screws) - 1))
-        for j in self.rows_of:
+        for j in self.joint_indices:
             first = N_INERTIAL * sum(link < j for link in self._links)
             yield columns[:, j, -N_INERTIAL:], columns[:, j, first:-N_INERTIAL]
 
 
-def joined(bodies: Array, friction: Array, tau: Array) -> tuple[Array, Array]:
-    """Return (rows (N, k), right-hand side (N,)) of a joint from what ``Equations`` says of its
-    bodies and friction, and its torque (N,) [N m].
+def assemble_rows(bodies: Array, friction: Array, tau: Array) -> tuple[Array, Array]:
+    """Return (rows (N, k), right-hand side (N,)) of one joint's equations.
+
+    Args:
+        bodies: as ``Equations.bodies`` yields it for the joint.
+        friction: as ``Equations.friction`` yields it.
+        tau: (N,) torque of the joint [N m].
     """
-    links, beyond, rest = np.split(bodies, (N_INERTIAL, bodies.shape[1] - 1), axis=1)
-    rows = np.concatenate((links, friction[:, :-1], beyond), axis=1)
-    return rows, tau - rest[:, 0] - friction[:, -1]
+    edges = (N_INERTIAL, bodies.shape[1] - 1)
+    terminal, carried, known = np.split(bodies, edges, axis=1)
+    rows = np.concatenate((terminal, friction[:, :-1], carried), axis=1)
+    return rows, tau - known[:, 0] - friction[:, -1]

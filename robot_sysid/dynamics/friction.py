@@ -15,7 +15,7 @@ stribeck     sign(qd) exp(-(qd/vs)^2)      N m (breakaway above Coulomb)
 load         sign(qd) abs(load)            1 (loss of a gear that grows with its load)
 quadratic    qd abs(qd)                    N m s^2/rad^2
 cubic        qd^3                          N m s^3/rad^3
-sigmoid      tanh(qd/vs)                   N m (Coulomb friction that turns round softly)
+sigmoid      tanh(qd/vs)                   N m (Coulomb friction with a smooth reversal)
 fading_fast  sign(qd) exp(-abs(qd)/0.04)   N m (friction above Coulomb that fades with speed)
 fading       sign(qd) exp(-abs(qd)/0.13)   N m
 fading_slow  sign(qd) exp(-abs(qd)/0.4)    N m
@@ -44,65 +44,75 @@ from robot_sysid.records import Array
 
 
 @dataclass(frozen=True)
-class BentTerm:
-    """A term whose column depends on one more number, a speed vs.
+class NonlinearTerm:
+    """A friction term whose column depends on one more parameter, a speed vs [rad/s].
 
     Attributes:
-        column, slope: of velocities (...) and vs [rad/s]; its derivative by vs.
-        usual: vs where nothing is known of it [rad/s].
-        tried: speeds worth trying, ascending; vs is sought from half the first to twice the last.
-            Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at the output.
+        column: returns the column (...) of velocities (...) and vs.
+        slope: returns the column's derivative (...) by vs.
+        default_speed: vs where nothing is known about it [rad/s].
+        trial_speeds: values of vs worth trying, ascending; vs is searched from half the first to
+            twice the last. Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at
+            the output.
     """
 
     column: Callable[[Array, Array | float], Array]
     slope: Callable[[Array, Array | float], Array]
-    usual: float
-    tried: tuple[float, ...]
+    default_speed: float
+    trial_speeds: tuple[float, ...]
 
     @property
     def bounds(self) -> tuple[float, float]:
         """Least and largest vs [rad/s]."""
-        return 0.5 * self.tried[0], 2.0 * self.tried[-1]
+        return 0.5 * self.trial_speeds[0], 2.0 * self.trial_speeds[-1]
+
+
+_LARGEST_DECAY = 200.0
+"""Exponent beyond which a decay counts as zero: numbers near 1e-308 take a hundred times as long to
+multiply."""
 
 
 def _stribeck(qd: Array, speed: Array | float) -> Array:
-    # Numbers near 1e-308 take a hundred times as long to multiply.
-    size = (qd / speed) ** 2
-    return np.asarray(np.sign(qd) * np.where(size < 200.0, np.exp(-size), 0.0))
+    """Return sign(qd) exp(-(qd / speed)^2) (...) of velocities (...) [rad/s]."""
+    decay = (qd / speed) ** 2
+    size = np.where(decay < _LARGEST_DECAY, np.exp(-decay), 0.0)
+    return np.asarray(np.sign(qd) * size)
 
 
-_STRIBECK = BentTerm(
+def _fading(qd: Array, qdd: Array, load: Array, fading_speed: float) -> Array:
+    """Return sign(qd) exp(-abs(qd) / fading_speed) (...) of velocities (...) [rad/s]."""
+    decay = np.minimum(np.abs(qd) / fading_speed, _LARGEST_DECAY)
+    return np.asarray(np.sign(qd) * np.exp(-decay))
+
+
+_STRIBECK = NonlinearTerm(
     _stribeck,
     lambda qd, speed: _stribeck(qd, speed) * 2.0 * qd**2 / speed**3,
-    usual=0.1,
-    tried=(0.02, 0.05, 0.1, 0.2),
+    default_speed=0.1,
+    trial_speeds=(0.02, 0.05, 0.1, 0.2),
 )
 # The square of cosh(300) is the last one that is a number.
-_SIGMOID = BentTerm(
+_SIGMOID = NonlinearTerm(
     lambda qd, speed: np.sign(qd) * np.tanh(np.abs(qd) / speed),
     lambda qd, speed: (
         -qd / (speed * np.cosh(np.minimum(np.abs(qd / speed), 300.0))) ** 2
     ),
-    usual=0.05,
-    tried=(0.01, 0.03, 0.1, 0.3),
+    default_speed=0.05,
+    trial_speeds=(0.01, 0.03, 0.1, 0.3),
 )
+NONLINEAR_TERMS: Mapping[str, NonlinearTerm] = {
+    "stribeck": _STRIBECK,
+    "sigmoid": _SIGMOID,
+}
+"""Terms that are nonlinear in a speed; a fit that includes friction estimates the speed too."""
+
 FADING_SPEEDS: Mapping[str, float] = {
     "fading_fast": 0.04,
     "fading": 0.13,
     "fading_slow": 0.4,
 }
 """Term to the speed over which it fades [rad/s]: together they follow any friction that falls with
-speed, whatever its own speed is."""
-
-
-def _fading(qd: Array, qdd: Array, load: Array, fading_speed: float) -> Array:
-    # Numbers near 1e-308 take a hundred times as long to multiply.
-    decay = np.minimum(np.abs(qd) / fading_speed, 200.0)
-    return np.asarray(np.sign(qd) * np.exp(-decay))
-
-
-BENT: Mapping[str, BentTerm] = {"stribeck": _STRIBECK, "sigmoid": _SIGMOID}
-"""Terms that are nonlinear in one parameter; the fit of a whole arm seeks it too."""
+speed, at whatever speed it falls."""
 
 TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "coulomb": lambda qd, qdd, load: np.sign(qd),
@@ -110,18 +120,16 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "offset": lambda qd, qdd, load: np.ones_like(qd),
     "armature": lambda qd, qdd, load: qdd,
     "sqrt": lambda qd, qdd, load: np.sign(qd) * np.sqrt(np.abs(qd)),
-    "stribeck": lambda qd, qdd, load: _STRIBECK.column(qd, _STRIBECK.usual),
+    "stribeck": lambda qd, qdd, load: _STRIBECK.column(qd, _STRIBECK.default_speed),
     "load": lambda qd, qdd, load: np.sign(qd) * np.abs(load),
     "quadratic": lambda qd, qdd, load: qd * np.abs(qd),
     "cubic": lambda qd, qdd, load: qd * qd * qd,
-    "sigmoid": lambda qd, qdd, load: _SIGMOID.column(qd, _SIGMOID.usual),
-    **{
-        name: partial(_fading, fading_speed=speed)
-        for name, speed in FADING_SPEEDS.items()
-    },
+    "sigmoid": lambda qd, qdd, load: _SIGMOID.column(qd, _SIGMOID.default_speed),
+    **{term: partial(_fading, fading_speed=v) for term, v in FADING_SPEEDS.items()},
 }
-"""Term name to the function that makes its column, see ``FrictionModel.columns``; a new term is one
-more line here. Those of ``BENT`` take their usual speed."""
+"""Term name to the function that returns its column (N,) from qd, qdd and load (N,), see
+``FrictionModel.columns``; a new term is one more line here. ``NONLINEAR_TERMS`` take their default
+speed."""
 
 DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
 """Friction model for measured data."""
@@ -129,7 +137,7 @@ DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """Which friction terms a joint has: names of ``TERMS``, in the order of the columns."""
+    """The friction terms of one joint: names of ``TERMS``, in the order of the columns."""
 
     terms: tuple[str, ...]
 
@@ -155,39 +163,47 @@ class FrictionModel:
         return tuple(term not in free for term in self.terms)
 
     @property
-    def bent(self) -> tuple[str, ...]:
-        """Those of its terms that are nonlinear in a speed."""
-        return tuple(term for term in self.terms if term in BENT)
+    def nonlinear_terms(self) -> tuple[str, ...]:
+        """Those of the terms that are nonlinear in a speed."""
+        return tuple(term for term in self.terms if term in NONLINEAR_TERMS)
 
     def parameter_names(self, joint: str) -> tuple[str, ...]:
         """Return the parameter name of each column, for instance ``coulomb[joint6]``."""
         return tuple(f"{term}[{joint}]" for term in self.terms)
 
     def columns(self, qd: Array, qdd: Array, load: Array) -> Array:
-        """Return one joint's regressor columns (N, k) at velocities, accelerations and torques
-        that its gear transmits (N,) [rad/s, rad/s^2, N m].
+        """Return one joint's regressor columns (N, k).
+
+        Args:
+            qd: (N,) velocities [rad/s].
+            qdd: (N,) accelerations [rad/s^2].
+            load: (N,) torques that its gear transmits [N m].
         """
         columns = [TERMS[term](qd, qdd, load) for term in self.terms]
         return np.stack(columns).T if columns else np.empty((len(qd), 0))
 
 
 def speed_name(term: str, joint: str) -> str:
-    """Return the name of a bent term's speed, for instance ``stribeck_speed[joint6]``."""
+    """Return the name of a nonlinear term's speed, for instance ``stribeck_speed[joint6]``."""
     return f"{term}_speed[{joint}]"
 
 
 def friction_model(name: str) -> FrictionModel:
-    """Return the friction model with this name: "none", or terms joined by "-" or "+"; a leading
-    "+" adds to the default for measured data, so "+sqrt" is "coulomb-viscous-offset-armature-sqrt".
+    """Return the friction model of a name: "none", or terms joined by "-" or "+".
+
+    A leading "+" adds to the default for measured data, so "+sqrt" is
+    "coulomb-viscous-offset-armature-sqrt". InputError lists the valid terms.
     """
     terms = () if name == "none" else tuple(re.split(r"[-+]", name.lstrip("+")))
     if name.startswith("+"):
-        usual = tuple(DEFAULT_MEASURED.split("-"))
-        terms = usual + tuple(term for term in terms if term not in usual)
-    unknown = [term for term in terms if term not in TERMS]
-    if unknown:
-        known = f"join any of {', '.join(TERMS)} with '-', as in {DEFAULT_MEASURED}, or use none"
-        raise InputError(f"unknown friction term {unknown[0]!r} in {name!r}; {known}")
+        default = tuple(DEFAULT_MEASURED.split("-"))
+        terms = default + tuple(term for term in terms if term not in default)
+    for term in terms:
+        if term not in TERMS:
+            raise InputError(
+                f"unknown friction term {term!r} in {name!r}; join any of {', '.join(TERMS)} with "
+                f"'-', as in {DEFAULT_MEASURED}, or use none"
+            )
     return FrictionModel(terms)
 
 
@@ -201,7 +217,7 @@ class Coupling:
     Attributes:
         ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
         name: such as ``joint_5+joint_6``.
-        model: (terms,) what the model has of each of its parameters.
+        model: (terms,) the model's own value of each of the motor's parameters.
         tendon: MuJoCo id of the fixed tendon that is this motor; None where the model has none.
     """
 
@@ -212,17 +228,22 @@ class Coupling:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Friction terms of its own speed; offset and load stay with the joints."""
+        """Friction terms of the motor's own speed; offset and load stay with the joints."""
         return _COUPLED.terms
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of its parameters, such as ``coulomb[joint_5+joint_6]``."""
+        """Names of the motor's parameters, such as ``coulomb[joint_5+joint_6]``."""
         return _COUPLED.parameter_names(self.name)
 
     def columns(self, qd: Array, qdd: Array) -> Array:
-        """Return its torque (N, terms) per unit of each parameter, of the joints' velocities and
-        accelerations (N, n); each joint feels it times its ratio.
+        """Return the motor's torque (N, terms) per unit of each parameter.
+
+        Each joint feels that torque times its ratio.
+
+        Args:
+            qd: (N, n) velocities of the joints [rad/s].
+            qdd: (N, n) accelerations of the joints [rad/s^2].
         """
         speed = qd @ self.ratios
         return _COUPLED.columns(speed, qdd @ self.ratios, np.zeros_like(speed))

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 ALUMINIUM = 2700.0
-"""Density [kg/m^3]."""
+"""Density of aluminium [kg/m^3]."""
 _LOCKED = 1e-14
 """Cosine of the pitch below which roll and yaw turn about one axis."""
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-# Where the entries of a symmetric matrix stand in [xx, xy, xz, yy, yz, zz].
+# Index in [xx, xy, xz, yy, yz, zz] of each entry of a symmetric matrix.
 _OF_SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
@@ -37,8 +37,8 @@ def cross(a: Array, b: Array) -> Array:
 def skew(vector: Array) -> Array:
     """Return [v]x (3, 3, ...) of v (3, ...), for which [v]x b = v x b."""
     x, y, z = vector
-    none = np.zeros_like(x)
-    return np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
+    zero = np.zeros_like(x)
+    return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
 
 
 def symmetric_from_six(six: Array) -> Array:
@@ -75,6 +75,7 @@ def com_from_theta(theta: Array) -> tuple[float, Array, Array]:
 
 
 def _steiner(mass: float, com: Array) -> Array:
+    """Return the inertia (3, 3) of a point mass [kg] at com (3,) [m] about the origin."""
     return mass * (com @ com * np.eye(3) - np.outer(com, com))
 
 
@@ -87,24 +88,24 @@ def aluminium_ball(mass: float, com: Array) -> Array:
 def principal_axes(inertia: Array) -> tuple[Array, Array]:
     """Return (principal moments (3,), their axes (3, 3) as columns, right-handed).
 
-    Of the ways to order and sign them, the one that turns the frame's own axes least.
+    Of all orders and signs of the axes, those that turn the frame's own axes least.
     """
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
-    ways = axes @ _TURNS
-    best = int(np.argmax(np.trace(ways, axis1=1, axis2=2)))
-    return np.abs(_TURNS[best]).T @ moments, ways[best]
+    candidates = axes @ _TURNS
+    best = int(np.argmax(np.trace(candidates, axis1=1, axis2=2)))
+    return np.abs(_TURNS[best]).T @ moments, candidates[best]
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:
     """Return angles (3,) about the fixed axes x, y, z [rad]: R = Rz(yaw) Ry(pitch) Rx(roll).
 
-    Where pitch is a right angle, only the sum or difference of the others counts: yaw is zero.
+    Where pitch is a right angle, only the sum or difference of roll and yaw counts: yaw is zero.
     """
     cosine = float(np.hypot(rotation[0, 0], rotation[1, 0]))
-    locked = cosine < _LOCKED
-    yaw = 0.0 if locked else np.arctan2(rotation[1, 0], rotation[0, 0])
-    # Near a right angle yaw is mostly rounding; the roll that fits this yaw makes up for it.
+    is_locked = cosine < _LOCKED
+    yaw = 0.0 if is_locked else np.arctan2(rotation[1, 0], rotation[0, 0])
+    # Near a right angle yaw is mostly rounding; roll is computed from it and makes up for it.
     s = np.sin(yaw)
     c = np.cos(yaw)
     roll = np.arctan2(
@@ -149,7 +150,7 @@ def theta_from_pseudo_inertia(matrix: Array) -> Array:
 
 
 def is_consistent(theta: Array) -> bool:
-    """Tell whether theta can belong to a rigid body of positive mass (J positive definite)."""
+    """Return whether theta can belong to a rigid body of positive mass (J positive definite)."""
     if not np.all(np.isfinite(theta)):
         return False
     return bool(np.linalg.eigvalsh(pseudo_inertia(theta))[0] > 0.0)
@@ -161,21 +162,24 @@ def parameter_scale(mass: float, length: float) -> Array:
 
 
 def characteristic_length(theta: Array) -> float:
-    """Return the body's size as seen from its origin: sqrt(tr(I) / (2 m)) [m]."""
+    """Return the size of a body theta (10,) seen from its origin: sqrt(tr(I) / (2 m)) [m]; 1 where
+    that is no positive number.
+    """
     if theta[0] <= 0.0:
         return 1.0
     half_trace = 0.5 * float(theta[4] + theta[7] + theta[9])
     return float(np.sqrt(max(half_trace, 0.0) / theta[0])) or 1.0
 
 
-def lifted_body(theta: Array, scale_of: Array, floor: float) -> Array:
-    """Return a safely possible body (10,) near theta (10,), possible or not.
+def nearest_consistent_body(theta: Array, reference: Array, floor: float) -> Array:
+    """Return a body (10,) near theta (10,) that is physically consistent by a margin.
 
     Eigenvalues of the pseudo-inertia, made dimensionless with mass and size of the body
-    ``scale_of`` (10,), are lifted to ``floor`` times the largest magnitude (but at least 1).
+    ``reference`` (10,), are raised to at least ``floor`` times the largest magnitude (or 1, if that
+    is larger).
     """
-    mass = float(scale_of[0]) if scale_of[0] > 0.0 else 1.0
-    length = characteristic_length(scale_of)
+    mass = float(reference[0]) if reference[0] > 0.0 else 1.0
+    length = characteristic_length(reference)
     units = np.sqrt(mass) * np.array([length, length, length, 1.0])
     values, vectors = np.linalg.eigh(pseudo_inertia(theta) / np.outer(units, units))
     lifted = np.maximum(values, floor * max(float(np.max(np.abs(values))), 1.0))
@@ -187,6 +191,7 @@ def lifted_body(theta: Array, scale_of: Array, floor: float) -> Array:
 
 
 def _build_pseudo_basis() -> Array:
+    """Return B_k (10, 4, 4) with J(theta) = sum_k theta_k B_k."""
     basis = np.zeros((10, 4, 4))
     for matrix, unit in zip(basis, np.eye(10)):
         inertia = symmetric_from_six(unit[4:])
@@ -196,14 +201,15 @@ def _build_pseudo_basis() -> Array:
     return basis
 
 
-# The turns and mirrors (48, 3, 3) that put coordinate axes on coordinate axes. A mirror is never
-# the closest to a rotation: it leaves a trace of at most 1, the best turn one of at least 1.9.
-_TURNS = np.array(
-    [
-        np.eye(3)[:, order] * signs
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-)
-# B_k (10, 4, 4) with J(theta) = sum_k theta_k B_k.
+def _build_axis_turns() -> Array:
+    """Return the turns and mirrors (48, 3, 3) that put coordinate axes on coordinate axes."""
+    turns = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turns.append(np.eye(3)[:, order] * signs)
+    return np.array(turns)
+
+
+# A mirror is never the closest to a rotation: it leaves a trace of at most 1, the best turn one of
+# at least 1.9.
+_TURNS = _build_axis_turns()
 _PSEUDO_BASIS = _build_pseudo_basis()

@@ -10,8 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import gravity
+from robot_sysid.dynamics.newton_euler import LinkDynamics, gravity_vector
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.identifiability import (
     BaseCombinations,
@@ -301,7 +300,7 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         *_offset_notes(file_answer, file.after),
     ]
     turned = fit.next_point.gravity if fit.unknowns.settle else None
-    if turned is not None and np.array_equal(turned, gravity(robot)):
+    if turned is not None and np.array_equal(turned, gravity_vector(robot)):
         turned = None
     written_file = ModelFile(
         thetas,

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, tilt_angles
+from robot_sysid.dynamics.newton_euler import TILT_NAMES, gravity_vector, tilt_angles
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.priors import LEAST_SCALE, LINK_KINDS
 from robot_sysid.estimation.answer import (
@@ -207,7 +207,7 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
             )
     if file is not None and file.gravity is not None:
         angle = math.degrees(
-            math.hypot(*tilt_angles(gravity(answer.robot), file.gravity))
+            math.hypot(*tilt_angles(gravity_vector(answer.robot), file.gravity))
         )
         yield (
             f"the written model's gravity is turned by {angle:.2f} degrees: the base is tilted by "

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.dynamics.friction import (
-    BENT,
     DEFAULT_MEASURED,
+    NONLINEAR_TERMS,
     Coupling,
     FrictionModel,
     friction_model,
@@ -153,7 +153,7 @@ def _select_friction(
     point_speeds = dict(point.speed or {})
     errors = {}
     for row, (index, joint) in enumerate(
-        zip(fitter.columns.rows_of, fitter.columns.joints)
+        zip(fitter.columns.joint_indices, fitter.columns.joints)
     ):
         joint_errors = {name: error[:, row] for name, error in squared.items()}
         rows = np.maximum(counts[:, row], 1.0)
@@ -166,7 +166,7 @@ def _select_friction(
             for name, error in joint_errors.items()
         }
         friction[index] = friction_model(best)
-        for term in friction[index].bent:
+        for term in friction[index].nonlinear_terms:
             point_speeds[term] = point_speeds[term].copy()
             point_speeds[term][index] = speeds[best][row]
     choice = replace(choice, friction=tuple(friction))
@@ -184,20 +184,26 @@ def _candidate_errors(
     robot = fitter.columns.robot
     squared: dict[str, Array] = {}
     speeds: dict[str, Array] = {}
-    for number in range(max(len(bent.tried) for bent in BENT.values())):
+    for number in range(
+        max(len(bent.trial_speeds) for bent in NONLINEAR_TERMS.values())
+    ):
         trial_speeds = {
-            term: np.full(robot.n_joints, bent.tried[number])
-            for term, bent in BENT.items()
+            term: np.full(robot.n_joints, bent.trial_speeds[number])
+            for term, bent in NONLINEAR_TERMS.items()
         }
         data, _ = fitter.around(replace(point, speed=trial_speeds, exact_load=True))
         judge = HeldOut(data, noise)
         for name in CANDIDATES:
             model = friction_model(name)
-            if number and not model.bent:
+            if number and not model.nonlinear_terms:
                 continue
             trial = replace(choice, friction=(model,) * robot.n_joints)
             error = squared_errors(judge, fitter.columns, question, trial)
-            speed = trial_speeds[model.bent[0]][0] if model.bent else 0.0
+            speed = (
+                trial_speeds[model.nonlinear_terms[0]][0]
+                if model.nonlinear_terms
+                else 0.0
+            )
             least = squared.get(name, np.full_like(error, np.inf))
             lower = error.sum(axis=0) < least.sum(axis=0)
             squared[name] = np.where(lower, error, least)

@@ -37,21 +37,21 @@ from robot_sysid.dynamics.equations import (
     other_links,
 )
 from robot_sysid.dynamics.friction import (
-    BENT,
     FADING_SPEEDS,
+    NONLINEAR_TERMS,
     TERMS,
     Coupling,
     FrictionModel,
     speed_name,
 )
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import (
+from robot_sysid.dynamics.newton_euler import (
     TILT_NAMES,
-    gravity,
+    LinkDynamics,
+    gravity_vector,
     tilt_angles,
     tilt_axes,
     tilt_columns,
-    turned,
+    turn_gravity,
     with_gravity,
     zero_columns,
 )
@@ -65,7 +65,7 @@ from robot_sysid.estimation.dataset import (
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
 
 PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
-LINEAR = tuple(term for term in TERMS if term not in ("load", *BENT))
+LINEAR = tuple(term for term in TERMS if term not in ("load", *NONLINEAR_TERMS))
 """Friction terms whose columns depend on the motion alone."""
 PLACEHOLDER = 1e-3
 """Share of the other links' median mass below which a body's inertia counts as a placeholder."""
@@ -74,7 +74,7 @@ _DRIFTING = (
     "viscous",
     "sqrt",
     "load",
-    *BENT,
+    *NONLINEAR_TERMS,
     "quadratic",
     "cubic",
     *FADING_SPEEDS,
@@ -136,13 +136,16 @@ class Columns:
         )
         arm = self._equations(robot)
         self._arm_names = arm.names
-        self.rows_of = arm.rows_of
+        self.joint_indices = arm.joint_indices
         self.joints = arm.joints
-        later = ("load", *(name for term in BENT for name in (term, f"{term}_speed")))
+        later = (
+            "load",
+            *(name for term in NONLINEAR_TERMS for name in (term, f"{term}_speed")),
+        )
         self._scales = tuple(f"scale[{joint}]" for joint in self.joints)
         self._drifts = tuple(f"drift[{joint}]" for joint in self.joints)
         self._zeros = tuple(f"zero[{joint}]" for joint in robot.joint_names)
-        self._tilts = TILT_NAMES if np.any(gravity(robot)) else ()
+        self._tilts = TILT_NAMES if np.any(gravity_vector(robot)) else ()
         of_joints = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
         of_joints += (*self._scales, *self._drifts)
         common = (*self._zeros, *self._tilts, DELAY_NAME, *PAYLOAD_NAMES)
@@ -187,8 +190,11 @@ class Columns:
     def start(self) -> Point:
         """Return the point at the model's own values."""
         n = self.robot.n_joints
-        speed = {term: np.full(n, bent.usual) for term, bent in BENT.items()}
-        return Point(self.prior, gravity(self.robot), 0.0, speed)
+        speed = {
+            term: np.full(n, bent.default_speed)
+            for term, bent in NONLINEAR_TERMS.items()
+        }
+        return Point(self.prior, gravity_vector(self.robot), 0.0, speed)
 
     def at(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the indices of parameters."""
@@ -228,7 +234,7 @@ class Columns:
         step = {name: float(values[self.place[name]]) for name in settle}
         new[self.at(settle)] = 0.0
         angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
-        for term, bent in BENT.items():
+        for term, bent in NONLINEAR_TERMS.items():
             steps = [
                 step.get(speed_name(term, joint), 0.0)
                 for joint in self.robot.joint_names
@@ -246,14 +252,14 @@ class Columns:
         """Return a point's gravity (3,) tilted by angles (2,) [rad] about axes fixed to it."""
         if not np.any(angles):
             return point.gravity
-        return turned(
-            point.gravity, angles, tilt_axes(gravity(self.robot), point.gravity)
+        return turn_gravity(
+            point.gravity, angles, tilt_axes(gravity_vector(self.robot), point.gravity)
         )
 
     def whole_tilt(self, point: Point, values: Array) -> Array:
         """Return the angles (2,) [rad] from the model's gravity to that of an estimate (p,)."""
         steps = values[self.at(TILT_NAMES)]
-        return tilt_angles(gravity(self.robot), self._tilt_gravity(point, steps))
+        return tilt_angles(gravity_vector(self.robot), self._tilt_gravity(point, steps))
 
     def samples(self, point: Point) -> tuple[DecimatedSamples, ...]:
         """Return the rows of each recording around a point."""
@@ -336,7 +342,7 @@ class Columns:
         blocks = []
         right_sides = []
         columns = []
-        for row, joint in enumerate(self.rows_of):
+        for row, joint in enumerate(self.joint_indices):
             indices = base.columns[row]
             block = base.rows[row]
             coefficients = values[indices]
@@ -355,7 +361,7 @@ class Columns:
             friction_names = tuple(f"{t}[{self.joints[row]}]" for t in friction_columns)
             friction = block[:, drifting] @ coefficients[drifting]
             for name, column in zip(
-                friction_names[: 1 + len(BENT)], friction_columns.values()
+                friction_names[: 1 + len(NONLINEAR_TERMS)], friction_columns.values()
             ):
                 friction += column[:, row] * point.values[self.place[name]]
             drifted = 1.0 + drift * dataset.place
@@ -402,7 +408,7 @@ class Columns:
         payload = slice(len(loaded))
         blocks = [
             ((slice(None), 1.0), (tilt[:, joint], 1.0), (payload, dataset.is_loaded))
-            for joint in self.rows_of
+            for joint in self.joint_indices
         ]
         columns = tuple(np.append(at, indices) for at in base.columns)
         return replace(
@@ -413,7 +419,7 @@ class Columns:
         """Return the columns of gravity's direction (K, n, 2); none (K, n, 0) without gravity."""
         if not self._tilts:
             return np.zeros((*motion.q.shape, 0))
-        return tilt_columns(arm, thetas, motion.q, gravity(self.robot))
+        return tilt_columns(arm, thetas, motion.q, gravity_vector(self.robot))
 
     def _of_links(
         self,
@@ -469,7 +475,7 @@ class Columns:
         _, loads, smooth = self._link_columns
         if point.exact_load not in loads:
             dynamics = LinkDynamics(arm)
-            rows = list(self.rows_of)
+            rows = list(self.joint_indices)
 
             def load(theta: Array, motion: Motion) -> Array:
                 torque = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(theta)
@@ -485,25 +491,29 @@ class Columns:
         """Return the columns (K, rows) of nonlinear friction in its own joint's equation, and their
         slopes by speed for the terms that are not zero.
         """
-        rows = list(self.rows_of)
+        rows = list(self.joint_indices)
         speed = point.speed or {}
         sizes = {
             t: point.values[self.at([f"{t}[{joint}]" for joint in self.joints])]
-            for t in BENT
+            for t in NONLINEAR_TERMS
         }
         sloped = [term for term, size in sizes.items() if np.any(size)]
 
         def make(motion: Motion) -> Array:
             columns = [
-                bent.column(motion.qd, speed[t])[:, rows] for t, bent in BENT.items()
+                bent.column(motion.qd, speed[t])[:, rows]
+                for t, bent in NONLINEAR_TERMS.items()
             ]
             slopes = [
-                sizes[t] * BENT[t].slope(motion.qd, speed[t])[:, rows] for t in sloped
+                sizes[t] * NONLINEAR_TERMS[t].slope(motion.qd, speed[t])[:, rows]
+                for t in sloped
             ]
             return np.stack((*columns, *slopes), axis=-1)
 
         columns = np.moveaxis(_low_pass(dataset, point, make), -1, 0)
-        return dict(zip((*BENT, *(f"{term}_speed" for term in sloped)), columns))
+        return dict(
+            zip((*NONLINEAR_TERMS, *(f"{term}_speed" for term in sloped)), columns)
+        )
 
 
 def _late(dataset: Dataset, time: Array, torque: Array) -> Array:

@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import Equations, joined
+from robot_sysid.dynamics.equations import Equations, assemble_rows
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 from robot_sysid.records import Array, Measurement, Motion, SquareRootInformation
@@ -220,20 +220,20 @@ def decimated_equations(
     friction = signals.filter_columns(
         lambda motion: equations.friction(motion, unknown)
     )
-    usable = signals.usable()[:, list(equations.rows_of)]
+    usable = signals.usable()[:, list(equations.joint_indices)]
     if not np.any(usable):
         raise InputError(
             f"none of the joints {', '.join(equations.joints)} moves faster than its velocity "
             "deadband for long enough; move faster, and turn round less often"
         )
-    tau = signals.low_pass.decimate(signals.tau)[:, list(equations.rows_of)].T
-    pairs = map(joined, bodies, friction, tau)
+    tau = signals.low_pass.decimate(signals.tau)[:, list(equations.joint_indices)].T
+    pairs = map(assemble_rows, bodies, friction, tau)
     return _samples_of(equations, signals.decimated_time(), pairs, tau).where(usable)
 
 
 def equations_at(equations: Equations, measurement: Measurement) -> DecimatedSamples:
     """Return the equations at every sample of a measurement."""
-    tau = measurement.tau[:, list(equations.rows_of)].T
+    tau = measurement.tau[:, list(equations.joint_indices)].T
     return _samples_of(equations, measurement.time, equations.rows(measurement), tau)
 
 
@@ -313,7 +313,7 @@ class Dataset:
         """Return the samples of the equations, NaN where a row is not used."""
         if isinstance(self.source, RestingPoses):
             samples = equations_at(equations, self.source.poses)
-            samples = samples.where(self.source.used[:, list(equations.rows_of)])
+            samples = samples.where(self.source.used[:, list(equations.joint_indices)])
         else:
             samples = decimated_equations(equations, self.source)
         # A delay shortens recordings at their ends.

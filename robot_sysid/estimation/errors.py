@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import N_INERTIAL, Equations
 from robot_sysid.dynamics.friction import TERMS
-from robot_sysid.dynamics.newton_euler import in_parts
+from robot_sysid.dynamics.newton_euler import split_motion
 from robot_sysid.estimation.algebra.consistent_bodies import BODIES, once_possible
 from robot_sysid.estimation.algebra.least_squares import (
     normal_matrix,
@@ -374,7 +374,7 @@ def filtering_bias(
         _torques(equations, first, values), _torques(equations, second, values)
     )
     for (index, block, tau), joint, (torque, refiltered) in zip(
-        samples, equations.rows_of, torques
+        samples, equations.joint_indices, torques
     ):
         # Where the second low-pass reverses a velocity, the difference is the sign of friction.
         is_used = np.isfinite(tau[rows]) & same_direction[:, joint]
@@ -387,7 +387,7 @@ def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]
     """Return the torque (K,) of each joint at values (p,) of the equations' parameters [N m]."""
     width = motion.q.shape[1] * len(values)
     pieces = []
-    for time, q, qd, qdd in in_parts(width, *vars(motion).values()):
+    for time, q, qd, qdd in split_motion(width, *vars(motion).values()):
         measurement = Measurement(time, q, qd, np.zeros_like(q), qdd)
         pairs = zip(equations.rows(measurement), equations.columns)
         pieces.append(

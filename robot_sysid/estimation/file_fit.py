@@ -223,7 +223,7 @@ def _polynomials(
     trial = replace(choice, friction=with_polynomial)
     trial_errors = squared_errors(judge, columns, question, trial)
     friction = list(choice.friction)
-    for row, joint in enumerate(columns.rows_of):
+    for row, joint in enumerate(columns.joint_indices):
         is_better = is_clearly_lower(trial_errors[:, row], errors[:, row])
         if is_better and holds_polynomial(columns.robot, joint, question.file_kind):
             friction[joint] = with_polynomial[joint]

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import BENT, speed_name
-from robot_sysid.dynamics.nuisances import TILT_NAMES
+from robot_sysid.dynamics.friction import NONLINEAR_TERMS, speed_name
+from robot_sysid.dynamics.newton_euler import TILT_NAMES
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_bodies import (
     ConsistentLinks,
@@ -331,7 +331,8 @@ class Fitter:
         # chosen, a load that only its prior allows for needs no exact columns.
         terms = {term for model in choice.friction for term in model.terms}
         exact_load = (
-            not terms.isdisjoint(("load", *BENT)) or choice.dry_friction is not None
+            not terms.isdisjoint(("load", *NONLINEAR_TERMS))
+            or choice.dry_friction is not None
         )
         point = point or self.columns.start()
         if (point.exact_load, point.in_file) != (exact_load, question.in_file):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import N_INERTIAL
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
-from robot_sysid.dynamics.nuisances import gravity, tilt_axes
+from robot_sysid.dynamics.newton_euler import gravity_vector, tilt_axes
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import prefix_input_errors
 from robot_sysid.estimation.algebra.priors import SURE, is_no_chance
@@ -247,7 +247,7 @@ def _fitter(
     options = question.options
     repetitions = None
     if options.tilt == "auto":
-        tilt_axes(gravity(robot))  # raises without gravity
+        tilt_axes(gravity_vector(robot))  # raises without gravity
     if all(dataset.signals is not None for dataset in datasets):
         repetitions = find_visits([dataset.motion for dataset in datasets])
     motors, offered = couplings_of(robot, options)
@@ -300,7 +300,7 @@ def without_standing(
     (samples,) = fit.samples
     turns_left_out = replace(signals, standing=tuple(range(robot.n_joints))).usable()
     standing = []
-    for row, joint in enumerate(columns.rows_of):
+    for row, joint in enumerate(columns.joint_indices):
         predicted = samples.rows[row] @ fit.values[samples.columns[row]]
         if _are_worse(samples.tau[row] - predicted, ~turns_left_out[:, joint]):
             standing.append(joint)

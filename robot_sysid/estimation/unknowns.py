@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.friction import FADING_SPEEDS, speed_name
-from robot_sysid.dynamics.nuisances import TILT_NAMES
+from robot_sysid.dynamics.newton_euler import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.priors import (
     AS_STATED,
@@ -219,9 +219,12 @@ def build_unknowns(
 
 def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
     """Yield joint or motor to its friction terms; a motor has those of all joints it turns with."""
-    for row, joint in zip(columns.rows_of, columns.joints):
+    for row, joint in zip(columns.joint_indices, columns.joints):
         model = choice.friction[row]
-        yield joint, {*model.terms, *(f"{term}_speed" for term in model.bent)}
+        yield (
+            joint,
+            {*model.terms, *(f"{term}_speed" for term in model.nonlinear_terms)},
+        )
     for motor in choice.couplings:
         turned = [choice.friction[k] for k in np.flatnonzero(motor.ratios)]
         terms = {term for model in turned for term in model.terms} & {*motor.terms}
@@ -243,8 +246,10 @@ def _settling_names(
         yield DELAY_NAME
     if question.options.tilt == "auto":
         yield from TILT_NAMES
-    for row, joint in zip(columns.rows_of, columns.joints):
-        yield from (speed_name(term, joint) for term in choice.friction[row].bent)
+    for row, joint in zip(columns.joint_indices, columns.joints):
+        yield from (
+            speed_name(term, joint) for term in choice.friction[row].nonlinear_terms
+        )
 
 
 def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
@@ -358,7 +363,7 @@ def _friction_group(
     share = PER_CENT * question.options.friction_uncertainty
     if share == 0.0:
         return
-    rows = list(columns.rows_of)
+    rows = list(columns.joint_indices)
     usual_torque = torque[rows]
     if choice.dry_friction is None:
         dry = np.array(expected_dry_friction(columns, torque))
@@ -393,7 +398,7 @@ def expected_dry_friction(columns: Columns, torque: Array) -> tuple[float, ...]:
     """Return the dry friction (joints,) to expect before a fit [N m]: the file's, or a share of the
     root mean square torques (n,) [N m].
     """
-    rows = list(columns.rows_of)
+    rows = list(columns.joint_indices)
     dry = np.maximum(columns.robot.friction.coulomb[rows], LEAST_COULOMB * torque[rows])
     return tuple(dry.tolist())
 
@@ -445,7 +450,7 @@ def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> 
     if percent is None:
         percent = LOADED_SCALE if loaded else USUAL_SCALE
     scale = per_joint(percent, columns.robot.n_joints, "--scale-uncertainty")
-    return PER_CENT * scale[list(columns.rows_of)]
+    return PER_CENT * scale[list(columns.joint_indices)]
 
 
 def common_error(spread: Array) -> float:

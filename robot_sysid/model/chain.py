@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.inverse_dynamics import posed
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.records import Array, JointFriction, JointLimits
 from robot_sysid.records.options import PerJoint, per_joint
@@ -225,7 +225,7 @@ def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
         or np.any(mj_model.jnt_limited[first])
     ):
         return chain
-    axes = posed(mj_model, mj_model.qpos0).xaxis[first]
+    axes = data_at_pose(mj_model, mj_model.qpos0).xaxis[first]
     square = np.max(np.abs(axes @ axes.T - np.eye(_BASE))) <= _PERPENDICULAR
     return chain[_BASE:] if square else chain
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.inverse_dynamics import posed, subtree
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import Array, Motion, RobotModel
@@ -83,7 +83,7 @@ class ContactFinder:
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self._model: Any = robot.mj_model
-        self._data = posed(self._model, robot.reference_qpos)
+        self._data = data_at_pose(self._model, robot.reference_qpos)
         self._part = parts_of(robot)
         self.at_rest = self._touching()
 

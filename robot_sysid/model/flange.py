@@ -12,7 +12,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import posed
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.errors import ModelError
 from robot_sysid.records import Array, Flange, RobotModel
 
@@ -75,7 +75,7 @@ def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
     """Return all sites, and all bodies, that are fixed to the terminal body."""
     mj_model = robot.mj_model
     top = robot.body_id
-    data = posed(mj_model, robot.reference_qpos)
+    data = data_at_pose(mj_model, robot.reference_qpos)
     axes = data.xmat[top].reshape(3, 3)
     origin = data.xpos[top]
     fixed = {body.body_id: body.name for body in robot.bodies if body.welded}

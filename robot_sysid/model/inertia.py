@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.inverse_dynamics import posed, subtree
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import ArmLink, Array, SubtreeBody
 
@@ -33,7 +33,7 @@ def subtree_bodies(
     mj_model: Any, qpos: Array, body_id: int, without: Collection[int] = ()
 ) -> tuple[SubtreeBody, ...]:
     """Return a body and all below it but some, held at ``qpos`` (nq,), in that body's frame."""
-    data = posed(mj_model, qpos)
+    data = data_at_pose(mj_model, qpos)
     top_rotation = data.xmat[body_id].reshape(3, 3)
     bodies: dict[int, SubtreeBody] = {}
     for i in subtree(mj_model, body_id):
@@ -64,7 +64,7 @@ def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
     The farthest point of its geoms' bounding spheres, and at least the length of the uniform rod
     whose mass is as far from its end.
     """
-    data = posed(mj_model, qpos)
+    data = data_at_pose(mj_model, qpos)
     geoms = np.isin(mj_model.geom_bodyid, subtree(mj_model, body_id))
     away = np.linalg.norm(data.geom_xpos[geoms] - data.xpos[body_id], axis=1)
     spheres = away + mj_model.geom_rbound[geoms]
@@ -81,7 +81,7 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
     joint moves. Where several joints move one body, all but the last have a link without mass.
     Joints outside the chain (ids, base to terminal) are held at ``qpos`` (nq,).
     """
-    data = posed(mj_model, qpos)
+    data = data_at_pose(mj_model, qpos)
     mujoco.mj_comPos(mj_model, data)
     bodies = [int(mj_model.jnt_bodyid[joint]) for joint in chain]
     links = []

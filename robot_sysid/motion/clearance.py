@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import posed
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.contacts import ContactFinder, joint_ranges, parts_of
@@ -114,7 +114,7 @@ class Clearance:
         self._arguments = (robot, rest, clearance, tuple(half_spaces))
         self._robot = robot
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
-        self._data = posed(model, robot.reference_qpos)
+        self._data = data_at_pose(model, robot.reference_qpos)
         self._joints = model.dof_jntid[robot.dof_index]
         self._body_of_geom = np.array(model.geom_bodyid)
         self._required = np.full((model.nbody, model.nbody), clearance)

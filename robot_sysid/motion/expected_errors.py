@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.dynamics.newton_euler import in_parts
+from robot_sysid.dynamics.newton_euler import split_motion
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.consistent_bodies import (
@@ -126,7 +126,9 @@ def known_of(
         for row, joint in enumerate(columns.joints):
             name = f"{term}[{joint}]"
             free = (
-                np.inf if term in choice.friction[columns.rows_of[row]].terms else 0.0
+                np.inf
+                if term in choice.friction[columns.joint_indices[row]].terms
+                else 0.0
             )
             own[place, row] = sure.get(name, free)
     return Known(factor, own, asked)
@@ -380,7 +382,7 @@ def _told(
     sigma = problem.sigma * np.sqrt(count / (rate * plan.duration))
     moved = motion.q, faster * motion.qd, faster**2 * motion.qdd
     predicted = information.predicted_information(problem, sigma, known)
-    parts = in_parts(10 * problem.n_joints**2, *moved)
+    parts = split_motion(10 * problem.n_joints**2, *moved)
     return np.asarray(sum(predicted.evaluate(*part).information for part in parts))
 
 

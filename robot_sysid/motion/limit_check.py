@@ -24,7 +24,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import posed, subtree
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.contacts import parts_of
 from robot_sysid.motion.clearance import Clearance, Closest, approach_rates
@@ -368,7 +368,7 @@ class BetweenArms:
         self._model = model = copy.copy(first.mj_model)
         model.geom_margin[:] = model.body_margin[:] = _FAR
         model.geom_gap[:] = 0.0
-        self._data = posed(model, first.reference_qpos)
+        self._data = data_at_pose(model, first.reference_qpos)
         both = as_one(first, second)
         arms = (first, second)
         self._at_q = both.qpos_index

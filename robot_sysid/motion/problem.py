@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import N_INERTIAL, other_links
 from robot_sysid.dynamics.inverse_dynamics import subtree
-from robot_sysid.dynamics.newton_euler import LinkDynamics, in_parts
+from robot_sysid.dynamics.newton_euler import LinkDynamics, split_motion
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.priors import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
@@ -212,7 +212,7 @@ class ExcitationProblem:
         deviations = []
         rates = motion.q, motion.qd, motion.qdd
         # The regressor and its product with the errors are held at a time.
-        for part in in_parts(2 * self.n_joints * len(self.link_errors), *rates):
+        for part in split_motion(2 * self.n_joints * len(self.link_errors), *rates):
             regressor = self.dynamics.motion(*part).columns(self.links)
             deviations.append(np.linalg.norm(regressor @ self.link_errors, axis=2))
         limited = np.isfinite(self.limits.torque)

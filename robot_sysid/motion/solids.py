@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.inverse_dynamics import posed, subtree
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.contacts import parts_of
 from robot_sysid.motion.plan_options import HalfSpace
@@ -182,7 +182,7 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
     At chain positions q (N, n), in axes of the world.
     """
     model = robot.mj_model
-    data = posed(robot.mj_model, robot.reference_qpos)
+    data = data_at_pose(robot.mj_model, robot.reference_qpos)
     solids = solids_of(model, np.flatnonzero(parts_of(robot)).tolist())
     bodies = [solid.body for solid in solids]
     reach = np.full((len(solids), 6), -np.inf)
@@ -225,7 +225,7 @@ def mounting_height(
     up = -down / np.linalg.norm(down)
     qpos = robot.reference_qpos.copy()
     qpos[robot.qpos_index] = rest
-    data = posed(model, qpos)
+    data = data_at_pose(model, qpos)
     carrier = int(model.body_parentid[np.flatnonzero(parts)[0]])
     fixed = np.flatnonzero(model.body_weldid == model.body_weldid[carrier])
     shown = np.flatnonzero(
@@ -272,7 +272,7 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
 
     In the terminal body's frame [m]. All of the link is within the convex hull of these balls.
     """
-    data = posed(robot.mj_model, robot.reference_qpos)
+    data = data_at_pose(robot.mj_model, robot.reference_qpos)
     body = robot.body_id
     solids = solids_of(robot.mj_model, subtree(robot.mj_model, body))
     axes = data.xmat[body].reshape(3, 3)

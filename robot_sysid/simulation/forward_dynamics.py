@@ -27,7 +27,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import analysis_copy, posed
+from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Array, RobotModel
 
@@ -97,7 +97,7 @@ class ArmStepper:
         self._model = forward_model(robot)
         # Damping and dry friction are stepped here, not by MuJoCo.
         self._model.dof_damping[:] = 0.0
-        self._data = posed(self._model, robot.reference_qpos)
+        self._data = data_at_pose(self._model, robot.reference_qpos)
         self._viscous = robot.friction.viscous
         shared = robot.friction.shared
         assert shared is not None

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import posed
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.errors import InputError
 from robot_sysid.model.chain import is_hinge_or_slide, joint_label
 from robot_sysid.model.compilation import compile_model
@@ -166,7 +166,7 @@ def _terminal_distance(robot: RobotModel, plant: RobotModel) -> float:
     def terminal_position(arm: RobotModel, q: Array) -> Array:
         qpos = arm.reference_qpos.copy()
         qpos[arm.qpos_index] = q
-        return np.array(posed(arm.mj_model, qpos).xpos[arm.body_id])
+        return np.array(data_at_pose(arm.mj_model, qpos).xpos[arm.body_id])
 
     distances = []
     for q in (robot.reference, robot.reference + _PROBE_STEP):

@@ -19,8 +19,12 @@ from robot_sysid.diagnosis.log_checks import (
     look_at,
     require_acceptable,
 )
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
+from robot_sysid.dynamics.newton_euler import (
+    LinkDynamics,
+    gravity_vector,
+    turn_gravity,
+    with_gravity,
+)
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import CHECKS
@@ -67,7 +71,7 @@ def hum(truth, joint):
 
 def rested(truth, axes):
     """Torque (K, n) of the true links at rest, gravity turned by some radians about x and y."""
-    down = turned(gravity(ROBOT), np.array(axes))
+    down = turn_gravity(gravity_vector(ROBOT), np.array(axes))
     links = np.array([*(link.theta for link in ROBOT.links[:-1]), truth.theta])
     still = np.zeros_like(truth.log.q)
     arm = with_gravity(ROBOT, down)

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robot_sysid.dynamics.friction import BENT, TERMS
+from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.dynamics.nuisances import gravity, turned
+from robot_sysid.dynamics.newton_euler import gravity_vector, turn_gravity
 from robot_sysid.estimation.choices import neighbours
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.records import DELAY_NAME
@@ -67,15 +67,15 @@ def torque_of(columns, motion, values, is_loaded):
     if not is_loaded:
         scaled = rigid_torque(columns, motion, with_model_links(columns, values), False)
     torque = np.zeros((len(rigid), len(columns.joints)))
-    for row, (j, joint) in enumerate(zip(columns.rows_of, columns.joints)):
+    for row, (j, joint) in enumerate(zip(columns.joint_indices, columns.joints)):
         qd = motion.qd[:, j]
         qdd = motion.qdd[:, j]
         dry = np.zeros_like(qd)
         for term in set(TERMS) - {"offset", "armature"}:
             column = TERMS[term](qd, qdd, rigid[:, j])
-            if term in BENT:
+            if term in NONLINEAR_TERMS:
                 vs = SPEED[term] + value_of[f"{term}_speed[{joint}]"]
-                column = BENT[term].column(qd, np.array(vs))
+                column = NONLINEAR_TERMS[term].column(qd, np.array(vs))
             dry += value_of[f"{term}[{joint}]"] * column
         torque[:, row] = rigid[:, j] + value_of[f"scale[{joint}]"] * scaled[:, j]
         torque[:, row] += (1.0 + value_of[f"drift[{joint}]"] * PLACE) * dry
@@ -84,7 +84,7 @@ def torque_of(columns, motion, values, is_loaded):
     for motor in columns.couplings:
         terms = np.array([value_of[name] for name in motor.parameter_names])
         motor_torque = motor.columns(motion.qd, motion.qdd) @ terms
-        torque += np.outer(motor_torque, motor.ratios[list(columns.rows_of)])
+        torque += np.outer(motor_torque, motor.ratios[list(columns.joint_indices)])
     return torque
 
 
@@ -107,7 +107,7 @@ def rigid_torque(columns, motion, values, is_loaded):
             arms.write_body(model, link.body_id, theta)
     model.dof_armature[:] = 0.0
     angles = np.array([value_of["tilt_1"], value_of["tilt_2"]])
-    model.opt.gravity[:] = turned(gravity(robot), angles)
+    model.opt.gravity[:] = turn_gravity(gravity_vector(robot), angles)
     zero = np.array([value_of[f"zero[{name}]"] for name in robot.joint_names])
     return ArmDynamics(robot, model).torque(motion.q - zero, motion.qd, motion.qdd)
 
@@ -116,7 +116,7 @@ def record(columns, values, is_loaded, seed=0, low_pass=UNFILTERED, duration=0.3
     """Return (exact motion, columns of its recording with the torque that values make)."""
     motion = wide_motion(seed, columns.robot.n_joints, duration, RATE)
     tau = np.zeros_like(motion.q)
-    tau[:, list(columns.rows_of)] = torque_of(columns, motion, values, is_loaded)
+    tau[:, list(columns.joint_indices)] = torque_of(columns, motion, values, is_loaded)
     recording = exact_recording(motion, tau, is_loaded, PLACE)
     signals = replace(recording.source, low_pass=low_pass, flat=low_pass)
     datasets = [replace(recording, source=signals)]
@@ -199,7 +199,7 @@ def test_rows_under_another_gravity_are_those_made_for_it(torques, angle):
     low_pass = design_low_pass(20.0, RATE)
     _, columns = record(bare, values, True, 3, low_pass, duration=2.0)
     columns.samples(columns.start())
-    down = turned(gravity(FOUR), np.full(2, angle))
+    down = turn_gravity(gravity_vector(FOUR), np.full(2, angle))
     point = point_at(columns, values, gravity=down)
     (samples,) = columns.samples(point)
     (anew,) = Columns(columns.robot, columns.datasets, torques).samples(point)

@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import gravity, with_gravity
+from robot_sysid.dynamics.newton_euler import LinkDynamics, gravity_vector, with_gravity
 from robot_sysid.estimation.choices import coupling
 from robot_sysid.estimation.file_fit import fit_file, holds_polynomial
 from robot_sysid.estimation.question import FILE_FRICTION as FRICTION
@@ -60,7 +59,7 @@ def turned(plant, degrees):
     turn = Rotation.from_rotvec(
         np.radians(degrees) * np.array([0.5, 0.8, 0.0]) / np.hypot(0.5, 0.8)
     )
-    return with_gravity(plant, turn.apply(gravity(plant)))
+    return with_gravity(plant, turn.apply(gravity_vector(plant)))
 
 
 def angle(found, truth):
@@ -83,7 +82,7 @@ def test_the_file_predicts_as_it_is_said_to(plant, robot):
     # Nothing but what a file holds, and each joint's sensor offset.
     terms = {name.partition("[")[0] for name in fit.unknowns.kept_names if "[" in name}
     assert terms == {"coulomb", "viscous", "offset"}
-    assert np.array_equal(fit.point.gravity, gravity(robot))
+    assert np.array_equal(fit.point.gravity, gravity_vector(robot))
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.5])
@@ -109,9 +108,9 @@ def test_links_and_sensor_offsets_do_not_take_each_other_s_part(plant, offset):
 def test_a_turned_gravity_is_found_and_kept_out_where_it_is_to_stay(plant, robot):
     askew = turned(plant, 2.0)
     found = file_of(askew, robot)
-    assert angle(found.fit.point.gravity, gravity(askew)) < 0.3
+    assert angle(found.fit.point.gravity, gravity_vector(askew)) < 0.3
     kept = file_of(askew, robot, (GRAVITY,))
-    assert np.array_equal(kept.fit.point.gravity, gravity(robot))
+    assert np.array_equal(kept.fit.point.gravity, gravity_vector(robot))
     assert kept.after.relative_error > found.after.relative_error
 
 

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import BENT
-from robot_sysid.dynamics.nuisances import gravity, with_gravity
+from robot_sysid.dynamics.friction import NONLINEAR_TERMS
+from robot_sysid.dynamics.newton_euler import gravity_vector, with_gravity
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation import fit as fit_module
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
@@ -175,7 +175,7 @@ def test_the_speed_of_a_stribeck_term_is_found_with_it_within_its_bounds():
         assert fit.value(f"stribeck_speed[{joint}]") == pytest.approx(0.3, rel=0.05)
         assert fit.value(f"stribeck[{joint}]") == pytest.approx(0.4, rel=0.1)
     assert fit.value("stribeck[joint3]") == pytest.approx(0.0, abs=0.02)
-    low, high = BENT["stribeck"].bounds
+    low, high = NONLINEAR_TERMS["stribeck"].bounds
     assert np.all(
         (fit.point.speed["stribeck"] >= low) & (fit.point.speed["stribeck"] <= high)
     )
@@ -243,14 +243,14 @@ def test_delay_and_tilt_are_found_together(plant, robot):
     direction = 2.0
     seed = 5
     turn = np.radians(degrees) * np.array([np.cos(direction), np.sin(direction), 0.0])
-    askew = with_gravity(plant, Rotation.from_rotvec(turn).apply(gravity(plant)))
+    askew = with_gravity(plant, Rotation.from_rotvec(turn).apply(gravity_vector(plant)))
     log = log_of(
         askew, plan_of(plant, seed), torque_delay=delay, encoder_resolution=2e-5
     )
     datasets, options = filter_logs(robot, log, **NOISE_ONLY, delay="auto", tilt="auto")
     fit = fit_recordings(robot, datasets, options)
     assert fit.value(DELAY_NAME) == pytest.approx(delay, abs=1e-4)
-    cosine = fit.point.gravity @ gravity(askew) / 9.81**2
+    cosine = fit.point.gravity @ gravity_vector(askew) / 9.81**2
     assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.02
 
 

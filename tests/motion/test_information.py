@@ -9,7 +9,7 @@ from hypothesis import given
 
 from robot_sysid.dynamics.equations import Equations, other_links
 from robot_sysid.dynamics.friction import TERMS, FrictionModel
-from robot_sysid.dynamics.inverse_dynamics import analysis_copy, posed
+from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import AmbiguousJointError
 from robot_sysid.motion.information import OWN, Criterion, PredictedInformation
@@ -43,7 +43,9 @@ def eliminated_by_hand(robot, motion, torques, sigma, own):
     data = Measurement(np.arange(float(len(q))), q, qd, np.zeros_like(q), qdd)
     total = np.zeros((10 * (1 + len(links)),) * 2)
     theta = np.concatenate([robot.links[k].theta for k in (-1, *links)])
-    blocks = zip(equations.rows(data), equations.columns, equations.rows_of, sigma)
+    blocks = zip(
+        equations.rows(data), equations.columns, equations.joint_indices, sigma
+    )
     for (rows, _), columns, joint, s in blocks:
         bodies = np.zeros((len(q), len(total)))
         first = np.flatnonzero(np.isin(columns, range(10)))
@@ -160,7 +162,7 @@ def terminal_motion(robot, q, qd, qdd):
     jacobians = np.empty((len(q), 6, len(dofs)))
     accelerations = np.empty((len(q), 6))
     for k, acceleration in enumerate(accelerations):
-        data = posed(model, robot.reference_qpos)
+        data = data_at_pose(model, robot.reference_qpos)
         data.qpos[robot.qpos_index] = q[k]
         data.qvel[dofs] = qd[k]
         data.qacc[dofs] = qdd[k]

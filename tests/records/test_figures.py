@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.friction import BENT, TERMS
+from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS
 from robot_sysid.records.figures import figure, position, term_unit, torque
 
 NUMBERS = st.floats(1e-12, 1e6) | st.floats(-1e6, -1e-12)
@@ -33,6 +33,6 @@ def test_every_friction_term_has_a_unit_but_the_loss_per_load(is_slide):
         unit = term_unit(term, is_slide)
         assert (unit == "") == (term == "load")
         assert is_slide or not unit.startswith("N·s")
-    for bent in BENT:
+    for bent in NONLINEAR_TERMS:
         assert term_unit(f"{bent}_speed", is_slide) == f"{own[1]}/s"
     assert (term_unit("coulomb", is_slide), term_unit("zero", is_slide)) == own

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import BENT, TERMS
+from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS
 from robot_sysid.results.cards import load_errors, payload_cards
 from robot_sysid.results.json import FORMULAS, export_params_json, params_json_text
 from robot_sysid.results.record import Figure, JointEstimate, Verdict
@@ -215,7 +215,9 @@ def test_every_formula_is_the_column_of_its_term():
     assert set(FORMULAS) == set(TERMS) - {"armature"}
     qd = np.linspace(-1.0, 1.0, 9)
     load = np.linspace(-3.0, 5.0, 9)
-    known = {f"{term}_speed": bent.usual for term, bent in BENT.items()}
+    known = {
+        f"{term}_speed": bent.default_speed for term, bent in NONLINEAR_TERMS.items()
+    }
     functions = {
         name: getattr(np, name) for name in ("sign", "sqrt", "abs", "exp", "tanh")
     }

@@ -12,8 +12,12 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import FADING_SPEEDS
-from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
+from robot_sysid.dynamics.newton_euler import (
+    LinkDynamics,
+    gravity_vector,
+    turn_gravity,
+    with_gravity,
+)
 from robot_sysid.records import Measurement
 
 RATE = 200.0
@@ -74,7 +78,7 @@ class ImperfectArm:
         direction = rng.uniform(0.0, 2.0 * np.pi)
         self.tilt = off.tilt * np.array([np.cos(direction), np.sin(direction)])
         self.dynamics = LinkDynamics(
-            with_gravity(robot, turned(gravity(robot), self.tilt))
+            with_gravity(robot, turn_gravity(gravity_vector(robot), self.tilt))
         )
         self.coulomb = rng.uniform(0.5, 1.5, n) * self.size
         self.viscous = rng.uniform(0.3, 1.0, n) * self.size

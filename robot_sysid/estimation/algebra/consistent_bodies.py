@@ -90,7 +90,9 @@ class LinksProblem:
         """Each link's usual body theta (10,), made consistent, and U (10, 10) with theta + U z."""
         bodies = []
         for link in self.links:
-            theta = spatial.lifted_body(self.prior[link], self.prior[link], _FLOOR)
+            theta = spatial.nearest_consistent_body(
+                self.prior[link], self.prior[link], _FLOOR
+            )
             root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
             units = _components(root @ _BASIS @ root.T) @ _THETAS
             bodies.append((theta, units.T))

@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.newton_euler import LinkDynamics, in_parts
-from robot_sysid.dynamics.nuisances import tilt_angles, tilt_axes, turned, zero_columns
+from robot_sysid.dynamics.newton_euler import (
+    LinkDynamics,
+    split_motion,
+    tilt_angles,
+    tilt_axes,
+    turn_gravity,
+    zero_columns,
+)
 from robot_sysid.errors import InputError
 from robot_sysid.records import Motion
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
@@ -19,7 +25,7 @@ angle = st.floats(-0.3, 0.3)
 @given(SEEDS, angle, angle)
 def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
     down = 9.81 * np.random.default_rng(seed).normal(size=3)
-    after = turned(down, np.array([first, second]))
+    after = turn_gravity(down, np.array([first, second]))
     np.testing.assert_allclose(np.linalg.norm(after), np.linalg.norm(down), rtol=1e-12)
     # Both axes are perpendicular to gravity, so the whole turn shows.
     sine = np.linalg.norm(np.cross(down, after)) / (down @ down)
@@ -33,7 +39,7 @@ def test_angles_of_a_turn_are_found_again(seed, first, second):
     level = 9.81 * np.random.default_rng(seed).normal(size=3)
     angles = np.array([first, second])
     np.testing.assert_allclose(
-        tilt_angles(level, turned(level, angles)), angles, atol=1e-9
+        tilt_angles(level, turn_gravity(level, angles)), angles, atol=1e-9
     )
     np.testing.assert_allclose(tilt_angles(level, -level), [np.pi, 0.0])
 
@@ -44,13 +50,13 @@ def test_axes_that_are_carried_along_stay_square_and_small_turns_add_up(
 ):
     level = 9.81 * np.random.default_rng(seed).normal(size=3)
     angles = np.array([first, second])
-    here = turned(level, angles)
+    here = turn_gravity(level, angles)
     axes = tilt_axes(level, here)
     directions = np.array([*axes, here / np.linalg.norm(here)])
     np.testing.assert_allclose(directions @ directions.T, np.eye(3), atol=1e-9)
     # A small turn of a tilted arm adds to its tilt, but for the curvature of the sphere.
     small = 1e-4 * np.array([0.6, 0.8])
-    added = tilt_angles(level, turned(here, small, axes)) - angles
+    added = tilt_angles(level, turn_gravity(here, small, axes)) - angles
     curvature = (first**2 + second**2) / 3.0
     np.testing.assert_allclose(added, small, rtol=0.0, atol=1e-4 * (curvature + 1e-3))
     np.testing.assert_allclose(tilt_axes(level, level), tilt_axes(level), atol=1e-12)
@@ -86,7 +92,7 @@ def test_a_zero_changes_the_torque_as_differences_of_it_say(xml, seed):
 @given(st.integers(0, 40), st.integers(0, 10**6))
 def test_a_motion_in_parts_is_the_motion_and_no_part_is_large(samples, width):
     motion = np.arange(3.0 * samples).reshape(-1, 3), np.arange(samples)
-    parts = list(in_parts(width, *motion))
+    parts = list(split_motion(width, *motion))
     for each, whole in zip(zip(*parts), motion):
         np.testing.assert_array_equal(np.concatenate(each), whole)
     # Up to one sample more, where they do not divide evenly.
