@@ -20,7 +20,6 @@ from robot_sysid.damiao.bus import GuardedLink, SystemClock, inspect_bus
 from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.preflight import Plan
 from robot_sysid.damiao.protocol import (
     BusTiming,
     MitCommand,
@@ -28,7 +27,7 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     encode_mit,
 )
-from robot_sysid.damiao.settings import PlaySettings, RecordingOptions
+from robot_sysid.damiao.settings import Plan, PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import SimulatedArm, serve, simulated_motor
 from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,

@@ -114,7 +114,7 @@ NEVER = {
             "limit_checks",
         )
     )
-    + places("damiao.model_check", "model_checks", "torque_checks", "way_check")
+    + places("damiao.model_check", "model_checks", "torque_checks", "transfer_check")
     + SECOND
     + places("damiao.execution", "MotorRun"),  # nothing is played
     # No model.

@@ -13,7 +13,8 @@ import numpy as np
 
 from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged_json, damaged_table
-from robot_sysid.damiao.preflight import Plan, plan_checks
+from robot_sysid.damiao.preflight import plan_checks
+from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,

@@ -14,7 +14,8 @@ from robot_sysid.api.keywords import Model, path_of, with_keywords
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.execution import MotorRun, lasting
 from robot_sysid.damiao.player import PlayReport, StopRequest
-from robot_sysid.damiao.preflight import Plan, require_no_stop
+from robot_sysid.damiao.preflight import require_no_stop
+from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError

@@ -33,15 +33,20 @@ from robot_sysid.damiao.joints import (
     read_joint_map,
 )
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
-from robot_sysid.damiao.preflight import Check, Plan
-from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, refuse_harmful
+from robot_sysid.damiao.preflight import Check
+from robot_sysid.damiao.protocol import (
+    BusTiming,
+    Frame,
+    Scaling,
+    refuse_harmful,
+    register_text,
+)
 from robot_sysid.damiao.recorder import (
     Aside,
     Centring,
     MeasurementRecorder,
     RawFrameLog,
     SamplingRipple,
-    head_lines,
 )
 from robot_sysid.damiao.references import (
     STRAIGHT,
@@ -54,6 +59,7 @@ from robot_sysid.damiao.safety.guards import Overload
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
     Permissions,
+    Plan,
     PlaySettings,
     RecordingOptions,
     SecondArm,
@@ -220,18 +226,18 @@ class MotorRun:
         from robot_sysid.damiao.model_check import (
             model_checks,
             torque_checks,
-            way_check,
+            transfer_check,
         )
 
         checks += model_checks(plan, self._contacts)
-        if plan.pose is not None:
-            *_, (name, begin, end) = plan.ways(plan.trajectory.q[0])
-            checks += way_check(name, *self._order(begin, end))
+        if plan.parking_pose is not None:
+            *_, (name, begin, end) = plan.transfers(plan.trajectory.q[0])
+            checks += transfer_check(name, *self._order(begin, end))
         return [*checks, *torque_checks(plan.trajectory, plan.settings, self.robot)]
 
     def orders(self, plan: Plan, q: Array) -> tuple[str, ...]:
         """Return in which order joints go on each way of an arm that is at q (n,) [rad]."""
-        return tuple(self._order(begin, end)[0] for _, begin, end in plan.ways(q))
+        return tuple(self._order(begin, end)[0] for _, begin, end in plan.transfers(q))
 
     def _order(self, begin: Array, end: Array) -> tuple[str, str]:
         """Return ``Contacts.order``, which is asked for by the checks and by the run."""
@@ -257,12 +263,12 @@ class MotorRun:
         q = plan.joint_positions(inspection)
         if np.all(np.isfinite(q)):
             checks += preflight.limit_checks(plan, q, self.orders(plan, q))
-            for name, begin, end in plan.ways(q) if self.robot is not None else ():
-                from robot_sysid.damiao.model_check import way_check
+            for name, begin, end in plan.transfers(q) if self.robot is not None else ():
+                from robot_sysid.damiao.model_check import transfer_check
 
                 # The way to a pose begins where the trajectory ends, and was checked without a bus.
                 if begin is q or end is q:
-                    checks += way_check(name, *self._order(begin, end))
+                    checks += transfer_check(name, *self._order(begin, end))
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
@@ -415,15 +421,15 @@ def run(
     settings = _settings_with(plan, held_joints)
     park = (
         settings.park
-        if plan.pose is None
-        else np.concatenate([plan.pose, held_positions])
+        if plan.parking_pose is None
+        else np.concatenate([plan.parking_pose, held_positions])
     )
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     try:
         with contextlib.ExitStack() as stack:
             recorder = stack.enter_context(_recorder(link, plan, motors, writer))
-            watchdog = plan.allowed.watchdog
+            watchdog = plan.permissions.watchdog
             if watchdog is not None:
                 client = RegisterClient(link)
                 stack.enter_context(
@@ -460,7 +466,7 @@ def _held_joints(plan: Plan, inspection: Inspection) -> tuple[DamiaoJoint, ...]:
         DamiaoJoint(
             name, motor.can_id, motor.master_id, "", motor.address.bus, motor.channel
         )
-        for motor in plan.others(inspection)
+        for motor in plan.other_motors(inspection)
         for name in matching_types(motor.limits)[:1]
     )
 
@@ -502,7 +508,7 @@ def _recorder(
         yield None
         return
     registers = [motor.registers for motor in motors[: played.n_joints]]
-    head = head_lines(played.joints, registers, plan.settings, played.path.name)
+    head = recording_header(played.joints, registers, plan.settings, played.path.name)
     names = [
         joint.name if played.has_two_arms else f"j{j}"
         for j, joint in enumerate(played.joints)
@@ -516,3 +522,33 @@ def _recorder(
         yield stack.enter_context(
             MeasurementRecorder(file, head, names, aside, centring, frames, may_replace)
         )
+
+
+def recording_header(
+    joints: Sequence[DamiaoJoint],
+    registers: Sequence[Mapping[int, float]],
+    run: PlaySettings,
+    source: str,
+) -> list[str]:
+    """Return the comment lines of a recording; registers are, per joint, number to value."""
+    texts = [
+        ",".join(register_text(k, held[k]) for k in sorted(held)) for held in registers
+    ]
+    return [
+        "robot-sysid motors recording",
+        f"trajectory={source}",
+        *(
+            f"motor_type={j.motor_type},can_id={j.can_id},mode=MIT,master_id={j.master_id}"
+            for j in joints
+        ),
+        *(f"registers_j{j}: {text}" for j, text in enumerate(texts)),
+        f"rate_hz={run.rate:g},speed={run.speed:g}",
+        "kp=" + " ".join(f"{x:g}" for x in run.kp),
+        "kd=" + " ".join(f"{x:g}" for x in run.kd),
+        "half_step=1: half a quantisation step added to measured position, velocity and torque, "
+        "because motors drop the fraction",
+        "centred=1: jN_tau is the measured torque plus jN_cmd_mean, the mean of held commands",
+        "jN_cmd_step is the torque step that the command answered by this sample then made",
+        "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
+        "jN_doubted=1: an answer came that cannot be true; it is left out here",
+    ]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check, Plan
+from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check
 from robot_sysid.damiao.references import (
     ORDERS,
     STRAIGHT,
@@ -28,7 +28,7 @@ from robot_sysid.damiao.references import (
     torque_doubt,
 )
 from robot_sysid.damiao.safety.causes import MovedZeroCheck
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
 from robot_sysid.model import ModelOptions
@@ -139,9 +139,9 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     if excesses:
         remedy = _smaller_motion_remedy(played, contacts.arms[0])
         excesses = [f"{excess}; {remedy}" for excess in excesses]
-    if plan.pose is not None:
+    if plan.parking_pose is not None:
         for robot, joints in zip(contacts.arms, contacts.joints_of_arms):
-            excesses += _pose_excesses(robot, plan.pose[joints])
+            excesses += _pose_excesses(robot, plan.parking_pose[joints])
     both_arms = SampledTrajectory(played, speed)
     between = contacts.between
     if between is not None and (at := between.touch_at(both_arms)) is not None:
@@ -168,11 +168,11 @@ def _smaller_motion_remedy(trajectory: DamiaoTrajectory, robot: RobotModel) -> s
     return f"{remedy}: {shlex.join(command)}"
 
 
-def way_check(name: str, order: str, touching: str) -> Iterator[Check]:
+def transfer_check(name: str, order: str, touching: str) -> Iterator[Check]:
     """Yield where arms touch something on a straight way, and how they go instead, if they can.
 
     Args:
-        name: of the way, see ``Plan.ways``.
+        name: of the way, see ``Plan.transfers``.
         order: in which of ``ORDERS`` it is free; "" where in none.
         touching: what touches on the straight way; "" where nothing does.
     """

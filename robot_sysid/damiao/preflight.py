@@ -1,15 +1,10 @@
-"""What is to be played, and the list that is gone through before an arm may move.
-
-Every point yields a check: ``ok``, ``note`` (worth knowing) or ``stop`` (nothing is played before
-it is put right), each with what was found and what to do.
-"""
+"""The plan of a run on motors, and the checks that it has to pass before an arm may move."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -24,25 +19,22 @@ from robot_sysid.damiao.joints import (
     matching_types,
 )
 from robot_sysid.damiao.protocol import Scaling
-from robot_sysid.damiao.recorder import SamplingRipple
 from robot_sysid.damiao.references import (
     FileHolding,
     HoldingCheck,
     torque_doubt,
-    way_rows,
+    transfer_rows,
 )
-from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import (
     LONGEST_SET_WATCHDOG,
     Permissions,
+    Plan,
     PlaySettings,
-    RecordingOptions,
+    row_slopes,
 )
-from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
-from robot_sysid.special_files import refuse_special_file
 
 OK = "ok"
 NOTE = "note"
@@ -59,16 +51,19 @@ _NO_WATCHDOG = 5.0
 _ANSWER_SHARE = 0.9
 # Speed that one step of torque may give a joint within a cycle [rad/s]: a judgement, a third of
 # what ``--max-speed-error`` stops at.
-_SHAKEN = 0.3
-# Commands may move by a tenth faster than what is played: rows are rounded.
-_SPEED_ROOM = 1.1
+_SHAKING_SPEED = 0.3
 # Relative; register values went through float32.
 _FLOAT32_SLACK = 1e-6
 
 
 @dataclass(frozen=True)
 class Check:
-    """One point of the list: ``text`` is what was found and, unless ok, what to do."""
+    """Result of one check before a run.
+
+    Attributes:
+        severity: OK, NOTE (worth knowing) or STOP (forbids to play).
+        text: the finding and, unless OK, its remedy.
+    """
 
     severity: str
     text: str
@@ -78,133 +73,26 @@ _note = partial(Check, NOTE)
 _stop = partial(Check, STOP)
 
 
-def _first(*table: tuple[str, object, str]) -> Check:
-    """Return the first line of a table of severity, whether it holds, and text."""
-    return next(Check(severity, text) for severity, holds, text in table if holds)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is to be played, and how; settings left open are chosen for these motors and this bus.
-
-    Where a model is known, ``inertia`` is what each joint moves (n,) [kg m^2], ``model_range`` are
-    the least and greatest positions (n,) of its joints [rad], and ``ripple`` says how torque steps
-    show in what is sampled. ``limits`` hold for the trajectory, the way to it and the way to where
-    the arm is parked.
-    """
-
-    trajectory: motion.DamiaoTrajectory
-    settings: PlaySettings = PlaySettings()
-    timing: protocol.BusTiming = protocol.BusTiming()
-    allowed: Permissions = Permissions()
-    recording: RecordingOptions = RecordingOptions()
-    inertia: Array | None = None
-    limits: LimitOptions = motion.NO_LIMITS
-    model_range: tuple[Array, Array] | None = None
-    ripple: SamplingRipple | None = None
-
-    def __post_init__(self) -> None:
-        if len(self.trajectory.time) < 2:
-            raise InputError(
-                f"{self.trajectory.path} needs at least two rows to be played"
-            )
-        specs = [joint.spec for joint in self.trajectory.joints]
-        settings = self.settings.for_motors(specs, self.timing, self.inertia)
-        object.__setattr__(self, "settings", settings)
-
-    @property
-    def duration(self) -> float:
-        """How long playing takes [s]."""
-        return float(np.ptp(self.trajectory.time)) / self.settings.speed
-
-    @property
-    def pose(self) -> Array | None:
-        """Positions (n,) in which to leave the arm [rad]; None where --park names no file."""
-        park = self.settings.park
-        n = self.trajectory.n_joints
-        if park in (None, "rest", "start"):
-            return None
-        refuse_special_file(str(park), "--park takes a file")
-        try:
-            cells = Path(str(park)).read_text(encoding="utf-8-sig").split(",")
-            pose = np.array([float(cell) for cell in cells])
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"--park takes rest, start or a file with a line of {n} positions; {park}: {error}"
-            ) from None
-        if pose.shape != (n,) or not np.all(np.isfinite(pose)):
-            raise InputError(
-                f"{park} has to hold {n} positions in one line, separated by commas"
-            )
-        return pose
-
-    def command_range(self, held: Array) -> CommandRange:
-        """Return where and how fast commands may go, held motors at ``held`` (m,) behind [rad].
-
-        Positions are within the model's range, or else within that of the trajectory.
-        """
-        played = self.trajectory
-        lower, upper = self.model_range or (
-            np.min(played.q, axis=0),
-            np.max(played.q, axis=0),
-        )
-        if self.model_range is None and self.pose is not None:
-            lower = np.minimum(lower, self.pose)
-            upper = np.maximum(upper, self.pose)
-        slope = np.diff(played.q, axis=0) / np.diff(played.time)[:, None]
-        fastest = np.maximum(np.abs(slope).max(axis=0), np.abs(played.qd).max(axis=0))
-        speed = np.maximum(self.settings.speed * fastest, self.settings.approach_speed)
-        held_speed = np.full_like(held, self.settings.approach_speed)
-        return CommandRange(
-            np.append(lower, held),
-            np.append(upper, held),
-            _SPEED_ROOM * np.append(speed, held_speed),
-        )
-
-    def ways(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
-        """Yield name, begin and end (n,) of the ways of an arm at q (n,) to begin and to park."""
-        parked = q if self.settings.park == "start" else self.pose
-        yield "on the way to the first point", q, self.trajectory.q[0]
-        if parked is not None:
-            yield "on the way to where it is parked", self.trajectory.q[-1], parked
-
-    def joint_positions(self, inspection: Inspection) -> Array:
-        """Return where the joints stand (n,) [rad]; NaN where a motor does not tell."""
-        joints = self.trajectory.joints
-        motors = inspection.motors
-        positions = [
-            motors[j.address].position if j.address in motors else np.nan
-            for j in joints
-        ]
-        return JointSpace.of(joints).joint_position(np.array(positions))
-
-    def others(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
-        """Return the motors that answer but drive no joint of the trajectory."""
-        addresses = {joint.address for joint in self.trajectory.joints}
-        motors = sorted(inspection.motors.items())
-        return tuple(motor for address, motor in motors if address not in addresses)
-
-
 def limit_checks(
     plan: Plan, q: Array | None = None, orders: Sequence[str] = ()
 ) -> list[Check]:
-    """Return where the trajectory, or else the ways from q (n,) [rad], break the user's limits.
+    """Return a check for each limit of the user that the trajectory or its transfers break.
 
-    ``orders`` are those of the joints on each way.
+    Without ``q`` the trajectory itself is compared; with it, the transfers of an arm that stands at
+    q (n,) [rad], each with its joints moving in one of ``orders``, see ``references.ORDERS``.
     """
-    played = plan.trajectory
+    trajectory = plan.trajectory
     settings = plan.settings
     if q is None:
-        return list(
-            map(_stop, motion.limit_excesses(played, settings.speed, plan.limits))
-        )
+        excesses = motion.limit_excesses(trajectory, settings.speed, plan.limits)
+        return [_stop(excess) for excess in excesses]
     pace = settings.approach_speed, settings.approach_time
     remedy = (
         f"move it nearer by hand, or lower --approach-speed {settings.approach_speed:g}"
     )
     checks = []
-    for (name, begin, end), order in zip(plan.ways(q), orders):
-        rows = way_rows(played, begin, end, pace, order)
+    for (name, begin, end), order in zip(plan.transfers(q), orders):
+        rows = transfer_rows(trajectory, begin, end, pace, order)
         for excess in motion.limit_excesses(rows, 1.0, plan.limits):
             checks.append(_stop(f"{name}, {excess}; {remedy}"))
     return checks
@@ -222,65 +110,71 @@ def require_no_stop(checks: Sequence[Check], consequence: str) -> None:
 
 
 def plan_checks(plan: Plan) -> list[Check]:
-    """Return what can be said without a bus: ids, limits, ends at rest, bus load."""
-    limits = [joint.spec.limits for joint in plan.trajectory.joints]
+    """Return the checks that need no bus: ids, ends at rest, ratings, bus load, frame limits."""
+    joints = plan.trajectory.joints
+    limits = [joint.spec.limits for joint in joints]
+    addresses = [joint.address for joint in joints]
     return [
-        *_ids(plan.trajectory.joints),
-        *_motion(plan),
-        *_motors(plan),
-        _load((j.address for j in plan.trajectory.joints), plan.settings, plan.timing),
-        *_within_limits(plan, limits, "its type's"),
+        *_id_checks(joints),
+        *_motion_checks(plan),
+        *_motor_checks(plan),
+        _load_check(addresses, plan.settings, plan.timing),
+        *_frame_limit_checks(plan, limits, "its type's"),
     ]
 
 
-def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    problems = [
-        _stop(text) for text in id_problems([(*j.address, j.master_id) for j in joints])
-    ]
-    unique = f"ids are unique: {', '.join(str(j.can_id) for j in joints)}"
+def _id_checks(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
+    ids = [(*joint.address, joint.master_id) for joint in joints]
+    problems = [_stop(problem) for problem in id_problems(ids)]
+    unique = f"ids are unique: {', '.join(str(joint.can_id) for joint in joints)}"
     yield from problems or [Check(OK, unique)]
     if any(joint.master_id == 0 for joint in joints):
         yield _note("a master id of 0 is a poor choice; set it to CAN id + 0x10")
 
 
-def _motion(plan: Plan) -> Iterator[Check]:
-    """Yield whether it begins and ends at rest, and whether velocities belong to positions."""
-    played = plan.trajectory
-    worst = float(np.max(np.abs(played.qd[[0, -1]]))) * plan.settings.speed
-    moving = f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest"
-    at_rest = f"starts and ends at rest, {plan.duration:.1f} s"
-    yield _first((STOP, worst > _REST_SPEED, moving), (OK, True, at_rest))
-    mismatch = motion.velocity_mismatch(played.time, played.q, played.qd)
+def _motion_checks(plan: Plan) -> Iterator[Check]:
+    """Yield whether a trajectory starts and ends at rest, and its velocities fit its positions."""
+    trajectory = plan.trajectory
+    end_speed = float(np.max(np.abs(trajectory.qd[[0, -1]]))) * plan.settings.speed
+    if end_speed > _REST_SPEED:
+        yield _stop(
+            f"the trajectory starts or ends at {end_speed:.2f} rad/s; it has to start and end at "
+            "rest"
+        )
+    else:
+        yield Check(OK, f"starts and ends at rest, {plan.duration:.1f} s")
+    mismatch = motion.velocity_mismatch(trajectory.time, trajectory.q, trajectory.qd)
     if mismatch is None:
         yield Check(OK, "velocities and positions agree")
         return
-    label = played.joints[mismatch.joint].label
+    line = trajectory.line[mismatch.row]
+    label = trajectory.joints[mismatch.joint].label
     yield _stop(
-        f"line {played.line[mismatch.row]}: velocity {mismatch.stated:.4g} rad/s of {label}, but "
+        f"line {line}: velocity {mismatch.stated:.4g} rad/s of {label}, but "
         f"the positions change by {mismatch.slope:.4g} rad/s; export the file again, with at "
         "least four decimals"
     )
 
 
-def _motors(plan: Plan) -> Iterator[Check]:
-    """Yield what is beyond motors' ratings, and which joints a step of torque throws about."""
-    played = plan.trajectory
-    joints = played.joints
+def _motor_checks(plan: Plan) -> Iterator[Check]:
+    """Yield where a motor's ratings are exceeded, and which joints a step of torque would shake."""
+    trajectory = plan.trajectory
+    joints = trajectory.joints
     settings = plan.settings
-    steps = Scaling(joint.spec.limits for joint in joints).steps[2]
+    torque_steps = Scaling(joint.spec.limits for joint in joints).steps[2]
     inertias = [np.inf] * len(joints) if plan.inertia is None else plan.inertia
-    yield from map(
-        _stop, motion.rotor_problems(played, settings.speed, torque_doubt(joints))
-    )
-    fastest = np.abs(played.qd).max(axis=0)
-    strongest = np.abs(played.tau).max(axis=0)
-    for j, (joint, step, inertia) in enumerate(zip(joints, steps, inertias)):
-        torque = strongest[j] / joint.torque_ratio
-        for text in motion.rating_warnings(joint, fastest[j] * settings.speed, torque):
-            yield Check(STOP if motion.CANNOT_FOLLOW in text else NOTE, text)
+    doubt = torque_doubt(joints)
+    for problem in motion.rotor_problems(trajectory, settings.speed, doubt):
+        yield _stop(problem)
+    speeds = np.abs(trajectory.qd).max(axis=0) * settings.speed
+    torques = np.abs(trajectory.tau).max(axis=0)
+    for j, (joint, step, inertia) in enumerate(zip(joints, torque_steps, inertias)):
+        torque = torques[j] / joint.torque_ratio
+        for warning in motion.rating_warnings(joint, speeds[j], torque):
+            yield Check(STOP if motion.CANNOT_FOLLOW in warning else NOTE, warning)
         if joint.spec.note:
             yield _note(f"{joint.label}, {joint.motor_type}: {joint.spec.note}")
-        if step * settings.period / inertia > _SHAKEN:
+        if step * settings.period / inertia > _SHAKING_SPEED:
             yield _note(
                 f"{joint.label} moves only {inertia:.2g} kg m^2 in the model, and a step of a "
                 f"{joint.motor_type}'s torque is {step:.2g} N m: it will shake; give the model the "
@@ -288,99 +182,104 @@ def _motors(plan: Plan) -> Iterator[Check]:
             )
 
 
-def _load(
+def _load_check(
     addresses: Iterable[protocol.Address],
     settings: PlaySettings,
     timing: protocol.BusTiming,
 ) -> Check:
+    """Return whether the bus with most of the motors at ``addresses`` can carry their frames."""
     buses = [bus for bus, _ in addresses]
     limit = protocol.PLANNING_LIMIT
     n_motors = max(buses.count(bus) for bus in buses)
     load = protocol.bus_load(n_motors, 1.0 / settings.period, timing)
     bus_type = "CAN-FD" if timing.fd else "classic CAN"
     text = f"{n_motors} motors at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %"
+    if load <= limit:
+        return Check(OK, text)
     suggested_rate = protocol.suggested_rate(n_motors, timing)
-    full = f"{text}, limit {100 * limit:.0f} %; use --rate {suggested_rate:g}"
-    return _first((OK, load <= limit, text), (STOP, True, full))
+    return _stop(f"{text}, limit {100 * limit:.0f} %; use --rate {suggested_rate:g}")
 
 
-def _within_limits(
-    plan: Plan, limits: Sequence[tuple[float, float, float]], whose: str
-) -> Sequence[Check]:
-    played = plan.trajectory
+def _frame_limit_checks(
+    plan: Plan, limits: Sequence[tuple[float, float, float]], owner: str
+) -> list[Check]:
+    """Return where a trajectory, or its parking pose, exceeds what its motors' frames can carry.
+
+    ``limits`` are (PMAX, VMAX, TMAX) per joint; messages call them ``owner`` limits.
+    """
+    trajectory = plan.trajectory
     speed = plan.settings.speed
     remedy = "export a smaller trajectory"
-    positions = played.q
-    # Where it is parked counts as well.
-    if plan.pose is not None:
-        positions = np.vstack([positions, plan.pose])
+    positions = trajectory.q
+    pose = plan.parking_pose
+    if pose is not None:
+        positions = np.vstack([positions, pose])
         remedy = f"{remedy}, or choose another --park"
-    slope = np.diff(played.q, axis=0) / np.diff(played.time)[:, None]
-    p, v, t = JointSpace.of(played.joints).to_motors(
-        positions, speed * played.qd, played.tau
+    p, v, t = JointSpace.of(trajectory.joints).to_motors(
+        positions, speed * trajectory.qd, trajectory.tau
     )
-    position_limit, velocity_limit, torque_limit = zip(*limits)
+    p_limit, v_limit, t_limit = np.array(limits, dtype=float).T
     checks = []
-    for quantity, unit, values, tops in (
-        ("position", "rad", p, position_limit),
-        ("velocity", "rad/s", v, velocity_limit),
-        ("torque", "N m", t, torque_limit),
-        ("position step", "rad/s", speed * slope, velocity_limit),
+    for quantity, unit, values, quantity_limits in (
+        ("position", "rad", p, p_limit),
+        ("velocity", "rad/s", v, v_limit),
+        ("torque", "N m", t, t_limit),
+        ("position step", "rad/s", speed * row_slopes(trajectory), v_limit),
     ):
-        peaks = np.abs(values).max(axis=0)
-        for joint, peak, top in zip(played.joints, peaks, tops):
-            if peak > top * (1.0 + _FLOAT32_SLACK):
-                finding = (
-                    f"{quantity} {peak:.4g} {unit} is beyond {whose} limit {top:g}"
+        largest = quantity_limits * (1.0 + _FLOAT32_SLACK)
+        for j, peak in motion.peaks_beyond(values, largest):
+            checks.append(
+                _stop(
+                    f"{trajectory.joints[j].label}: {quantity} {peak:.4g} {unit} is beyond "
+                    f"{owner} limit {quantity_limits[j]:g}; {remedy}"
                 )
-                checks.append(_stop(f"{joint.label}: {finding}; {remedy}"))
-    return checks or [Check(OK, f"the trajectory stays within {whose} limits")]
+            )
+    return checks or [Check(OK, f"the trajectory stays within {owner} limits")]
 
 
-# --- what the motors say ------------------------------------------------------------------------
+# --- answers of the motors ----------------------------------------------------------------------
 
 
 def general_checks(
     inspection: Inspection, settings: PlaySettings, timing: protocol.BusTiming
 ) -> list[Check]:
-    """Return what motors say on their own, without a trajectory to compare them with."""
-    motors = inspection.motors.values()
-    conditions = [
-        check for m in motors for check in _condition(m, settings, Permissions())
+    """Return the checks of inspected motors that no trajectory is needed for."""
+    checks = [
+        _load_check(inspection.motors, settings, timing),
+        *_traffic_checks(inspection),
     ]
-    return [
-        _load(inspection.motors, settings, timing),
-        *_bus_itself(inspection),
-        *conditions,
-    ]
+    for motor in inspection.motors.values():
+        checks += _condition_checks(motor, settings, Permissions())
+    return checks
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
-    """Return what the motors on the bus say to the plan."""
+    """Return the checks of a plan against the motors on the bus."""
     joints = plan.trajectory.joints
     settings = plan.settings
-    checks = list(_bus_itself(inspection))
-    present = [
-        inspection.motors[j.address] for j in joints if j.address in inspection.motors
-    ]
+    checks = list(_traffic_checks(inspection))
+    limits = []
     for joint in joints:
-        if (motor := inspection.motors.get(joint.address)) is None:
+        motor = inspection.motors.get(joint.address)
+        if motor is None:
             checks.append(
                 _stop(
                     f"{joint.label} does not answer; check power, wiring, its id, bit rate"
                 )
             )
-        else:
-            checks += _condition(motor, settings, plan.allowed, joint)
-    limits = [m.limits for m in present if set(protocol.SCALING) <= set(m.registers)]
+            continue
+        checks += _condition_checks(motor, settings, plan.permissions, joint)
+        if set(protocol.SCALING) <= set(motor.registers):
+            limits.append(motor.limits)
     if len(limits) == len(joints):
-        checks += _within_limits(plan, limits, "its registers'")
-        checks += _in_time(inspection.round_trip, settings)
-        checks += _near_start(plan, plan.joint_positions(inspection))
-    return [*checks, *_other_motors(plan, plan.others(inspection))]
+        checks += _frame_limit_checks(plan, limits, "its registers'")
+        checks += _answer_time_checks(inspection.round_trip, settings)
+        checks += _start_checks(plan, plan.joint_positions(inspection))
+    return [*checks, *_other_motor_checks(plan, plan.other_motors(inspection))]
 
 
-def _bus_itself(inspection: Inspection) -> Iterator[Check]:
+def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
+    """Yield signs of another program, of another bit rate and of ids that clash on the bus."""
     if inspection.unsolicited:
         yield _stop(
             f"{inspection.unsolicited} frames came without being asked for: another program is "
@@ -392,30 +291,37 @@ def _bus_itself(inspection: Inspection) -> Iterator[Check]:
             "set to CAN-FD (use --fd) or to another bit rate"
         )
     ids = [(*address, motor.master_id) for address, motor in inspection.motors.items()]
-    yield from map(_stop, id_problems(ids))
+    for problem in id_problems(ids):
+        yield _stop(problem)
 
 
-def _other_motors(plan: Plan, others: Sequence[InspectedMotor]) -> Iterator[Check]:
-    if not others:
+def _other_motor_checks(
+    plan: Plan, motors: Sequence[InspectedMotor]
+) -> Iterator[Check]:
+    """Yield the checks of motors that are not in the trajectory: left limp, or held."""
+    if not motors:
         return
-    names = ", ".join(motor.name for motor in others)
+    names = ", ".join(motor.name for motor in motors)
     if plan.settings.others == "limp":
         yield _note(
             f"not in the trajectory and left limp: {names} (--others hold holds them)"
         )
-        yield from (check for motor in others for check in _left_alone(motor))
+        for motor in motors:
+            yield from _limp_checks(motor)
         return
     yield _note(f"not in the trajectory and held where they are: {names}")
-    for motor in others:
-        yield from _condition(motor, plan.settings, plan.allowed, taken_over=True)
+    for motor in motors:
+        yield from _condition_checks(
+            motor, plan.settings, plan.permissions, taken_over=True
+        )
         if not matching_types(motor.limits):
             yield _stop(
                 f"{motor.name} is of no known type and cannot be held; use --others limp"
             )
 
 
-def _left_alone(motor: InspectedMotor) -> Iterator[Check]:
-    """Yield what forbids to leave a motor as it is: it drives something, and nobody watches it."""
+def _limp_checks(motor: InspectedMotor) -> Iterator[Check]:
+    """Yield why a motor cannot be left limp: it may drive something that nobody watches."""
     if motor.feedback is None:
         yield _stop(
             f"{motor.name} does not tell whether it is enabled; take it off the bus"
@@ -427,44 +333,52 @@ def _left_alone(motor: InspectedMotor) -> Iterator[Check]:
         )
 
 
-def _condition(
+def _condition_checks(
     motor: InspectedMotor,
-    play: PlaySettings,
-    allow: Permissions,
+    settings: PlaySettings,
+    permissions: Permissions,
     joint: DamiaoJoint | None = None,
     taken_over: bool = False,
 ) -> Iterator[Check]:
+    """Yield the checks of one motor's registers and state.
+
+    Ids and scaling are compared with those of its ``joint``, if it drives one. A motor that is
+    ``taken_over`` may be enabled already.
+    """
     name = joint.label if joint else motor.name
     registers = motor.registers
     if len(motor.reply_ids) > 1:
         yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
-    lacking = [
-        protocol.NAMES[number]
-        for number in protocol.REQUIRED
-        if number not in registers
-    ]
-    if lacking:
-        yield _stop(f"{name} does not answer for {', '.join(lacking)}; try again")
+    required = protocol.REQUIRED
+    missing = [protocol.NAMES[number] for number in required if number not in registers]
+    if missing:
+        yield _stop(f"{name} does not answer for {', '.join(missing)}; try again")
         return
     if joint:
-        yield from _identity(motor, joint, name)
-        yield _scaling(motor, joint, allow)
+        yield from _id_register_checks(motor, joint, name)
+        yield _scaling_check(motor, joint, permissions)
     mode = int(registers[protocol.CTRL_MODE])
     if mode != protocol.MIT_MODE:
         mode_name = protocol.MODES.get(mode, "unknown")
         yield _stop(f"{name} is in mode {mode} ({mode_name}); set CTRL_MODE to 1 (MIT)")
-    stored = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
-    yield _watchdog(name, stored if allow.watchdog is None else allow.watchdog, play)
-    yield from _state(motor, play, name, taken_over)
+    watchdog = permissions.watchdog
+    if watchdog is None:
+        watchdog = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
+    yield _watchdog_check(name, watchdog, settings)
+    yield from _state_checks(motor, settings, name, taken_over)
 
 
-def _identity(motor: InspectedMotor, joint: DamiaoJoint, name: str) -> Iterator[Check]:
+def _id_register_checks(
+    motor: InspectedMotor, joint: DamiaoJoint, name: str
+) -> Iterator[Check]:
+    """Yield where a motor's ids differ from those of the joint that it drives."""
     can_id = int(motor.registers[protocol.ESC_ID])
     master_id = int(motor.registers[protocol.MST_ID])
     if can_id != joint.can_id:
         yield _stop(f"{name} says that its CAN id is {can_id}; power-cycle it")
-    if master_id != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
-        answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
+    reply_ids = sorted(set(motor.reply_ids))
+    if master_id != joint.master_id or reply_ids != [joint.master_id]:
+        answers = ", ".join(f"{reply_id:#x}" for reply_id in reply_ids)
         yield _stop(
             f"{name} answers on {answers} (MST_ID {master_id:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set it (robot-sysid motors setup --new-master-id), or export "
@@ -472,51 +386,54 @@ def _identity(motor: InspectedMotor, joint: DamiaoJoint, name: str) -> Iterator[
         )
 
 
-def _scaling(
+def _scaling_check(
     motor: InspectedMotor, joint: DamiaoJoint, permissions: Permissions
 ) -> Check:
+    """Return whether a motor's PMAX, VMAX, TMAX are those of its joint's motor type."""
     limits = motor.limits
     stored = ", ".join(f"{limit:g}" for limit in limits)
     nominal = ", ".join(f"{limit:g}" for limit in joint.spec.limits)
     text = f"{joint.label} has PMAX, VMAX, TMAX {stored}"
-    same = f"{joint.label} is scaled as a {joint.motor_type}: {stored}"
-    other = f"{text} but a {joint.motor_type} has {nominal}"
-    return _first(
-        (STOP, min(limits) <= 0.0, f"{text}: not usable"),
-        (OK, limits_agree(joint.spec.limits, limits), same),
-        (
-            NOTE,
-            permissions.register_limits,
-            f"{other}: the motor's own values are used",
-        ),
-        (STOP, True, f"{other}; if the motor is right, give --accept-register-limits"),
-    )
+    if min(limits) <= 0.0:
+        return _stop(f"{text}: not usable")
+    if limits_agree(joint.spec.limits, limits):
+        return Check(OK, f"{joint.label} is scaled as a {joint.motor_type}: {stored}")
+    difference = f"{text} but a {joint.motor_type} has {nominal}"
+    if permissions.register_limits:
+        return _note(f"{difference}: the motor's own values are used")
+    return _stop(f"{difference}; if the motor is right, give --accept-register-limits")
 
 
-def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
+def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
+    """Return whether a watchdog's timeout [s] stops a motor soon, and not between two cycles."""
     least = _LEAST_WATCHDOG_CYCLES * settings.period
     options = f"--set-watchdog {max(0.1, np.ceil(10.0 * least) / 10.0):g}"
     if least > LONGEST_SET_WATCHDOG:
         slowest = _LEAST_WATCHDOG_CYCLES / LONGEST_SET_WATCHDOG
         options = f"--rate {slowest:g} and --set-watchdog {LONGEST_SET_WATCHDOG:g}"
+    remedy = f"give {options} or set TIMEOUT"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
-    absent = f"{name} has no watchdog: it would go on for ever if this program died"
-    endless = (
-        f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
-    )
-    short = f"{watchdog} is too short for {settings.rate:g} Hz; give {options}"
-    return _first(
-        (STOP, timeout == 0.0, f"{absent}; give {options} or set TIMEOUT"),
-        (STOP, timeout > _NO_WATCHDOG, f"{endless}; give {options} or set TIMEOUT"),
-        (STOP, timeout < least, short),
-        (NOTE, timeout > _LONG_WATCHDOG, f"{watchdog} is long; {options} is better"),
-        (OK, True, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms"),
-    )
+    if timeout == 0.0:
+        return _stop(
+            f"{name} has no watchdog: it would go on for ever if this program died; {remedy}"
+        )
+    if timeout > _NO_WATCHDOG:
+        return _stop(
+            f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long; {remedy}"
+        )
+    if timeout < least:
+        return _stop(
+            f"{watchdog} is too short for {settings.rate:g} Hz; give {options}"
+        )
+    if timeout > _LONG_WATCHDOG:
+        return _note(f"{watchdog} is long; {options} is better")
+    return Check(OK, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
 
 
-def _state(
+def _state_checks(
     motor: InspectedMotor, settings: PlaySettings, name: str, taken_over: bool
 ) -> Iterator[Check]:
+    """Yield why a motor's state or temperature forbids to enable it."""
     feedback = motor.feedback
     if feedback is None:
         yield _stop(f"{name} does not tell its state; its firmware may be too old")
@@ -541,24 +458,30 @@ def _state(
         )
 
 
-def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
-    if took is None:
+def _answer_time_checks(
+    round_trip: float | None, settings: PlaySettings
+) -> Iterator[Check]:
+    """Yield whether all answers, a ``round_trip`` [s] after the commands, come within a cycle."""
+    if round_trip is None:
         return
-    text = f"all motors have answered after {1e3 * took:.1f} ms"
+    text = f"all motors have answered after {1e3 * round_trip:.1f} ms"
+    if round_trip <= _ANSWER_SHARE * settings.period:
+        yield Check(OK, f"{text}, in time for {settings.rate:g} Hz")
+        return
     rates = protocol.HANDY_RATES
-    fits = next((rate for rate in rates if rate * took <= _ANSWER_SHARE), rates[-1])
-    late = (
+    slow_enough = [rate for rate in rates if rate * round_trip <= _ANSWER_SHARE]
+    rate = (slow_enough or rates[-1:])[0]
+    yield _stop(
         f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "
-        f"--rate {fits:g} or a faster adapter"
-    )
-    timely = took <= _ANSWER_SHARE * settings.period
-    yield _first(
-        (OK, timely, f"{text}, in time for {settings.rate:g} Hz"), (STOP, True, late)
+        f"--rate {rate:g} or a faster adapter"
     )
 
 
 def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
-    """Yield which joints' directions nothing has shown, and what to do."""
+    """Yield which joints may turn the other way: gravity does not show it, and nobody verified it.
+
+    ``model`` knows what holds the arm; without one the trajectory's torques are used.
+    """
     holding = model or FileHolding(plan.trajectory)
     unverified = [
         joint.label for joint in holding.unverified_joints(plan.trajectory.q[0])
@@ -572,7 +495,7 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
         f"nobody has verified which way {', '.join(unverified)} turn, and where the trajectory "
         "begins gravity hardly loads them"
     )
-    if model is None or plan.allowed.directions:
+    if model is None or plan.permissions.directions:
         yield _note(f"{finding}: mirrored or swapped, they would be played like that")
         return
     yield _stop(
@@ -582,7 +505,8 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
     )
 
 
-def _near_start(plan: Plan, q: Array) -> Iterator[Check]:
+def _start_checks(plan: Plan, q: Array) -> Iterator[Check]:
+    """Yield which joints, at positions q (n,) [rad], are too far from the first point."""
     tolerance = plan.settings.start_tolerance
     for joint, position, first in zip(plan.trajectory.joints, q, plan.trajectory.q[0]):
         distance = abs(position - first)

@@ -35,7 +35,7 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +43,8 @@ import numpy as np
 
 from robot_sysid.damiao.adapters import can_message, import_can
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.protocol import Frame, MitCommand, register_text
-from robot_sysid.damiao.session import Replies
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.protocol import Frame, MitCommand
+from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
@@ -107,36 +105,6 @@ class Aside:
 _MEASURED = ("pos", "vel", "tau")
 _COMMANDS = ("cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "cmd_mean")
 _EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
-
-
-def head_lines(
-    joints: Sequence[DamiaoJoint],
-    registers: Sequence[Mapping[int, float]],
-    run: PlaySettings,
-    source: str,
-) -> list[str]:
-    """Return the comment lines of a recording; registers are, per joint, number to value."""
-    texts = [
-        ",".join(register_text(k, held[k]) for k in sorted(held)) for held in registers
-    ]
-    return [
-        "robot-sysid motors recording",
-        f"trajectory={source}",
-        *(
-            f"motor_type={j.motor_type},can_id={j.can_id},mode=MIT,master_id={j.master_id}"
-            for j in joints
-        ),
-        *(f"registers_j{j}: {text}" for j, text in enumerate(texts)),
-        f"rate_hz={run.rate:g},speed={run.speed:g}",
-        "kp=" + " ".join(f"{x:g}" for x in run.kp),
-        "kd=" + " ".join(f"{x:g}" for x in run.kd),
-        "half_step=1: half a quantisation step added to measured position, velocity and torque, "
-        "because motors drop the fraction",
-        "centred=1: jN_tau is the measured torque plus jN_cmd_mean, the mean of held commands",
-        "jN_cmd_step is the torque step that the command answered by this sample then made",
-        "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
-        "jN_doubted=1: an answer came that cannot be true; it is left out here",
-    ]
 
 
 class RawFrameLog:

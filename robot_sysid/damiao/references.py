@@ -109,11 +109,11 @@ def approach(
     return reference, duration
 
 
-WAY_RATE = 100.0
+TRANSFER_RATE = 100.0
 """Rows per second of a way, enough for motions of a second and more [Hz]."""
 
 
-def way_rows(
+def transfer_rows(
     trajectory: DamiaoTrajectory,
     begin: Array,
     end: Array,
@@ -128,7 +128,7 @@ def way_rows(
     start = Reference(begin, zero, zero)
     target = Reference(end, zero, zero)
     reference, duration = approach(start, target, *pace, order)
-    time = np.linspace(0.0, duration, int(np.ceil(duration * WAY_RATE)) + 1)
+    time = np.linspace(0.0, duration, int(np.ceil(duration * TRANSFER_RATE)) + 1)
     q, qd, tau = (np.array(signal) for signal in zip(*map(reference, time)))
     return replace(
         trajectory, line=np.arange(len(time)), time=time, q=q, qd=qd, tau=tau

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.joints import MotorSpec
+from robot_sysid.damiao.bus import InspectedMotor, Inspection
+from robot_sysid.damiao.joints import JointSpace, MotorSpec
 from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, default_rate
+from robot_sysid.damiao.recorder import SamplingRipple
+from robot_sysid.damiao.safety.guards import CommandRange
+from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
+from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option, per_joint, speed_factor
+from robot_sysid.special_files import refuse_special_file
 
 # A judgement: half way from a warm room to the limit, so that a run does not end in its middle.
 _START_TEMPERATURE = 60.0
@@ -29,6 +35,8 @@ _PUSH = 2.0 / 3.0
 _LEAST_SHARE = 0.4
 LONGEST_SET_WATCHDOG = 1.0
 """No run needs a motor's watchdog above this [s]: a judgement."""
+# Commands may move by a tenth faster than the trajectory: rows are rounded.
+_SPEED_MARGIN = 1.1
 _EACH = "one for all or one per joint"
 _BY_TYPE: dict[str, Any] = {"several": True, "usual": "by motor type"}
 _ANGLE = "ANGLE [rad] >= 0"
@@ -239,3 +247,121 @@ class SecondArm(OptionRecord):
     also_joint: str | None = option(
         None, "terminal joint of the model's other arm", "NAME"
     )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A trajectory and how to play it; open settings are chosen for its motors and bus.
+
+    Attributes:
+        trajectory: at least two rows.
+        settings: gains, speeds and limits; complete once the plan is made.
+        timing: bit rates of the bus.
+        permissions: deviations that the user allows.
+        recording: files to write.
+        inertia: that each joint moves (n,) [kg m^2]; None without a model.
+        limits: of the trajectory and of the transfers to its first point and to the parking pose.
+        model_range: least and greatest joint positions (n,) of the model [rad]; None without one.
+        ripple: how torque steps show in sampled positions and velocities; None without a model.
+    """
+
+    trajectory: DamiaoTrajectory
+    settings: PlaySettings = PlaySettings()
+    timing: BusTiming = BusTiming()
+    permissions: Permissions = Permissions()
+    recording: RecordingOptions = RecordingOptions()
+    inertia: Array | None = None
+    limits: LimitOptions = NO_LIMITS
+    model_range: tuple[Array, Array] | None = None
+    ripple: SamplingRipple | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.trajectory.time) < 2:
+            raise InputError(
+                f"{self.trajectory.path} needs at least two rows to be played"
+            )
+        specs = [joint.spec for joint in self.trajectory.joints]
+        settings = self.settings.for_motors(specs, self.timing, self.inertia)
+        object.__setattr__(self, "settings", settings)
+
+    @property
+    def duration(self) -> float:
+        """Time that the trajectory takes at the speed of the settings [s]."""
+        return float(np.ptp(self.trajectory.time)) / self.settings.speed
+
+    @property
+    def parking_pose(self) -> Array | None:
+        """Positions (n,) [rad] in the file that --park names; None where it names no file."""
+        park = self.settings.park
+        n = self.trajectory.n_joints
+        if park in (None, "rest", "start"):
+            return None
+        refuse_special_file(str(park), "--park takes a file")
+        try:
+            cells = Path(str(park)).read_text(encoding="utf-8-sig").split(",")
+            pose = np.array([float(cell) for cell in cells])
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"--park takes rest, start or a file with a line of {n} positions; {park}: {error}"
+            ) from None
+        if pose.shape != (n,) or not np.all(np.isfinite(pose)):
+            raise InputError(
+                f"{park} has to hold {n} positions in one line, separated by commas"
+            )
+        return pose
+
+    def command_range(self, held_positions: Array) -> CommandRange:
+        """Return the range of positions and the speeds that commands of a run may reach.
+
+        Joints keep to the model's range, or else to that of the trajectory; the motors behind them
+        that are only held keep to their ``held_positions`` (m,) [rad].
+        """
+        q = self.trajectory.q
+        if self.model_range is not None:
+            lower, upper = self.model_range
+        else:
+            pose = self.parking_pose
+            poses = q if pose is None else np.vstack([q, pose])
+            lower = np.min(poses, axis=0)
+            upper = np.max(poses, axis=0)
+        slope = row_slopes(self.trajectory)
+        peak_speed = np.abs(np.vstack([slope, self.trajectory.qd])).max(axis=0)
+        approach_speed = self.settings.approach_speed
+        speed = np.maximum(self.settings.speed * peak_speed, approach_speed)
+        held_speed = np.full_like(held_positions, approach_speed)
+        return CommandRange(
+            np.append(lower, held_positions),
+            np.append(upper, held_positions),
+            _SPEED_MARGIN * np.append(speed, held_speed),
+        )
+
+    def transfers(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
+        """Yield the motions before and after the trajectory: name, begin and end (n,) [rad].
+
+        The first leads from q (n,), where the arm stands, to the first point; the other one, only
+        where the arm is to be parked in a pose, from the last point to that.
+        """
+        pose = q if self.settings.park == "start" else self.parking_pose
+        yield "on the way to the first point", q, self.trajectory.q[0]
+        if pose is not None:
+            yield "on the way to where it is parked", self.trajectory.q[-1], pose
+
+    def joint_positions(self, inspection: Inspection) -> Array:
+        """Return positions of the joints (n,) [rad]; NaN where a motor does not report it."""
+        joints = self.trajectory.joints
+        positions = np.full(len(joints), np.nan)
+        for j, joint in enumerate(joints):
+            if joint.address in inspection.motors:
+                positions[j] = inspection.motors[joint.address].position
+        return JointSpace.of(joints).joint_position(positions)
+
+    def other_motors(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
+        """Return the motors that answer but drive no joint of the trajectory, by address."""
+        addresses = [joint.address for joint in self.trajectory.joints]
+        motors = sorted(inspection.motors.items())
+        return tuple(motor for address, motor in motors if address not in addresses)
+
+
+def row_slopes(trajectory: DamiaoTrajectory) -> Array:
+    """Return the velocity (N - 1, n) of the positions between rows, at the file's speed [rad/s]."""
+    return np.diff(trajectory.q, axis=0) / np.diff(trajectory.time)[:, None]

@@ -13,12 +13,12 @@ from robot_sysid.damiao.model_check import (
     Contacts,
     model_checks,
     torque_checks,
-    way_check,
+    transfer_check,
 )
-from robot_sysid.damiao.preflight import NOTE, OK, STOP, Plan
+from robot_sysid.damiao.preflight import NOTE, OK, STOP
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.references import ORDERS, STRAIGHT
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import JointLimits, Motion
@@ -256,7 +256,9 @@ def test_where_the_arm_is_parked_and_each_way_are_compared_too(folder, angle):
         ("the first point", "nearer by hand"),
         ("parked", "choose another --park"),
     ):
-        found = [c.text for c in way_check(f"on the way to {words}", order, touching)]
+        found = [
+            c.text for c in transfer_check(f"on the way to {words}", order, touching)
+        ]
         assert [words in text and text.endswith(ends) for text in found] == [True] * (
             angle > 1.5
         )
@@ -306,7 +308,7 @@ def test_an_arm_goes_joint_by_joint_where_the_straight_way_touches(post, order):
         "" if order is None else ORDERS[order],
         order != 0,
     )
-    (said,) = [*way_check("on the way", found, touching)] or [None]
+    (said,) = [*transfer_check("on the way", found, touching)] or [None]
     assert (said and said.severity) == {0: None, None: STOP}.get(order, NOTE)
 
 

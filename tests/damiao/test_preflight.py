@@ -13,7 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
-from robot_sysid.damiao.preflight import NOTE, OK, STOP, _watchdog, plan_checks, stops
+from robot_sysid.damiao.preflight import (
+    NOTE,
+    OK,
+    STOP,
+    _watchdog_check,
+    plan_checks,
+    stops,
+)
 from robot_sysid.damiao.protocol import BusTiming, bus_load
 from robot_sysid.damiao.settings import Permissions, PlaySettings
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
@@ -135,16 +142,16 @@ def test_a_joint_that_its_motor_would_shake_is_noted():
 @pytest.mark.parametrize("rate", [2.0, 9.0, 12.5, 250.0])
 @pytest.mark.parametrize("timeout", [0.0, 1e-3, 4.9, 20.0])
 def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, timeout):
-    found = _watchdog("motor 1", timeout, PlaySettings(rate=rate))
+    found = _watchdog_check("motor 1", timeout, PlaySettings(rate=rate))
     asked = {
         key: float(value)
         for key, value in re.findall(r"--(\S+) ([\d.]*\d)", found.text)
     }
     if "set-watchdog" in asked:
         # Refuses what cannot be given.
-        allowed = record_from(Permissions, {"set_watchdog": asked["set-watchdog"]})
+        permissions = record_from(Permissions, {"set_watchdog": asked["set-watchdog"]})
         settings = PlaySettings(rate=asked.get("rate", rate))
-        found = _watchdog("motor 1", allowed.watchdog, settings)
+        found = _watchdog_check("motor 1", permissions.watchdog, settings)
     assert found.severity != STOP
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.damiao.execution import recording_header
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import (
     Feedback,
@@ -19,7 +20,7 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     encode_feedback,
 )
-from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder, head_lines
+from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
@@ -37,7 +38,7 @@ def recorder_for(path, types=("DM4340",), overwrite=False):
         for r in registers
     ]
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
-    head = head_lines(joints, registers, settings, "swing.csv")
+    head = recording_header(joints, registers, settings, "swing.csv")
     labels = [f"j{j}" for j in range(len(joints))]
     how = Aside(threaded=False), Centring(settings.period), None, overwrite
     return MeasurementRecorder(path, head, labels, *how)

@@ -119,7 +119,7 @@ def test_a_short_stall_skips_cycles_and_never_replays_them(rig):
 
 @pytest.mark.parametrize("opcode", [0x33, 0x55])
 def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, opcode):
-    run = rig(watchdog=0.0, allowed=Permissions(watchdog=0.1))
+    run = rig(watchdog=0.0, permissions=Permissions(watchdog=0.1))
     for each in run.motors:
         answering_writes_with(opcode, each)
     seen = []
@@ -135,8 +135,8 @@ def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, opcode):
 def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(rig):
     plain = rig(name="plain").run().recording.joint_values("tau")
     faults = [fault("tmax", 0, 20.0)]
-    allowed = Permissions(register_limits=True)
-    run = rig(faults=faults, allowed=allowed).run()
+    permissions = Permissions(register_limits=True)
+    run = rig(faults=faults, permissions=permissions).run()
     assert run.error is None and run.states() == [DISABLED] * 2
     recording = run.assert_nothing_lost()
     assert any("TMAX=20," in line for line in recording.head)
@@ -163,8 +163,8 @@ def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):
         .split("```")[0]
     )
     motion = swing(1, duration=1.0)
-    allowed = Permissions(watchdog=0.1)
-    run = Rig(tmp_path, 1, motion=motion, watchdog=0.0, allowed=allowed)
+    permissions = Permissions(watchdog=0.1)
+    run = Rig(tmp_path, 1, motion=motion, watchdog=0.0, permissions=permissions)
     run.arm.mechanism.timestep = 2e-3
     run.run()
     said = iter(
@@ -514,7 +514,7 @@ class Line:
     begins: float = 0.15
 
 
-KEPT = {"watchdog": 0.0, "allowed": Permissions(watchdog=0.1)}
+KEPT = {"watchdog": 0.0, "permissions": Permissions(watchdog=0.1)}
 DEAF = {"max_speed_error": 9.0, "max_tracking_error": 9.0}
 PATH = {"max_speed_error": 9.0, "max_torque_error": (99.0,)}
 UNPLUGGED = driver_fails(LinkError("gone"), 1e9)

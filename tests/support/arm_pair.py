@@ -11,9 +11,8 @@ from robot_sysid.damiao.bus import GuardedLink, SimulatedClock, inspect_bus
 from robot_sysid.damiao.execution import run as play_plan
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.preflight import Plan
 from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.settings import Permissions, PlaySettings
+from robot_sysid.damiao.settings import Permissions, Plan, PlaySettings
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,

@@ -11,9 +11,14 @@ from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.execution import MotorRun, run
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.preflight import Plan, bus_checks
+from robot_sysid.damiao.preflight import bus_checks
 from robot_sysid.damiao.references import STRAIGHT
-from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
+from robot_sysid.damiao.settings import (
+    Permissions,
+    Plan,
+    PlaySettings,
+    RecordingOptions,
+)
 from robot_sysid.damiao.simulated import (
     DEFAULT_WATCHDOG,
     SimulatedArm,
@@ -164,7 +169,7 @@ class Rig:
         echo=False,
         extra_motors=(),
         start=None,
-        allowed=None,
+        permissions=None,
         watchdog=0.1,
         motion=None,
         name="measured",
@@ -195,7 +200,7 @@ class Rig:
             trajectory,
             PlaySettings(**{**usual, **settings}),
             timing,
-            allowed or Permissions(),
+            permissions or Permissions(),
             RecordingOptions(self.record_path),
         )
         self.stop = StopRequest()

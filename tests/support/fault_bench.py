@@ -25,9 +25,8 @@ from robot_sysid.damiao.execution import run as play_plan
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.preflight import Plan
 from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,

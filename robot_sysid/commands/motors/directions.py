@@ -18,9 +18,9 @@ from robot_sysid.commands.motors.setup import positive_ways
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.joints import BY_MOTION, DamiaoJoint, write_joint_map
 from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.preflight import Plan, require_no_stop
-from robot_sysid.damiao.references import WAY_RATE, way_rows
-from robot_sysid.damiao.settings import RecordingOptions
+from robot_sysid.damiao.preflight import require_no_stop
+from robot_sysid.damiao.references import TRANSFER_RATE, transfer_rows
+from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
@@ -146,15 +146,15 @@ def _small_motion(
     assert holding is not None
     pokes = here + np.diag(_NUDGE * signs)[list(numbers)]
     ends = (pair for poke in pokes for pair in ((here, poke), (poke, here)))
-    ways = [way_rows(played, begin, end, _PACE) for begin, end in ends]
+    ways = [transfer_rows(played, begin, end, _PACE) for begin, end in ends]
     q, qd = (
         np.vstack([getattr(way, name)[1:] for way in ways]) for name in ("q", "qd")
     )
     tau = np.array([holding.torque(row) for row in q])
-    time = (1.0 + np.arange(len(q))) / WAY_RATE
+    time = (1.0 + np.arange(len(q))) / TRANSFER_RATE
     rows: Any = {"line": np.arange(len(q)), "time": time, "q": q, "qd": qd, "tau": tau}
     # No joint of which nobody knows which way it turns goes to a pose.
-    park = plan.settings.park if plan.pose is None else "rest"
+    park = plan.settings.park if plan.parking_pose is None else "rest"
     settings = replace(plan.settings, speed=1.0, park=park)
     small = replace(played, has_two_arms=False, **rows)
     return replace(
