@@ -11,8 +11,9 @@ from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged, damaged_json, damaged_table, odd
 from robot_sysid.damiao.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.logs import LogOptions
+from robot_sysid.logs.arrays import recordings_table
 from robot_sysid.logs.reader import open_log
-from robot_sysid.logs.table import LogTable, pieces_table
+from robot_sysid.logs.table import LogTable
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 from tests.support import log_files
 
@@ -45,7 +46,7 @@ def _log() -> LogTable:
     """A log whose titles nobody would guess."""
     titles = ("Zeit", "A1", "A2", "A3", "M1", "M2", "M3")
     cells = log_files.table(log_files.motion(30, 40.0))
-    return pieces_table(Path("log"), "arrays", titles, (cells,))
+    return recordings_table(Path("log"), "arrays", titles, (cells,))
 
 
 def case(random: Random) -> Case:

@@ -25,8 +25,9 @@ from robot_sysid.estimation.build_result import result_of
 from robot_sysid.estimation.log_information import LogInformation
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
+from robot_sysid.logs.arrays import arrays_table
 from robot_sysid.logs.reader import MeasurementLog, open_log
-from robot_sysid.logs.table import LogTable, arrays_table
+from robot_sysid.logs.table import LogTable
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages

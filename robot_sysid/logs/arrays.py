@@ -1,10 +1,16 @@
-"""Recordings kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 (also as ALOHA writes it),
-Parquet, Feather, and LeRobot data sets: a folder with meta/info.json and Parquet files.
+"""Logs kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 (also as ALOHA writes it),
+Parquet, Feather, and LeRobot data sets, which are folders with meta/info.json and Parquet files.
+
+Each form has a guard of its own against a file that unpacks to more than ``table.unpacked_limit``,
+because each states in its own place how much that is. One reader process with a memory limit
+(``resource.setrlimit``) in place of the guards would take as much code, start a second interpreter
+for every log, work on Linux alone, and report only that memory ran out where a guard reports the
+size. A process is used where the library may end it, for .mat files.
 """
 
 from __future__ import annotations
 
-import itertools
+import contextlib
 import math
 import os
 import re
@@ -12,8 +18,11 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +30,360 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.logs import table
 from robot_sysid.logs.column_map import ColumnChoices
+from robot_sysid.logs.table import (
+    BLOCK,
+    Block,
+    LogSource,
+    LogTable,
+    as_input_errors,
+    import_optional,
+    memory_limit,
+    model_spelling,
+    nanoseconds,
+    refuse_bomb,
+    refuse_many_arrays,
+    unpacked_limit,
+)
+from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
+
+
+def recordings_table(
+    path: Path,
+    layout: str,
+    titles: Sequence[str],
+    recordings: Sequence[Sequence[Array]],
+    choices: ColumnChoices | None = None,
+) -> LogTable:
+    """Return recordings in memory as a table, one after the other.
+
+    Args:
+        titles: (C,) of the columns of all arrays of a recording together.
+        recordings: each the arrays (N,) or (N, k) that stand side by side, each with N of its own.
+        choices: what the form declares of its columns.
+    """
+    blocks = partial(_blocks, recordings)
+    return LogTable(path, layout, tuple(titles), blocks, choices or ColumnChoices())
+
+
+def _blocks(
+    recordings: Sequence[Sequence[Array]], columns: Sequence[int]
+) -> Iterator[Block]:
+    """Yield the rows of recordings, with the columns of these indices."""
+    total = max(1, sum(len(arrays[0]) for arrays in recordings))
+    end = 0
+    for number, arrays in enumerate(recordings):
+        for first in range(0, len(arrays[0]), BLOCK):
+            rows = slice(first, first + BLOCK)
+            cells = [np.asarray(array[rows], dtype=float) for array in arrays]
+            table = np.column_stack(cells)[:, list(columns)]
+            start = end
+            end += len(table)
+            lines = np.arange(start, end) + 1
+            yield Block(lines, table, recording=number, share_read=end / total)
+
+
+def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
+    """Return a recording of named arrays with one row, or one column, per sample.
+
+    A column of a two-dimensional array ``q`` is called ``q[0]``; dates become seconds from the
+    first. An array of another length or shape, or without numbers, is left out. Of ``group/q`` the
+    last name is taken where no other array has it. InputError where no array has rows.
+    """
+    short_names = [name.rsplit("/", 1)[-1] for name in arrays]
+    uses = Counter(short_names)
+    columns = {}
+    for short_name, (name, array) in zip(short_names, arrays.items()):
+        values = _dates_as_seconds(array)
+        if can_be_column(values):
+            columns[short_name if uses[short_name] == 1 else name] = values
+    # As many samples as times, else the length that most arrays have.
+    times = [n for n in columns if read_title(n).measured_quantity == "time"]
+    lengths = [max(columns[name].shape) for name in times or columns]
+    if not lengths:
+        shapes = [f"{name} {np.shape(array)}" for name, array in arrays.items()]
+        listed = ", ".join(shapes) or "nothing"
+        raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
+    n_rows = max(set(lengths), key=Counter(lengths).__getitem__)
+    samples = {}
+    for name, values in columns.items():
+        rows = values if len(values) == n_rows else values.T
+        if len(rows) == n_rows:
+            samples[name] = rows.reshape(n_rows, -1)
+    refuse_many_arrays(path, sum(rows.shape[1] for rows in samples.values()))
+    titles: list[str] = []
+    for name, rows in samples.items():
+        width = rows.shape[1]
+        titles += [f"{name}[{k}]" for k in range(width)] if width > 1 else [name]
+    return recordings_table(path, layout, titles, [list(samples.values())])
+
+
+def can_be_column(array: Any) -> bool:
+    """Return whether an array or data set may hold columns of a log; reads none of its elements."""
+    is_numbers = hasattr(array, "dtype") and array.dtype.kind in "fiub"
+    return is_numbers and len(array.shape) in (1, 2) and array.size > 1
+
+
+def _dates_as_seconds(array: Any) -> Any:
+    """Return dates, also as text, and lengths of time as seconds from the first; else the array."""
+    dtype_kind = getattr(getattr(array, "dtype", None), "kind", "")
+    if dtype_kind in ("M", "m") and array.size:
+        return (array - array.flat[0]) / np.timedelta64(1, "s")
+    if dtype_kind not in ("O", "U") or array.ndim != 1 or not array.size:
+        return array
+    first = array[0]
+    with contextlib.suppress(ValueError, TypeError, AttributeError):
+        if isinstance(first, str):
+            start = nanoseconds(first)
+            return np.array([1e-9 * (nanoseconds(text) - start) for text in array])
+        return np.array([(date - first).total_seconds() for date in array])
+    return array
+
+
+def npz_table(source: LogSource) -> LogTable:
+    """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
+    return arrays_table(source.path, "NumPy .npz", npz_arrays(source.path))
+
+
+def npz_arrays(path: Path) -> dict[str, Any]:
+    """Return the arrays of an .npz file, or raise InputError; nothing in it is unpickled."""
+    with as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
+        size = path.stat().st_size
+        with zipfile.ZipFile(stream) as archive:
+            members = archive.infolist()
+            names = [member.filename for member in members]
+            refuse_bomb(path, sum(member.file_size for member in members), size)
+            refuse_many_arrays(path, len(names))
+            if not any(name.endswith(".npy") for name in names):
+                remedy = "unpack it, and give the log in it"
+                if "[Content_Types].xml" in names:  # a spreadsheet
+                    remedy = "export it as CSV"
+                listed = ", ".join(names[:3]) or "nothing"
+                raise InputError(
+                    f"{path} is no recording but an archive of {listed}; {remedy}"
+                )
+            refuse_bomb(path, sum(_array_bytes(archive, name) for name in names), size)
+        stream.seek(0)
+        arrays = np.load(stream, allow_pickle=False)
+        return {name: arrays[name] for name in arrays.files}
+
+
+def _array_bytes(archive: zipfile.ZipFile, name: str) -> int:
+    """Return the size that a member's NumPy header states [bytes]; 0 where it is no array.
+
+    NumPy reserves this memory before it reads the numbers.
+    """
+    with archive.open(name) as member:
+        try:
+            version = np.lib.format.read_magic(member)
+            read_header = np.lib.format.read_array_header_2_0
+            if version == (1, 0):
+                read_header = np.lib.format.read_array_header_1_0
+            shape, _, dtype = read_header(member)
+        except ValueError:
+            return 0
+    return math.prod(shape) * dtype.itemsize
+
+
+_UNPACK = """
+import sys
+import numpy as np
+from scipy.io import loadmat, whosmat
+
+def refuse_bomb(size):
+    if size > limit:
+        fault = f"it unpacks to {size / 1e9:.3g} GB, more than the {limit / 1e9:.3g} GB that are"
+        sys.exit(f"{fault} read of its size; split the recording, or save it without compression")
+
+def numeric_arrays(name, value):
+    if isinstance(value, dict):
+        for field, content in value.items():
+            yield from numeric_arrays(f"{name}/{field}", content)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+        yield name, value
+
+path, unpacked, limit, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3]), int(sys.argv[4])
+try:
+    import resource
+    seconds += int(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+    taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (int(taken + 1.2 * limit + 1e8),) * 2)
+except (ImportError, OSError, ValueError):
+    pass
+try:
+    variables = [v for v in whosmat(path) if v[2] not in ("cell", "char", "function")]
+    refuse_bomb(sum(8.0 * float(np.prod(shape, dtype=float)) for _, shape, _ in variables))
+    names = [name for name, _, _ in variables]
+    content = loadmat(path, simplify_cells=True, variable_names=names)
+    arrays = dict(numeric_arrays("", content))
+    refuse_bomb(sum(float(array.nbytes) for array in arrays.values()))
+    np.savez(unpacked, *arrays.values(), names=np.array([*arrays], dtype=str))
+except MemoryError:
+    sys.exit("it asks for more memory than a recording takes; it is damaged, or too long")
+except Exception as error:
+    sys.exit(" ".join(str(error).split()) or type(error).__name__)
+"""
+"""Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones.
+
+Arguments: .mat file, .npz file, limit [bytes], processor time [s].
+"""
+_LEAST_TIME = 3.0
+"""Processor time that reading a .mat file may take, however small it is [s]."""
+_LEAST_SPEED = 2e7
+"""Bytes of a .mat file that must be read in each further second of processor time."""
+
+
+def matlab_table(source: LogSource) -> LogTable:
+    """Return the arrays of a .mat file, also those in its structs."""
+    path = source.path
+    with (
+        as_input_errors(path, "a MATLAB .mat file"),
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        unpacked = Path(folder, "log.npz")
+        size = path.stat().st_size
+        seconds = math.ceil(_LEAST_TIME + size / _LEAST_SPEED)
+        program = [sys.executable, "-Wignore", "-c", _UNPACK]
+        limits = [str(unpacked_limit(size)), str(seconds)]
+        process = subprocess.run(
+            [*program, str(path), str(unpacked), *limits],
+            capture_output=True,
+            text=True,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )
+        if process.returncode:
+            damaged = "it takes longer than a recording does, or is damaged"
+            raise ValueError((process.stderr.splitlines() or [damaged])[-1])
+        arrays = npz_arrays(unpacked)
+    names = map(str, arrays["names"])
+    named = {name: arrays[f"arr_{k}"] for k, name in enumerate(names)}
+    return arrays_table(path, "MATLAB .mat", named)
+
+
+_MAX_LINKS = 3
+"""Links to other files that a message names at most."""
+_COPY = "copy what is in it into this one (h5copy -f ext, or h5repack)"
+_ALOHA_DATASETS = {
+    "qpos": "observations/qpos",
+    "qvel": "observations/qvel",
+    "effort": "observations/effort",
+}
+"""Names of ALOHA's arrays to the data sets that hold them."""
+
+
+def hdf5_table(source: LogSource) -> LogTable:
+    """Return the joint states in an HDF5 file, and ALOHA's actions where commands are read.
+
+    Only numbers in the file itself are read: no link to another file is followed.
+    """
+    path = source.path
+    form = "an HDF5 file"
+    h5py = import_optional("h5py", "hdf5", form)
+    with as_input_errors(path, form), h5py.File(path, "r") as file:
+        links: list[str] = []
+        is_aloha = _find_member(h5py, file, _ALOHA_DATASETS["qpos"]) is not None
+        if is_aloha:
+            datasets = {}
+            command = {"command": "action"} if source.options.commanded else {}
+            for name, member_path in {**_ALOHA_DATASETS, **command}.items():
+                member = _find_member(h5py, file, member_path)
+                if member is not None:
+                    datasets[name] = member
+        else:
+            datasets, links = _list_datasets(h5py, path, file)
+        columns = {name: data for name, data in datasets.items() if can_be_column(data)}
+        arrays = _read_datasets(path, columns)
+        if is_aloha and "qpos" in arrays:
+            return _aloha_table(path, arrays)
+        external_links = f"{'; '.join(links)}; {_COPY}" if links else ""
+        if links and not arrays:
+            raise InputError(f"{path}: {external_links}")
+        layout = "; ".join(("HDF5", *links))
+        table = arrays_table(path, layout, {**datasets, **arrays})
+        return replace(table, external_links=external_links)
+
+
+def _list_datasets(
+    h5py: Any, path: Path, file: Any
+) -> tuple[dict[str, Any], list[str]]:
+    """Return name to data set of an HDF5 file, and descriptions of its first external links."""
+    datasets = {}
+    links: list[str] = []
+    count = 0
+
+    def visit(name: str, member: Any) -> None:
+        nonlocal count
+        refuse_many_arrays(path, count)
+        count += 1
+        # What is called #refs# holds the cells of a MATLAB file.
+        if isinstance(member, h5py.Dataset) and not name.startswith("#"):
+            datasets[name] = member
+        for key in member if isinstance(member, h5py.Group) else ():
+            link = member.get(key, getlink=True)
+            if isinstance(link, h5py.ExternalLink) and len(links) < _MAX_LINKS:
+                links.append(_link_text(f"{name}/{key}".lstrip("/"), link))
+
+    visit("", file)
+    file.visititems(visit)
+    return datasets, links
+
+
+def _read_datasets(path: Path, columns: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the numbers of data sets, or raise InputError where they take too much memory."""
+    unpacked = 0.0
+    for name, data in columns.items():
+        _refuse_other_files(path, name, data)
+        # A chunk is unpacked whole, however little of it belongs to the array.
+        chunk = math.prod(data.chunks or ()) * data.dtype.itemsize
+        unpacked += max(data.nbytes, chunk)
+    refuse_bomb(path, unpacked, path.stat().st_size)
+    with memory_limit(unpacked):
+        return {name: data[()] for name, data in columns.items()}
+
+
+def _find_member(h5py: Any, file: Any, member_path: str) -> Any:
+    """Return the group or data set at a path of an HDF5 file, or None.
+
+    Links within the file are followed, at most 50; InputError for a link to another file.
+    """
+    group = file
+    names = member_path.split("/")
+    links = 0
+    while names and isinstance(group, h5py.Group):
+        name = names.pop(0)
+        link = group.get(name, getlink=True) if name else None
+        if isinstance(link, h5py.ExternalLink):
+            raise InputError(f"{file.filename}: {_link_text(name, link)}; {_COPY}")
+        if isinstance(link, h5py.SoftLink) and links < 50:
+            links += 1
+            group = file if link.path.startswith("/") else group
+            names = [*link.path.split("/"), *names]
+        elif name:
+            group = group[name] if isinstance(link, h5py.HardLink) else None
+    return None if names else group
+
+
+def _link_text(name: str, link: Any) -> str:
+    return f"{name} is a link to another file, {link.filename}"
+
+
+def _refuse_other_files(path: Path, name: str, data: Any) -> None:
+    """Raise InputError for a data set whose numbers are in other files."""
+    files = [str(segment[0]) for segment in data.external or ()]
+    if data.is_virtual:
+        files += [source.file_name for source in data.virtual_sources()]
+    others = [file for file in files if file != "."]
+    if others:
+        raise InputError(
+            f"{path}: {name} has its numbers in another file, {others[0]}; {_COPY}"
+        )
+
 
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
-_ALOHA = [
+_ALOHA_JOINTS = [
     "waist",
     "shoulder",
     "elbow",
@@ -37,433 +393,226 @@ _ALOHA = [
     "gripper",
 ]
 
-_UNPACK = """
-import sys
-import numpy as np
-from scipy.io import loadmat, whosmat
 
-def refuse(size):
-    if size > most:
-        text = f"it unpacks to {size / 1e9:.3g} GB, more than the {most / 1e9:.3g} GB that are"
-        sys.exit(f"{text} read of its size; split the recording, or save it without compression")
-
-def arrays(name, value):
-    if isinstance(value, dict):
-        for field, inner in value.items():
-            yield from arrays(f"{name}/{field}", inner)
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-        yield name, value
-
-path, unpacked, most, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3]), int(sys.argv[4])
-try:
-    import resource
-    seconds += int(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (int(taken + 1.2 * most + 1e8),) * 2)
-except (ImportError, OSError, ValueError):
-    pass
-try:
-    found = [each for each in whosmat(path) if each[2] not in ("cell", "char", "function")]
-    refuse(sum(8.0 * float(np.prod(shape, dtype=float)) for _, shape, _ in found))
-    names = [name for name, _, _ in found]
-    found = dict(arrays("", loadmat(path, simplify_cells=True, variable_names=names)))
-    refuse(sum(float(each.nbytes) for each in found.values()))
-    np.savez(unpacked, *found.values(), names=np.array([*found], dtype=str))
-except MemoryError:
-    sys.exit("it asks for more memory than a recording takes; it is damaged, or too long")
-except Exception as error:
-    sys.exit(" ".join(str(error).split()) or type(error).__name__)
-"""
-"""Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones."""
-_LEAST_TIME = 3.0
-_SLOWEST = 2e7
-"""Processor time that reading a .mat file may take [s], and so many bytes more each second."""
-
-
-def npz_table(asked: table.Asked) -> table.LogTable:
-    """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
-    return table.arrays_table(asked.path, "NumPy .npz", npz_arrays(asked.path))
-
-
-def npz_arrays(path: Path) -> dict[str, Any]:
-    """Return the arrays of an .npz file, or raise InputError; nothing in it is unpickled."""
-    with table.as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
-        with zipfile.ZipFile(stream) as packed:
-            names = packed.namelist()
-            size = path.stat().st_size
-            table.refuse_bomb(
-                path, sum(i.file_size for i in packed.infolist()), size, len(names)
-            )
-            if not any(name.endswith(".npy") for name in names):
-                is_sheet = "[Content_Types].xml" in names
-                remedy = (
-                    "export it as CSV"
-                    if is_sheet
-                    else "unpack it, and give the log in it"
-                )
-                inside = ", ".join(names[:3]) or "nothing"
-                raise InputError(
-                    f"{path} is no recording but an archive of {inside}; {remedy}"
-                )
-            table.refuse_bomb(
-                path, sum(_stated_bytes(packed, each) for each in names), size
-            )
-        stream.seek(0)
-        archive = np.load(stream, allow_pickle=False)
-        return {name: archive[name] for name in archive.files}
-
-
-def _stated_bytes(packed: zipfile.ZipFile, name: str) -> int:
-    """Return the size that an array's own head states, which NumPy would reserve; 0 for none."""
-    with packed.open(name) as member:
-        try:
-            version = np.lib.format.read_magic(member)
-            read = np.lib.format.read_array_header_1_0
-            read = read if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, _, kind = read(member)
-        except ValueError:
-            return 0
-    return math.prod(shape) * kind.itemsize
-
-
-def matlab_table(asked: table.Asked) -> table.LogTable:
-    """Return the arrays of a .mat file, also those in its structs."""
-    complaints = table.as_input_errors(asked.path, "a MATLAB .mat file")
-    with complaints, tempfile.TemporaryDirectory() as folder:
-        unpacked = Path(folder, "log.npz")
-        size = asked.path.stat().st_size
-        most = table.most_bytes(size)
-        seconds = math.ceil(_LEAST_TIME + size / _SLOWEST)
-        files = [str(asked.path), str(unpacked)]
-        bounds = [str(most), str(seconds)]
-        call = [sys.executable, "-Wignore", "-c", _UNPACK, *files, *bounds]
-        one_thread = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-        ended = subprocess.run(call, capture_output=True, text=True, env=one_thread)
-        if ended.returncode:
-            damaged = "it takes longer than a recording does, or is damaged"
-            raise ValueError((ended.stderr.splitlines() or [damaged])[-1])
-        cells = npz_arrays(unpacked)
-    named = {str(name): cells[f"arr_{k}"] for k, name in enumerate(cells["names"])}
-    return table.arrays_table(asked.path, "MATLAB .mat", named)
-
-
-def hdf5_table(asked: table.Asked) -> table.LogTable:
-    """Return the joint states in an HDF5 file, and ALOHA's actions where commands are asked for.
-
-    Only what is in the file itself is read: no link to another one is followed.
-    """
-    path = asked.path
-    found = {}
-    links: list[str] = []
-    h5py = table.library("h5py", "hdf5", "an HDF5 file")
-    seen = itertools.count()
-
-    def collect(name: str, member: Any) -> None:
-        table.refuse_bomb(path, 0.0, 0.0, next(seen))
-        # What is called #refs# holds the cells of a MATLAB file.
-        if isinstance(member, h5py.Dataset) and not name.startswith("#"):
-            found[name] = member
-        for key in member if isinstance(member, h5py.Group) else ():
-            link = member.get(key, getlink=True)
-            if isinstance(link, h5py.ExternalLink) and len(links) < _NAMED:
-                links.append(_linked(f"{name}/{key}".lstrip("/"), link))
-
-    with table.as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
-        is_aloha = _member(h5py, file, "observations/qpos") is not None
-        if is_aloha:
-            names = {n: f"observations/{n}" for n in ("qpos", "qvel", "effort")}
-            names.update({"command": "action"} if asked.options.commanded else {})
-            members = {
-                name: _member(h5py, file, place) for name, place in names.items()
-            }
-            found.update(
-                {name: data for name, data in members.items() if data is not None}
-            )
-        else:
-            collect("", file)
-            file.visititems(collect)
-        columns = {name: data for name, data in found.items() if table.is_column(data)}
-        for name, data in columns.items():
-            _require_own(path, name, data)
-        # A chunk is unpacked whole, however little of it belongs to the array.
-        chunks = (
-            math.prod(d.chunks or ()) * d.dtype.itemsize for d in columns.values()
-        )
-        sizes = (max(d.nbytes, chunk) for d, chunk in zip(columns.values(), chunks))
-        table.refuse_bomb(path, size := float(sum(sizes)), path.stat().st_size)
-        with table.bounded_memory(size):
-            arrays = {name: data[()] for name, data in columns.items()}
-        if is_aloha and "qpos" in arrays:
-            return _aloha(path, arrays)
-        elsewhere = f"{'; '.join(links)}; {_COPY}" if links else ""
-        if links and not arrays:
-            raise InputError(f"{path}: {elsewhere}")
-        made = table.arrays_table(
-            path, "; ".join(("HDF5", *links)), {**found, **arrays}
-        )
-        return replace(made, elsewhere=elsewhere)
-
-
-def _member(h5py: Any, file: Any, place: str) -> Any:
-    """Return what a file holds in a place, through links within the file; None for nothing."""
-    group = file
-    rest = place.split("/")
-    links = 0
-    while rest and isinstance(group, h5py.Group):
-        name = rest.pop(0)
-        link = group.get(name, getlink=True) if name else None
-        if isinstance(link, h5py.ExternalLink):
-            raise InputError(f"{file.filename}: {_linked(name, link)}; {_COPY}")
-        if isinstance(link, h5py.SoftLink) and links < 50:
-            links += 1
-            group = file if link.path.startswith("/") else group
-            rest = [*link.path.split("/"), *rest]
-        elif name:
-            group = group[name] if isinstance(link, h5py.HardLink) else None
-    return None if rest else group
-
-
-def _linked(name: str, link: Any) -> str:
-    return f"{name} is a link to another file, {link.filename}"
-
-
-_NAMED = 3
-"""So many links to other files are named."""
-_COPY = "copy what is in it into this one (h5copy -f ext, or h5repack)"
-
-
-def _require_own(path: Path, name: str, data: Any) -> None:
-    """Raise InputError for a data set whose numbers are in other files."""
-    others = [str(place[0]) for place in data.external or ()]
-    others += [s.file_name for s in (data.virtual_sources() if data.is_virtual else ())]
-    for other in (other for other in others if other != "."):
-        raise InputError(
-            f"{path}: {name} has its numbers in another file, {other}; {_COPY}"
-        )
-
-
-def _aloha(path: Path, arrays: Mapping[str, Any]) -> table.LogTable:
-    if not {"effort", "command"} & {*arrays}:
+def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
+    """Return ALOHA's arrays (N, joints) as a table, joints by name for one arm or two."""
+    if "effort" not in arrays and "command" not in arrays:
         raise InputError(
             f"{path} has no /observations/effort, no measured torque; record effort"
         )
-    if (
-        len({values.shape for values in arrays.values()}) > 1
-        or arrays["qpos"].ndim != 2
-    ):
-        shapes = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
+    shapes = {values.shape for values in arrays.values()}
+    if len(shapes) > 1 or arrays["qpos"].ndim != 2:
+        listed = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
         raise InputError(
-            f"{path} does not hold the same joints in {shapes}; record them together"
+            f"{path} does not hold the same joints in {listed}; record them together"
         )
     width = arrays["qpos"].shape[1]
-    both = [f"{side}/{joint}" for side in ("left", "right") for joint in _ALOHA]
-    known = {len(_ALOHA): _ALOHA, len(both): both}
-    names = known.get(width, [f"joint{k}" for k in range(width)])
-    titles = tuple(f"{name} {quantity}" for quantity in arrays for name in names)
-    rate = ColumnChoices(rate=ALOHA_RATE)
+    joints = [f"joint{k}" for k in range(width)]
+    if width == len(_ALOHA_JOINTS):
+        joints = _ALOHA_JOINTS
+    elif width == 2 * len(_ALOHA_JOINTS):
+        left = [f"left/{joint}" for joint in _ALOHA_JOINTS]
+        joints = left + [f"right/{joint}" for joint in _ALOHA_JOINTS]
+    titles: list[str] = []
+    for quantity in arrays:
+        titles += [f"{joint} {quantity}" for joint in joints]
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
-    return table.pieces_table(path, layout, titles, [list(arrays.values())], rate)
+    choices = ColumnChoices(rate=ALOHA_RATE)
+    return recordings_table(path, layout, titles, [list(arrays.values())], choices)
 
 
-_OF_NUMBERS = re.compile(
+_NUMERIC_TYPE = re.compile(
     r"((fixed_size_|large_)?list<[^<]*)?(u?int\d+|float|double|halffloat|timestamp|duration)\b.*"
 )
 """Types of Arrow that make columns: numbers, times, and lists of numbers."""
 
 
-def parquet_table(asked: table.Asked) -> table.LogTable:
+def parquet_table(source: LogSource) -> LogTable:
     """Return the columns of numbers of a Parquet file; a list in a cell is a column each."""
-    path = asked.path
-    what = "a Parquet file"
-    parquet = table.library("pyarrow.parquet", "parquet", what)
-    with table.as_input_errors(path, what):
-        names = _numeric(parquet.read_schema(path))
+    path = source.path
+    form = "a Parquet file"
+    parquet = import_optional("pyarrow.parquet", "parquet", form)
+    with as_input_errors(path, form):
+        names = _numeric_columns(parquet.read_schema(path))
         unpacked = _unpacked_bytes(parquet.read_metadata(path), names)
-        table.refuse_bomb(path, unpacked, path.stat().st_size, len(names))
+        refuse_bomb(path, unpacked, path.stat().st_size)
+        refuse_many_arrays(path, len(names))
         return _arrow_table(path, "Parquet", parquet.read_table(path, columns=names))
 
 
-def feather_table(asked: table.Asked) -> table.LogTable:
+def feather_table(source: LogSource) -> LogTable:
     """Return the columns of numbers of a Feather file, an Arrow table in a file."""
-    path = asked.path
-    what = "a Feather file"
-    size = asked.path.stat().st_size
-    feather = table.library("pyarrow.feather", "parquet", what)
-    ipc = table.library("pyarrow.ipc", "parquet", what)
-    with (
-        table.as_input_errors(path, what),
-        table.bounded_memory(table.most_bytes(size)),
-    ):
+    path = source.path
+    form = "a Feather file"
+    size = path.stat().st_size
+    feather = import_optional("pyarrow.feather", "parquet", form)
+    ipc = import_optional("pyarrow.ipc", "parquet", form)
+    with as_input_errors(path, form), memory_limit(unpacked_limit(size)):
         with ipc.open_file(str(path)) as file:
-            names = _numeric(file.schema)
-        table.refuse_bomb(path, 0.0, size, len(names))
+            names = _numeric_columns(file.schema)
+        refuse_many_arrays(path, len(names))
         columns = feather.read_table(str(path), columns=names, memory_map=False)
-        table.refuse_bomb(path, float(columns.nbytes), size)
+        refuse_bomb(path, float(columns.nbytes), size)
         return _arrow_table(path, "Feather", columns)
 
 
-def _numeric(schema: Any) -> list[str]:
-    return [field.name for field in schema if _OF_NUMBERS.fullmatch(str(field.type))]
+def _numeric_columns(schema: Any) -> list[str]:
+    """Return the names of an Arrow schema's columns of numbers."""
+    return [field.name for field in schema if _NUMERIC_TYPE.fullmatch(str(field.type))]
 
 
-def _arrow_table(path: Path, layout: str, columns: Any) -> table.LogTable:
-    named = zip(columns.column_names, columns.columns)
-    return table.arrays_table(
-        path, layout, {name: _array(name, column) for name, column in named}
-    )
+def _arrow_table(path: Path, layout: str, columns: Any) -> LogTable:
+    """Return an Arrow table as a log's table."""
+    pairs = zip(columns.column_names, columns.columns)
+    arrays = {name: _arrow_array(name, column) for name, column in pairs}
+    return arrays_table(path, layout, arrays)
 
 
-LEROBOT = "a LeRobot data set"
-STATE = "observation.state"
-# What a name in a feature ends in, and the title that says quantity and unit.
-_ENDINGS = {"pos": "position [deg]", "vel": "velocity [deg/s]", "current": "current"}
-_ENDINGS.update(torque="torque [Nm]", effort="torque [Nm]")
-# Features of their own, whose names are joints.
-_FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
-ACTION = "action"
+def _arrow_array(name: str, column: Any) -> Array:
+    """Return a column (N,), or (N, k) of one with lists; NaN for a list that is missing."""
+    combined = column.combine_chunks()
+    if "list" not in str(combined.type):
+        return _arrow_numbers(combined)
+    present = combined.drop_null()
+    if hasattr(present, "offsets"):
+        widths = np.unique(np.diff(present.offsets)).tolist()
+    else:
+        widths = [present.type.list_size]
+    if len(widths) > 1:
+        fault = f"column {name} holds lists of {widths[0]} to {widths[-1]} numbers"
+        raise ValueError(f"{fault}; write as many in each row, or leave the column out")
+    values = _arrow_numbers(present.flatten())
+    rows = np.full((len(combined), *widths), np.nan).astype(values.dtype)
+    is_present = combined.is_valid().to_numpy(zero_copy_only=False)
+    rows[is_present] = values.reshape(len(present), *widths)
+    return rows
 
 
-def lerobot_table(asked: table.Asked) -> table.LogTable:
-    """Return the episodes of a data set that are asked for, or all, each a piece."""
-    path = asked.path
-    joint_names = asked.joint_names
-    commanded = asked.options.commanded
-    info = _mapping(
-        read_json(path / "meta" / "info.json", "download the data set whole")
-    )
-    features = _mapping(info.get("features"))
-    read = (STATE, ACTION) if commanded else (STATE, *_FEATURES)
-    titles = {name: _titles(features, name, joint_names) for name in read}
-    said = " ".join(title for names in titles.values() for title in names)
-    if not commanded and "torque" not in said and "current" not in said:
-        raise InputError(
-            f"{path} holds no torque ({STATE}: {', '.join(titles[STATE]) or 'nothing'}); record it "
-            "too: for OpenArm use_velocity_and_torque=true of the robot's configuration, for other "
-            "robots an observation whose names end in .torque"
-        )
-    present = [name for name in titles if titles[name]]
-    frames = _frames(path, ["timestamp", "episode_index", *present])
-    index = frames.pop("episode_index").astype(int)
-    found = sorted(set(index.tolist()))
-    wanted = asked.options.episode
-    if not found:
-        raise InputError(f"{path} holds no frames; download the data set whole")
-    missing = sorted(set(wanted) - set(found))
-    if missing:
-        raise InputError(
-            f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}"
-        )
-    pieces = [
-        [v[index == episode] for v in frames.values()] for episode in wanted or found
-    ]
-    width = sum(values.reshape(len(values), -1).shape[1] for values in frames.values())
-    version = info.get("codebase_version", "?")
-    fps = info.get("fps", "unknown")
-    layout = f"LeRobot data set {version} at {fps} Hz, {len(pieces)} episodes"
-    flat = tuple(title for name in present for title in titles[name])
-    if width != 1 + len(flat):
-        fault = (
-            f"names {len(flat)} numbers of a frame in meta/info.json, not {width - 1}"
-        )
-        raise InputError(f"{path} {fault}; download the data set whole")
-    return table.pieces_table(path, layout, ("timestamp [s]", *flat), pieces)
-
-
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, dict) else {}
-
-
-def _titles(
-    features: Mapping[str, Any], name: str, joint_names: Sequence[str]
-) -> list[str]:
-    names = _mapping(features.get(name)).get("names")
-    if isinstance(names, dict):
-        names = [
-            each
-            for group in names.values()
-            if isinstance(group, list)
-            for each in group
-        ]
-    names = names if isinstance(names, list) else []
-    pairs = [str(each).rpartition(".") for each in names]
-    stems = [
-        stem if ending in _ENDINGS else str(n)
-        for (stem, _, ending), n in zip(pairs, names)
-    ]
-    plain = _FEATURES.get(name, "position")
-    ends = [_ENDINGS.get(ending, plain) for _, _, ending in pairs]
-    known = dict(
-        zip(
-            dict.fromkeys(stems), table.renamed(list(dict.fromkeys(stems)), joint_names)
-        )
-    )
-    if name == ACTION:
-        ends = [end.replace("position", "command") for end in ends]
-    return [f"{known[stem]} {end}" for stem, end in zip(stems, ends)]
-
-
-def _frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
-    """Return the columns of all files, lists as (N, k)."""
-    parquet = table.library("pyarrow.parquet", "lerobot", LEROBOT)
-    files = sorted((path / "data").rglob("*.parquet"))
-    if not files:
-        raise InputError(
-            f"{path} has no Parquet files in data/; download the data set whole"
-        )
-    parts: list[dict[str, Array]] = []
-    unpacked = 0.0
-    packed = sum(file.stat().st_size for file in files)
-    for file in files:
-        with table.as_input_errors(file, LEROBOT):
-            unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
-    table.refuse_bomb(path, unpacked, packed)
-    for file in files:
-        with table.as_input_errors(file, LEROBOT):
-            read = parquet.read_table(file, columns=list(columns))
-            parts.append({name: _array(name, read.column(name)) for name in columns})
-    with table.as_input_errors(path, LEROBOT):
-        return {
-            name: np.concatenate([part[name] for part in parts]) for name in columns
-        }
+def _arrow_numbers(column: Any) -> Array:
+    """Return an Arrow array as floats, dates and lengths of time as they are."""
+    values = column.to_numpy(zero_copy_only=False)
+    return values if values.dtype.kind in "Mm" else np.asarray(values, float)
 
 
 def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
     """Return what columns of a Parquet file take [bytes]: as numbers, and while put together."""
     # Pages of equal numbers say a few bytes of thousands; a page may hold more than its numbers.
     size = 0.0
+    # Of a list: its name, then such as ".list.element".
+    prefixes = tuple(f"{name}." for name in columns)
     for group in map(metadata.row_group, range(metadata.num_row_groups)):
         for chunk in map(group.column, range(group.num_columns)):
-            # Of a list: its name, then such as ".list.element".
-            if any(
-                f"{chunk.path_in_schema}.".startswith(f"{name}.") for name in columns
-            ):
-                size += max(
-                    16.0 * chunk.num_values, 2.0 * chunk.total_uncompressed_size
-                )
+            if f"{chunk.path_in_schema}.".startswith(prefixes):
+                in_file = 2.0 * chunk.total_uncompressed_size
+                size += max(16.0 * chunk.num_values, in_file)
     return size
 
 
-def _array(name: str, column: Any) -> Array:
-    """Return a column (N,), or (N, k) of one with lists; NaN for a list that is missing."""
-    combined = column.combine_chunks()
-    if "list" not in str(combined.type):
-        return _numbers(combined)
-    there = combined.drop_null()
-    fixed = not hasattr(there, "offsets")
-    widths = (
-        [there.type.list_size] if fixed else np.unique(np.diff(there.offsets)).tolist()
-    )
-    if len(widths) > 1:
-        fault = f"column {name} holds lists of {widths[0]} to {widths[-1]} numbers"
-        raise ValueError(f"{fault}; write as many in each row, or leave the column out")
-    values = _numbers(there.flatten())
-    rows = np.full((len(combined), *widths), np.nan).astype(values.dtype)
-    is_there = combined.is_valid().to_numpy(zero_copy_only=False)
-    rows[is_there] = values.reshape(len(there), *widths)
-    return rows
+LEROBOT = "a LeRobot data set"
+STATE = "observation.state"
+ACTION = "action"
+# Last word of a name in a feature to the title's quantity and unit.
+_SUFFIXES = {
+    "pos": "position [deg]",
+    "vel": "velocity [deg/s]",
+    "current": "current",
+    "torque": "torque [Nm]",
+    "effort": "torque [Nm]",
+}
+# Features whose names are joints, to their quantity.
+_FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
+_DOWNLOAD = "download the data set whole"
 
 
-def _numbers(column: Any) -> Array:
-    values = column.to_numpy(zero_copy_only=False)
-    return values if values.dtype.kind in "Mm" else np.asarray(values, float)
+def lerobot_table(source: LogSource) -> LogTable:
+    """Return the selected episodes of a data set, or all, each a recording of its own."""
+    path = source.path
+    commanded = source.options.commanded
+    info = _as_mapping(read_json(path / "meta" / "info.json", _DOWNLOAD))
+    descriptions = _as_mapping(info.get("features"))
+    titles = {}
+    for feature in (STATE, ACTION) if commanded else (STATE, *_FEATURES):
+        names = _as_mapping(descriptions.get(feature)).get("names")
+        titles[feature] = _lerobot_titles(names, feature, source.joint_names)
+    text = " ".join(chain.from_iterable(titles.values()))
+    if not commanded and "torque" not in text and "current" not in text:
+        raise InputError(
+            f"{path} holds no torque ({STATE}: {', '.join(titles[STATE]) or 'nothing'}); record it "
+            "too: for OpenArm use_velocity_and_torque=true of the robot's configuration, for other "
+            "robots an observation whose names end in .torque"
+        )
+    features = [feature for feature in titles if titles[feature]]
+    frames = _read_frames(path, ["timestamp", "episode_index", *features])
+    episode_index = frames.pop("episode_index").astype(int)
+    available = sorted(set(episode_index.tolist()))
+    episodes = source.options.episode or available
+    if not available:
+        raise InputError(f"{path} holds no frames; {_DOWNLOAD}")
+    missing = sorted(set(episodes) - set(available))
+    if missing:
+        raise InputError(
+            f"{path} has no episode {missing[0]}; it has {available[0]} to {available[-1]}"
+        )
+    masks = [episode_index == episode for episode in episodes]
+    recordings = [[values[mask] for values in frames.values()] for mask in masks]
+    version = info.get("codebase_version", "?")
+    fps = info.get("fps", "unknown")
+    layout = f"LeRobot data set {version} at {fps} Hz, {len(recordings)} episodes"
+    columns = ["timestamp [s]", *chain.from_iterable(titles.values())]
+    width = sum(values.reshape(len(values), -1).shape[1] for values in frames.values())
+    if width != len(columns):
+        fault = f"names {len(columns) - 1} numbers of a frame in meta/info.json, not {width - 1}"
+        raise InputError(f"{path} {fault}; {_DOWNLOAD}")
+    return recordings_table(path, layout, columns, recordings)
+
+
+def _as_mapping(value: Any) -> Mapping[str, Any]:
+    """Return a JSON object, or an empty one in the place of any other value."""
+    return value if isinstance(value, dict) else {}
+
+
+def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> list[str]:
+    """Return titles such as "elbow position [deg]" of a feature's numbers.
+
+    Args:
+        names: of the numbers, such as ["elbow.pos"], or a JSON object of such lists; anything else
+            makes no titles.
+        feature: STATE, ACTION or a key of _FEATURES.
+    """
+    if isinstance(names, dict):
+        lists = [group for group in names.values() if isinstance(group, list)]
+        names = list(chain.from_iterable(lists))
+    joints = []
+    quantities = []
+    for name in names if isinstance(names, list) else ():
+        stem, _, suffix = str(name).rpartition(".")
+        joints.append(stem if suffix in _SUFFIXES else str(name))
+        quantity = _SUFFIXES.get(suffix, _FEATURES.get(feature, "position"))
+        if feature == ACTION:
+            quantity = quantity.replace("position", "command")
+        quantities.append(quantity)
+    unique = list(dict.fromkeys(joints))
+    spelling = dict(zip(unique, model_spelling(unique, joint_names)))
+    pairs = zip(joints, quantities)
+    return [f"{spelling[joint]} {quantity}" for joint, quantity in pairs]
+
+
+def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
+    """Return the columns of all Parquet files of a data set, (N,), or (N, k) of lists."""
+    parquet = import_optional("pyarrow.parquet", "lerobot", LEROBOT)
+    files = sorted((path / "data").rglob("*.parquet"))
+    if not files:
+        raise InputError(f"{path} has no Parquet files in data/; {_DOWNLOAD}")
+    unpacked = 0.0
+    for file in files:
+        with as_input_errors(file, LEROBOT):
+            unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
+    refuse_bomb(path, unpacked, sum(file.stat().st_size for file in files))
+    arrays: dict[str, list[Array]] = {name: [] for name in columns}
+    for file in files:
+        with as_input_errors(file, LEROBOT):
+            frames = parquet.read_table(file, columns=list(columns))
+            for name in columns:
+                arrays[name].append(_arrow_array(name, frames.column(name)))
+    with as_input_errors(path, LEROBOT):
+        return {name: np.concatenate(values) for name, values in arrays.items()}

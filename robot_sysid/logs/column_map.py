@@ -1,10 +1,10 @@
 """Which column of a log is which quantity of which joint, by its title or by a columns file.
 
 A column belongs to a joint because its title carries the joint's name (``elbow_effort``), or else
-by counting from 0 or 1 (``q1 .. q6``, ``j0_pos ..``). Whatever is decided is said, in one line, by
-``ColumnMap.describe``; whatever has two answers is an error that lists both.
+by counting from 0 or 1 (``q1 .. q6``, ``j0_pos ..``). ``ColumnMap.describe`` states every choice in
+one line; where two columns could be one quantity, an error lists both.
 
-The file behind ``--columns`` says what titles do not tell, in lines of ``key = value``::
+The file behind ``--columns`` declares what titles leave open, in lines of ``key = value``::
 
     # lines starting with # are comments
     time = Zeit
@@ -15,11 +15,11 @@ The file behind ``--columns`` says what titles do not tell, in lines of ``key = 
     torque.joint3 = 0.95 * I3      a number scales
     velocity = none                keep a quantity out
 
-Keys: time, position, velocity, acceleration (which nothing is made of), torque, joint_time (a time
-stamp of each joint's own), command (position a servo is asked for), units (rad, deg; s, ms, us, ns)
+Keys: time, position, velocity, acceleration (accepted but not used), torque, joint_time (a time
+stamp of each joint's own), command (commanded position of a servo), units (rad, deg; s, ms, us, ns)
 and rate (samples per second, for a log without a time column). ``#3`` is the third column, for a
-log without titles, and ``#3-9`` are seven of them. Where columns cannot be recognised, a ``draft``
-of such a file says what could.
+log without titles, and ``#3-9`` are seven of them. Where columns cannot be recognised, the error
+carries a ``draft`` of such a file for the user to complete.
 """
 
 from __future__ import annotations
@@ -33,26 +33,44 @@ from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs import titles as naming
+from robot_sysid.logs.titles import (
+    QUANTITIES,
+    REMEDY,
+    UNITS,
+    Candidates,
+    Title,
+    ambiguity_error,
+    collect_errors,
+    interpret_titles,
+    joint_quantity,
+    match_joints,
+    read_title,
+)
 from robot_sysid.records import Array
 
-_KEYS = ("time", *naming.QUANTITIES, "acceleration", "units", "rate")
+_KEYS = ("time", *QUANTITIES, "acceleration", "units", "rate")
 _SCALED = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII
 )
-_ANGLES = ("rad", "deg")
+_ANGLE_UNITS = ("rad", "deg")
+_TIME_UNITS = ("s", "ms", "us", "ns")
 _LONGEST = 1_000_000
 """Characters of a columns file that are read: 10 000 long lines."""
-_TIMES = ("s", "ms", "us", "ns")
-_OPEN = "?"
-"""Stands in a draft for a column that is to be named."""
+_BLANK = "?"
+"""Stands in a draft for a column that the user has to name."""
 
 
 @dataclass(frozen=True)
 class ColumnChoices:
-    """What is declared of a log's columns, by the keys of a columns file; None leaves it open.
+    """What the user, or the form of a file, declares of a log's columns; None where undeclared.
 
-    The columns are quantity to joint name to title; "none" keeps a quantity out.
+    Attributes:
+        time: title of the time column.
+        columns: quantity to joint name to title, "-title" or "0.5 * title"; "none" leaves a
+            quantity out.
+        angle_unit: "rad" or "deg".
+        time_unit: "s", "ms", "us" or "ns".
+        rate: samples per second of a log without a time column [Hz].
     """
 
     time: str | None = None
@@ -61,29 +79,29 @@ class ColumnChoices:
     time_unit: str | None = None
     rate: float | None = None
 
-    def over(self, known: ColumnChoices) -> ColumnChoices:
-        """Return these choices, and what is known otherwise where they say nothing."""
+    def over(self, fallback: ColumnChoices) -> ColumnChoices:
+        """Return these choices, with those of the fallback where these are undeclared."""
         return ColumnChoices(
-            self.time or known.time,
-            {**known.columns, **self.columns},
-            self.angle_unit or known.angle_unit,
-            self.time_unit or known.time_unit,
-            self.rate or (None if self.time else known.rate),
+            self.time or fallback.time,
+            {**fallback.columns, **self.columns},
+            self.angle_unit or fallback.angle_unit,
+            self.time_unit or fallback.time_unit,
+            self.rate or (None if self.time else fallback.rate),
         )
 
 
 def parse_units(text: str) -> ColumnChoices:
     """Return the units of a list with commas or blanks such as "deg,ms", or raise InputError."""
-    words = re.findall(r"[^,\s]+", text)
-    angles, times = ([w for w in words if w in known] for known in (_ANGLES, _TIMES))
-    if not words or len(words) > len(angles[:1] + times[:1]):
-        known = f"one of {', '.join(_ANGLES)} and one of {', '.join(_TIMES)}"
+    units = re.findall(r"[^,\s]+", text)
+    angle_unit = next((unit for unit in units if unit in _ANGLE_UNITS), None)
+    time_unit = next((unit for unit in units if unit in _TIME_UNITS), None)
+    recognised = [unit for unit in (angle_unit, time_unit) if unit]
+    if not units or len(units) > len(recognised):
+        valid = f"one of {', '.join(_ANGLE_UNITS)} and one of {', '.join(_TIME_UNITS)}"
         raise InputError(
-            f"units {text!r} are not understood; give at most {known}, as in 'deg,ms'"
+            f"units {text!r} are not understood; give at most {valid}, as in 'deg,ms'"
         )
-    return ColumnChoices(
-        angle_unit=next(iter(angles), None), time_unit=next(iter(times), None)
-    )
+    return ColumnChoices(angle_unit=angle_unit, time_unit=time_unit)
 
 
 def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
@@ -93,21 +111,20 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
             text = stream.read(_LONGEST)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
-    entries: dict[str, str] = {}
+    values: dict[str, str] = {}
     columns: dict[str, dict[str, str]] = {}
-    for number, line in enumerate(
-        text.split("\n"), start=1
-    ):  # titles may hold other line ends
-        # A blank before the mark makes a remark of the rest; without one it is column "#3".
+    # Not splitlines: titles may hold other line ends.
+    for number, line in enumerate(text.split("\n"), start=1):
+        # "#" begins a comment at the start of a line or behind a blank, unless it is column "#3".
         content = re.sub(r"(^|\s)#(?!\d).*", "", line).strip()
         if not content:
             continue
-        key, equals, value = (part.strip() for part in content.partition("="))
-        if not equals or not value or key in entries:
+        key, equals, value = (text.strip() for text in content.partition("="))
+        if not equals or not value or key in values:
             raise InputError(
                 f"{path} line {number}: expected one 'key = value' per key: {line!r}"
             )
-        if _OPEN in re.split(r"[,\s]+", value):
+        if _BLANK in re.split(r"[,\s]+", value):
             raise InputError(
                 f"{path} line {number}: put the log's columns in the place of ?"
             )
@@ -116,45 +133,47 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
             raise InputError(
                 f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}"
             )
-        entries[key] = value
-        if quantity in naming.QUANTITIES:
-            chosen = _per_joint(path, quantity, joint, value, joint_names)
-            columns.setdefault(quantity, {}).update(chosen)
-    units = parse_units(entries["units"]) if "units" in entries else ColumnChoices()
-    rate = _rate(path, entries["rate"]) if "rate" in entries else None
-    return replace(units, time=entries.get("time"), columns=columns, rate=rate)
+        values[key] = value
+        if quantity in QUANTITIES:
+            titles = _titles_by_joint(path, quantity, joint, value, joint_names)
+            columns.setdefault(quantity, {}).update(titles)
+    units = parse_units(values["units"]) if "units" in values else ColumnChoices()
+    rate = _parse_rate(path, values["rate"]) if "rate" in values else None
+    return replace(units, time=values.get("time"), columns=columns, rate=rate)
 
 
-def _per_joint(
+def _titles_by_joint(
     path: Path, quantity: str, joint: str, value: str, joint_names: Sequence[str]
 ) -> dict[str, str]:
-    """Return joint to title, of a line about one joint or with a list for all."""
+    """Return joint name to title, from the value of a line about one joint, or "" for all."""
     if joint and joint not in joint_names:
-        known = f"the chain's joints are {', '.join(joint_names)}"
+        valid = f"the chain's joints are {', '.join(joint_names)}"
         raise InputError(
-            f"{path}: {quantity}.{joint} names the unknown joint {joint!r}; {known}"
+            f"{path}: {quantity}.{joint} names the unknown joint {joint!r}; {valid}"
         )
     if joint or value == "none":
         return dict.fromkeys([joint] if joint else joint_names, value)
-    titles = [each for title in value.split(",") for each in _counted(title.strip())]
+    ranges = (_expand_range(title.strip()) for title in value.split(","))
+    titles = list(chain.from_iterable(ranges))
     if len(titles) != len(joint_names):
         chain_has = f"the chain has {len(joint_names)} joints: {', '.join(joint_names)}"
         raise InputError(f"{path}: {quantity} lists {len(titles)} columns, {chain_has}")
     return dict(zip(joint_names, titles))
 
 
-def _counted(title: str) -> list[str]:
+def _expand_range(title: str) -> list[str]:
     """Return the columns "#2", "#3", ... of a range "#2-8", or the one of a title."""
-    found = re.fullmatch(r"#(\d{1,5})\s*-\s*#?(\d{1,5})", title)
-    if not found:
+    match = re.fullmatch(r"#(\d{1,5})\s*-\s*#?(\d{1,5})", title)
+    if not match:
         return [title]
-    first = int(found[1])
-    last = int(found[2])
+    first = int(match[1])
+    last = int(match[2])
     step = 1 if last >= first else -1
     return [f"#{number}" for number in range(first, last + step, step)]
 
 
-def _rate(path: Path, value: str) -> float:
+def _parse_rate(path: Path, value: str) -> float:
+    """Return a rate [Hz], or raise InputError where it is no positive, finite number."""
     with contextlib.suppress(ValueError):
         if 0.0 < float(value) < math.inf:
             return float(value)
@@ -164,8 +183,8 @@ def _rate(path: Path, value: str) -> float:
 
 
 @dataclass(frozen=True)
-class Source:
-    """One column of the file and the factor that turns it into SI units."""
+class Column:
+    """A column of the file, by its index from 0, and the factor that turns it into SI units."""
 
     index: int
     title: str
@@ -174,270 +193,266 @@ class Source:
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Where each quantity comes from; one Source per chain joint, base to terminal.
+    """The column of each quantity; of joints one per chain joint, base to terminal.
 
     Attributes:
         rate: samples per second of a log without time stamps.
+        joint_time: time stamps of the joints' own, where the log has them.
+        unused: titles of all other columns.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
-        commanded: whether ``torque`` holds commanded positions instead, of a log read for them.
+        commanded: whether ``torque`` holds commanded positions in place of torques.
     """
 
-    time: Source | None
+    time: Column | None
     rate: float | None
-    position: tuple[Source, ...]
-    torque: tuple[Source, ...]
-    velocity: tuple[Source, ...] | None
-    joint_time: tuple[Source, ...] | None
+    position: tuple[Column, ...]
+    torque: tuple[Column, ...]
+    velocity: tuple[Column, ...] | None
+    joint_time: tuple[Column, ...] | None
     unused: tuple[str, ...]
     angle_declared: bool
     commanded: bool = False
 
-    def groups(self) -> tuple[tuple[Source, ...], ...]:
-        """Return the columns of each quantity: position, torque, then what there may be."""
+    def groups(self) -> tuple[tuple[Column, ...], ...]:
+        """Return the columns of position, torque, velocity and joint time; () for no such ones."""
         return self.position, self.torque, self.velocity or (), self.joint_time or ()
 
-    def sources(self) -> list[Source]:
-        """Return all columns: time, where there is one, and the groups."""
-        return [
-            *([self.time] if self.time else ()),
-            *chain.from_iterable(self.groups()),
-        ]
+    def columns(self) -> list[Column]:
+        """Return all columns: time, where there is one, then ``groups`` one after the other."""
+        time = [self.time] if self.time else []
+        return [*time, *chain.from_iterable(self.groups())]
 
     def with_torque_factor(self, factor: Array) -> ColumnMap:
         """Return the map with each joint's torque multiplied by a factor (n,)."""
-        scaled = zip(self.torque, factor.tolist())
-        return replace(
-            self, torque=tuple(replace(s, factor=k * s.factor) for s, k in scaled)
-        )
+        pairs = zip(self.torque, factor.tolist())
+        torque = tuple(replace(column, factor=k * column.factor) for column, k in pairs)
+        return replace(self, torque=torque)
 
     def describe(self) -> tuple[str, ...]:
-        """Return one sentence each about what was taken for what."""
-        time = _quoted([self.time]) if self.time else f"row number at {self.rate:g} Hz"
-        velocity = (
-            _quoted(self.velocity) if self.velocity else "differentiated from position"
+        """Return one sentence on the columns that are used, and one on the others if any."""
+        time = _quote([self.time]) if self.time else f"row number at {self.rate:g} Hz"
+        velocity = "differentiated from position"
+        if self.velocity:
+            velocity = f"from {_quote(self.velocity)}"
+        quantity = "command" if self.commanded else "torque"
+        used = (
+            f"log columns: time from {time}; position from {_quote(self.position)}; "
+            f"velocity {velocity}; {quantity} from {_quote(self.torque)}"
         )
-        taken = f"log columns: time from {time}; position from {_quoted(self.position)}; velocity "
-        taken += f"{'from ' if self.velocity else ''}{velocity}; "
-        taken += (
-            f"{'command' if self.commanded else 'torque'} from {_quoted(self.torque)}"
-        )
-        taken += (
-            f"; own time from {_quoted(self.joint_time)}" if self.joint_time else ""
-        )
-        return (
-            taken,
-            *(
-                [f"log columns not used: {', '.join(self.unused)}"]
-                if self.unused
-                else ()
-            ),
-        )
+        if self.joint_time:
+            used += f"; own time from {_quote(self.joint_time)}"
+        if not self.unused:
+            return (used,)
+        return used, f"log columns not used: {', '.join(self.unused)}"
 
 
 def draft(
     titles: Sequence[str],
     joint_names: Sequence[str],
-    asked: str = "torque",
-    known: Mapping[str, Sequence[Source] | None] | None = None,
+    driven: str = "torque",
+    recognised: Mapping[str, Sequence[Column] | None] | None = None,
 ) -> str:
-    """Return a columns file to complete: what is known, quantity to its columns, and ? for what was
-    not recognised of positions and of what is asked for beside, "torque" or "command".
+    """Return a columns file for the user to complete, with ? for columns that were not recognised.
+
+    Args:
+        titles: of all columns of the log.
+        driven: the quantity that is needed beside positions, "torque" or "command".
+        recognised: quantity to its columns; None where nothing was recognised.
     """
-    listed = ", ".join(
-        f"#{k} {' '.join(title.split())}" for k, title in enumerate(titles, 1)
-    )
+    numbered = (f"#{k} {' '.join(title.split())}" for k, title in enumerate(titles, 1))
     lines = [
         "# Which column is what. Complete the lines with ?, then give this file with --columns.",
-        f"# The log's columns: {listed}",
+        f"# The log's columns: {', '.join(numbered)}",
         f"# One column for each of the joints {', '.join(joint_names)}; #2-{1 + len(joint_names)} "
         "are columns one after the other.",
     ]
-    for kind in ("time", "position", "velocity", asked):
-        found = (known or {}).get(kind)
-        joints = 1 if kind == "time" else len(joint_names)
-        columns = [f"#{each.index + 1}" for each in found or ()]
-        if found or kind != "velocity":
-            lines.append(f"{kind} = {', '.join(columns or [_OPEN] * joints)}")
-    hints = [
-        "# rate = 200: samples per second, in place of time, of evenly spaced rows"
+    for quantity in ("time", "position", "velocity", driven):
+        columns = (recognised or {}).get(quantity) or ()
+        count = 1 if quantity == "time" else len(joint_names)
+        numbers = [f"#{column.index + 1}" for column in columns] or [_BLANK] * count
+        if columns or quantity != "velocity":
+            lines.append(f"{quantity} = {', '.join(numbers)}")
+    lines += [
+        "# rate = 200: samples per second, in place of time, of evenly spaced rows",
+        "# units = deg, ms: where they are not rad and s",
+        "",
     ]
-    return "\n".join(
-        [*lines, *hints, "# units = deg, ms: where they are not rad and s", ""]
-    )
+    return "\n".join(lines)
 
 
 def recognise_columns(
     titles: Sequence[str],
     joint_names: Sequence[str],
-    chosen: ColumnChoices,
+    choices: ColumnChoices,
     first_row: Sequence[str],
     is_slide: Sequence[bool],
     currents: bool = False,
     commanded: bool = False,
 ) -> ColumnMap:
-    """Find out what each column is.
+    """Return the column of each quantity of each joint.
 
     Args:
         titles: header cells; "#1", "#2", ... where the file has no header.
-        chosen: what was declared; it outranks the titles.
+        choices: what was declared; it outranks the titles.
         first_row: the first row of data (it may hold joint names, as ROS logs do).
         is_slide: (n,) whether a joint is a slide, whose positions are never angles.
-        currents, commanded: as in ``columns.with_meaning``.
+        currents, commanded: as in ``titles.interpret_titles``.
 
     Raises:
         ColumnsError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
-    plain = [naming.read_title(title) for title in titles]
-    parsed = naming.with_meaning(plain, joint_names, currents, commanded)
-    columns = _Columns(list(titles), parsed, joint_names, chosen, is_slide, commanded)
-    known: dict[str, Sequence[Source] | None] = {}
+    plain = [read_title(title) for title in titles]
+    parsed = interpret_titles(plain, joint_names, currents, commanded)
+    driven = "command" if commanded else "torque"
+    finder = _ColumnFinder(list(titles), parsed, joint_names, choices, is_slide, driven)
     try:
-        return columns.recognised(first_row, known)
+        return finder.find_all(first_row)
     except InputError as error:
-        is_declared = chosen.columns or chosen.time or chosen.rate
-        text = "" if is_declared else draft(titles, joint_names, columns.asked, known)
+        is_declared = choices.columns or choices.time or choices.rate
+        text = (
+            "" if is_declared else draft(titles, joint_names, driven, finder.recognised)
+        )
         raise ColumnsError(str(error), text) from None
 
 
 @dataclass(frozen=True)
-class _Columns:
-    """The columns of one log and what was declared of them; finds those of a quantity."""
+class _ColumnFinder:
+    """Finds the columns of each quantity of one log, whose parsed titles are ``_titles``.
+
+    Attributes:
+        driven: the quantity that is needed beside positions, "torque" or "command".
+        recognised: quantity to its columns, None for none; filled by ``find_all``.
+    """
 
     _texts: list[str]
-    _titles: Sequence[naming.Title]
-    _joints: Sequence[str]
-    _chosen: ColumnChoices
+    _titles: Sequence[Title]
+    _joint_names: Sequence[str]
+    _choices: ColumnChoices
     _is_slide: Sequence[bool]
-    _commanded: bool
+    driven: str
+    recognised: dict[str, Sequence[Column] | None] = field(default_factory=dict)
 
-    @property
-    def asked(self) -> str:
-        """What is needed beside positions."""
-        return "command" if self._commanded else "torque"
-
-    def recognised(
-        self, first_row: Sequence[str], known: dict[str, Sequence[Source] | None]
-    ) -> ColumnMap:
-        """Return the map, or raise InputError; what is recognised is noted as known."""
-        declared = self._chosen.columns
-        count = len(self._joints)
-        # What the file names in full need not be recognised, and cannot be ambiguous.
-        settled = {kind for kind, columns in declared.items() if len(columns) == count}
-        nothing = naming.read_title("")
-        kinds = [naming.joint_kind(t) for t in self._titles]
-        readable = [
-            nothing if kind in settled else t for t, kind in zip(self._titles, kinds)
-        ]
-        found = naming.match_joints(readable, self._joints, first_row)
+    def find_all(self, first_row: Sequence[str]) -> ColumnMap:
+        """Return the map, or raise InputError with all that is wrong; fills ``recognised``."""
+        candidates = match_joints(self._open_titles(), self._joint_names, first_row)
         faults = list[str]()
         time = None
-        sources: dict[str, tuple[Source, ...] | None] = {}
-        other = "torque" if self._commanded else "command"
-        for kind in (kind for kind in naming.QUANTITIES if kind != other):
-            with naming.collected(faults):
-                sources[kind] = self.of_joints(kind, found)
-        with naming.collected(faults):
-            time = self.time(found)
-        known.update(sources, time=[time] if time else None)
+        columns: dict[str, tuple[Column, ...] | None] = {}
+        for quantity in QUANTITIES:
+            if quantity in ("torque", "command") and quantity != self.driven:
+                continue
+            with collect_errors(faults):
+                columns[quantity] = self._find_joints(quantity, candidates)
+        with collect_errors(faults):
+            time = self._find_time(candidates)
+        self.recognised.update(columns, time=[time] if time else None)
         if faults:
             raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(self._texts)}")
-        used = {
-            s.index for group in (*sources.values(), [time]) for s in group or () if s
-        }
-        unused = tuple(
-            text for index, text in enumerate(self._texts) if index not in used
-        )
-        position = sources["position"]
-        torque = sources[self.asked]
+        position = columns["position"]
+        torque = columns[self.driven]
         if position is None or torque is None:
-            raise InputError(
-                f"position and {self.asked} cannot be left out; {naming.REMEDY}"
-            )
-        has_unit = self._chosen.angle_unit or all(
-            self._titles[s.index].unit for s in position
-        )
+            raise InputError(f"position and {self.driven} cannot be left out; {REMEDY}")
+        groups = [group for group in self.recognised.values() if group]
+        used = {column.index for column in chain.from_iterable(groups)}
+        unused = tuple(t for index, t in enumerate(self._texts) if index not in used)
+        has_unit = all(self._titles[column.index].unit for column in position)
         return ColumnMap(
-            time, self._chosen.rate, position, torque, sources["velocity"], sources["joint_time"],
-            unused, bool(has_unit), self._commanded,
-        )  # fmt: skip
+            time,
+            self._choices.rate,
+            position,
+            torque,
+            columns["velocity"],
+            columns["joint_time"],
+            unused,
+            bool(self._choices.angle_unit) or has_unit,
+            self.driven == "command",
+        )
 
-    def of_joints(self, kind: str, found: naming.Found) -> tuple[Source, ...] | None:
-        """Return one source per joint, or None where an optional quantity is not there for all."""
-        explicit = self._chosen.columns.get(kind, {})
-        if set(explicit.values()) == {"none"}:
+    def _open_titles(self) -> list[Title]:
+        """Return the titles, empty ones in the place of quantities declared for every joint."""
+        # What is declared in full need not be recognised, and cannot be ambiguous.
+        count = len(self._joint_names)
+        declared = self._choices.columns.items()
+        settled = {quantity for quantity, titles in declared if len(titles) == count}
+        empty = read_title("")
+        return [empty if joint_quantity(t) in settled else t for t in self._titles]
+
+    def _find_joints(
+        self, quantity: str, candidates: Candidates
+    ) -> tuple[Column, ...] | None:
+        """Return one column per joint, or None where an optional quantity lacks a joint's."""
+        declared = self._choices.columns.get(quantity, {})
+        if set(declared.values()) == {"none"}:
             return None
-        sources = []
-        for joint, name in enumerate(self._joints):
-            places = [(index, 1.0) for index in found.get((kind, joint), ())]
-            places = [self._lookup(explicit[name])] if name in explicit else places
-            if len(places) > 1:
-                raise naming.two_candidates(
-                    kind, name, [self._texts[i] for i, _ in places]
-                )
-            sources += [self._source(kind, joint, *place) for place in places]
-        if len(sources) == len(self._joints):
-            return tuple(sources)
-        if explicit or kind in ("position", self.asked):
-            raise self._incomplete(kind)
+        columns = []
+        for joint, name in enumerate(self._joint_names):
+            indices = candidates.get((quantity, joint), [])
+            if name in declared:
+                index, factor = self._look_up(declared[name])
+                columns.append(self._column(quantity, joint, index, factor))
+            elif len(indices) > 1:
+                texts = [self._texts[index] for index in indices]
+                raise ambiguity_error(quantity, name, texts)
+            elif indices:
+                columns.append(self._column(quantity, joint, indices[0], 1.0))
+        if len(columns) == len(self._joint_names):
+            return tuple(columns)
+        if declared or quantity in ("position", self.driven):
+            raise self._missing_error(quantity)
         return None
 
-    def time(self, of_joints: naming.Found) -> Source | None:
+    def _find_time(self, candidates: Candidates) -> Column | None:
         """Return the time column, or None where a rate stands in for it."""
-        if self._chosen.time is not None:
-            return self._source("time", 0, *self._lookup(self._chosen.time))
-        if self._chosen.rate is not None:
+        if self._choices.time is not None:
+            index, factor = self._look_up(self._choices.time)
+            return self._column("time", 0, index, factor)
+        if self._choices.rate is not None:
             return None
-        own = {
-            i
-            for key, found in of_joints.items()
-            if key[0] == "joint_time"
-            for i in found
-        }
-        times = [
-            i for i, t in enumerate(self._titles) if t.kind == "time" and not t.numbers
-        ]
-        found = [i for i in times if i not in own]
+        of_joints = [i for key, i in candidates.items() if key[0] == "joint_time"]
+        excluded = set(chain.from_iterable(of_joints))
+        excluded.update(k for k, title in enumerate(self._titles) if title.numbers)
+        quantities = [title.measured_quantity for title in self._titles]
+        times = [k for k, q in enumerate(quantities) if q == "time"]
+        times = [k for k in times if k not in excluded]
         # ROS: the stamp in the message header is when it was sampled, the other one when received.
-        stamped = [i for i in found if "header" in self._titles[i].words]
-        found = stamped if len(stamped) == 1 else found
-        if len(found) > 1:
-            raise naming.two_candidates("time", "", [self._texts[i] for i in found])
-        if not found:
+        stamped = [k for k in times if "header" in self._titles[k].tokens]
+        times = stamped if len(stamped) == 1 else times
+        if len(times) > 1:
+            raise ambiguity_error("time", "", [self._texts[k] for k in times])
+        if not times:
             raise InputError(
-                f"the log has no time column; {naming.REMEDY} ('time = TITLE', or 'rate = HZ' for "
+                f"the log has no time column; {REMEDY} ('time = TITLE', or 'rate = HZ' for "
                 "evenly spaced rows)"
             )
-        return self._source("time", 0, found[0], 1.0)
+        return self._column("time", 0, times[0], 1.0)
 
-    def _incomplete(self, kind: str) -> InputError:
-        candidates = [
-            title.text for title in self._titles if naming.joint_kind(title) == kind
+    def _missing_error(self, quantity: str) -> InputError:
+        """Return the error for a quantity without a column for each joint, with a hint."""
+        titles = self._titles
+        candidates = [t.text for t in titles if joint_quantity(t) == quantity]
+        listed = "none"
+        if candidates:
+            listed = f"{len(candidates)} ({', '.join(candidates)})"
+        commands = [
+            t.text for t in titles if t.is_commanded and t.override != "command"
         ]
-        found = f"{len(candidates)} ({', '.join(candidates)})" if candidates else "none"
-        commanded = [
-            t.text for t in self._titles if t.commanded and t.stands_for != "command"
-        ]
-        hint = (
-            f"; commanded columns are not measurements: {commanded[0]}, ..."
-            if commanded
-            else ""
-        )
-        currents = [
-            t.text for t in self._titles if t.is_current and t.stands_for is None
-        ]
-        if kind == "command":
+        currents = [t.text for t in titles if t.is_current and t.override is None]
+        hint = ""
+        if commands:
+            hint = f"; commanded columns are not measurements: {commands[0]}, ..."
+        if quantity == "command":
             hint = " (titles such as action, command, q_des or goal_position)"
-        elif kind == "torque" and currents:
+        elif quantity == "torque" and currents:
             hint += f"; {currents[0]}, ... are motor currents: give --torque-constants to use them"
-        elif kind == "torque" and not candidates:
+        elif quantity == "torque" and not candidates:
             hint += "; with commanded positions, identify --torque-from position-error needs none"
         return InputError(
-            f"the log needs one {kind} column for each of the {len(self._joints)} chain joints "
-            f"({', '.join(self._joints)}), found {found}{hint}; {naming.REMEDY}"
+            f"the log needs one {quantity} column for each of the {len(self._joint_names)} chain "
+            f"joints ({', '.join(self._joint_names)}), found {listed}{hint}; {REMEDY}"
         )
 
-    def _lookup(self, text: str) -> tuple[int, float]:
-        """Return (column, factor) of "title", "-title" or "0.5 * title" in a columns file."""
+    def _look_up(self, text: str) -> tuple[int, float]:
+        """Return (column index, factor) of "title", "-title" or "0.5 * title"."""
         title = text
         factor = 1.0
         scaled = _SCALED.fullmatch(text)
@@ -456,39 +471,34 @@ class _Columns:
             f"the log has no single column {title!r}; name one that there is once"
         )
 
-    def _source(self, kind: str, joint: int, index: int, factor: float) -> Source:
-        """Return a column with its factor to SI, by its title or else the declared units."""
+    def _column(self, quantity: str, joint: int, index: int, factor: float) -> Column:
+        """Return a column with its factor to SI, by its title's unit or else the declared one."""
         title = self._titles[index]
-        chosen = self._chosen
-        is_time = kind in ("time", "joint_time")
-        known = naming.UNITS["time" if is_time else kind]
-        is_angle = kind != "torque" and not self._is_slide[joint]
-        unit = chosen.time_unit if is_time else chosen.angle_unit if is_angle else None
-        declared = (
-            None
-            if unit is None
-            else naming.UNITS["time" if is_time else "position"][unit]
-        )
-        written = known.get(title.unit) if title.unit else declared
-        if written is None and title.unit:
-            fault = (
-                f"unit {title.unit!r} of column {title.text!r} is unknown for a {kind}"
-            )
+        is_time = quantity in ("time", "joint_time")
+        is_angle = quantity != "torque" and not self._is_slide[joint]
+        unit = self._choices.angle_unit if is_angle else None
+        unit = self._choices.time_unit if is_time else unit
+        declared = UNITS["time" if is_time else "position"][unit] if unit else None
+        to_si = declared
+        if title.unit:
+            to_si = UNITS["time" if is_time else quantity].get(title.unit)
+        if to_si is None and title.unit:
+            fault = f"unit {title.unit!r} of column {title.text!r} is unknown for a {quantity}"
             raise InputError(
                 f"{fault}; rename the column, or scale it with --columns FILE"
             )
-        if declared is not None and written != declared:
+        if declared is not None and to_si != declared:
             fault = f"column {title.text!r} names a unit that contradicts the declared units"
             raise InputError(f"{fault}; declare what the column holds, or rename it")
-        return Source(
-            index, self._texts[index], factor * (1.0 if written is None else written)
-        )
+        factor *= 1.0 if to_si is None else to_si
+        return Column(index, self._texts[index], factor)
 
 
-def _quoted(sources: Sequence[Source]) -> str:
-    scaled = ["" if s.factor == 1.0 else f" x {s.factor:.6g}" for s in sources]
-    if len({s.factor for s in sources}) > 1 or len(sources) == 1:
-        return ", ".join(f"'{s.title}'{by}" for s, by in zip(sources, scaled))
-    return ", ".join(f"'{s.title}'" for s in sources) + (
-        scaled[0] and f" (each{scaled[0]})"
-    )
+def _quote(columns: Sequence[Column]) -> str:
+    """Return titles in quotes, with their factors; a factor that all share is given once."""
+    titles = [f"'{column.title}'" for column in columns]
+    factors = [column.factor for column in columns]
+    scales = ["" if k == 1.0 else f" x {k:.6g}" for k in factors]
+    if len(set(factors)) > 1 or len(columns) == 1:
+        return ", ".join(map("".join, zip(titles, scales)))
+    return ", ".join(titles) + (scales[0] and f" (each{scales[0]})")

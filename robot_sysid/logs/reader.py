@@ -1,9 +1,9 @@
-"""Logs of real arms to Measurement records, and back.
+"""Logs of real arms as Measurement records.
 
 A log is a table with a row per sample: time, and position and torque of every chain joint;
-velocity and other columns as they come (see ``formats`` for what kind of file it
-may be, ``columns`` and ``column_map`` for how columns are found, ``checks`` for what is checked).
-It is read in blocks; what is left of it after thinning is held in memory.
+velocity and other columns where the file has them. ``table`` describes its form, ``titles`` and
+``column_map`` find the columns, ``checks`` judges the rows. A log is read in blocks; what is left
+of it after thinning is held in memory.
 """
 
 from __future__ import annotations
@@ -21,15 +21,23 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs import LogOptions, arrays, column_map
+from robot_sysid.logs import LogOptions, arrays
 from robot_sysid.logs.checks import check_log
+from robot_sysid.logs.column_map import (
+    ColumnChoices,
+    ColumnMap,
+    draft,
+    parse_units,
+    read_columns_file,
+    recognise_columns,
+)
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.table import Asked, LogTable, followed, read_rows
+from robot_sysid.logs.table import LogSource, LogTable, read_blocks, read_rows
 from robot_sysid.logs.text import is_number, text_table
-from robot_sysid.logs.titles import joint_kind, read_title
+from robot_sysid.logs.titles import joint_quantity, read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.progress import Detail, Progress
-from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
+from robot_sysid.records.torque_scale import CONSTANTS, SCALE, Factors, joint_factors
 from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 from robot_sysid.special_files import refuse_special_file
@@ -37,12 +45,18 @@ from robot_sysid.special_files import refuse_special_file
 
 @dataclass(frozen=True, repr=False)
 class MeasurementLog:
-    """A checked log, the pieces between its gaps that are long enough, what there is to say, and
-    what its torques were divided by (n,), as the user gave it.
+    """A log that was read and checked.
+
+    Attributes:
+        columns: which column of the file each quantity was read from.
+        samples: all usable rows (N rows, n joints) in SI units.
+        pieces: the stretches between gaps that are long enough to be used.
+        notes: sentences for the user on what was recognised, left out or mended.
+        torque_scale: (n,) what torques were divided by, as the user gave it.
     """
 
     path: Path
-    columns: column_map.ColumnMap
+    columns: ColumnMap
     samples: Measurement
     pieces: tuple[LogPiece, ...]
     notes: tuple[str, ...]
@@ -55,11 +69,11 @@ class MeasurementLog:
     __str__ = __fspath__
 
     def __repr__(self) -> str:
-        what = f"{len(self.samples)} samples of {self.samples.q.shape[1]} joints"
-        return f"<MeasurementLog {self.path}: {what} in {self.duration:.4g} s>"
+        size = f"{len(self.samples)} samples of {self.samples.q.shape[1]} joints"
+        return f"<MeasurementLog {self.path}: {size} in {self.duration:.4g} s>"
 
     def _repr_html_(self) -> str:
-        """Return what was read, and what there is to say of it, for a notebook."""
+        """Return size and notes for a notebook."""
         notes = "".join(f"<li>{escape(note)}</li>" for note in self.notes)
         return f"<p>{escape(repr(self))}</p><ul>{notes}</ul>"
 
@@ -75,181 +89,188 @@ def open_log(
     options: LogOptions,
     progress: Progress | None = None,
 ) -> MeasurementLog:
-    """Recognise, check and open a log of an arm, or raise InputError; one that is open stays so."""
+    """Recognise, read and check a log of an arm, or raise InputError.
+
+    ``source`` is a file, a table, or a log that was opened before, which is returned as it is.
+    """
     if isinstance(source, MeasurementLog):
         return source
     path = Path(source)
     names = robot.joint_names
-    slides = robot.is_slide.tolist()
     table = source if isinstance(source, LogTable) else open_table(path, names, options)
-    found = _columns(table, path, robot, options)
-    tables = (CONSTANTS, options.torque_constants), (SCALE, options.torque_scale)
-    constants, scale = (
-        np.ones(len(names)) if given is None else joint_factors(given, names, name)[0]
-        for name, given in tables
-    )
-    found = found.with_torque_factor(constants / scale)
-    rows = read_rows(table, found, slides, progress)
-    checked = check_log(str(path), rows, robot, found.angle_declared)
+    columns = _map_columns(table, path, robot, options)
+    constants = _torque_factors(options.torque_constants, names, CONSTANTS)
+    scale = _torque_factors(options.torque_scale, names, SCALE)
+    columns = columns.with_torque_factor(constants / scale)
+    rows = read_rows(table, columns, robot.is_slide.tolist(), progress)
+    notes = check_log(str(path), rows, robot, columns.angle_declared)
     pieces = tuple(map(LogPiece.of, split_at_gaps(rows.samples)))
-    taken = map(Detail, (f"log layout: {table.layout}", *found.describe()))
-    notes = (*taken, *checked, *piece_notes(rows.samples, pieces))
-    return MeasurementLog(path, found, rows.samples, pieces, notes, scale)
+    details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
+    notes = (*details, *notes, *piece_notes(rows.samples, pieces))
+    return MeasurementLog(path, columns, rows.samples, pieces, notes, scale)
 
 
-def _columns(
+def _torque_factors(
+    factors: Factors | None, joint_names: Sequence[str], table: str
+) -> Array:
+    """Return one factor per joint (n,), from an option or the file that it names; else ones."""
+    if factors is None:
+        return np.ones(len(joint_names))
+    return joint_factors(factors, joint_names, table)[0]
+
+
+def _map_columns(
     table: LogTable, path: Path, robot: RobotModel, options: LogOptions
-) -> column_map.ColumnMap:
-    """Return what each column of a log is, declared or recognised."""
+) -> ColumnMap:
+    """Return which column of a log each quantity is in, declared or recognised."""
     names = robot.joint_names
-    slides = robot.is_slide.tolist()
-    choices = (
-        column_map.parse_units(options.units)
-        if options.units
-        else column_map.ColumnChoices()
-    )
+    choices = parse_units(options.units) if options.units else ColumnChoices()
+    draft_name = f"{path.stem}_columns.txt"
     if options.columns:
-        choices = choices.over(
-            column_map.read_columns_file(Path(options.columns), names)
-        )
+        declared = read_columns_file(Path(options.columns), names)
+        choices = choices.over(declared)
     elif table.titles[:1] == ("#1",):
+        driven = "command" if options.commanded else "torque"
         raise ColumnsError(
             f"{table.path} has no column titles; say which of its {len(table.titles)} columns is "
             "what with --columns FILE, for instance 'time = #1' and 'position = #2-8'",
-            column_map.draft(
-                table.titles, names, "command" if options.commanded else "torque"
-            ),
-            f"{path.stem}_columns.txt",
+            draft(table.titles, names, driven),
+            draft_name,
         )
-    wanted = options.torque_constants is not None, options.commanded
     try:
-        return column_map.recognise_columns(
+        return recognise_columns(
             table.titles,
             names,
             choices.over(table.choices),
             table.first_row,
-            slides,
-            *wanted,
+            robot.is_slide.tolist(),
+            currents=options.torque_constants is not None,
+            commanded=options.commanded,
         )
     except ColumnsError as error:
-        if table.elsewhere:
-            raise InputError(f"{path}: {error}; {table.elsewhere}") from None
-        raise ColumnsError(
-            f"{path}: {error}", error.draft, f"{path.stem}_columns.txt"
-        ) from None
+        fault = f"{path}: {error}"
+        if table.external_links:
+            raise InputError(f"{fault}; {table.external_links}") from None
+        raise ColumnsError(fault, error.draft, draft_name) from None
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
-    """Return where the data of some logs comes from."""
+    """Return files, duration and mean sampling rate of logs, as the origin of a result's data."""
     duration = sum(log.duration for log in logs)
     rate = sum(len(log.samples) - 1 for log in logs) / duration
-    words = ", ".join(str(log.path) for log in logs)
-    paths = (log.path for log in logs)
-    files = tuple(
-        str(path if path == STANDARD_INPUT else path.absolute()) for path in paths
-    )
-    return DataOrigin(Source.LOG, words, duration, rate, files=files)
+    listed = ", ".join(str(log.path) for log in logs)
+    paths = [log.path for log in logs]
+    files = [path if path == STANDARD_INPUT else path.absolute() for path in paths]
+    return DataOrigin(Source.LOG, listed, duration, rate, files=tuple(map(str, files)))
 
 
-_FORMS: Mapping[bytes, Callable[[Asked], LogTable]] = {
-    **dict.fromkeys((b"\x89MCAP0", b"#ROSBAG V", b"SQLite format 3"), bag_table),
+TableReader = Callable[[LogSource], LogTable]
+_READERS: Mapping[bytes, TableReader] = {
+    b"\x89MCAP0": bag_table,
+    b"#ROSBAG V": bag_table,
+    b"SQLite format 3": bag_table,
     b"MATLAB 5.0": arrays.matlab_table,
     # .mat files are HDF5 since version 7.3.
-    **dict.fromkeys((b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"), arrays.hdf5_table),
+    b"MATLAB 7.3": arrays.hdf5_table,
+    b"\x89HDF\r\n\x1a\n": arrays.hdf5_table,
     b"PK\x03\x04": arrays.npz_table,
     b"PAR1": arrays.parquet_table,
     b"ARROW1": arrays.feather_table,
 }
-"""How files of a form begin, to what reads it; what begins otherwise is a text table."""
-_FOLDERS = {"metadata.yaml": bag_table, "meta/info.json": arrays.lerobot_table}
-"""The file by which a folder is known, to what reads it."""
-_ONLY = {
+"""First bytes of a file to the reader of its form; any other file is a text table."""
+_FOLDER_READERS: Mapping[str, TableReader] = {
+    "metadata.yaml": bag_table,
+    "meta/info.json": arrays.lerobot_table,
+}
+"""A file in a folder to the reader of the folder's form."""
+_FORM_OPTIONS: Mapping[str, tuple[str, TableReader]] = {
     "topic": ("a ROS bag", bag_table),
     "episode": ("a LeRobot data set", arrays.lerobot_table),
 }
-"""Options that only one form knows."""
-
-
+"""Option that only one form has, to the form and its reader."""
 STANDARD_INPUT = Path("-")
 """Stands for a log that is piped in."""
+_READ_TWICE = "a log is read twice: write it to a file, or pipe it into this command and call it -"
+_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
+"""Folder of the log that was piped in; it is removed when the process ends."""
 
 
 @functools.cache
-def _piped() -> Path:
-    """Return what is piped in as a file; it is read once, and looked at more often."""
+def _piped_file() -> Path:
+    """Return a file with the log that is piped in, which can be read only once itself."""
     if sys.stdin is None or sys.stdin.isatty():
         raise InputError("- stands for a log that is piped in, and nothing is")
-    _KEPT.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
-    path = Path(_KEPT[-1].name, "standard input")
+    _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
+    path = Path(_FOLDERS[-1].name, "standard input")
     with path.open("wb") as file:
         shutil.copyfileobj(sys.stdin.buffer, file)
     return path
 
 
-_KEPT: list[tempfile.TemporaryDirectory[str]] = []
-
-
-_READ_TWICE = "a log is read twice: write it to a file, or pipe it into this command and call it -"
-
-
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
-    """Return a recording as a table."""
-    path = _piped() if path == STANDARD_INPUT else path
+    """Return a log as a table, its form recognised; InputError where it is of no known form."""
+    path = _piped_file() if path == STANDARD_INPUT else path
     is_folder = os.path.isdir(path)  # Path.is_dir raises where a name is too long
-    start = b""
+    first_bytes = b""
     try:
         if not is_folder:
             refuse_special_file(path, _READ_TWICE)
             with path.open("rb") as stream:
-                start = stream.read(4096)
+                first_bytes = stream.read(4096)
     except OSError as error:
-        raise InputError(
-            f"cannot read the log {path}: {error.strerror or error}"
-        ) from error
-    known = (
-        read for name, read in _FOLDERS.items() if is_folder and (path / name).is_file()
-    )
-    read = next(
-        (_FORMS[first] for first in _FORMS if start.startswith(first)), text_table
-    )
-    read = next(known, read)
-    for option, (what, only) in _ONLY.items():
-        if getattr(options, option) and read is not only:
+        reason = error.strerror or error
+        raise InputError(f"cannot read the log {path}: {reason}") from error
+    reader = _find_reader(path, is_folder, first_bytes)
+    for option, (form, only_reader) in _FORM_OPTIONS.items():
+        if getattr(options, option) and reader is not only_reader:
             raise InputError(
-                f"--{option} is about {what}, and {path} is none; leave it off"
+                f"--{option} is about {form}, and {path} is none; leave it off"
             )
-    if read is text_table and is_folder:
+    if is_folder and reader is text_table:
         raise InputError(
             f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
             "bag, a LeRobot data set, HDF5, Parquet, Feather, NumPy .npz or MATLAB .mat"
         )
-    return read(Asked(path, start, joint_names, options))
+    return reader(LogSource(path, first_bytes, joint_names, options))
+
+
+def _find_reader(path: Path, is_folder: bool, first_bytes: bytes) -> TableReader:
+    """Return the reader of a file's or folder's form; ``text_table`` where it is of no other."""
+    if is_folder:
+        for name, reader in _FOLDER_READERS.items():
+            if (path / name).is_file():
+                return reader
+    for start, reader in _READERS.items():
+        if first_bytes.startswith(start):
+            return reader
+    return text_table
 
 
 def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[str]:
-    """Return lines on a log's form and on the numbers in each of its columns."""
+    """Return lines for the user on a log's form and on the numbers in each of its columns."""
     table = open_table(Path(path), (), options)
-    numeric = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
-    columns = numeric if table.first_row else list(range(len(table.titles)))
-    least, most, holes = np.tile([[np.nan], [np.nan], [0.0]], len(columns))
-    rows = 0
-    for block in followed(table, columns, progress):
-        rows += len(block.cells)
+    columns = list(range(len(table.titles)))
+    if table.first_row:
+        columns = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
+    lowest, highest, empty = np.tile([[np.nan], [np.nan], [0.0]], len(columns))
+    n_rows = 0
+    for block in read_blocks(table, columns, progress):
+        n_rows += len(block.cells)
         cells = np.where(np.isfinite(block.cells), block.cells, np.nan)
-        holes += np.count_nonzero(np.isnan(cells), axis=0)
-        least = np.fmin.reduce(np.vstack((least, cells)))
-        most = np.fmax.reduce(np.vstack((most, cells)))
-    lines = [f"log layout: {table.layout}", f"{rows} {table.word}s"]
+        empty += np.count_nonzero(np.isnan(cells), axis=0)
+        lowest = np.fmin.reduce(np.vstack((lowest, cells)))
+        highest = np.fmax.reduce(np.vstack((highest, cells)))
+    lines = [f"log layout: {table.layout}", f"{n_rows} {table.row_noun}s"]
     width = max(map(len, table.titles))
-    for column, low, high, missing in zip(columns, least, most, holes):
+    for column, low, high, n_empty in zip(columns, lowest, highest, empty):
         title = read_title(table.titles[column])
-        kind = "time" if title.kind == "time" else joint_kind(title)
+        is_time = title.measured_quantity == "time"
+        quantity = "time" if is_time else joint_quantity(title)
         numbers = f"{low:12.6g} to {high:12.6g}" if low <= high else "no numbers"
-        empty = f", {missing:.0f} empty" if missing else ""
-        lines.append(
-            f"  {title.text:{width}}  {numbers}{empty}"
-            + (f"  ({kind})" if kind else "")
-        )
+        line = f"  {title.text:{width}}  {numbers}"
+        line += f", {n_empty:.0f} empty" if n_empty else ""
+        line += f"  ({quantity})" if quantity else ""
+        lines.append(line)
     lines.append(
         "give the model too, to see which column is taken for what and what is wrong"
     )

@@ -1,15 +1,18 @@
 """ROS bags: ROS 2 (folder with .db3 or .mcap, or a single .mcap) and ROS 1 (.bag).
 
 Read are sensor_msgs/JointState, control_msgs/DynamicJointState and Franka's FrankaRobotState. A
-joint is found by its name in each message: the order may change from message to message, several
-publishers may share a topic, and a message may hold a gripper only, or some of the arm's joints.
-Time is that of the message's header, or where that is empty the time at which the message was
-recorded. A message that comes late takes its place. Where no message holds all joints of an arm,
+joint is identified by its name in each message: the order may change from message to message,
+several publishers may share a topic, and a message may hold a gripper only, or a few of the arm's
+joints. Time is that of the message's header, or where that is empty the time at which the message
+was recorded. A message that comes late is sorted in. Where no message holds all joints of an arm,
 those of one stamp are put together; where stamps differ, each joint keeps its own.
 
-``rosbags`` unpacks each chunk, message or file whole, whatever comes out: a few kilobytes may
-become the computer's whole memory, or disk. So a private copy of its readers, with a bound on what
-they unpack, reads here; the ``rosbags`` that others import stays as it is.
+``rosbags`` unpacks each chunk, message or file completely: a few kilobytes may become the
+computer's whole memory, or disk. Its public interface (``AnyReader``, ``typesys``) has no limit and
+no hook for one: the unpackers are names in its private modules, bound when these are imported. So
+``bounded_reader`` runs these modules once more under our own hands and exchanges the names there;
+the ``rosbags`` that others import stays as it is. The alternative, a limit on the memory of the
+process, would not protect the disk and would work on Linux alone.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ import functools
 import heapq
 import importlib.util
 import shutil
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -33,167 +36,203 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs import table
 from robot_sysid.logs.table import (
-    Asked,
+    ALWAYS_ALLOWED,
+    BLOCK,
+    MAX_RATIO,
     Block,
+    LogSource,
     LogTable,
     as_input_errors,
-    library,
-    renamed,
+    import_optional,
+    model_spelling,
 )
 from robot_sysid.special_files import refuse_special_file
 
-WHAT = "a ROS bag"
+FORM = "a ROS bag"
 POSITION = ("position",)
 TORQUE = ("effort", "current")
 QUANTITIES = (*POSITION, "velocity", *TORQUE)
-# So many messages of a topic are looked at to find out which joints it has: a second or more, in
-# which each publisher of the topic has spoken.
-_LOOKED_AT = 200
+_FIRST_MESSAGES = 200
+"""Messages of a topic from which its joints are listed: a second or more, in which each publisher
+of the topic has sent one."""
 _STATE = "sensor_msgs/msg/JointState"
 _DYNAMIC = "control_msgs/msg/DynamicJointState"
 _FRANKA = "franka_msgs/msg/FrankaRobotState"
-# control_msgs is not among the types that the reader knows by itself.
-_DEFINED = {
+# control_msgs is not among the types that rosbags defines.
+_DEFINITIONS = {
     "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
     _DYNAMIC: "std_msgs/Header header\nstring[] joint_names\n"
     "control_msgs/InterfaceValue[] interface_values\n",
 }
 
+Key = tuple[str, str]
+"""Joint and quantity."""
+Sample = Mapping[Key, float]
+"""The numbers of a message."""
+Message = tuple[tuple[int, int], Sample]
+"""When a message was sampled and when it was recorded [ns], and its numbers."""
+StampedSample = tuple[int, Sample]
+"""The stamp that counts [ns], and the numbers."""
 
-def bag_table(asked: Asked) -> LogTable:
-    """Return the topic of a bag with the arm's joints: the one asked for, or the only one."""
-    path = asked.path
-    joints = asked.joint_names
-    topic = asked.options.topic
-    with _opened(path) as bag:
-        known = {c.topic: c.msgtype for c in bag.connections if c.msgtype in _READ}
-        topics = sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
-        listed = f"its topics: {', '.join(topics) or 'none'}"
-        if topic is not None and topic not in known:
-            raise InputError(f"{path} has no joint states in topic {topic!r}; {listed}")
-        wanted = [topic] if topic else sorted(known)
-        tables = {name: _topic(path, bag, name, joints) for name in wanted}
-    found = {name: each for name, each in tables.items() if each is not None}
-    if not found:
-        raise InputError(f"{path} holds no joint states; {listed}")
-    positions = [name for name in found if _has(found[name], joints, POSITION)]
-    fitting = positions or list(found)
-    measured = [name for name in fitting if _has(found[name], joints, TORQUE)]
-    if positions and not measured and len(fitting) == 1:
-        fault = f"topic {fitting[0]} has no effort of joint {joints[-1]}"
+
+def bag_table(source: LogSource) -> LogTable:
+    """Return the topic of a bag with the arm's joints: the one of --topic, or the only one."""
+    path = source.path
+    joints = source.joint_names
+    topic = source.options.topic
+    with _open_bag(path) as bag:
+        types = {c.topic: c.msgtype for c in bag.connections if c.msgtype in _READERS}
+        listed = ", ".join(
+            sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
+        )
+        its_topics = f"its topics: {listed or 'none'}"
+        if topic is not None and topic not in types:
+            fault = f"{path} has no joint states in topic {topic!r}"
+            raise InputError(f"{fault}; {its_topics}")
+        tables = {}
+        for name in [topic] if topic else sorted(types):
+            table = _topic_table(path, bag, name, joints)
+            if table is not None:
+                tables[name] = table
+    if not tables:
+        raise InputError(f"{path} holds no joint states; {its_topics}")
+    with_position = [n for n in tables if _has_all(tables[n], joints, POSITION)]
+    names = with_position or list(tables)
+    with_torque = [n for n in names if _has_all(tables[n], joints, TORQUE)]
+    if with_position and not with_torque and len(names) == 1:
+        fault = f"topic {names[0]} has no effort of joint {joints[-1]}"
         raise InputError(
             f"{path}: {fault}; let the driver publish effort and record again"
         )
-    chosen = measured or fitting
-    if len(chosen) > 1:
-        listed = ", ".join(f"{name} ({known[name]})" for name in chosen)
+    names = with_torque or names
+    if len(names) > 1:
+        listed = ", ".join(f"{name} ({types[name]})" for name in names)
         raise InputError(
             f"{path}: several topics could be the arm: {listed}; choose with --topic"
         )
-    return found[chosen[0]]
+    return tables[names[0]]
 
 
-def _has(
-    topic: LogTable, joint_names: Sequence[str], quantities: Sequence[str]
+def _has_all(
+    table: LogTable, joint_names: Sequence[str], quantities: Sequence[str]
 ) -> bool:
-    return any(
-        {f"{joint} {q}" for joint in joint_names} <= {*topic.titles} for q in quantities
-    )
+    """Return whether a topic has one of these quantities for every joint."""
+    for quantity in quantities:
+        titles = {f"{joint} {quantity}" for joint in joint_names}
+        if titles <= {*table.titles}:
+            return True
+    return False
 
 
-def _topic(
+def _topic_table(
     path: Path, bag: Any, topic: str, joint_names: Sequence[str]
 ) -> LogTable | None:
     """Return a topic with time and a column per joint and quantity in its first messages."""
-    first = list(islice(_messages(bag, topic), _LOOKED_AT))
-    seen = dict.fromkeys(key for _, sample in first for key in sample)
-    if not seen:
+    messages = list(islice(_read_messages(bag, topic), _FIRST_MESSAGES))
+    keys = tuple(dict.fromkeys(chain.from_iterable(sample for _, sample in messages)))
+    if not keys:
         return None
-    names = list(dict.fromkeys(joint for joint, _ in seen))
-    spelling = dict(zip(names, renamed(names, joint_names)))
-    arm = Arm.of(first, [name for name in names if spelling[name] in joint_names])
-    keys = (*seen, *arm.time_keys)
+    names = list(dict.fromkeys(joint for joint, _ in keys))
+    spelling = dict(zip(names, model_spelling(names, joint_names)))
+    arm_joints = [name for name in names if spelling[name] in joint_names]
+    pattern = MessagePattern.of(messages, arm_joints)
+    keys += pattern.time_keys
     titles = ("time", *(f"{spelling[joint]} {quantity}" for joint, quantity in keys))
-    late = ", headers without time: when it was recorded" if arm.clock else ""
-    kind = next(c.msgtype for c in bag.connections if c.topic == topic)
-    layout = f"ROS bag, topic {topic} ({kind}), joints by name{arm.said}{late}"
-    return LogTable(
-        path, layout, titles, partial(_blocks, path, topic, keys, arm), word="message"
-    )
+    message_type = next(c.msgtype for c in bag.connections if c.topic == topic)
+    layout = f"ROS bag, topic {topic} ({message_type}), joints by name"
+    layout += pattern.description
+    if pattern.stamp_index:
+        layout += ", headers without time: when it was recorded"
+    blocks = partial(_blocks, path, topic, keys, pattern)
+    return LogTable(path, layout, titles, blocks, row_noun="message")
 
 
 def _blocks(
-    path: Path, topic: str, keys: Sequence[Key], arm: Arm, columns: Sequence[int]
+    path: Path,
+    topic: str,
+    keys: Sequence[Key],
+    pattern: MessagePattern,
+    columns: Sequence[int],
 ) -> Iterator[Block]:
-    """Yield the samples of a topic in their order."""
-    place = {key: k + 1 for k, key in enumerate(keys)}
-    with _opened(path) as bag:
+    """Yield the samples of a topic in their order, with the columns of these indices.
+
+    Column 0 is time, column k + 1 the number of ``keys[k]``.
+    """
+    column_of_key = {key: k + 1 for k, key in enumerate(keys)}
+    with _open_bag(path) as bag:
         total = max(1, sum(c.msgcount for c in bag.connections if c.topic == topic))
-        samples = arm.samples(_messages(bag, topic))
-        done = 0
-        while batch := list(islice(samples, table.BLOCK)):
+        samples = pattern.join(_read_messages(bag, topic))
+        count = 0
+        while batch := list(islice(samples, BLOCK)):
             cells = np.full((len(batch), 1 + len(keys)), np.nan)
             for row, (time, sample) in zip(cells, batch):
                 row[0] = time
-                known = [key for key in sample if key in place]
-                row[[place[key] for key in known]] = [sample[key] for key in known]
-            lines = np.arange(done, done + len(batch)) + 1
-            done += len(batch)
-            yield Block(lines, cells[:, list(columns)], done=done / total)
+                sent = [key for key in sample if key in column_of_key]
+                row[[column_of_key[key] for key in sent]] = [
+                    sample[key] for key in sent
+                ]
+            lines = np.arange(count, count + len(batch)) + 1
+            count += len(batch)
+            yield Block(lines, cells[:, list(columns)], share_read=count / total)
 
 
-def _messages(bag: Any, topic: str) -> Iterator[Stamped]:
+def _read_messages(bag: Any, topic: str) -> Iterator[Message]:
+    """Yield the messages of a topic as recorded."""
     connections = [c for c in bag.connections if c.topic == topic]
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
+        # FrankaRobotState holds a JointState.
         message = getattr(message, "measured_joint_state", message)
         stamp = message.header.stamp
         sampled = int(stamp.sec) * 10**9 + int(stamp.nanosec)
-        yield (sampled, int(received)), _READ[connection.msgtype](message)
+        yield (sampled, int(received)), _READERS[connection.msgtype](message)
 
 
-def _joint_state(message: Any) -> Sample:
-    """Return the numbers of a sensor_msgs/JointState; lists that are empty are not sent."""
-    values = {}
+def _read_joint_state(message: Any) -> Sample:
+    """Return the numbers of a sensor_msgs/JointState; empty lists were not measured."""
+    sample: dict[Key, float] = {}
     for quantity in QUANTITIES[:3]:
         numbers = getattr(message, quantity)
         if len(numbers) == len(message.name):
-            values.update(
-                {(n, quantity): v for n, v in zip(message.name, numbers.tolist())}
-            )
-    return values
+            keys = [(name, quantity) for name in message.name]
+            sample.update(zip(keys, numbers.tolist()))
+    return sample
 
 
-def _dynamic_joint_state(message: Any) -> Sample:
-    return {
-        (joint, interface): float(value)
-        for joint, values in zip(message.joint_names, message.interface_values)
-        for interface, value in zip(values.interface_names, values.values)
-        if interface in QUANTITIES
-    }
+def _read_dynamic_joint_state(message: Any) -> Sample:
+    """Return the numbers of a control_msgs/DynamicJointState."""
+    sample = {}
+    for joint, values in zip(message.joint_names, message.interface_values):
+        for quantity, value in zip(values.interface_names, values.values):
+            if quantity in QUANTITIES:
+                sample[joint, quantity] = float(value)
+    return sample
 
 
-_READ = {_STATE: _joint_state, _FRANKA: _joint_state, _DYNAMIC: _dynamic_joint_state}
+_READERS = {
+    _STATE: _read_joint_state,
+    _FRANKA: _read_joint_state,
+    _DYNAMIC: _read_dynamic_joint_state,
+}
+"""Message type to the function that returns the numbers of a message."""
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_bag(path: Path) -> Iterator[Any]:
     """Yield a bag that is open within a block; what goes wrong in it is an InputError."""
-    typesys = library("rosbags.typesys", "rosbag", WHAT)
-    library("rosbags.highlevel", "rosbag", WHAT)
-    single = (
-        path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
-    )
-    for part in path.iterdir() if path.is_dir() else ():
-        refuse_special_file(part, "give a bag whose parts are files")
-    with as_input_errors(path, WHAT):
+    typesys = import_optional("rosbags.typesys", "rosbag", FORM)
+    import_optional("rosbags.highlevel", "rosbag", FORM)
+    is_in_bag = path.suffix in (".db3", ".mcap")
+    is_in_bag = is_in_bag and (path.parent / "metadata.yaml").is_file()
+    folder = path.parent if is_in_bag else path
+    for file in path.iterdir() if path.is_dir() else ():
+        refuse_special_file(file, "give a bag whose parts are files")
+    with as_input_errors(path, FORM):
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        for name, text in _DEFINED.items():
+        for name, text in _DEFINITIONS.items():
             store.register(typesys.get_types_from_msg(text, name))
-        reader = bounded_reader().AnyReader
-        with reader([path.parent if single else path], default_typestore=store) as bag:
+        with bounded_reader().AnyReader([folder], default_typestore=store) as bag:
             yield bag
 
 
@@ -202,32 +241,34 @@ def bounded_reader() -> ModuleType:
     """Return a copy of ``rosbags.highlevel.anyreader`` that unpacks no more than the bound."""
     import lz4.frame
 
-    mcap = _copy("rosbags.rosbag2.storage_mcap")
-    two = _copy("rosbags.rosbag2.reader")
-    one = _copy("rosbags.rosbag1.reader")
-    reader = _copy("rosbags.highlevel.anyreader")
+    mcap = _copy_module("rosbags.rosbag2.storage_mcap")
+    ros2 = _copy_module("rosbags.rosbag2.reader")
+    ros1 = _copy_module("rosbags.rosbag1.reader")
+    reader = _copy_module("rosbags.highlevel.anyreader")
     # The last rosbags for Python 3.9 unpacks with another library, called zstandard.
-    zstd = Bounded(vars(mcap).get("zstd") or vars(mcap)["zstandard"])
-    unpackers = {"bz2": Bounded(bz2).decompress, "lz4": Bounded(lz4.frame).decompress}
-    for module in (mcap, two, one):
-        names: dict[str, Any] = {
-            f"{name}_decompress": unpackers[name] for name in unpackers
-        }
-        names.update(zstd=zstd, zstandard=zstd)
-        vars(module).update(
-            {n: bounded for n, bounded in names.items() if n in vars(module)}
-        )
-    mcap.DECOMPRESSORS.update(lz4=unpackers["lz4"], zstd=zstd.decompress)
-    vars(one).get("decompressors", {}).update(unpackers)
-    for each in vars(two).values():
-        plugins = getattr(each, "STORAGE_PLUGINS", {})
-        for name, kind in dict(plugins).items():
-            plugins[name] = getattr(mcap, kind.__name__, kind)
-    vars(reader).update(Reader1=one.Reader, Reader2=two.Reader)
+    zstd = BoundedUnpacker(vars(mcap).get("zstd") or vars(mcap)["zstandard"])
+    unpack_bz2 = BoundedUnpacker(bz2).decompress
+    unpack_lz4 = BoundedUnpacker(lz4.frame).decompress
+    unpackers: dict[str, Any] = {
+        "bz2_decompress": unpack_bz2,
+        "lz4_decompress": unpack_lz4,
+        "zstd": zstd,
+        "zstandard": zstd,
+    }
+    for module in (mcap, ros2, ros1):
+        names = vars(module)
+        names.update({n: unpackers[n] for n in unpackers if n in names})
+    mcap.DECOMPRESSORS.update(lz4=unpack_lz4, zstd=zstd.decompress)
+    vars(ros1).get("decompressors", {}).update(bz2=unpack_bz2, lz4=unpack_lz4)
+    for member in vars(ros2).values():
+        plugins = getattr(member, "STORAGE_PLUGINS", {})
+        for name, plugin in dict(plugins).items():
+            plugins[name] = getattr(mcap, plugin.__name__, plugin)
+    vars(reader).update(Reader1=ros1.Reader, Reader2=ros2.Reader)
     return reader
 
 
-def _copy(name: str) -> Any:
+def _copy_module(name: str) -> Any:
     """Return a module once more, beside the one that everybody imports."""
     spec = importlib.util.find_spec(name)
     if spec is None or spec.loader is None:
@@ -237,14 +278,17 @@ def _copy(name: str) -> Any:
     return module
 
 
-class Bounded:
-    """A compression library, a module like ``bz2``, that unpacks within the bound."""
+class BoundedUnpacker:
+    """Stands for a compression library, a module like ``bz2``, and unpacks within a bound.
+
+    A packed piece may unpack to ``table.MAX_RATIO`` times its size, or to ALWAYS_ALLOWED bytes.
+    """
 
     def __init__(self, library: Any) -> None:
         self._library = library
 
-    def ZstdDecompressor(self) -> Bounded:
-        """Return what ``zstandard`` has its functions in."""
+    def ZstdDecompressor(self) -> BoundedUnpacker:
+        """Return this object: ``zstandard`` has its functions in a class of this name."""
         return self
 
     def decompress(self, packed: bytes, _: int = 0) -> bytes:
@@ -261,157 +305,145 @@ class Bounded:
     @contextlib.contextmanager
     def open(self, file: Any, mode: str = "rb") -> Iterator[Any]:
         """Yield a packed file's content; reading on beyond the bound raises ValueError."""
-        most = max(table.ALWAYS, table.MOST_RATIO * file.seek(0, 2))
+        bound = max(ALWAYS_ALLOWED, MAX_RATIO * file.seek(0, 2))
         file.seek(0)
-        seen = 0
+        unpacked = 0
 
         def read(size: int) -> bytes:
-            nonlocal seen
-            piece: bytes = stream.read(size)
-            seen += len(piece)
-            if seen > most:
-                fault = f"a piece of it unpacks to more than {most / 1e6:g} MB"
+            nonlocal unpacked
+            content: bytes = stream.read(size)
+            unpacked += len(content)
+            if unpacked > bound:
+                fault = f"a piece of it unpacks to more than {bound / 1e6:g} MB"
                 raise ValueError(f"{fault}; record it again without compression")
-            return piece
+            return content
 
         with self._library.open(file, mode) as stream:
             yield SimpleNamespace(read=read)
 
 
-Key = tuple[str, str]
-"""Joint and quantity."""
-Sample = Mapping[Key, float]
-Stamped = tuple[tuple[int, int], Sample]
-"""When a message was sampled and when it was recorded [ns], and what it says."""
-_WAITING = 100
-"""So many messages may overtake a late one: half a second of a log at 200 Hz."""
-_LATE_IN_A_ROW = 3
-"""More messages in a row from before the newest are a clock that was set back, or another
-recording: they stay where they are, and the log is refused for them."""
-_STALE = 50_000_000
-"""A joint's sample is put into a row up to so long after it was taken [ns]; half of what is
-refused as another clock (``logs.checks``)."""
+_QUEUE = 100
+"""Messages that may overtake a late one: half a second of a log at 200 Hz."""
+_MAX_LATE_RUN = 3
+"""Late messages in a row beyond which a clock was set back, or another recording begins: they stay
+where they are, and the log is refused for them."""
+_MAX_AGE = 50_000_000
+"""Age up to which a joint's sample is put into a row [ns]; half of what ``checks`` refuses as
+another clock."""
 
 
 @dataclass(frozen=True)
-class Arm:
-    """How an arm's joints come in messages.
+class MessagePattern:
+    """How an arm's joints come in the messages of a topic.
 
     Attributes:
-        parts: joints that share a message, the rarest last; nothing where all come in one.
-        own_time: whether the parts are sampled at times of their own.
-        clock: which of a message's two stamps counts.
+        groups: joints that share a message, the rarest message last; () where all come in one.
+        has_own_times: whether the groups are sampled at times of their own.
+        stamp_index: which of a message's two stamps counts.
         start: stamp from which time counts [ns].
     """
 
-    parts: tuple[frozenset[str], ...]
-    own_time: bool
-    clock: int
+    groups: tuple[frozenset[str], ...]
+    has_own_times: bool
+    stamp_index: int
     start: int
 
     @classmethod
-    def of(cls, first: Sequence[Stamped], joints: Sequence[str]) -> Arm:
-        """Return it of a recording's first messages."""
+    def of(cls, messages: Sequence[Message], joints: Sequence[str]) -> MessagePattern:
+        """Return the pattern of a recording's first messages, for these joints of the arm."""
         # Where no header has a time stamp, the time of recording stands in.
-        clock = 0 if any(stamps[0] for stamps, _ in first) else 1
-        stamps: dict[frozenset[str], list[int]] = {}
-        for each, sample in first:
-            part = frozenset(joint for joint in joints if (joint, "position") in sample)
-            stamps.setdefault(part, []).append(each[clock])
-        stamps.pop(frozenset(), None)
-        is_split = len(stamps) > 1 and sorted(
-            j for part in stamps for j in part
-        ) == sorted(joints)
-        parts = tuple(sorted(stamps, key=lambda p: -len(stamps[p]))) if is_split else ()
-        common = (
-            set.intersection(*(set(stamps[part]) for part in parts)) if parts else set()
-        )
-        own_time = is_split and 2 * len(common) < len(stamps[parts[-1]])
-        return cls(parts, own_time, clock, min(each[clock] for each, _ in first))
+        stamp_index = 0 if any(stamps[0] for stamps, _ in messages) else 1
+        times: dict[frozenset[str], list[int]] = defaultdict(list)
+        for stamps, sample in messages:
+            group = frozenset(j for j in joints if (j, "position") in sample)
+            times[group].append(stamps[stamp_index])
+        start = min(chain.from_iterable(times.values()))
+        times.pop(frozenset(), None)
+        is_split = len(times) > 1 and sorted(chain(*times)) == sorted(joints)
+        if not is_split:
+            return cls((), False, stamp_index, start)
+        groups = tuple(sorted(times, key=lambda group: -len(times[group])))
+        common = set.intersection(*map(set, times.values()))
+        has_own_times = 2 * len(common) < len(times[groups[-1]])
+        return cls(groups, has_own_times, stamp_index, start)
 
     @property
     def time_keys(self) -> tuple[Key, ...]:
-        """The joints' own time stamps that ``samples`` adds."""
-        joints = sorted(joint for part in self.parts for joint in part)
-        return tuple((joint, "time") for joint in joints if self.own_time)
+        """The keys of the joints' own time stamps that ``join`` adds, by the joints' names."""
+        joints = sorted(chain(*self.groups)) if self.has_own_times else []
+        return tuple((joint, "time") for joint in joints)
 
     @property
-    def said(self) -> str:
-        """How its joints come, in words; "" for all in one message."""
-        how = (
-            "each at its own time" if self.own_time else "put together by their stamps"
-        )
-        return (
-            f", joints of {len(self.parts)} kinds of message {how}"
-            if self.parts
-            else ""
-        )
+    def description(self) -> str:
+        """The groups in words, for the log's layout; "" where all joints come in one message."""
+        if not self.groups:
+            return ""
+        manner = "put together by their stamps"
+        if self.has_own_times:
+            manner = "each at its own time"
+        return f", joints of {len(self.groups)} kinds of message {manner}"
 
-    def samples(self, messages: Iterator[Stamped]) -> Iterator[tuple[float, Sample]]:
+    def join(self, messages: Iterator[Message]) -> Iterator[tuple[float, Sample]]:
         """Yield time from the start [s] and sample of an arm's messages, in order."""
-        ordered = in_order(messages) if self.clock == 0 else messages
-        stamped: Iterator[tuple[int, Sample]]
-        stamped = ((stamps[self.clock], sample) for stamps, sample in ordered)
-        if self.parts:
-            stamped = self._latest(stamped) if self.own_time else _of_one_stamp(stamped)
-        for stamp, sample in stamped:
+        ordered = sort_late(messages) if self.stamp_index == 0 else messages
+        samples: Iterator[StampedSample]
+        samples = ((stamps[self.stamp_index], sample) for stamps, sample in ordered)
+        if self.has_own_times:
+            samples = self._join_newest(samples)
+        elif self.groups:
+            samples = _join_equal_stamps(samples)
+        for stamp, sample in samples:
             yield 1e-9 * (stamp - self.start), sample
 
-    def _latest(
-        self, stamped: Iterator[tuple[int, Sample]]
-    ) -> Iterator[tuple[int, Sample]]:
-        """Yield the newest of all joints at each message of the rarest part."""
-        newest: dict[frozenset[str], tuple[int, Sample]] = {}
-        for stamp, sample in stamped:
-            part = next(
-                (p for p in self.parts if all((j, "position") in sample for j in p)),
-                None,
-            )
-            if part is None:
+    def _join_newest(self, samples: Iterator[StampedSample]) -> Iterator[StampedSample]:
+        """Yield the newest sample of all groups at each message of the rarest group."""
+        newest: dict[frozenset[str], StampedSample] = {}
+        for stamp, sample in samples:
+            sent = {joint for joint, quantity in sample if quantity == "position"}
+            group = next((group for group in self.groups if group <= sent), None)
+            if group is None:
                 continue
-            newest[part] = stamp, sample
-            fresh = all(
-                stamp - newest.get(each, (0, {}))[0] <= _STALE for each in self.parts
-            )
-            if part == self.parts[-1] and fresh:
-                row = {
-                    key: value
-                    for _, each in newest.values()
-                    for key, value in each.items()
-                }
-                for each, (taken, _) in newest.items():
-                    row.update(
-                        {(joint, "time"): 1e-9 * (taken - self.start) for joint in each}
-                    )
-                yield stamp, row
+            newest[group] = stamp, sample
+            stamps = [newest.get(group, (0, {}))[0] for group in self.groups]
+            if group == self.groups[-1] and stamp - min(stamps) <= _MAX_AGE:
+                row: dict[Key, float] = {}
+                times: dict[Key, float] = {}
+                for joints, (joint_stamp, joint_sample) in newest.items():
+                    time = 1e-9 * (joint_stamp - self.start)
+                    row.update(joint_sample)
+                    times.update({(joint, "time"): time for joint in joints})
+                yield stamp, {**row, **times}
 
 
-def in_order(messages: Iterator[Stamped]) -> Iterator[Stamped]:
-    """Yield messages by the stamps of their headers, those of an equal one as recorded."""
-    waiting: list[tuple[int, int, Stamped]] = []
+def sort_late(messages: Iterator[Message]) -> Iterator[Message]:
+    """Yield messages by the stamps of their headers, those of an equal one as recorded.
+
+    From the first run of more than _MAX_LATE_RUN late messages of a publisher on, messages are
+    yielded as recorded.
+    """
+    queue: list[tuple[int, int, Message]] = []
     newest: dict[frozenset[str], int] = {}
-    late: Counter[frozenset[str]] = Counter()
-    for number, each in enumerate(messages):
-        (stamp, _), sample = each
+    late_run: Counter[frozenset[str]] = Counter()
+    for number, message in enumerate(messages):
+        (stamp, _), sample = message
         publisher = frozenset(joint for joint, _ in sample)
-        is_late = stamp < newest.get(publisher, stamp)
-        late[publisher] = (late[publisher] + 1) * is_late
         newest[publisher] = max(stamp, newest.get(publisher, stamp))
-        if late[publisher] > _LATE_IN_A_ROW:
-            messages = chain([each], messages)
+        is_late = stamp < newest[publisher]
+        late_run[publisher] = late_run[publisher] + 1 if is_late else 0
+        if late_run[publisher] > _MAX_LATE_RUN:
+            messages = chain([message], messages)
             break
-        heapq.heappush(waiting, (stamp, number, each))
-        if len(waiting) > _WAITING:
-            yield heapq.heappop(waiting)[2]
-    yield from (old for _, _, old in sorted(waiting))
+        heapq.heappush(queue, (stamp, number, message))
+        if len(queue) > _QUEUE:
+            yield heapq.heappop(queue)[2]
+    yield from (message for _, _, message in sorted(queue))
     yield from messages
 
 
-def _of_one_stamp(
-    stamped: Iterator[tuple[int, Sample]],
-) -> Iterator[tuple[int, Sample]]:
-    for stamp, group in groupby(stamped, key=lambda each: each[0]):
-        yield (
-            stamp,
-            {key: value for _, sample in group for key, value in sample.items()},
-        )
+def _join_equal_stamps(samples: Iterator[StampedSample]) -> Iterator[StampedSample]:
+    """Yield one sample for all consecutive ones of an equal stamp."""
+    for stamp, group in groupby(samples, key=lambda stamped: stamped[0]):
+        joined: dict[Key, float] = {}
+        for _, sample in group:
+            joined.update(sample)
+        yield stamp, joined

@@ -1,10 +1,10 @@
-"""Text logs as tables: how one is laid out, and its rows as numbers.
+"""Text logs as tables, and samples as a text log.
 
-Understood without being told: comma, semicolon, tab, bar or blanks between cells, a decimal comma
-where the separator is not one, comment lines (``#`` or ``%``), a byte-order mark, UTF-16, Windows
-line ends, quoted cells, a header that is itself the last comment line (as ``numpy.savetxt``
-writes it), and times such as 2024-05-01T12:00:00.005Z or 12:00:00.005. NumPy reads the rows; only a
-block with a row that NumPy refuses is read cell by cell.
+Recognised without being declared: comma, semicolon, tab, bar or blanks between cells, a decimal
+comma where the separator is another character, comment lines (``#`` or ``%``), a byte-order mark,
+UTF-16, Windows line ends, quoted cells, a header that is itself the last comment line (as
+``numpy.savetxt`` writes it), and times such as 2024-05-01T12:00:00.005Z or 12:00:00.005. NumPy
+reads the rows; only a block with a row that NumPy refuses is read cell by cell.
 """
 
 from __future__ import annotations
@@ -12,34 +12,37 @@ from __future__ import annotations
 import contextlib
 import csv
 import functools
-import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import TextIOWrapper
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
-from robot_sysid.logs.table import DATE, Asked, Block, LogTable, nanoseconds
+from robot_sysid.logs.table import DATE, Block, LogSource, LogTable, nanoseconds
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.atomic_files import whole_file
 
-_MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
+_EMPTY = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
+"""Cells, in lower case, that are marked empty."""
 _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
-# Characters of a line beyond which it is no row of a table; csv refuses cells of 131072.
+"""Separator to its name in messages, in the order in which a line is searched for them."""
 _LONGEST_LINE = 100_000
-PIECE = 1_000_000
+"""Characters beyond which a line is no row of a table; csv refuses cells of 131072."""
+CHUNK = 1_000_000
 """Characters of a log that are in memory as lines at a time."""
 # How a line begins that may be empty or a comment.
 _NO_ROW = frozenset({"", *" \t\v\f#%"})
-# Control characters, and their share at the beginning of a file that makes it no text: a few may
-# be a serial port's noise.
 _CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r"})
+"""Control characters that a text file does not hold."""
 _BINARY = 0.05
+"""Share of control characters at the beginning of a file beyond which it is no text; fewer may be
+a serial port's noise."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,8 @@ class Dialect:
         separator: "," ";" tab, "|", or " " for any run of blanks.
         header: column titles as written; empty where the file has none.
         header_line: file line of the header; 0 where it has none, or in a comment.
+        first_row: the cells of the first row of data.
+        is_quoted: whether cells stand in quotes.
     """
 
     path: Path
@@ -58,152 +63,157 @@ class Dialect:
     header: tuple[str, ...]
     header_line: int
     first_row: tuple[str, ...]
-    quoted: bool
+    is_quoted: bool
 
     @property
     def titles(self) -> tuple[str, ...]:
-        """The header, or the numbers of the columns."""
+        """The header, or "#1", "#2", ... where there is none."""
         return self.header or tuple(f"#{k + 1}" for k in range(len(self.first_row)))
 
     def cells(self, line: str) -> list[str]:
         """Return the cells of a row, without an empty one behind a last separator."""
         cells = split_line(line, self.separator)
-        return (
-            cells[:-1]
-            if len(cells) == len(self.titles) + 1 and not cells[-1]
-            else cells
-        )
+        has_extra = len(cells) == len(self.titles) + 1 and not cells[-1]
+        return cells[:-1] if has_extra else cells
 
 
-def text_table(asked: Asked) -> LogTable:
-    """Return a file as a table of text."""
-    dialect = read_dialect(asked.path, asked.start)
-    layout = (
-        f"{len(dialect.titles)} columns separated by {_SEPARATORS[dialect.separator]}"
-    )
-    comma = any("," in cell and is_number(cell) for cell in dialect.first_row)
-    layout += ", decimal comma" * comma
-    layout += ", titles in a comment line" * bool(
-        dialect.header and not dialect.header_line
-    )
-    layout += ", time in dates" * any(
-        DATE.fullmatch(cell) for cell in dialect.first_row
-    )
-    is_franka = {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header)
-    layout = "libfranka's logToCSV, time in ms, " * is_franka + layout
-    choices = ColumnChoices(time_unit="ms" if is_franka else None)
-    read = partial(_blocks, dialect)
+def text_table(source: LogSource) -> LogTable:
+    """Return a text file as a table."""
+    dialect = read_dialect(source.path, source.first_bytes)
+    separator = _SEPARATORS[dialect.separator]
+    layout = f"{len(dialect.titles)} columns separated by {separator}"
+    if any("," in cell and is_number(cell) for cell in dialect.first_row):
+        layout += ", decimal comma"
+    if dialect.header and not dialect.header_line:
+        layout += ", titles in a comment line"
+    if any(map(DATE.fullmatch, dialect.first_row)):
+        layout += ", time in dates"
+    choices = ColumnChoices()
+    if {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header):
+        layout = f"libfranka's logToCSV, time in ms, {layout}"
+        choices = ColumnChoices(time_unit="ms")
     return LogTable(
-        asked.path, layout, dialect.titles, read, choices, "line", dialect.first_row
+        source.path,
+        layout,
+        dialect.titles,
+        partial(_blocks, dialect),
+        choices,
+        "line",
+        dialect.first_row,
     )
 
 
-def read_dialect(path: Path, start: bytes) -> Dialect:
-    """Look at the beginning of a log, and its first bytes, and return its layout."""
-    encoding = "utf-16" if start[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    control = len(start) - len(start.translate(None, _CONTROL))
-    if encoding != "utf-16" and control > _BINARY * len(start):
+def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
+    """Return the layout of a log by its first lines, or InputError where it is no text table."""
+    is_utf16 = first_bytes[:2] in (b"\xff\xfe", b"\xfe\xff")
+    encoding = "utf-16" if is_utf16 else "utf-8-sig"
+    control = len(first_bytes) - len(first_bytes.translate(None, _CONTROL))
+    if not is_utf16 and control > _BINARY * len(first_bytes):
         raise InputError(
             f"{path} is of no form that is known, and not a text file; export CSV"
         )
-    above, lines = _beginning(path, encoding)
+    comment, lines = _read_beginning(path, encoding)
     if not lines:
         raise InputError(
             f"{path} holds no rows of a table; check that the recording was written"
         )
-    (number, first) = lines[0]
+    header_line, first = lines[0]
     last = lines[-1][1]
-    separator = next((mark for mark in _SEPARATORS if mark in first), " ")
-    header, row = (_without_gap(split_line(line, separator)) for line in (first, last))
+    separator = _find_separator(first)
+    header = _drop_last_empty(split_line(first, separator))
+    row = _drop_last_empty(split_line(last, separator))
     if not header or not row:
         raise InputError(f"{path} does not begin with a table of text; export CSV")
-    if _mostly_numbers(header):
-        number = 0
+    if _is_mostly_numbers(header):
+        header_line = 0
         last = first
         row = header
-        header = _commented_header(above, len(row))
+        header = _header_in_comment(comment, len(row))
     elif len(lines) < 2:
         raise InputError(
             f"{path} has a header but no rows; check that the recording ran"
         )
-    return Dialect(path, encoding, separator, header, number, row, '"' in last)
+    return Dialect(path, encoding, separator, header, header_line, row, '"' in last)
+
+
+def _find_separator(line: str) -> str:
+    return next((mark for mark in _SEPARATORS if mark in line), " ")
 
 
 def split_line(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without quotes and surrounding blanks; nothing for no text."""
     single = " ".join(line.split()) if separator == " " else line
+    reader = csv.reader([single], delimiter=separator, skipinitialspace=True)
     try:
-        cells = next(
-            csv.reader([single], delimiter=separator, skipinitialspace=True), []
-        )
+        return [cell.strip() for cell in next(reader, [])]
     except csv.Error:
         return []
-    return [cell.strip() for cell in cells]
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell holds a number, or is marked empty."""
+    """Return whether a cell holds a number or a date, or is marked empty."""
     with contextlib.suppress(ValueError):
-        _number(cell)
+        _parse_cell(cell)
         return True
     return False
 
 
-def _number(cell: str, start: str = "") -> float:
-    """Return the value of a cell, NaN where it is empty or marked missing, or ValueError; of a date
-    the time since another one [s]. A comma in a cell is a decimal one.
+def _parse_cell(cell: str, start: str = "") -> float:
+    """Return the number in a cell, NaN where it is marked empty, or raise ValueError.
+
+    A comma is a decimal one. A date becomes the time since ``start`` [s], another date or "".
     """
-    if cell.lower() in _MISSING:
+    if cell.lower() in _EMPTY:
         return float("nan")
     if ":" in cell:
-        return 1e-9 * (nanoseconds(cell) - _start(start))
+        return 1e-9 * (nanoseconds(cell) - _start_of_time(start))
     return float(cell.replace(",", "."))
 
 
 @functools.lru_cache(maxsize=1)
-def _start(cell: str) -> int:
+def _start_of_time(cell: str) -> int:
     return nanoseconds(cell) if DATE.fullmatch(cell) else 0
 
 
-def _pieces(
-    path: Path, encoding: str, most: int
+def _read_lines(
+    path: Path, encoding: str, size: int
 ) -> Iterator[tuple[int, list[str], float]]:
-    """Yield (number of the first line, lines, share of the file read by then), so many characters
-    at a time, to the end of a line; of a line that no table has, the beginning.
+    """Yield (number of the first line, lines, share of the file that is read).
+
+    Each time about ``size`` characters, to the end of a line; of a line that is too long for a
+    table only the beginning.
     """
-    size = max(1, path.stat().st_size)
+    file_size = max(1, path.stat().st_size)
     number = 1
     # Titles may hold a degree sign in any encoding; numbers never do, so replacing is harmless.
     with (
         path.open("rb") as binary,
         TextIOWrapper(binary, encoding, errors="replace") as stream,
     ):
-        while text := stream.read(most):
-            rest = "" if text.endswith("\n") else stream.readline(_LONGEST_LINE)
-            text += rest
-            while len(rest) == _LONGEST_LINE and not rest.endswith("\n"):
-                rest = stream.readline(_LONGEST_LINE)
-            lines = [
-                line[:_LONGEST_LINE] for line in text.removesuffix("\n").split("\n")
-            ]
-            yield number, lines, binary.tell() / size
+        while text := stream.read(size):
+            tail = "" if text.endswith("\n") else stream.readline(_LONGEST_LINE)
+            text += tail
+            while len(tail) == _LONGEST_LINE and not tail.endswith("\n"):
+                tail = stream.readline(_LONGEST_LINE)
+            lines = text.removesuffix("\n").split("\n")
+            shortened = [line[:_LONGEST_LINE] for line in lines]
+            yield number, shortened, binary.tell() / file_size
             number += len(lines)
 
 
-def _beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
+def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
     """Return the line above the first row, and the first two rows with their line numbers."""
     above = ""
     rows = []
-    pieces = _pieces(path, encoding, _LONGEST_LINE)
-    for number, text in (
-        each for first, lines, _ in pieces for each in enumerate(lines, first)
-    ):
-        if not _is_comment(text) and _is_text(text):
-            rows.append((number, text))
+    chunks = _read_lines(path, encoding, _LONGEST_LINE)
+    numbered = (enumerate(lines, first) for first, lines, _ in chunks)
+    for number, line in chain.from_iterable(numbered):
+        if not _is_comment(line) and _can_be_row(line):
+            rows.append((number, line))
             if len(rows) == 2:
                 break
-        elif text.strip() and not rows:
-            above = text.strip()
+        elif line.strip() and not rows:
+            above = line.strip()
     return above, rows
 
 
@@ -211,131 +221,150 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "%"))
 
 
-def _is_text(line: str) -> bool:
-    """Return whether a line may be a row of a table; one without text is none."""
-    plain = (
-        not any(mark < " " and mark != "\t" for mark in line)
-        and "\ufffd" not in line[80:]
-    )
-    return len(line) < _LONGEST_LINE and plain and bool(line.strip())
+def _can_be_row(line: str) -> bool:
+    """Return whether a line may be a row of a table; an empty or a binary one is none."""
+    has_control = any(mark < " " and mark != "\t" for mark in line)
+    is_garbled = has_control or "\ufffd" in line[80:]
+    return len(line) < _LONGEST_LINE and not is_garbled and bool(line.strip())
 
 
-def _commented_header(above: str, width: int) -> tuple[str, ...]:
-    text = above.lstrip("#% ")
-    marks = (next((mark for mark in _SEPARATORS if mark in text), " "), " ")
-    rows = (_without_gap(split_line(text, mark)) for mark in marks)
-    return next(
-        (row for row in rows if len(row) == width and not _mostly_numbers(row)), ()
-    )
+def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
+    """Return the titles of so many columns in a comment line; () where it holds none."""
+    text = comment.lstrip("#% ")
+    for separator in (_find_separator(text), " "):
+        titles = _drop_last_empty(split_line(text, separator))
+        if len(titles) == width and not _is_mostly_numbers(titles):
+            return titles
+    return ()
 
 
-def _without_gap(cells: Sequence[str]) -> tuple[str, ...]:
+def _drop_last_empty(cells: Sequence[str]) -> tuple[str, ...]:
     """Return the cells without an empty one behind a last separator."""
     return tuple(cells[:-1] if len(cells) > 1 and not cells[-1] else cells)
 
 
-def _mostly_numbers(cells: Sequence[str]) -> bool:
+def _is_mostly_numbers(cells: Sequence[str]) -> bool:
     # A row of data may carry a joint's name or a frame, a header may have a title like "1".
-    return 2 * sum(is_number(cell) for cell in cells) > len(cells)
+    return 2 * sum(map(is_number, cells)) > len(cells)
 
 
 def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
-    for first, lines, done in _pieces(dialect.path, dialect.encoding, PIECE):
-        numbers: Sequence[int] = range(first, first + len(lines))
-        texts: Sequence[str] = lines
-        # A look at the first characters tells of most pieces that every line is a row.
-        if dialect.header_line in numbers or not _NO_ROW.isdisjoint(
-            line[:1] for line in lines
-        ):
-            rows = [
-                (number, line)
-                for number, line in zip(numbers, lines)
-                if number != dialect.header_line
-                and line.strip()
-                and not _is_comment(line)
-            ]
-            if not rows:
-                continue
-            numbers, texts = zip(*rows)
-        cells = _fast(dialect, columns, texts)
+    """Yield the rows of a log, with the columns of these indices."""
+    for first, lines, share in _read_lines(dialect.path, dialect.encoding, CHUNK):
+        numbers = range(first, first + len(lines))
+        rows = list(zip(numbers, lines))
+        has_header = dialect.header_line in numbers
+        # The first characters tell of most chunks that every line is a row.
+        if has_header or not _NO_ROW.isdisjoint(line[:1] for line in lines):
+            rows = [row for row in rows if _is_data(row, dialect.header_line)]
+        if not rows:
+            continue
+        texts = [line for _, line in rows]
+        cells = _read_with_numpy(dialect, columns, texts)
         complaint = ""
         if cells is None:
-            cells = np.full((len(texts), len(columns)), np.inf)
-            for number, text, row in zip(numbers, texts, cells):
-                wrong = _read_row(dialect, columns, text, row)
-                complaint = complaint or (wrong and f"line {number}{wrong}")
-        yield Block(np.array(numbers), cells, complaint, done=done)
+            cells = np.full((len(rows), len(columns)), np.inf)
+            for (number, line), row in zip(rows, cells):
+                fault = _read_row(dialect, columns, line, row)
+                if fault and not complaint:
+                    complaint = f"line {number}{fault}"
+        yield Block(np.array([n for n, _ in rows]), cells, complaint, share_read=share)
 
 
-def _fast(
-    dialect: Dialect, columns: Sequence[int], texts: Sequence[str]
+def _is_data(row: tuple[int, str], header_line: int) -> bool:
+    """Return whether (line number, line) is neither header nor comment nor empty."""
+    number, line = row
+    return number != header_line and bool(line.strip()) and not _is_comment(line)
+
+
+def _read_with_numpy(
+    dialect: Dialect, columns: Sequence[int], lines: Sequence[str]
 ) -> Array | None:
-    """Parse rows with numpy; None where a row needs a closer look."""
-    if dialect.quoted:
+    """Return the cells (R, C) of lines; None where a line has to be read cell by cell."""
+    if dialect.is_quoted:
         return None
-    mark = None if dialect.separator == " " else dialect.separator
-    first = dialect.first_row
-    if mark != ",":
-        texts = [text.replace(",", ".") for text in texts]
-    dates = [k for k in columns if k < len(first) and ":" in first[k]]
+    separator = None if dialect.separator == " " else dialect.separator
+    first_row = dialect.first_row
+    if separator != ",":
+        lines = [line.replace(",", ".") for line in lines]
+    dates = [k for k in columns if k < len(first_row) and ":" in first_row[k]]
     # A type of all columns, unlike a choice of some, refuses rows with more or fewer cells.
-    kinds = [("", float if k in columns else "U1") for k in range(len(dialect.titles))]
+    widths = range(len(dialect.titles))
+    types = [("", float if k in columns else "U1") for k in widths]
     try:
         if dates:
-            rows = [text.split(mark) for text in texts]
-            for row, k in itertools.product(rows, dates):
-                row[k] = repr(_number(row[k].strip(), first[k]))
-            texts = [(mark or " ").join(row) for row in rows]
-        read = np.loadtxt(texts, kinds, delimiter=mark, comments=None, ndmin=1)
+            lines = [_with_seconds(line, separator, dates, first_row) for line in lines]
+        read = np.loadtxt(lines, types, delimiter=separator, comments=None, ndmin=1)
     except (ValueError, IndexError):
         return None
     # Lines of odd blanks alone are no rows to numpy.
-    whole = len(read) == len(texts)
-    return np.column_stack([read[f"f{k}"] for k in columns]) if whole else None
+    if len(read) != len(lines):
+        return None
+    return np.column_stack([read[f"f{k}"] for k in columns])
 
 
-def _read_row(dialect: Dialect, columns: Sequence[int], text: str, row: Array) -> str:
-    """Read the wanted cells of a line into a row (C,), or return why it is none of numbers."""
-    cells = dialect.cells(text)
+def _with_seconds(
+    line: str, separator: str | None, dates: Sequence[int], first_row: Sequence[str]
+) -> str:
+    """Return a line with the dates in these columns as seconds since those of the first row."""
+    cells = line.split(separator)
+    for column in dates:
+        seconds = _parse_cell(cells[column].strip(), first_row[column])
+        cells[column] = repr(seconds)
+    return (separator or " ").join(cells)
+
+
+def _read_row(dialect: Dialect, columns: Sequence[int], line: str, row: Array) -> str:
+    """Write the numbers of a line's columns into ``row`` (C,); return "", or what is wrong."""
+    cells = dialect.cells(line)
     titles = dialect.titles
     if len(cells) != len(titles):
         return f": {len(cells)} cells instead of {len(titles)}"
-    try:
-        for place, at in enumerate(columns):
-            start = dialect.first_row[at] if at < len(dialect.first_row) else ""
-            row[place] = _number(cells[at], start)
-    except ValueError:
-        return f", column {titles[at]!r}: {cells[at][:40]!r} is not a number"
+    first_row = dict(enumerate(dialect.first_row))
+    for index, column in enumerate(columns):
+        try:
+            row[index] = _parse_cell(cells[column], first_row.get(column, ""))
+        except ValueError:
+            return (
+                f", column {titles[column]!r}: {cells[column][:40]!r} is not a number"
+            )
     return ""
 
 
-_WRITTEN = {"position": "q", "velocity": "qd", "torque": "tau", "acceleration": "qdd"}
-_WRITTEN["time"] = "joint_time"
+_ATTRIBUTES = {
+    "position": "q",
+    "velocity": "qd",
+    "torque": "tau",
+    "acceleration": "qdd",
+    "time": "joint_time",
+}
 """Quantity, as titles end in it, to attribute of a measurement."""
 
 
 def write_measurement_csv(
     path: Path, joint_names: Sequence[str], chunks: Iterable[Measurement]
 ) -> None:
-    """Write samples in the form ``open_log`` reads, with every digit; the file appears whole.
+    """Write samples as CSV that ``reader.open_log`` reads, with every digit.
 
-    Columns are called ``<joint>_position`` and so on.
+    Columns are called ``<joint>_position`` and so on; the file appears when it is complete. All
+    chunks have the quantities of the first. InputError where there is no chunk.
     """
     with whole_file(path) as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        there: dict[str, str] = {}
+        attributes: dict[str, str] = {}
         for chunk in chunks:
-            if not there:
-                there = {
-                    n: a for n, a in _WRITTEN.items() if getattr(chunk, a) is not None
+            if not attributes:
+                attributes = {
+                    quantity: attribute
+                    for quantity, attribute in _ATTRIBUTES.items()
+                    if getattr(chunk, attribute) is not None
                 }
-                titles = [f"{joint}_{name}" for name in there for joint in joint_names]
-                writer.writerow(
-                    ["time", *(re.sub(r"[\r\n]", " ", title) for title in titles)]
-                )
-            values = [getattr(chunk, attribute) for attribute in there.values()]
-            writer.writerows(
-                map(repr, r) for r in np.column_stack((chunk.time, *values)).tolist()
-            )
-        if not there:
+                pairs = product(attributes, joint_names)
+                titles = [f"{joint}_{quantity}" for quantity, joint in pairs]
+                one_line = [re.sub(r"[\r\n]", " ", title) for title in titles]
+                writer.writerow(["time", *one_line])
+            values = [getattr(chunk, name) for name in attributes.values()]
+            rows = np.column_stack((chunk.time, *values)).tolist()
+            writer.writerows(map(repr, row) for row in rows)
+        if not attributes:
             raise InputError("there are no samples to write")

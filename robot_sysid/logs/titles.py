@@ -1,12 +1,13 @@
-"""What the column titles of a log say: which quantity, of which joint, in which unit.
+"""What the column titles of a log mean: which quantity, of which joint, in which unit.
 
-A title is cut into words and numbers: ``j0_pos`` -> j 0 pos; ``jointVelocity[3] (deg/s)`` ->
-joint velocity 3, unit deg/s; ``q1`` -> q 1. Every word has to be known: a title with a foreign word
-(``joint1_position_std``, ``q1_filtered``) is not taken for the plain quantity.
+A title is cut into tokens: ``j0_pos`` gives j, 0, pos; ``jointVelocity[3] (deg/s)`` gives joint,
+velocity, 3 and the unit deg/s; ``q1`` gives q, 1. Every token has to be in the vocabulary: a title
+with a foreign token (``joint1_position_std``, ``q1_filtered``) does not stand for the plain
+quantity.
 
-A column belongs to a joint by the joint's name, or else by counting. Both readings are made. A
-quantity whose titles carry every joint's name goes by the names; else the numbers in the titles
-have to be exactly 0..n-1 or 1..n. Two answers for one quantity are an error.
+A column belongs to a joint by the joint's name, or else by counting. Both are tried. A quantity
+whose titles carry every joint's name goes by the names; else the numbers in the titles have to be
+exactly 0..n-1 or 1..n. Two answers for one quantity are an error.
 """
 
 from __future__ import annotations
@@ -15,40 +16,54 @@ import contextlib
 import math
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain
+from typing import TypeVar
 
 from robot_sysid.errors import InputError
 
+T = TypeVar("T")
 
-def _words(text: str) -> frozenset[str]:
+
+def _token_set(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-_KINDS = {
-    "time": "time t timestamp timestamps stamp stamps clock",
-    "position": "q pos position positions angle angles qpos jpos",
-    "velocity": "qd dq qdot dqdt vel velocity velocities speed speeds qvel jvel",
-    "acceleration": "qdd ddq qddot acc accel acceleration accelerations qacc jacc",
-    "torque": "tau taus torque torques effort efforts eff trq tq force forces",
-}
-KIND_OF_WORD = {word: kind for kind, words in _KINDS.items() for word in words.split()}
-"""Word to the quantity it stands for."""
+def _by_token(vocabulary: Mapping[T, str]) -> dict[str, T]:
+    """Return token to meaning, of a table of meaning to its tokens, separated by blanks."""
+    meanings: dict[str, T] = {}
+    for meaning, tokens in vocabulary.items():
+        meanings.update(dict.fromkeys(tokens.split(), meaning))
+    return meanings
 
-_COMMANDED = _words(
+
+QUANTITY_OF_TOKEN = _by_token(
+    {
+        "time": "time t timestamp timestamps stamp stamps clock",
+        "position": "q pos position positions angle angles qpos jpos",
+        "velocity": "qd dq qdot dqdt vel velocity velocities speed speeds qvel jvel",
+        "acceleration": "qdd ddq qddot acc accel acceleration accelerations qacc jacc",
+        "torque": "tau taus torque torques effort efforts eff trq tq force forces",
+    }
+)
+"""Token of a title to the quantity that it stands for."""
+
+_COMMANDED = _token_set(
     "cmd command commanded commands des desired ref reference target setpoint sp goal planned "
     "plan ff feedforward d action actions"
 )
-_NO_POSITION = _words("ff feedforward")
-"""Of these, those that no position is called by."""
-_NEUTRAL = _words(
+_FEED_FORWARD = _token_set("ff feedforward")
+"""Of the tokens for commands, those that no commanded position is called by."""
+_NEUTRAL = _token_set(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
     "jointstates header meas measured measurement act actual fb feedback msr present current "
     "sensor data values value currents as"
 )
 _CURRENT = frozenset({"current", "currents"})
-_AMPERES = _words("a amp amps ampere amperes")
+_AMPERES = _token_set("a amp amps ampere amperes")
 _JOINED = {
     " q dot ": " qd ",
     " q ddot ": " qdd ",
@@ -58,29 +73,32 @@ _JOINED = {
 
 _DEGREE = math.pi / 180
 _RPM = math.pi / 30
-_IN_SI = {
-    "time": {
-        1.0: "s sec secs second seconds",
-        1e-3: "ms msec millis",
-        1e-6: "us usec µs micros",
-    }
-    | {1e-9: "ns nsec nanos"},
-    "position": {
-        1.0: "rad rads radians m",
-        _DEGREE: "deg degree degrees °",
-        1e-3: "mm",
-    },
-    "velocity": {1.0: "rads radsec rad rads1 ms", _DEGREE: "degs deg dps degsec °s"}
-    | {_RPM: "rpm", 1e-3: "mms"},
-    "torque": {1.0: "nm n", 1e-3: "mnm", 1e-2: "ncm", 1e3: "knm"},
+_TIME_UNITS = {
+    1.0: "s sec secs second seconds",
+    1e-3: "ms msec millis",
+    1e-6: "us usec µs micros",
+    1e-9: "ns nsec nanos",
 }
-_IN_SI["command"] = _IN_SI["position"]
+_POSITION_UNITS = {
+    1.0: "rad rads radians m",
+    _DEGREE: "deg degree degrees °",
+    1e-3: "mm",
+}
+_VELOCITY_UNITS = {
+    1.0: "rads radsec rad rads1 ms",
+    _DEGREE: "degs deg dps degsec °s",
+    _RPM: "rpm",
+    1e-3: "mms",
+}
 UNITS = {
-    kind: {unit: factor for factor, units in known.items() for unit in units.split()}
-    for kind, known in _IN_SI.items()
+    "time": _by_token(_TIME_UNITS),
+    "position": _by_token(_POSITION_UNITS),
+    "velocity": _by_token(_VELOCITY_UNITS),
+    "torque": _by_token({1.0: "nm n", 1e-3: "mnm", 1e-2: "ncm", 1e3: "knm"}),
+    "command": _by_token(_POSITION_UNITS),
 }
-"""Quantity to squeezed unit to what turns a value into SI."""
-_UNIT_WORDS = _words(
+"""Quantity to unit, in letters and digits alone ("degs" for deg/s), to its value in SI units."""
+_UNIT_TOKENS = _token_set(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
     "degs degree degrees ° dps rpm mm nm mnm ncm knm s2"
 )
@@ -89,97 +107,108 @@ _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 
 @dataclass(frozen=True)
 class Title:
-    """What a title says: lower-case words without units and numbers, the unit ("deg/s" -> "degs"),
-    and the quantity it stands for in spite of its words: "" for none, None where these decide.
+    """A column title, and what was read from it.
+
+    Attributes:
+        text: the title as the file has it.
+        tokens: its words in lower case, without units and numbers.
+        numbers: the numbers in it.
+        unit: in lower case, letters and digits alone ("deg/s" is "degs"); "" for none.
+        override: the quantity that it stands for whatever its tokens say, "" for none; None leaves
+            the decision to the tokens.
     """
 
     text: str
-    words: tuple[str, ...]
+    tokens: tuple[str, ...]
     numbers: tuple[int, ...]
     unit: str
-    stands_for: str | None = None
+    override: str | None = None
 
     @property
-    def kinds(self) -> set[str]:
-        """The quantities that its words speak of, measured or not."""
-        return {KIND_OF_WORD[word] for word in self.words if word in KIND_OF_WORD}
+    def quantities(self) -> set[str]:
+        """The quantities that its tokens name, measured or commanded."""
+        return {QUANTITY_OF_TOKEN[t] for t in self.tokens if t in QUANTITY_OF_TOKEN}
 
     @property
-    def foreign(self) -> bool:
-        """Whether it holds a word that says neither a quantity nor that it is commanded."""
-        return bool({*self.words} - {*KIND_OF_WORD} - _NEUTRAL - _COMMANDED)
+    def is_foreign(self) -> bool:
+        """Whether it holds a token outside the vocabulary."""
+        return bool({*self.tokens} - {*QUANTITY_OF_TOKEN} - _NEUTRAL - _COMMANDED)
 
     @property
-    def commanded(self) -> bool:
-        """Whether it is a command or a reference, not a measurement."""
-        return bool(_COMMANDED & {*self.words})
+    def is_commanded(self) -> bool:
+        """Whether a token marks it as a command or a reference, not a measurement."""
+        return bool(_COMMANDED & {*self.tokens})
 
     @property
-    def kind(self) -> str | None:
-        """The measured quantity, or None where it is none, or a word is foreign."""
-        plain = len(self.kinds) == 1 and not self.foreign and not self.commanded
-        return min(self.kinds) if plain else None
+    def measured_quantity(self) -> str | None:
+        """The one measured quantity that it names; None for none, for several, or where a token is
+        foreign.
+        """
+        if len(self.quantities) != 1 or self.is_foreign or self.is_commanded:
+            return None
+        return min(self.quantities)
 
     @property
     def is_current(self) -> bool:
-        """Whether it is a motor's current: the word, and none for another quantity."""
-        return bool(_CURRENT & {*self.words}) and not self.kinds and not self.commanded
+        """Whether it names a motor's current, and no other quantity."""
+        has_token = bool(_CURRENT & {*self.tokens})
+        return has_token and not self.quantities and not self.is_commanded
 
     @property
-    def is_command(self) -> bool:
-        """Whether it is a commanded position."""
-        said = {*self.words} & _COMMANDED - _NO_POSITION
+    def is_commanded_position(self) -> bool:
+        """Whether it names a commanded position, such as ``q_des[0]`` or ``action 1``."""
+        marks = {*self.tokens} & _COMMANDED - _FEED_FORWARD
         # A bare d is too short to stand for a command without a position beside it.
-        plain = bool(said) and (said != {"d"} or self.kinds == {"position"})
-        other = self.foreign or _CURRENT & {*self.words} or self.kinds - {"position"}
-        return plain and not other
+        if not marks or (marks == {"d"} and self.quantities != {"position"}):
+            return False
+        is_current = bool(_CURRENT & {*self.tokens})
+        return not (self.is_foreign or is_current or self.quantities - {"position"})
 
 
-def with_meaning(
+def interpret_titles(
     titles: Sequence[Title], joint_names: Sequence[str], currents: bool, commanded: bool
 ) -> list[Title]:
-    """Return the titles with what they stand for, and with units that no joint's name holds.
+    """Return titles with their unit and override set, units read outside the joints' names.
 
     Args:
         currents: whether motor currents stand for torque and torques for nothing; not where there
             are fewer currents than joints: then the torque columns hold them.
-        commanded: whether commanded positions are looked for, such as ``q_des[0]``, ``action 1``.
+        commanded: whether commanded positions are read, such as ``q_des[0]``, ``action 1``.
     """
-    currents = currents and sum(title.is_current for title in titles) >= len(
-        joint_names
-    )
-    found = []
+    count = sum(title.is_current for title in titles)
+    has_currents = currents and count >= len(joint_names)
+    interpreted = []
     for title in titles:
-        rests = (rest for _, rest in _rests(title, joint_names))
-        rest = min(rests, key=lambda rest: len(rest.words), default=title)
-        unit = rest.unit
-        stands_for = title.stands_for
-        if currents and title.is_current:
+        nameless = [stripped for _, stripped in _strip_joint_names(title, joint_names)]
+        shortest = min(nameless, key=lambda title: len(title.tokens), default=title)
+        unit = shortest.unit
+        override = title.override
+        if has_currents and title.is_current:
             unit = "" if unit in _AMPERES else unit
-            stands_for = "torque"
-        elif currents and "torque" in title.kinds:
-            stands_for = ""
-        elif commanded and rest.is_command:
-            stands_for = "command"
-        found.append(replace(title, unit=unit, stands_for=stands_for))
-    return found
+            override = "torque"
+        elif has_currents and "torque" in title.quantities:
+            override = ""
+        elif commanded and shortest.is_commanded_position:
+            override = "command"
+        interpreted.append(replace(title, unit=unit, override=override))
+    return interpreted
 
 
 def read_title(text: str) -> Title:
-    """Cut a title into words, numbers and unit."""
-    unit, plain = _bracketed_unit(text.strip().lstrip("%#"))
-    pieces = _pieces(plain)
+    """Return a title cut into tokens, numbers and unit."""
+    unit, unitless = _split_bracketed_unit(text.strip().lstrip("%#"))
+    pieces = _pieces(unitless)
     numbers = tuple(int(piece) for piece in pieces if piece.isdigit())
-    words = [piece for piece in pieces if not piece.isdigit()]
-    units = [word for word in words if word in _UNIT_WORDS]
-    said = f" {' '.join(word for word in words if word not in _UNIT_WORDS)} "
-    for apart, joined in _JOINED.items():
-        said = said.replace(apart, joined)
-    return Title(text, tuple(said.split()), numbers, unit or "".join(units))
+    tokens = [piece for piece in pieces if not piece.isdigit()]
+    unit_tokens = [token for token in tokens if token in _UNIT_TOKENS]
+    phrase = f" {' '.join(token for token in tokens if token not in _UNIT_TOKENS)} "
+    for separate, joined in _JOINED.items():
+        phrase = phrase.replace(separate, joined)
+    return Title(text, tuple(phrase.split()), numbers, unit or "".join(unit_tokens))
 
 
-def _bracketed_unit(text: str) -> tuple[str, str]:
-    """Return (unit, title without it); a number in brackets is an index and stays."""
+def _split_bracketed_unit(text: str) -> tuple[str, str]:
+    """Return (unit in brackets, title without it); a number in brackets is an index and stays."""
     unit = ""
     for content in _BRACKETS.findall(text):
         if content.strip().isdigit():
@@ -191,176 +220,181 @@ def _bracketed_unit(text: str) -> tuple[str, str]:
 
 
 def _pieces(text: str) -> list[str]:
-    whole_units = re.sub(r"(?<![a-zA-Z])[mk]?Nm(?![a-z])", lambda m: m[0].lower(), text)
-    apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", whole_units)
-    return re.findall(r"[a-zA-Z°µ]+|\d+", apart.lower())
+    """Return the runs of letters, in lower case, and of digits; camelCase is two runs, Nm one."""
+    with_units = re.sub(r"(?<![a-zA-Z])[mk]?Nm(?![a-z])", lambda m: m[0].lower(), text)
+    separate = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", with_units)
+    return re.findall(r"[a-zA-Z°µ]+|\d+", separate.lower())
 
 
 @contextlib.contextmanager
-def collected(faults: list[str]) -> Iterator[None]:
-    """Add what is wrong to a list, so that all that is wrong can be said at once."""
+def collect_errors(faults: list[str]) -> Iterator[None]:
+    """Append the text of an InputError in the block to a list, to state all faults at once."""
     try:
         yield
     except InputError as error:
         faults.append(str(error))
 
 
-Found = dict[tuple[str, int], list[int]]
-"""(quantity, joint number) to the columns that could be it."""
+Candidates = dict[tuple[str, int], list[int]]
+"""(quantity, joint index) to the indices of the columns that could be it."""
 
 QUANTITIES = ("position", "velocity", "torque", "joint_time", "command")
+"""Quantities with a column per joint; ``joint_time`` is a joint's own time stamp."""
 REMEDY = "name the columns with --columns FILE"
 
 
 def match_joints(
     titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str] = ()
-) -> Found:
-    """Return the candidate columns of each quantity of each joint; nothing where one is missing."""
-    named = _by_name(titles, joint_names)
-    owned = {index for columns in named.values() for index in columns}
-    counted = _by_number(titles, joint_names, first_row, set())
-    unnamed = _by_number(titles, joint_names, first_row, owned)
-    found: Found = {}
-    for kind in QUANTITIES:
-        keys = [(kind, joint) for joint in range(len(joint_names))]
-        if all(key in named for key in keys):
+) -> Candidates:
+    """Return the candidate columns of each quantity, by (quantity, joint index).
+
+    A quantity for which a joint has no candidate is left out. ``first_row`` holds the cells of the
+    first row as text, which may list joint names. InputError where two columns could be one
+    quantity, or name and number of a title disagree.
+    """
+    by_name = _match_names(titles, joint_names)
+    named_columns = set(chain.from_iterable(by_name.values()))
+    by_number = _match_numbers(titles, joint_names, first_row, set())
+    unnamed = _match_numbers(titles, joint_names, first_row, named_columns)
+    candidates: Candidates = {}
+    for quantity in QUANTITIES:
+        keys = [(quantity, joint) for joint in range(len(joint_names))]
+        if all(key in by_name for key in keys):
             if keys[0] in unnamed:
-                pair = (named[keys[0]][0], unnamed[keys[0]][0])
-                raise two_candidates(
-                    kind, joint_names[0], [titles[i].text for i in pair]
-                )
-            found.update({key: named[key] for key in keys})
-        elif all(key in counted for key in keys):
-            off = [
-                (i, key[1])
-                for key in keys
-                for i in named.get(key, ())
-                if i not in counted[key]
-            ]
-            for index, joint in off:
-                raise InputError(
-                    f"column {titles[index].text!r} carries the name of joint "
-                    f"{joint_names[joint]}, but by counting it belongs to another joint; {REMEDY}"
-                )
-            found.update({key: counted[key] for key in keys})
-    return found
+                pair = (by_name[keys[0]][0], unnamed[keys[0]][0])
+                texts = [titles[column].text for column in pair]
+                raise ambiguity_error(quantity, joint_names[0], texts)
+            candidates.update({key: by_name[key] for key in keys})
+        elif all(key in by_number for key in keys):
+            for key in keys:
+                columns = set(by_name.get(key, ())) - set(by_number[key])
+                _require_none(columns, titles, joint_names[key[1]])
+            candidates.update({key: by_number[key] for key in keys})
+    return candidates
 
 
-def joint_kind(title: Title) -> str | None:
-    """Return the quantity of a title that belongs to one joint, or None."""
-    if title.stands_for is not None:
-        return None if title.foreign else title.stands_for or None
-    if title.kind != "time":
-        return title.kind
+def _require_none(columns: set[int], titles: Sequence[Title], joint_name: str) -> None:
+    """Raise InputError for columns with a joint's name that count as another joint's."""
+    if columns:
+        raise InputError(
+            f"column {titles[min(columns)].text!r} carries the name of joint "
+            f"{joint_name}, but by counting it belongs to another joint; {REMEDY}"
+        )
+
+
+def joint_quantity(title: Title) -> str | None:
+    """Return which of QUANTITIES, of one joint, a title stands for, or None."""
+    if title.override is not None:
+        return None if title.is_foreign else title.override or None
+    if title.measured_quantity != "time":
+        return title.measured_quantity
     # A bare "t" beside a joint could as well be its torque or temperature.
-    return "joint_time" if set(title.words) & {"time", "stamp", "timestamp"} else None
+    is_stamp = bool({*title.tokens} & {"time", "stamp", "timestamp"})
+    return "joint_time" if is_stamp else None
 
 
-def two_candidates(kind: str, joint: str, titles: Sequence[str]) -> InputError:
-    """Return the error for a quantity that several columns could be."""
+def ambiguity_error(quantity: str, joint: str, titles: Sequence[str]) -> InputError:
+    """Return the error for a quantity that several columns could be; ``joint`` "" for none."""
     listed = " and ".join(repr(title) for title in titles)
     of_joint = f" of joint {joint}" if joint else ""
     return InputError(
-        f"{listed} could both be the {kind}{of_joint}; {REMEDY} to choose one"
+        f"{listed} could both be the {quantity}{of_joint}; {REMEDY} to choose one"
     )
 
 
-def _by_name(titles: Sequence[Title], joint_names: Sequence[str]) -> Found:
-    found: Found = {}
-    for index, title in enumerate(titles):
-        for joint, rest in _rests(title, joint_names):
-            kind = joint_kind(replace(rest, stands_for=title.stands_for))
-            if kind and not rest.numbers:
-                found.setdefault((kind, joint), []).append(index)
+def _match_names(titles: Sequence[Title], joint_names: Sequence[str]) -> Candidates:
+    """Return the candidates among titles that carry a joint's name."""
+    candidates: Candidates = defaultdict(list)
+    for column, title in enumerate(titles):
+        for joint, stripped in _strip_joint_names(title, joint_names):
+            quantity = joint_quantity(replace(stripped, override=title.override))
+            if quantity and not stripped.numbers:
+                candidates[quantity, joint].append(column)
                 break
-    return found
+    return candidates
 
 
-def _rests(title: Title, joint_names: Sequence[str]) -> Iterator[tuple[int, Title]]:
-    """Yield (joint, rest of a title that carries its name), by the longest spellings first.
+def _strip_joint_names(
+    title: Title, joint_names: Sequence[str]
+) -> Iterator[tuple[int, Title]]:
+    """Yield (joint index, title without that joint's name), by the longest spellings first.
 
-    A title may begin or end with a name exactly as written, so that ``#3`` and ``arm-1`` are found
-    and ``arm_1`` is told from ``arm-1``; or hold the pieces of it, as ``Joint_1.position`` does.
+    A title may begin or end with a name exactly as written, so that ``#3`` and ``arm-1`` are
+    matched and ``arm_1`` is told from ``arm-1``; or hold its tokens, as ``Joint_1.position`` does.
     """
     text = title.text.strip()
     for joint, name in sorted(enumerate(joint_names), key=lambda pair: -len(pair[1])):
-        behind = text[len(name) :]
-        before = text[: -len(name)]
-        if text.startswith(name) and behind and not behind[0].isalnum():
-            yield joint, read_title(behind)
-        elif text.endswith(name) and before and not before[-1].isalnum():
-            yield joint, read_title(before)
-    unit, plain = _bracketed_unit(text.lstrip("%#"))
-    pieces = _pieces(plain)
+        suffix = text[len(name) :]
+        prefix = text[: -len(name)]
+        if text.startswith(name) and suffix and not suffix[0].isalnum():
+            yield joint, read_title(suffix)
+        elif text.endswith(name) and prefix and not prefix[-1].isalnum():
+            yield joint, read_title(prefix)
+    unit, unitless = _split_bracketed_unit(text.lstrip("%#"))
+    pieces = _pieces(unitless)
     for joint, name in _aliases(tuple(joint_names)):
-        wanted = _pieces(name)
-        ends = [k + len(wanted) for k in range(len(pieces)) if wanted]
-        end = next((k for k in ends if pieces[k - len(wanted) : k] == wanted), 0)
-        if end:
-            rest = read_title(" ".join(pieces[: end - len(wanted)] + pieces[end:]))
-            yield joint, replace(rest, text=title.text, unit=unit or rest.unit)
+        name_pieces = _pieces(name)
+        n = len(name_pieces)
+        starts = [k for k in range(len(pieces)) if pieces[k : k + n] == name_pieces]
+        if n and starts:
+            remaining = pieces[: starts[0]] + pieces[starts[0] + n :]
+            stripped = read_title(" ".join(remaining))
+            yield joint, replace(stripped, text=title.text, unit=unit or stripped.unit)
 
 
 @lru_cache
 def _aliases(joint_names: tuple[str, ...]) -> list[tuple[int, str]]:
-    """Return (joint, spelling), longest first; a part all joints share may be left out."""
-    full = list(enumerate(joint_names))
+    """Return (joint index, spelling), longest first; pieces in all names may be left out."""
+    spellings = list(enumerate(joint_names))
     pieces = [_pieces(name) for name in joint_names]
-    shared_start = len(os.path.commonprefix(pieces))
-    shared_end = len(os.path.commonprefix([p[::-1] for p in pieces]))
-    short = [" ".join(p[shared_start : len(p) - shared_end]) for p in pieces]
+    start = len(os.path.commonprefix(pieces))
+    end = len(os.path.commonprefix([p[::-1] for p in pieces]))
+    short = [" ".join(p[start : len(p) - end]) for p in pieces]
     # A bare number is left to counting, where the base (0 or 1) is checked.
-    if len(set(short)) == len(short) > 1 and not any(
-        s.isdigit() or not s for s in short
-    ):
-        full += list(enumerate(short))
-    return sorted(full, key=lambda pair: -len(_pieces(pair[1])))
+    is_distinct = len(set(short)) == len(short) > 1
+    if is_distinct and not any(s.isdigit() or not s for s in short):
+        spellings += enumerate(short)
+    return sorted(spellings, key=lambda pair: -len(_pieces(pair[1])))
 
 
-def _by_number(
+def _match_numbers(
     titles: Sequence[Title],
     joint_names: Sequence[str],
     first_row: Sequence[str],
-    skip: set[int],
-) -> Found:
-    numbered: dict[str, dict[int, list[int]]] = {}
-    for index, title in enumerate(titles):
-        kind = None if index in skip else joint_kind(title)
-        lone = len(joint_names) == 1 and not title.numbers and kind != "joint_time"
-        if kind and (len(title.numbers) == 1 or lone):
+    excluded: set[int],
+) -> Candidates:
+    """Return the candidates among titles with one number, but for some columns."""
+    numbered: dict[str, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for column, title in enumerate(titles):
+        quantity = None if column in excluded else joint_quantity(title)
+        # A single joint needs no number.
+        is_single = len(joint_names) == 1 and quantity != "joint_time"
+        if quantity and (len(title.numbers) == 1 or is_single and not title.numbers):
             number = title.numbers[0] if title.numbers else 0
-            numbered.setdefault(kind, {}).setdefault(number, []).append(index)
+            numbered[quantity][number].append(column)
     order = _order_from_names(titles, joint_names, first_row)
-    found: Found = {}
-    for kind, columns in numbered.items():
+    candidates: Candidates = {}
+    for quantity, columns in numbered.items():
         # Without a list of names the numbers have to be exactly 0..n-1 or 1..n.
-        fits = sorted(columns) == list(
-            range(min(columns), min(columns) + len(joint_names))
-        )
-        counted = {
-            number: k for k, number in enumerate(sorted(columns)) if min(columns) < 2
-        }
-        places = order or (counted if fits else {})
-        found.update(
-            {
-                (kind, j): columns[number]
-                for number, j in places.items()
-                if number in columns
-            }
-        )
-    return found
+        first = min(columns)
+        numbers = range(first, first + len(joint_names))
+        is_complete = first < 2 and sorted(columns) == list(numbers)
+        counted = {n: n - first for n in numbers} if is_complete else {}
+        for number, joint in (order or counted).items():
+            if number in columns:
+                candidates[quantity, joint] = columns[number]
+    return candidates
 
 
 def _order_from_names(
     titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str]
 ) -> dict[int, int]:
-    """Return number to joint by a log's own list of names; ROS may order by the alphabet."""
-    listed: dict[int, str] = {}
+    """Return number to joint index by a log's own list of names; ROS may order by the alphabet."""
+    names: dict[int, str] = {}
     for title, cell in zip(titles, first_row):
-        if title.words and title.words[-1] in ("name", "names"):
-            cells = re.findall(r"[^\s,'\"\[\]()]+", cell)
+        if title.tokens and title.tokens[-1] in ("name", "names"):
             start = title.numbers[0] if title.numbers else 0
-            listed.update({start + k: name for k, name in enumerate(cells)})
+            names.update(enumerate(re.findall(r"[^\s,'\"\[\]()]+", cell), start))
     return {
-        number: joint_names.index(n) for number, n in listed.items() if n in joint_names
+        number: joint_names.index(n) for number, n in names.items() if n in joint_names
     }

@@ -150,8 +150,8 @@ def test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused(
     tmp_path, monkeypatch, write, rows
 ):
     """By what its heads say; each of its arrays or files alone is within the bound."""
-    monkeypatch.setattr(table, "ALWAYS", 10**6)
-    monkeypatch.setattr(table, "MOST_RATIO", 20)
+    monkeypatch.setattr(table, "ALWAYS_ALLOWED", 10**6)
+    monkeypatch.setattr(table, "MAX_RATIO", 20)
     path = tmp_path / "log.npz"
     noise = {name: np.random.default_rng(0).normal(size=(200, 3)) for name in "ab"}
     write(path, time=np.arange(200.0), **noise)
@@ -164,7 +164,7 @@ def test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused(
 
 
 def test_no_more_arrays_are_read_than_a_log_has(tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "MOST_ARRAYS", 20)
+    monkeypatch.setattr(table, "MAX_ARRAYS", 20)
     for write in (np.savez, hdf5):
         write(tmp_path / "log", **{f"a{k}": np.arange(9.0) for k in range(22)})
         path = next(tmp_path.iterdir())
@@ -198,7 +198,7 @@ def test_an_hdf5_chunk_that_unpacks_to_more_than_its_length_is_refused(
 
     h5py = pytest.importorskip("h5py")
     before = resource.getrlimit(resource.RLIMIT_AS)
-    monkeypatch.setattr(table, "_BESIDE", 2e7)
+    monkeypatch.setattr(table, "_OVERHEAD", 2e7)
     with h5py.File(tmp_path / "log.hdf5", "w") as file:
         data = file.create_dataset("q", (100,), "f8", chunks=(100,), compression="gzip")
         data.id.write_direct_chunk((0,), zlib.compress(bytes(10**8), 1))
@@ -357,7 +357,7 @@ def test_dates_in_arrays_are_seconds_from_the_first(dated):
         "t": dated(DATA.time),
         "note": np.array(["x"] * len(DATA.time), object),
     }
-    made = table.arrays_table(Path("arrays"), "arrays", named)
+    made = arrays.arrays_table(Path("arrays"), "arrays", named)
     assert made.titles[0] == "t" and "note" not in made.titles
     (block,) = made.blocks([0])
     np.testing.assert_allclose(block.cells[:, 0], DATA.time, atol=1e-9)
@@ -383,7 +383,7 @@ def test_a_matlab_file_may_end_its_process_and_takes_bounded_time(
     tmp_path, monkeypatch, fault
 ):
     monkeypatch.setattr(
-        arrays, "_UNPACK", arrays._UNPACK.replace("found = [", f"{fault}\n    [")
+        arrays, "_UNPACK", arrays._UNPACK.replace("variables = [", f"{fault}\n    [")
     )
     monkeypatch.setattr(arrays, "_LEAST_TIME", 0.0)
     savemat(tmp_path / "log.mat", {"time": DATA.time})

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import column_map
-from robot_sysid.logs.titles import joint_kind, read_title, with_meaning
+from robot_sysid.logs.titles import interpret_titles, joint_quantity, read_title
 from tests.support.log_files import motion, read_measurements, write
 
 JOINTS = ("joint0", "joint1", "joint2")
@@ -163,11 +163,11 @@ COMMANDS = (
 def test_what_a_title_says_where_commands_are_asked_for_and_where_not(
     title, measured, commanded
 ):
-    assert read_title(title).kind == measured
-    (found,) = with_meaning(
+    assert read_title(title).measured_quantity == measured
+    (found,) = interpret_titles(
         [read_title(title)], ("ref_joint", "joint1"), False, commanded=True
     )
-    assert joint_kind(found) == commanded
+    assert joint_quantity(found) == commanded
 
 
 @pytest.mark.parametrize("title", COMMANDS)

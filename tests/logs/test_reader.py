@@ -96,7 +96,7 @@ def test_the_size_of_the_batches_changes_nothing(tmp_path, monkeypatch, size):
     whole = read_measurements(path, JOINTS)
     said = " ".join(whole.notes)
     assert "line 401" in said and "full turn" in said and "empty" in said
-    monkeypatch.setattr(formats_text, "PIECE", size)
+    monkeypatch.setattr(formats_text, "CHUNK", size)
     pieces = read_measurements(path, JOINTS)
     assert_same(whole.samples, pieces.samples)
     assert whole.notes == pieces.notes
@@ -232,7 +232,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
 def test_a_log_is_read_from_a_pipe(tmp_path, monkeypatch):
     path = write(tmp_path / "log.csv", table(motion(50)))
     for content in (path.read_bytes(), None):
-        reader._piped.cache_clear()
+        reader._piped_file.cache_clear()
         pipe = io.BytesIO(content or b"")
         stdin = SimpleNamespace(buffer=pipe, isatty=partial(bool, content is None))
         monkeypatch.setattr(sys, "stdin", stdin)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs import ros_bag, table
-from robot_sysid.logs.ros_bag import Arm, in_order
+from robot_sysid.logs import ros_bag
+from robot_sysid.logs.ros_bag import MessagePattern, sort_late
 from tests.support import recorded
 from tests.support.log_files import JOINTS, motion, read_measurements
 
@@ -37,14 +37,14 @@ def test_single_messages_that_come_late_take_their_place(late, by):
         b >= a or d >= c
         for a, b, c, d in zip(stamps, stamps[1:], stamps[2:], stamps[3:])
     ):
-        ordered = [stamps for (stamps, _), _ in in_order(map(message, stamps))]
+        ordered = [stamps for (stamps, _), _ in sort_late(map(message, stamps))]
         assert ordered == sorted(stamps)
 
 
 @pytest.mark.parametrize("back", [6, 40])
 def test_a_clock_that_is_set_back_stays_backwards(back):
     stamps = [*range(200), *range(200 - back, 300)]
-    ordered = [stamps for (stamps, _), _ in in_order(map(message, stamps))]
+    ordered = [stamps for (stamps, _), _ in sort_late(map(message, stamps))]
     assert sorted(ordered) == sorted(stamps) and ordered != sorted(stamps)
 
 
@@ -109,9 +109,9 @@ def test_a_part_that_stops_speaking_leaves_a_hole():
     both = [message(10**7 * k, "a") for k in range(40)]
     both += [message(10**7 * k + 10**6, "b") for k in (*range(10), *range(30, 40))]
     both.sort(key=lambda each: each[0])
-    arm = Arm.of(both, ["a", "b"])
-    assert list(arm.parts) == [{"a"}, {"b"}] and arm.own_time
-    times = [time for time, _ in arm.samples(iter(both))]
+    arm = MessagePattern.of(both, ["a", "b"])
+    assert list(arm.groups) == [{"a"}, {"b"}] and arm.has_own_times
+    times = [time for time, _ in arm.join(iter(both))]
     assert len(times) == 20 and max(np.diff(times)) == pytest.approx(0.21)
 
 
@@ -153,8 +153,8 @@ def test_a_bag_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, form):
     np.testing.assert_array_equal(
         read_measurements(path, JOINTS).samples.q, motion(40).q
     )
-    monkeypatch.setattr(table, "ALWAYS", 10**5)
-    monkeypatch.setattr(table, "MOST_RATIO", 2)
+    monkeypatch.setattr(ros_bag, "ALWAYS_ALLOWED", 10**5)
+    monkeypatch.setattr(ros_bag, "MAX_RATIO", 2)
     with pytest.raises(
         InputError, match="log.bag|bag as a ROS bag: a piece of it unpacks"
     ):
