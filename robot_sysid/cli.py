@@ -114,7 +114,7 @@ def _without_what_only_costs_time() -> None:
 
     Must come before they are imported. The matrices are small, and threads only wait for another:
     what is set for other programs does not count, as an arm of 60 joints takes fifty times as long
-    with four of them. What draws chooses its renderer itself (``preview.studio``).
+    with four of them. What draws chooses its renderer itself (``preview.film``).
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ[name] = "1"

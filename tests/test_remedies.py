@@ -64,7 +64,7 @@ LIFTED = places(
 )  # what was planned below the base may be played
 EXPORT = places("damiao.joints", "damiao_joints")
 QUESTIONS = set(places("commands.run", "ALONE", "PLAN", "IDENTIFY", "PAYLOAD"))
-SHOWN = places("commands.preview", "require_preview", "show_plan")
+SHOWN = places("preview", "require_preview", "show_plan")
 
 
 def others(name: str, *shown: Place) -> tuple[Place, ...]:

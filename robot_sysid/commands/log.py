@@ -9,10 +9,10 @@ from typing import Any
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.commands.preview import PreviewOptions, require_preview, show_preview
 from robot_sysid.errors import InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
+from robot_sysid.preview import PreviewOptions, require_preview, show_preview
 from robot_sysid.records.options import given_options, record_from
 
 INTERRUPTED = "interrupted; nothing was written"
@@ -85,9 +85,9 @@ def _checked(
     found = check_against_model(robot, log.pieces, divided=log.torque_scale)
     console.stage(*(each.line() for each in found))
     if preview.view or preview.video:
-        from robot_sysid.preview.film import shown_log
+        from robot_sysid.preview.film import log_preview
 
-        show_preview(robot, shown_log(robot, log.samples), preview, console)
+        show_preview(robot, log_preview(robot, log.samples), preview, console)
     named = [{**vars(each), "level": each.level.value} for each in found]
     about = {"samples": len(log.samples), "duration": log.duration, "sample_rate": rate}
     console.result(

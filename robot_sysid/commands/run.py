@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.commands.preview import PreviewOptions, require_preview, show_plan
 from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import (
     PLANNED,
@@ -30,6 +29,7 @@ from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.preview import PreviewOptions, require_preview, show_plan
 from robot_sysid.records import atomic_files
 from robot_sysid.records.options import default_of, keys_of, options_of, record_from
 from robot_sysid.records.sampling import TrajectoryOptions
@@ -247,7 +247,7 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
         config = config.seeded()
     with warnings_as_notes(console):
         outcome = run(config, console)
-    show_plan(outcome, preview, console)
+    show_plan(outcome.checked, preview, console)
     saved = outcome.files if outcome.checked else ()
     console.stage(*outcome.lines, *(f"Trajectory saved to {path}" for path in saved))
     console.result(_answer(outcome))

@@ -1,13 +1,19 @@
-"""A motion with how near it comes to its limits, as a film; or in MuJoCo's viewer."""
+"""Pictures of an arm without a screen, and films of a motion with its distance to all limits.
+
+Pictures come from MuJoCo's renderer on EGL or OSMesa. A film shows the arm beside plots over time.
+"""
 
 from __future__ import annotations
 
+import copy
 import importlib.util
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,89 +21,41 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.preview.studio import NO_RENDERER, Picture, Studio, backend
 from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.simulation.playback import interpolate
 
+Picture = NDArray[np.uint8]
+"""Pixels (height, width, 3), red, green and blue."""
+Colour = tuple[float, float, float, float]
+"""Red, green, blue and opacity, from 0 to 1."""
+
+NO_RENDERER = (
+    "no pictures of the arm: MuJoCo finds neither EGL nor OSMesa here (Debian: apt-get install "
+    "libegl1 libosmesa6); MUJOCO_GL chooses one"
+)
+NO_DISPLAY = "--view needs a display and there is none here; --video FILE.mp4 renders without one"
+_WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
+_BONE: Colour = (0.55, 0.58, 0.62, 1.0)
+_PROBE = (
+    "import importlib, sys; "
+    "c = importlib.import_module('mujoco.' + sys.argv[1]).GLContext(64, 64); "
+    "c.make_current(); c.free()"
+)
+"""Program that opens a graphics context of the library that it is given, and may crash."""
 RATE = 20.0
-"""Pictures per second."""
-_FARTHEST = 0.3
-"""Clearance above which it is all the same [m]: thirty times the least that a plan keeps."""
-
-
-@dataclass(frozen=True)
-class Strip:
-    """One quantity over time (T,), NaN where nothing is known, and what it has to keep."""
-
-    title: str
-    values: Array
-    limit: float
-
-
-@dataclass(frozen=True)
-class Shown:
-    """What is shown of a motion: T pictures of positions (T, n), and what is drawn over time."""
-
-    time: Array
-    q: Array
-    strips: tuple[Strip, ...]
-
-
-def shown_plan(problem: ExcitationProblem, plan: MotionPlan) -> Shown:
-    """Return a planned motion with its limits."""
-    motion = plan.evaluate(np.linspace(0.0, plan.duration, _count(plan.duration)))
-    limits = problem.limits
-    largest = problem.limits.largest
-    torque = problem.torque(motion)
-    clearances = problem.obstacles.distances
-    near = np.array([min(clearances.slack_at(q)[0], _FARTHEST) for q in motion.q])
-    known = (
-        near if np.isfinite(clearances.closest(motion.q[0]).distance) else near * np.nan
-    )
-    shares = _shares((motion.q - limits.center, motion.qd, torque), largest[[0, 1, 3]])
-    strips = (*shares, Strip("clearance [mm]", 1000.0 * known, 0.0))
-    return Shown(motion.time, motion.q, strips)
-
-
-def shown_log(robot: RobotModel, log: Measurement) -> Shown:
-    """Return the motion of a log with the model's limits."""
-    time = log.time - log.time[0]
-    at = np.linspace(0.0, float(time[-1]), _count(float(time[-1])))
-    q, tau = (interpolate(at, time, values) for values in (log.q, log.tau))
-    qd = np.gradient(q, at, axis=0) if log.qd is None else interpolate(at, time, log.qd)
-    limits = robot.limits
-    span = 0.5 * (limits.upper - limits.lower)
-    center = np.where(np.isfinite(span), limits.upper, 0.0) - np.where(
-        np.isfinite(span), span, 0.0
-    )
-    largest = (span, limits.velocity, limits.torque)
-    return Shown(at, q, tuple(_shares((q - center, qd, tau), largest)))
-
-
-def _count(duration: float) -> int:
-    return max(2, round(duration * RATE) + 1)
-
-
-def _shares(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Strip]:
-    """Yield each signal's (T, n) largest share of its limit (n,) [%], NaN without limits."""
-    titles = ("position [% of range]", "speed [% of limit]", "torque [% of limit]")
-    for title, values, limit in zip(titles, signals, limits):
-        shares = 100.0 * np.max(np.abs(values) / limit, axis=1)
-        yield Strip(
-            title, shares if np.any(np.isfinite(limit)) else shares * np.nan, 100.0
-        )
-
-
+"""Pictures per second of a film."""
+_MAX_CLEARANCE = 0.3
+"""Clearance above which the plot stays level [m]: thirty times the least that a plan keeps."""
 # Multiples of sixteen, which every player can show.
 _SIZE = (640, 480)
 _PANEL = 400
 _GIF_STEP = 2
-"""Every which picture goes into a .gif: half of them, for it packs each one for itself."""
-NO_DISPLAY = "--view needs a display and there is none here; --video FILE.mp4 renders without one"
+"""Every which picture goes into a .gif: half of them, as it compresses each one by itself."""
 _PAUSE = 1.0
 """Rest before the viewer plays the motion again [s]."""
 _INK = "#1b1f24"
@@ -106,22 +64,283 @@ _LIMIT = "#b02a1c"
 _CURSOR = (176, 42, 28)
 
 
+@lru_cache(maxsize=1)
+def renderer_library() -> str | None:
+    """Return the graphics library that can draw without a screen, or None.
+
+    Each is tried in a process of its own, which may crash. Where MUJOCO_GL names one, no other is
+    tried. The result is cached.
+    """
+    chosen = os.environ.get("MUJOCO_GL", "").lower().replace("disable", "")
+    names = ("egl", "osmesa", "glfw") if sys.platform.startswith("linux") else ("glfw",)
+    for name in (chosen,) if chosen else names:
+        call = [sys.executable, "-c", _PROBE, name]
+        try:
+            probe = subprocess.run(call, capture_output=True, timeout=60.0)
+        except (OSError, subprocess.TimeoutExpired):
+            continue
+        if probe.returncode == 0:
+            return name
+    return None
+
+
+class Studio:
+    """One arm in front of a plain background; a context manager.
+
+    Args:
+        width: of the pictures [pixels].
+        height: of the pictures [pixels].
+
+    Raises:
+        InputError: there is neither EGL nor OSMesa.
+    """
+
+    def __init__(self, robot: RobotModel, width: int, height: int) -> None:
+        name = renderer_library()
+        if name is None:
+            raise InputError(NO_RENDERER)
+        self.robot = robot
+        self._model = copy.copy(robot.mj_model)
+        self._model.vis.global_.offwidth = width
+        self._model.vis.global_.offheight = height
+        # MuJoCo made its own choice when it was imported, without trying whether it works here.
+        chooser = sys.modules[mujoco.Renderer.__module__].gl_context
+        chooser.GLContext = importlib.import_module(f"mujoco.{name}").GLContext
+        self.data = mujoco.MjData(self._model)
+        self._renderer = mujoco.Renderer(self._model, height, width)
+        self.scene = self._renderer.scene
+        self.camera = mujoco.MjvCamera()
+        self.camera.azimuth = 135.0
+        self.camera.elevation = -15.0
+        self.pose(robot.reference)
+
+    def __enter__(self) -> Studio:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        """Release the graphics memory."""
+        # Early releases of MuJoCo 3 have no close; they release it when it is collected.
+        getattr(self._renderer, "close", lambda: None)()
+
+    def pose(self, q: Array) -> None:
+        """Put the arm at chain positions q (n,) [rad or m] and start a new picture with it."""
+        self._set_positions(q)
+        mujoco.mj_comPos(self._model, self.data)
+        mujoco.mj_camlight(self._model, self.data)
+        self._renderer.update_scene(self.data, self.camera)
+        flags = mujoco.mjtRndFlag
+        for flag in (flags.mjRND_SKYBOX, flags.mjRND_HAZE, flags.mjRND_SHADOW):
+            self.scene.flags[flag] = False
+        # A white wall closes the view; MuJoCo's own background is black.
+        view_direction = self.scene.camera[0].forward
+        distance = 4.0 * float(self.camera.distance)
+        front = self.camera.lookat + (distance - 0.01) * view_direction
+        back = self.camera.lookat + (distance + 0.01) * view_direction
+        cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
+        self._connect(cylinder, 4.0 * distance, _WHITE, front, back)
+        self.scene.geoms[self.scene.ngeom - 1].emission = 1.0
+        ids = [link.body_id for link in self.robot.links]
+        if not np.any(np.isin(self._model.geom_bodyid, ids)):
+            # A model without shapes to draw, as many URDF files: the links' origins are joined.
+            for start, end in zip(self.data.xpos[ids[:-1]], self.data.xpos[ids[1:]]):
+                self._connect(mujoco.mjtGeom.mjGEOM_CAPSULE, 0.015, _BONE, start, end)
+
+    def _set_positions(self, q: Array) -> None:
+        """Put the chain at positions q (n,), all other joints at the reference configuration."""
+        self.data.qpos[:] = self.robot.reference_qpos
+        self.data.qpos[self.robot.qpos_index] = q
+        mujoco.mj_kinematics(self._model, self.data)
+
+    def point_camera(self, target: Array, distance: float) -> None:
+        """Point the camera at a target (3,) from a distance [m], beginning with the next pose."""
+        self.camera.lookat = target
+        self.camera.distance = distance
+
+    def look_at_arm(self, postures: Array) -> None:
+        """Point the camera so that the arm stays in the picture in all postures (N, n)."""
+        points = np.concatenate([self._corners(q) for q in postures])
+        low = np.min(points, axis=0)
+        high = np.max(points, axis=0)
+        distance = 0.75 * float(np.linalg.norm(high - low)) + 0.1
+        self.point_camera(0.5 * (low + high), distance)
+        self.pose(postures[0])
+
+    def _corners(self, q: Array) -> Array:
+        """Return points (m, 3) around the arm's geoms at positions q (n,) [m]."""
+        self._set_positions(q)
+        ids = [link.body_id for link in self.robot.links]
+        is_arm = np.isin(self._model.body_rootid, self._model.body_rootid[ids])
+        geoms = is_arm[self._model.geom_bodyid] & (self._model.geom_rbound > 0.0)
+        centres = self.data.geom_xpos[geoms]
+        radii = self._model.geom_rbound[geoms][:, None]
+        return np.concatenate((self.data.xpos[ids], centres - radii, centres + radii))
+
+    def make_transparent(self, opacity: float) -> None:
+        """Multiply the opacity of all geoms in the picture so far, apart from floor and wall."""
+        for geom in self.scene.geoms[: self.scene.ngeom]:
+            if geom.type != mujoco.mjtGeom.mjGEOM_PLANE and geom.emission < 1.0:
+                geom.rgba[3] *= opacity
+
+    def add_ellipsoid(self, body: int, theta: Array, colour: Colour) -> bool:
+        """Add the homogeneous ellipsoid of a body's mass and inertia, its centre as a dot.
+
+        With half axes a, b, c it has I_xx = m (b^2 + c^2) / 5, so that
+        a^2 = 5 (I_yy + I_zz - I_xx) / (2 m).
+
+        Args:
+            body: MuJoCo body id.
+            theta: (10,) inertial parameters in the body's frame.
+
+        Returns:
+            Whether there is such an ellipsoid: a theta of no possible body has none.
+        """
+        mass, com, inertia = spatial.com_from_theta(theta)
+        moments, axes = spatial.principal_axes(inertia)
+        squares = 2.5 * (np.sum(moments) - 2.0 * moments) / max(mass, 1e-12)
+        rotation = self.data.xmat[body].reshape(3, 3)
+        centre = self.data.xpos[body] + rotation @ com
+        is_possible = mass > 0.0 and bool(np.all(squares > 0.0))
+        sphere = mujoco.mjtGeom.mjGEOM_SPHERE
+        dot_colour = (*colour[:3], 1.0)
+        self._add_geom(sphere, np.full(3, 0.008), centre, np.eye(3), dot_colour)
+        if is_possible:
+            ellipsoid = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+            half_axes = np.sqrt(squares)
+            self._add_geom(ellipsoid, half_axes, centre, rotation @ axes, colour)
+        return is_possible
+
+    def _add_geom(
+        self, shape: Any, size: Array, centre: Array, rotation: Array, colour: Colour
+    ) -> None:
+        """Add a geom with a size (3,), centre (3,) and rotation (3, 3), if the scene has room."""
+        if self.scene.ngeom >= self.scene.maxgeom:
+            return
+        geom = self.scene.geoms[self.scene.ngeom]
+        rgba = np.array(colour, dtype=np.float32)
+        matrix = np.ascontiguousarray(rotation).ravel()
+        mujoco.mjv_initGeom(geom, shape, size, centre, matrix, rgba)
+        self.scene.ngeom += 1
+
+    def _connect(
+        self, shape: Any, width: float, colour: Colour, start: Array, end: Array
+    ) -> None:
+        """Add a shape that reaches from one point (3,) to another one, if they differ."""
+        if np.any(start != end) and self.scene.ngeom < self.scene.maxgeom:
+            self._add_geom(shape, np.ones(3), start, np.eye(3), colour)
+            geom = self.scene.geoms[self.scene.ngeom - 1]
+            mujoco.mjv_connector(geom, shape, width, start, end)
+
+    def render(self) -> Picture:
+        """Return the picture (height, width, 3)."""
+        return self._renderer.render()
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One quantity over time and its limit.
+
+    Attributes:
+        title: with the unit.
+        values: (T,) the quantity; NaN where it is unknown.
+        limit: in the same unit.
+    """
+
+    title: str
+    values: Array
+    limit: float
+
+
+@dataclass(frozen=True)
+class Preview:
+    """A motion to be shown, sampled at T pictures.
+
+    Attributes:
+        time: (T,) instants [s].
+        q: (T, n) chain positions [rad or m].
+        plots: drawn beside the arm.
+    """
+
+    time: Array
+    q: Array
+    plots: tuple[Plot, ...]
+
+
+def plan_preview(problem: ExcitationProblem, plan: MotionPlan) -> Preview:
+    """Return the preview of a planned motion with its limits, clearance included."""
+    motion = plan.evaluate(_picture_times(plan.duration))
+    limits = problem.limits
+    torque = problem.torque(motion)
+    distances = problem.obstacles.distances
+    clearance = np.array(
+        [min(distances.slack_at(q)[0], _MAX_CLEARANCE) for q in motion.q]
+    )
+    if not np.isfinite(distances.closest(motion.q[0]).distance):
+        clearance *= np.nan
+    plots = _share_plots(
+        (motion.q - limits.center, motion.qd, torque), limits.largest[[0, 1, 3]]
+    )
+    clearance_plot = Plot("clearance [mm]", 1000.0 * clearance, 0.0)
+    return Preview(motion.time, motion.q, (*plots, clearance_plot))
+
+
+def log_preview(robot: RobotModel, log: Measurement) -> Preview:
+    """Return the preview of a recorded motion with the model's limits."""
+    time = log.time - log.time[0]
+    picture_times = _picture_times(float(time[-1]))
+    q = interpolate(picture_times, time, log.q)
+    tau = interpolate(picture_times, time, log.tau)
+    if log.qd is None:
+        qd = np.gradient(q, picture_times, axis=0)
+    else:
+        qd = interpolate(picture_times, time, log.qd)
+    limits = robot.limits
+    half_range = 0.5 * (limits.upper - limits.lower)
+    has_range = np.isfinite(half_range)
+    upper = np.where(has_range, limits.upper, 0.0)
+    center = upper - np.where(has_range, half_range, 0.0)
+    largest = (half_range, limits.velocity, limits.torque)
+    plots = _share_plots((q - center, qd, tau), largest)
+    return Preview(picture_times, q, tuple(plots))
+
+
+def _picture_times(duration: float) -> Array:
+    """Return the instants [s] of the pictures of a motion, evenly spaced, two at least."""
+    return np.linspace(0.0, duration, max(2, round(duration * RATE) + 1))
+
+
+def _share_plots(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Plot]:
+    """Yield plots of position, speed and torque (T, n) as shares of their limits (n,) [%].
+
+    Each is that of the joint with the largest share; NaN where no joint has a limit.
+    """
+    titles = ("position [% of range]", "speed [% of limit]", "torque [% of limit]")
+    for title, values, limit in zip(titles, signals, limits):
+        shares = 100.0 * np.max(np.abs(values) / limit, axis=1)
+        if not np.any(np.isfinite(limit)):
+            shares *= np.nan
+        yield Plot(title, shares, 100.0)
+
+
 def require_film(path: Path) -> None:
-    """Raise InputError where a film cannot be made; asked before a long run."""
-    needed = ["matplotlib", "imageio"]
-    needed += ["imageio_ffmpeg"] if path.suffix.lower() == ".mp4" else []
-    missing = [name for name in needed if importlib.util.find_spec(name) is None]
+    """Raise InputError where a film cannot be made; called before a long run."""
+    libraries = ["matplotlib", "imageio"]
+    if path.suffix.lower() == ".mp4":
+        libraries.append("imageio_ffmpeg")
+    missing = [name for name in libraries if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(
             f'--video needs {", ".join(missing)}; install with: pip install "robot-sysid[report]"'
         )
-    if backend() is None:
+    if renderer_library() is None:
         raise InputError(NO_RENDERER)
     require_writable(path.absolute().parent)
 
 
-def write_film(robot: RobotModel, shown: Shown, path: Path, progress: Progress) -> None:
-    """Write a motion as .mp4 or .gif; it appears whole or not at all."""
+def write_film(
+    robot: RobotModel, preview: Preview, path: Path, progress: Progress
+) -> None:
+    """Write a motion as .mp4 or .gif; the file appears complete or not at all."""
     import imageio.v2 as imageio
 
     is_gif = path.suffix.lower() == ".gif"
@@ -129,58 +348,56 @@ def write_film(robot: RobotModel, shown: Shown, path: Path, progress: Progress) 
     options: dict[str, Any] = {"fps": RATE, "codec": "libx264", "quality": 7}
     if is_gif:
         options = {"mode": "I", "duration": 1000.0 * step / RATE, "loop": 0}
-    frames = range(0, len(shown.time), step)
-    (strips, columns) = _strips(shown)
+    frames = range(0, len(preview.time), step)
+    panel, columns = _draw_panel(preview)
     with whole_files() as files, Studio(robot, *_SIZE) as studio:
-        studio.look_at_arm(shown.q[:: max(1, len(shown.q) // 50)])
+        studio.look_at_arm(preview.q[:: max(1, len(preview.q) // 50)])
         writer: Any
         with imageio.get_writer(files.draft(path), **options) as writer:
-            for done, k in enumerate(frames, start=1):
-                studio.pose(shown.q[k])
-                beside = strips.copy()
-                beside[:, columns[k]] = _CURSOR
-                writer.append_data(np.hstack((studio.picture(), beside)))
-                progress.advance("Rendering", done, len(frames), "")
+            for count, k in enumerate(frames, start=1):
+                studio.pose(preview.q[k])
+                panel_with_cursor = panel.copy()
+                panel_with_cursor[:, columns[k]] = _CURSOR
+                writer.append_data(np.hstack((studio.render(), panel_with_cursor)))
+                progress.advance("Rendering", count, len(frames), "")
 
 
-def _strips(shown: Shown) -> tuple[Picture, NDArray[np.int64]]:
-    """Return the strips of a motion as a picture, and the column in it of each instant (T,)."""
+def _draw_panel(preview: Preview) -> tuple[Picture, NDArray[np.int64]]:
+    """Return the plots as a picture, and the column in it of each instant (T,)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(
-        figsize=(_PANEL / 100, _SIZE[1] / 100), dpi=100, layout="constrained"
-    )
+    size = (_PANEL / 100, _SIZE[1] / 100)
+    figure = Figure(figsize=size, dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    axes = figure.subplots(len(shown.strips), 1, sharex=True)
-    for ax, strip in zip(axes, shown.strips):
-        if np.any(np.isfinite(strip.values)):
-            ax.plot(shown.time, strip.values, color=_LINE, lw=1.2)
+    axes = figure.subplots(len(preview.plots), 1, sharex=True)
+    for ax, plot in zip(axes, preview.plots):
+        if np.any(np.isfinite(plot.values)):
+            ax.plot(preview.time, plot.values, color=_LINE, lw=1.2)
         else:
-            told = {"transform": ax.transAxes, "ha": "center", "fontsize": 8}
-            ax.text(0.5, 0.5, "no limit in the model", **told)
-        ax.axhline(strip.limit, color=_LIMIT, ls="--", lw=1.0)
-        ax.set_title(strip.title, fontsize=8, loc="left", color=_INK)
+            text = "no limit in the model"
+            ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", fontsize=8)
+        ax.axhline(plot.limit, color=_LIMIT, ls="--", lw=1.0)
+        ax.set_title(plot.title, fontsize=8, loc="left", color=_INK)
         ax.tick_params(labelsize=7, colors=_INK)
         ax.margins(x=0.0)
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
     axes[-1].set_xlabel("time [s]", fontsize=8, color=_INK)
     canvas.draw()
-    places = axes[-1].transData.transform(
-        np.column_stack((shown.time, 0.0 * shown.time))
-    )[:, 0]
-    columns = np.clip(np.round(places).astype(np.int64), 0, _PANEL - 1)
+    points = np.column_stack((preview.time, 0.0 * preview.time))
+    pixels = axes[-1].transData.transform(points)[:, 0]
+    columns = np.clip(np.round(pixels).astype(np.int64), 0, _PANEL - 1)
     return np.array(canvas.buffer_rgba())[..., :3], columns
 
 
 def require_display() -> None:
-    """Raise InputError where no window can be opened; asked before a long run."""
-    there = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if sys.platform.startswith("linux") and not there:
+    """Raise InputError where no window can be opened; called before a long run."""
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform.startswith("linux") and not display:
         raise InputError(NO_DISPLAY)
 
 
-def view(robot: RobotModel, shown: Shown) -> None:
+def play_in_viewer(robot: RobotModel, preview: Preview) -> None:
     """Play a motion until the window is closed; InputError where none can be opened."""
     import mujoco.viewer
 
@@ -190,20 +407,16 @@ def view(robot: RobotModel, shown: Shown) -> None:
         window = mujoco.viewer.launch_passive(robot.mj_model, data)
     except RuntimeError as error:
         raise InputError(f"the viewer does not start: {error}") from None
+    start = time.monotonic()
     with window:
         while window.is_running():
-            _play_once(robot, shown, data, window)
-
-
-def _play_once(robot: RobotModel, shown: Shown, data: Any, window: Any) -> None:
-    began = time.monotonic()
-    while window.is_running():
-        now = time.monotonic() - began
-        if now > shown.time[-1] + _PAUSE:
-            return
-        q = interpolate(now, shown.time, shown.q)
-        with window.lock():
-            data.qpos[robot.qpos_index] = q
-            mujoco.mj_forward(robot.mj_model, data)
-        window.sync()
-        time.sleep(0.01)
+            elapsed = time.monotonic() - start
+            if elapsed > preview.time[-1] + _PAUSE:
+                start = time.monotonic()
+                continue
+            q = interpolate(elapsed, preview.time, preview.q)
+            with window.lock():
+                data.qpos[robot.qpos_index] = q
+                mujoco.mj_forward(robot.mj_model, data)
+            window.sync()
+            time.sleep(0.01)

@@ -13,12 +13,12 @@ from collections.abc import Mapping, Sequence
 from robot_sysid.commands import motors, run
 from robot_sysid.commands.arguments import PYTHON_ONLY, default_text
 from robot_sysid.commands.console import ConsoleOptions
-from robot_sysid.commands.preview import PreviewOptions
 from robot_sysid.config import PayloadOptions
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.motion.plan_options import PoseOptions
+from robot_sysid.preview import PreviewOptions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 

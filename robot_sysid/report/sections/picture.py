@@ -13,7 +13,7 @@ import numpy as np
 from robot_sysid.dynamics.spatial import characteristic_length, com_from_theta
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
-from robot_sysid.preview.studio import Colour, Studio
+from robot_sysid.preview.film import Colour, Studio
 from robot_sysid.records import Array, Flange, RobotModel
 from robot_sysid.report.drawing import Figure, Section
 from robot_sysid.report.runs import Body, Run
@@ -72,10 +72,10 @@ def _drawn(robot: RobotModel, bodies: Bodies) -> Section:
                 room = _ROOM * max(map(characteristic_length, thetas))
                 studio.camera.distance = max(_FARTHER * studio.camera.distance, room)
             studio.pose(robot.reference)
-            studio.glass(0.35)
+            studio.make_transparent(0.35)
             impossible.update(dict.fromkeys(_add_ellipsoids(studio, shown)))
             caption = f"Ellipsoids of inertia on {on}, in its reference posture."
-            pixels = np.ascontiguousarray(studio.picture())
+            pixels = np.ascontiguousarray(studio.render())
             buffer = io.BytesIO()
             imsave(buffer, pixels, format="png", metadata=facts)
             figures.append(
@@ -128,7 +128,7 @@ def _go_near(studio: Studio, robot: RobotModel, body: Body) -> None:
     reach = max(_reach(theta, com) for theta in body.thetas.values())
     turn = studio.data.xmat[robot.body_id].reshape(3, 3)
     place = studio.data.xpos[robot.body_id] + turn @ com
-    studio.look(place, max(0.4 * studio.camera.distance, _NEAREST * reach))
+    studio.point_camera(place, max(0.4 * studio.camera.distance, _NEAREST * reach))
 
 
 def _reach(theta: Array, around: Array) -> float:
