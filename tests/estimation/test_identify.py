@@ -192,20 +192,3 @@ def test_what_the_torques_show_is_found_whatever_is_sought(link_uncertainty):
 
 
 # ---- the model's own simulation
-
-
-class Listener(Progress):
-    """Remembers what it is told."""
-
-    def __init__(self):
-        self.notes = []
-        self.steps = 0
-
-    def note(self, *messages):
-        self.notes += messages
-
-    def track(self, items, label, total):
-        for item in items:
-            self.steps += 1
-            yield item
-        assert self.steps == total
