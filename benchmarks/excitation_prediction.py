@@ -34,7 +34,7 @@ from robot_sysid.dynamics.newton_euler import (
     with_gravity,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.consistent_bodies import possible_covariance
+from robot_sysid.estimation.algebra.consistent_bodies import projected_covariance
 from robot_sysid.estimation.algebra.priors import own_errors
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.columns import Columns
@@ -145,7 +145,7 @@ def identified(problem, motion, rng, exact):
             drawn = drawn_links(robot, rng)
         else:
             drawn = group.mean + group.factor @ rng.normal(size=len(group.mean))
-        values[columns.at(group.names)] = drawn
+        values[columns.indices(group.names)] = drawn
     tau, q = measured(robot, columns, values, motion)
     tau = tau + SIGMA * rng.normal(size=tau.shape)
     recording = Measurement(motion.time, q, None, tau, None)
@@ -183,10 +183,10 @@ def lines(path, runs, exact):
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
     after = _posterior(problem, plan, (RATE, OPTIONS, "link"))
     own = np.ix_(
-        *[[after.sought.kept_names.index(name) for name in PARAMETER_NAMES]] * 2
+        *[[after.sought.estimated_names.index(name) for name in PARAMETER_NAMES]] * 2
     )
     covariance = (after.causes[NOISE] if exact else after.found.covariance)[own]
-    then = possible_covariance(robot.prior.theta, after.then.covariance[own])
+    then = projected_covariance(robot.prior.theta, after.then.covariance[own])
     both = (1.0 - after.doubted) * covariance + after.doubted * then
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began = time.process_time()

@@ -85,7 +85,7 @@ def difference_errors(
     """Return standard errors (m,) of the halves' differences; places (m,) of the names in each."""
     squares = np.zeros(len(names))
     for found, at in zip(errors, places):
-        squares += np.diag(found.whole.noise)[at]
+        squares += np.diag(found.total.noise)[at]
     priors = {group.cause for fit in fits for group in fit.unknowns.groups}
     for cause in {*errors[0].causes, *errors[1].causes}:
         nothing = np.zeros((0, len(names)))
@@ -116,11 +116,14 @@ def ratios(robot: RobotModel, log: Measurement) -> dict[str, list[float]]:
     """Return kind to differences of a log's halves over their errors."""
     fits, errors = map(list, zip(*half_fits(robot, log)))
     first, second = (fit.unknowns for fit in fits)
-    names = [name for name in first.kept_names if name in set(second.kept_names)]
-    places = [
-        np.array([u.kept_names.index(name) for name in names]) for u in (first, second)
+    names = [
+        name for name in first.estimated_names if name in set(second.estimated_names)
     ]
-    values = [fit.values[fit.unknowns.kept[at]] for fit, at in zip(fits, places)]
+    places = [
+        np.array([u.estimated_names.index(name) for name in names])
+        for u in (first, second)
+    ]
+    values = [fit.values[fit.unknowns.estimated[at]] for fit, at in zip(fits, places)]
     stated = difference_errors(names, fits, errors, places)
     links = {first.names[place] for at, _ in first.bodies.values() for place in at}
     groups = (group for group in first.groups if group.cause == FRICTION)
@@ -129,7 +132,7 @@ def ratios(robot: RobotModel, log: Measurement) -> dict[str, list[float]]:
     for name, difference, error in zip(names, values[0] - values[1], stated):
         kind = kind_of(name, links, allowed)
         shown = all(
-            np.isfinite(found.whole.standard_errors[at[names.index(name)]])
+            np.isfinite(found.total.standard_errors[at[names.index(name)]])
             for found, at in zip(errors, places)
         )
         # A number that is a prior's in both halves differs by rounding alone.

@@ -93,7 +93,9 @@ def weighed(robot, raw, estimation=USUAL, drifts=True, **known):
     pieces = [Piece(r.name, r.samples, r.is_loaded, at) for r, at in zip(raw, places)]
     datasets, _ = low_pass_recordings(robot, pieces, estimation)
     question = Question(estimation, loaded=True, drifts=drifts, **known)
-    found, free = answer_payload(robot, datasets, question, Progress(), kept_parts=None)
+    found, free = answer_payload(
+        robot, datasets, question, Progress(), unchanged_parts=None
+    )
     return payload_of(found, free, find_flange(robot, "0,0,0"), ORIGIN)
 
 

@@ -229,7 +229,7 @@ def fit_error(fit, test, is_loaded: bool) -> float:
     seen = evidence_of([rows], fit.evidence.torque)
     offsets = [name for name in columns.names if name.startswith("offset[")]
     held = np.where(np.isin(columns.names, offsets), 0.0, fit.values)
-    free = restrict(seen.whole, offsets, held)
+    free = restrict(seen.total, offsets, held)
     best = np.linalg.lstsq(*free.stacked(), rcond=None)[0]
     return float(
         np.sqrt(np.sum(free.squared_residuals(best)) / np.sum(seen.squared_torque))

@@ -152,7 +152,7 @@ class Contest:
     def dry_friction(self, posterior: Posterior, prior: Prior) -> tuple[Array, Array]:
         """Return the Coulomb friction (n,) of each joint and its standard error (n,) [N m]."""
         names = [f"coulomb[{name}]" for name in self.log.robot.joint_names]
-        places = self.log.columns.at(names)
+        places = self.log.columns.indices(names)
         at = np.searchsorted(prior.kept, places)
         error = prior.spread[at] * np.sqrt(np.diag(posterior.covariance)[at])
         return prior.parameters(posterior.values)[places], error
@@ -180,7 +180,7 @@ class Contest:
         names = [
             name for link in other_links(robot) for name in link_names(robot, link)
         ]
-        at = np.searchsorted(prior.kept, self.log.columns.at(names))
+        at = np.searchsorted(prior.kept, self.log.columns.indices(names))
         off = posterior.values[at]
         quadratic_forms = [off @ p[np.ix_(at, at)] @ off for p in prior.precisions]
         return float(min(quadratic_forms))

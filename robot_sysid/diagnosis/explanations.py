@@ -513,7 +513,7 @@ def warming(fit: Fitted) -> Iterator[Explanation]:
     """Yield friction that falls as gears warm up."""
     time = fit.log.motion.time - fit.log.motion.time[0]
     names = [f"coulomb[{name}]" for name in fit.robot.joint_names]
-    sizes = np.abs(fit.values[fit.log.columns.at(names)])
+    sizes = np.abs(fit.values[fit.log.columns.indices(names)])
     spread = 0.5 * np.maximum(sizes, 0.01 * fit.log.usual)
     words = _says(
         "friction falls over the log; let the arm warm up before it is recorded"

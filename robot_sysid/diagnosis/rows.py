@@ -172,7 +172,7 @@ class LogRows:
 
     def column(self, joint: int, name: str) -> Array:
         """Return a parameter's column (K,) in a joint's rows; zero where it has none."""
-        at = np.flatnonzero(self.places[joint] == self.columns.place.get(name, -1))
+        at = np.flatnonzero(self.places[joint] == self.columns.index.get(name, -1))
         return self.rows[joint][:, at[0]] if len(at) else np.zeros(len(self.torque))
 
 
@@ -300,7 +300,9 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     }
     for term, share in FRICTION.items():
         sizes = share * log.usual / units.get(term, np.ones_like(speed))
-        spread[columns.at([f"{term}[{joint}]" for joint in robot.joint_names])] = sizes
+        spread[columns.indices([f"{term}[{joint}]" for joint in robot.joint_names])] = (
+            sizes
+        )
     shares = np.array([BUILT_UP] * len(BUILD_UP) + [UNEVEN] * 2)
     spread[count:] = np.outer(log.usual, shares).ravel()
 
@@ -319,15 +321,15 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
         sought = build_unknowns(columns, question, choice, log.usual, shown)
         groups = sought.groups
         for group in groups:
-            at = columns.at(group.names)
+            at = columns.indices(group.names)
             mean[at] = group.mean
             spread[at] = np.maximum(
                 spread[at], np.sqrt(np.sum(group.factor**2, axis=1))
             )
         factors.append(groups)
     wide = {**dict.fromkeys(TILT_NAMES, WIDE_TILT), DELAY_NAME: WIDE_DELAY}
-    for name in set(wide) & set(sought.settle):
-        spread[columns.place[name]] = wide[name]
+    for name in set(wide) & set(sought.increments):
+        spread[columns.index[name]] = wide[name]
     kept = np.flatnonzero(spread)
     place = np.zeros(len(spread), dtype=np.int64)
     place[kept] = np.arange(len(kept))
@@ -335,7 +337,7 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     for groups in factors:
         precision = np.eye(len(kept))
         for group in groups:
-            at = place[columns.at(group.names)]
+            at = place[columns.indices(group.names)]
             scaled = group.factor / spread[kept[at], None]
             precision[np.ix_(at, at)] = np.linalg.inv(scaled @ scaled.T)
         precisions.append(precision)

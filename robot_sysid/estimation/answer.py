@@ -94,9 +94,9 @@ class Answer:
 
     def pick(self, names: Sequence[str]) -> Array:
         """Return the rows (m, k) that select parameters from the estimated ones."""
-        indices = self.fit.unknowns.kept
+        indices = self.fit.unknowns.estimated
         return np.eye(len(indices))[
-            np.searchsorted(indices, self.fit.columns.at(names))
+            np.searchsorted(indices, self.fit.columns.indices(names))
         ]
 
     def body(
@@ -136,13 +136,13 @@ class Answer:
 
     def figure(self, name: str) -> Figure:
         """Return a parameter with its standard error by all causes; NaN where it is at a bound."""
-        index = self.fit.columns.place[name]
+        index = self.fit.columns.index[name]
         unknowns = self.fit.unknowns
         value = float(self.fit.final[index])
-        if name in unknowns.at_bound:
+        if name in unknowns.names_at_bound:
             return Figure(value, float("nan"))
-        row = int(np.searchsorted(unknowns.kept, index))
-        return Figure(value, float(self.errors.whole.standard_errors[row]))
+        row = int(np.searchsorted(unknowns.estimated, index))
+        return Figure(value, float(self.errors.total.standard_errors[row]))
 
     def joints(self) -> Iterator[tuple[str, JointEstimate]]:
         """Yield each chain joint, and each coupled motor, with its friction."""
@@ -222,7 +222,10 @@ class Answer:
         }
         other = {"scale", "zero", "drift"}
         terms: dict[str, list[str]] = {}
-        for name in (*self.fit.unknowns.kept_names, *self.fit.unknowns.at_bound):
+        for name in (
+            *self.fit.unknowns.estimated_names,
+            *self.fit.unknowns.names_at_bound,
+        ):
             term, bracket, owner = name.partition("[")
             if bracket and name not in lacking and term not in other:
                 terms.setdefault(owner[:-1], []).append(term)
@@ -261,7 +264,7 @@ class Answer:
         bodies = self.body_names()
         names = [
             n
-            for n in self.fit.unknowns.kept_names
+            for n in self.fit.unknowns.estimated_names
             if n not in friction_names and n not in bodies
         ]
         return {name: self.figure(name) for name in names}
@@ -280,7 +283,7 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         spread[robot.joint_names.index(str(body.joint))] = body.errors
     joints = {}
     notes = []
-    kept_parts = fit.question.kept_parts
+    unchanged_parts = fit.question.unchanged_parts
     for owner, joint in file_answer.joints():
         written = {
             name: figure for name, figure in joint.terms.items() if name != "offset"
@@ -296,10 +299,10 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
                 "friction and rotor inertia, the model's own stay"
             )
     notes = [
-        *([] if FILE_FRICTION in kept_parts else notes),
+        *([] if FILE_FRICTION in unchanged_parts else notes),
         *_offset_notes(file_answer, file.after),
     ]
-    turned = fit.next_point.gravity if fit.unknowns.settle else None
+    turned = fit.next_point.gravity if fit.unknowns.increments else None
     if turned is not None and np.array_equal(turned, gravity_vector(robot)):
         turned = None
     written_file = ModelFile(
@@ -309,7 +312,7 @@ def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
         turned,
         file.before,
         file.after,
-        kept=tuple(sorted(kept_parts)),
+        kept=tuple(sorted(unchanged_parts)),
         motors=fit.choice.couplings,
     )
     if file.beside is not None:
@@ -340,9 +343,9 @@ def _urdf_note(file: ModelFile, urdf: ModelFile) -> str:
 def _offset_notes(file: Answer, test: Validation) -> Iterator[str]:
     """Yield a sentence on torque offsets, which no file holds, where they outweigh its error."""
     fit = file.fit
-    counts = zip(fit.columns.joints, sample_counts(fit.evidence.whole))
+    counts = zip(fit.columns.joints, sample_counts(fit.evidence.total))
     free = {j: count for j, count in counts if j not in fit.choice.offsets}
-    names = fit.unknowns.kept_names
+    names = fit.unknowns.estimated_names
     offsets = {j: file.figure(f"offset[{j}]") for j in free if f"offset[{j}]" in names}
     squares = sum(offsets[joint].value ** 2 * free[joint] for joint in offsets)
     squared = squares / np.sum(fit.evidence.squared_torque)
@@ -363,7 +366,7 @@ def written_payload(answer: Answer) -> tuple[Array, str]:
 
     Without a known inertia, the payload is a ball of aluminium of the estimated mass.
     """
-    theta = answer.fit.values[answer.fit.columns.at(PAYLOAD_NAMES)]
+    theta = answer.fit.values[answer.fit.columns.indices(PAYLOAD_NAMES)]
     mass, com, _ = spatial.com_from_theta(theta)
     body = answer.body("payload", answer.pick(PAYLOAD_NAMES), theta, None)
     if mass <= 0.0 or inertia_is_known(body):
@@ -380,9 +383,9 @@ def estimate_of(answer: Answer) -> Estimate:
     """Return all estimated parameters: the terminal link, friction, then the nuisances."""
     fit = answer.fit
     errors = answer.errors
-    names = fit.unknowns.kept_names
+    names = fit.unknowns.estimated_names
     sensors = answer.sensors()
-    settled = {DELAY_NAME, "tilt_1", "tilt_2"} & set(fit.unknowns.settle)
+    settled = {DELAY_NAME, "tilt_1", "tilt_2"} & set(fit.unknowns.increments)
     links = answer.body_names() - set(PARAMETER_NAMES)
     interest = [
         n for n in names if n not in links and (n not in sensors or n in settled)
@@ -391,17 +394,17 @@ def estimate_of(answer: Answer) -> Estimate:
         names.index(n)
         for n in (*interest, *(n for n in names if n not in set(interest)))
     ]
-    residuals = residual_errors(fit.evidence.whole, fit.values)
+    residuals = residual_errors(fit.evidence.total, fit.values)
     return Estimate(
         names=tuple(names[k] for k in order),
-        values=fit.final[fit.unknowns.kept][order],
-        identifiability=analyse_identifiability(restrict(fit.evidence.whole, interest)),
+        values=fit.final[fit.unknowns.estimated][order],
+        identifiability=analyse_identifiability(restrict(fit.evidence.total, interest)),
         **residuals,
         method="wls",
-        covariance=errors.whole.covariance[np.ix_(order, order)],
-        standard_errors=errors.whole.standard_errors[order],
+        covariance=errors.total.covariance[np.ix_(order, order)],
+        standard_errors=errors.total.standard_errors[order],
         noise_per_joint=fit.noise_per_joint,
-        effective_samples=dict(zip(residuals["samples"], errors.whole.effective)),
+        effective_samples=dict(zip(residuals["samples"], errors.total.effective)),
         constrained=fit.is_constrained,
     )
 
@@ -417,14 +420,14 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     names = fit.columns.bodies()
     order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
     unknowns = fit.unknowns
-    data = fit.evidence.whole.blocks
+    data = fit.evidence.total.blocks
     rows = triangle_of(block[:, order] for block in data(fit.weights))
     combinations = base_combinations(rows, parameter_scale(len(order) // 10))
-    others = np.setdiff1d(unknowns.kept, order)
-    inside = np.flatnonzero(np.isin(order, unknowns.kept))
+    others = np.setdiff1d(unknowns.estimated, order)
+    inside = np.flatnonzero(np.isin(order, unknowns.estimated))
     change = combinations.matrix[:, inside]
-    at = np.searchsorted(unknowns.kept, order[inside])
-    spread = change @ errors.whole.covariance[np.ix_(at, at)] @ change.T
+    at = np.searchsorted(unknowns.estimated, order[inside])
+    spread = change @ errors.total.covariance[np.ix_(at, at)] @ change.T
     # Priors of sensors are needed: free torque scales would explain all torques by themselves.
     priors = [g.rows(fit.columns.names) for g in unknowns.groups if g.cause != LINKS]
     selected = np.concatenate((others, [-1], order[combinations.leading]))

@@ -24,16 +24,16 @@ from robot_sysid.estimation.identify import contradiction, payloads_by_recording
 from robot_sysid.estimation.trust import (
     UNEXPLAINED,
     UNUSUAL,
-    Judged,
+    Judgement,
     find_misfits,
     first,
     implausible_joints,
     implausible_link,
     implausible_links,
+    judge_file,
+    judge_known_mass,
+    judge_payload,
     noise_share,
-    of_file,
-    of_known_mass,
-    of_payload,
     unexplained_share,
     wrong_links,
 )
@@ -133,11 +133,11 @@ def _wrong_link_line(link: WrongLink) -> str:
     )
 
 
-def _file_verdict(answer: Answer) -> Judged | None:
+def _file_verdict(answer: Answer) -> Judgement | None:
     """Return the verdict on the written file against the given model; None without a file."""
     if answer.file is None:
         return None
-    return of_file(answer.file.before, answer.file.after, noise_share(answer.fit))
+    return judge_file(answer.file.before, answer.file.after, noise_share(answer.fit))
 
 
 def _common(answer: Answer, data: DataOrigin) -> Result:
@@ -229,14 +229,14 @@ def payload_of(
     known_mass = fit.question.known_mass
     free = _payload(weighed, flange, weighed.fit.free)
     contradicting = contradiction(weighed.fit, flange)
-    findings = list(of_payload(robot, free, contradicting, weighed.validation))
+    findings = list(judge_payload(robot, free, contradicting, weighed.validation))
     if known_mass is not None:
-        findings = list(of_known_mass(findings, free.inertial.mass, known_mass))
+        findings = list(judge_known_mass(findings, free.inertial.mass, known_mass))
     status, reasons = first(findings, Verdict.OK)
     values = (fit.values if status.is_trustworthy else fit.free).copy()
     unknown = ""
     if status.is_trustworthy:
-        values[fit.columns.at(PAYLOAD_NAMES)], unknown = written_payload(answer)
+        values[fit.columns.indices(PAYLOAD_NAMES)], unknown = written_payload(answer)
         unknown = Detail(unknown)
     scatter = payloads_by_recording(weighed.fit, flange) if known_mass is None else ()
     payload = _payload_estimate(answer, flange, values, scatter)
@@ -313,7 +313,7 @@ def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
 def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
     """Return the payload at values (p,), in the flange frame."""
     change = np.stack([flange.to_flange(unit) for unit in np.eye(10)], axis=1)
-    theta = change @ values[answer.fit.columns.at(PAYLOAD_NAMES)]
+    theta = change @ values[answer.fit.columns.indices(PAYLOAD_NAMES)]
     return answer.body("payload", change @ answer.pick(PAYLOAD_NAMES), theta, None)
 
 
@@ -323,7 +323,7 @@ def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
     theta = values[:10]
     if loaded:
         change = change + answer.pick(PAYLOAD_NAMES)
-        theta = theta + values[answer.fit.columns.at(PAYLOAD_NAMES)]
+        theta = theta + values[answer.fit.columns.indices(PAYLOAD_NAMES)]
     name = answer.robot.body_name
     return answer.body(
         name, change, theta, None if loaded else answer.robot.prior.theta

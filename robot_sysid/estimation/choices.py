@@ -108,7 +108,9 @@ def choose(
         fit = fitter.fit(question, choice, fit.point, rounds=1)
     choice = replace(choice, dry_friction=dry_friction(fit))
     fit = fitter.fit(question, choice, fit.point, rounds=1)
-    choice = replace(choice, noise_memory=tuple(fitter.noise_memory(fit).tolist()))
+    choice = replace(
+        choice, correlation_factors=tuple(fitter.correlation_factors(fit).tolist())
+    )
     fit = replace(fitter.fit(question, choice, fit.point, rounds=1), samples=())
     evidence = _link_evidence(fit)
     if evidence is not None:
@@ -126,7 +128,7 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
     names = list(dict.fromkeys(group.members))
     thetas = [columns.robot.links[number[name]].theta for name in names]
     is_stated = np.array(
-        [columns.usual[name] is theta for name, theta in zip(names, thetas)]
+        [columns.usual_bodies[name] is theta for name, theta in zip(names, thetas)]
     )
     if not np.any(is_stated):
         return None
@@ -250,7 +252,7 @@ def posterior_of(
     """Return values (m,) and covariance (m, m) of some unknowns, around a fit's point."""
     problem = WithPriors(fit.evidence.of(unknowns), 1.0 / fit.weights)
     values, covariance, _ = problem.solve(unknowns.groups)
-    indices = np.searchsorted(unknowns.kept, fit.columns.at(names))
+    indices = np.searchsorted(unknowns.estimated, fit.columns.indices(names))
     return values[indices], covariance[np.ix_(indices, indices)]
 
 
@@ -259,7 +261,7 @@ def dry_friction(fit: Fit) -> tuple[float, ...]:
     sizes = np.zeros(len(fit.columns.joints))
     for row, joint in enumerate(fit.columns.joints):
         names = [f"{term}[{joint}]" for term in ("coulomb", "sigmoid")]
-        sizes[row] = np.sum(np.abs(fit.values[fit.columns.at(names)]))
+        sizes[row] = np.sum(np.abs(fit.values[fit.columns.indices(names)]))
     return tuple(sizes.tolist())
 
 
@@ -438,7 +440,7 @@ def _evidence_gain(fit: Fit, wider: Fit) -> float:
         wider.evidence.of(wider.unknowns), np.sqrt(correlation) * wider.noise
     )
     values, covariance, _ = problem.solve(priors)
-    indices = prior.indices(wider.unknowns.kept_names)
+    indices = prior.indices(wider.unknowns.estimated_names)
     if not np.any(
         np.abs(values[indices]) > _CLEAR * np.sqrt(np.diag(covariance)[indices])
     ):
@@ -446,7 +448,7 @@ def _evidence_gain(fit: Fit, wider: Fit) -> float:
     problem_without = WithPriors(
         fit.evidence.of(fit.unknowns), np.sqrt(correlation) * fit.noise
     )
-    counts = np.array(sample_counts(fit.evidence.whole)) / correlation
+    counts = np.array(sample_counts(fit.evidence.total)) / correlation
     less_noise = float(counts @ np.log(fit.noise / wider.noise))
     return (
         problem.log_evidence(priors)[1]
@@ -462,17 +464,17 @@ def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup
     """
     columns = fit.columns
     turned = np.flatnonzero(motor.ratios)
-    names = [name for name in motor.parameter_names if name in unknowns.kept_names]
+    names = [name for name in motor.parameter_names if name in unknowns.estimated_names]
     sizes = []
     for name in names:
         term = name.partition("[")[0]
-        terms = columns.at(
+        terms = columns.indices(
             [f"{term}[{columns.robot.joint_names[joint]}]" for joint in turned]
         )
         size = max(float(np.max(np.abs(fit.values[terms]))), _LEAST)
         for joint in turned:
-            rows = fit.evidence.whole.joints[joint]
-            column = rows.triangle[:, :-1][:, rows.columns == columns.place[name]]
+            rows = fit.evidence.total.joints[joint]
+            column = rows.triangle[:, :-1][:, rows.columns == columns.index[name]]
             column_size = float(np.linalg.norm(column)) / np.sqrt(
                 max(rows.n_samples, 1)
             )

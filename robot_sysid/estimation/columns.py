@@ -57,9 +57,9 @@ from robot_sysid.dynamics.newton_euler import (
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.dataset import (
+    AssembledRows,
     Dataset,
     DecimatedSamples,
-    RowsBeside,
     store_rows,
 )
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
@@ -151,7 +151,7 @@ class Columns:
         common = (*self._zeros, *self._tilts, DELAY_NAME, *PAYLOAD_NAMES)
         self.names = (*arm.names, *of_joints, *common)
         self.prior = np.append(arm.prior, np.zeros(len(of_joints) + len(common)))
-        self.place = {name: index for index, name in enumerate(self.names)}
+        self.index = {name: index for index, name in enumerate(self.names)}
         # Parameters that act in no recording have no columns, which would enlarge every triangle.
         no_drift = () if any(dataset.place for dataset in datasets) else self._drifts
         self._loaded = any(dataset.is_loaded for dataset in datasets)
@@ -167,8 +167,11 @@ class Columns:
         for link in (
             other_links(robot) if torques == "chain" and not self._loaded else ()
         ):
-            if self.usual[robot.links[link].body_name] is robot.links[link].theta:
-                self._believed[self.at(link_names(robot, link))] = True
+            if (
+                self.usual_bodies[robot.links[link].body_name]
+                is robot.links[link].theta
+            ):
+                self._believed[self.indices(link_names(robot, link))] = True
         self._smooth = self._of_bodies | np.array(
             [term in _SMOOTH for term, _, _ in terms]
         )
@@ -196,9 +199,9 @@ class Columns:
         }
         return Point(self.prior, gravity_vector(self.robot), 0.0, speed)
 
-    def at(self, names: Sequence[str]) -> NDArray[np.int64]:
+    def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the indices of parameters."""
-        return np.array([self.place[name] for name in names], dtype=np.int64)
+        return np.array([self.index[name] for name in names], dtype=np.int64)
 
     def bodies(self) -> dict[str, NDArray[np.int64]]:
         """Return the indices of each body's ten parameters: links base to terminal, the payload."""
@@ -206,13 +209,13 @@ class Columns:
         if self.torques == "chain":
             for link in other_links(self.robot):
                 name = self.robot.links[link].body_name
-                indices[name] = self.at(link_names(self.robot, link))
-        indices[self.robot.body_name] = self.at(PARAMETER_NAMES)
-        indices["payload"] = self.at(PAYLOAD_NAMES)
+                indices[name] = self.indices(link_names(self.robot, link))
+        indices[self.robot.body_name] = self.indices(PARAMETER_NAMES)
+        indices["payload"] = self.indices(PAYLOAD_NAMES)
         return indices
 
     @cached_property
-    def usual(self) -> dict[str, Array]:
+    def usual_bodies(self) -> dict[str, Array]:
         """Body name to a plausible body (10,) for that link."""
         return usual_bodies(self.robot)
 
@@ -221,18 +224,20 @@ class Columns:
         thetas = self.robot.thetas
         if self.torques == "chain":
             for link in other_links(self.robot):
-                thetas[link] = values[self.at(link_names(self.robot, link))]
+                thetas[link] = values[self.indices(link_names(self.robot, link))]
         thetas[-1] = values[:N_INERTIAL]
         if is_loaded:
-            thetas[-1] = thetas[-1] + values[self.at(PAYLOAD_NAMES)]
+            thetas[-1] = thetas[-1] + values[self.indices(PAYLOAD_NAMES)]
         return thetas
 
-    def move_point(self, point: Point, values: Array, settle: Sequence[str]) -> Point:
-        """Return the point after an estimate (p,), with the increments to settle added to it."""
+    def move_point(
+        self, point: Point, values: Array, increments: Sequence[str]
+    ) -> Point:
+        """Return the point after an estimate (p,), with the named increments added to it."""
         new = values.copy()
         speed = dict(point.speed or {})
-        step = {name: float(values[self.place[name]]) for name in settle}
-        new[self.at(settle)] = 0.0
+        step = {name: float(values[self.index[name]]) for name in increments}
+        new[self.indices(increments)] = 0.0
         angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
         for term, bent in NONLINEAR_TERMS.items():
             steps = [
@@ -258,7 +263,7 @@ class Columns:
 
     def whole_tilt(self, point: Point, values: Array) -> Array:
         """Return the angles (2,) [rad] from the model's gravity to that of an estimate (p,)."""
-        steps = values[self.at(TILT_NAMES)]
+        steps = values[self.indices(TILT_NAMES)]
         return tilt_angles(gravity_vector(self.robot), self._tilt_gravity(point, steps))
 
     def samples(self, point: Point) -> tuple[DecimatedSamples, ...]:
@@ -325,7 +330,7 @@ class Columns:
     def _arm_values(self, point: Point, is_loaded: bool) -> Array:
         values = point.values[: len(self._arm_names)].copy()
         if is_loaded:
-            values[:N_INERTIAL] += point.values[self.at(PAYLOAD_NAMES)]
+            values[:N_INERTIAL] += point.values[self.indices(PAYLOAD_NAMES)]
         return values
 
     def _linearise(
@@ -354,7 +359,9 @@ class Columns:
             believed = self._believed[indices]
             scaled = np.where(believed, self.prior[indices], coefficients)
             linear = block[:, bodies] @ scaled[bodies]
-            scale, drift = point.values[self.at((self._scales[row], self._drifts[row]))]
+            scale, drift = point.values[
+                self.indices((self._scales[row], self._drifts[row]))
+            ]
             exact = self._loaded * scale
             gear = linear + base.measured[row] - base.tau[row]
 
@@ -363,7 +370,7 @@ class Columns:
             for name, column in zip(
                 friction_names[: 1 + len(NONLINEAR_TERMS)], friction_columns.values()
             ):
-                friction += column[:, row] * point.values[self.place[name]]
+                friction += column[:, row] * point.values[self.index[name]]
             drifted = 1.0 + drift * dataset.place
 
             late = _late(dataset, base.time, block[:, smooth] @ coefficients[smooth])
@@ -386,13 +393,13 @@ class Columns:
             right_sides.append(
                 base.tau[row] + exact * linear + drift * dataset.place * friction
             )
-            columns.append(np.concatenate((indices, *map(self.at, names))))
+            columns.append(np.concatenate((indices, *map(self.indices, names))))
         return replace(
             base,
             names=self.names,
             columns=tuple(columns),
             tau=tuple(right_sides),
-            rows=RowsBeside(base.rows, blocks),
+            rows=AssembledRows(base.rows, blocks),
         )
 
     def _held_by_file(
@@ -404,7 +411,7 @@ class Columns:
             tilt: (K, n, 2) columns of gravity's direction.
         """
         loaded = PAYLOAD_NAMES if PAYLOAD_NAMES[0] not in self._nowhere else ()
-        indices = self.at((*self._tilts, *loaded))
+        indices = self.indices((*self._tilts, *loaded))
         payload = slice(len(loaded))
         blocks = [
             ((slice(None), 1.0), (tilt[:, joint], 1.0), (payload, dataset.is_loaded))
@@ -412,7 +419,10 @@ class Columns:
         ]
         columns = tuple(np.append(at, indices) for at in base.columns)
         return replace(
-            base, names=self.names, columns=columns, rows=RowsBeside(base.rows, blocks)
+            base,
+            names=self.names,
+            columns=columns,
+            rows=AssembledRows(base.rows, blocks),
         )
 
     def _tilt(self, arm: RobotModel, thetas: Array, motion: Motion) -> Array:
@@ -494,7 +504,7 @@ class Columns:
         rows = list(self.joint_indices)
         speed = point.speed or {}
         sizes = {
-            t: point.values[self.at([f"{t}[{joint}]" for joint in self.joints])]
+            t: point.values[self.indices([f"{t}[{joint}]" for joint in self.joints])]
             for t in NONLINEAR_TERMS
         }
         sloped = [term for term, size in sizes.items() if np.any(size)]

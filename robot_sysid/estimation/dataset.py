@@ -64,7 +64,7 @@ class DecimatedSamples:
         rows = self.rows
         selected = (
             rows.select(joint, used)
-            if isinstance(rows, RowsBeside)
+            if isinstance(rows, AssembledRows)
             else rows[joint][used]
         )
         return selected, self.tau[joint][used]
@@ -133,7 +133,7 @@ class _StoredRows(Sequence[Array]):
         return tuple, (tuple(map(np.array, self)),)
 
 
-class RowsBeside(Sequence[Array]):
+class AssembledRows(Sequence[Array]):
     """Each joint's rows, from blocks of columns side by side, each with its factor.
 
     They are assembled on access: most columns are the same around any point and stay in ``base``.

@@ -20,7 +20,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import N_INERTIAL, Equations
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.newton_euler import split_motion
-from robot_sysid.estimation.algebra.consistent_bodies import BODIES, once_possible
+from robot_sysid.estimation.algebra.consistent_bodies import BODIES, project_errors
 from robot_sysid.estimation.algebra.least_squares import (
     normal_matrix,
     restrict,
@@ -41,7 +41,12 @@ from robot_sysid.estimation.algebra.uncertainty import (
 )
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
-from robot_sysid.estimation.fit import ChosenRows, Fit, release_memory, squared_effect
+from robot_sysid.estimation.fit import (
+    EstimatedRows,
+    Fit,
+    release_memory,
+    squared_effect,
+)
 from robot_sysid.estimation.unknowns import (
     COMMON,
     LINKS,
@@ -68,14 +73,14 @@ class FitErrors:
     """Errors of the k unknowns of a fit.
 
     Attributes:
-        whole: errors of all causes together; noise is correlated in time.
+        total: errors of all causes together; noise is correlated in time.
         causes: cause to rows A (m, k) of its covariance A^T A.
         common: standard deviation of an error that all torque scales share, where neither data nor
             prior determines it (a share).
         conflicts: causes whose errors exceed their priors by more than chance.
     """
 
-    whole: Uncertainty
+    total: Uncertainty
     causes: Mapping[str, Array]
     common: float = 0.0
     conflicts: tuple[PriorConflict, ...] = ()
@@ -98,8 +103,8 @@ class FitErrors:
                 is_hidden, np.inf, np.sqrt(np.maximum(np.sum(products, axis=1), 0.0))
             )
 
-        covariance = change_used @ self.whole.covariance[block] @ change_used.T
-        noise = change_used @ self.whole.noise[block]
+        covariance = change_used @ self.total.covariance[block] @ change_used.T
+        noise = change_used @ self.total.noise[block]
         cause_rows = (
             (name, rows[:, used])
             for name, rows in self.causes.items()
@@ -116,19 +121,19 @@ class FitErrors:
 
     def shown(self, change: Array) -> NDArray[np.bool_]:
         """Return (m,) whether combinations (m, k) consist of identifiable parameters alone."""
-        hidden = np.isinf(self.whole.standard_errors)
+        hidden = np.isinf(self.total.standard_errors)
         return np.asarray(
             np.max(np.abs(change[:, hidden]), axis=1, initial=0.0) < _ROUNDING
         )
 
     def share(self, fit: Fit) -> Array:
         """Return the share (k,) of each value that data determines, 1 for all of it."""
-        shares = self.whole.data_share.copy()
-        names = fit.unknowns.kept_names
+        shares = self.total.data_share.copy()
+        names = fit.unknowns.estimated_names
         for group in fit.unknowns.groups:
             indices = group.indices(names)
             prior_variance = np.diag(group.widened**2 * group.factor @ group.factor.T)
-            remaining = np.diag(self.whole.inverse)[indices] / prior_variance
+            remaining = np.diag(self.total.inverse)[indices] / prior_variance
             shares[indices] = np.minimum(
                 shares[indices], np.clip(1.0 - remaining, 0.0, 1.0)
             )
@@ -156,25 +161,25 @@ def fit_errors(
         )
     total = _noise_errors(fit, residuals)
     causes = {
-        group.cause: group.covariance_rows(fit.unknowns.kept_names, total.inverse)
+        group.cause: group.covariance_rows(fit.unknowns.estimated_names, total.inverse)
         for group in fit.unknowns.groups
     }
     conflicts = _conflicts(fit, total.effective)
-    bias = total.inverse @ (fit.weights**2 @ pull[:, fit.unknowns.kept])
+    bias = total.inverse @ (fit.weights**2 @ pull[:, fit.unknowns.estimated])
     further = _further_causes(fit, total.inverse, causes, conflicts)
     for name, rows in (*further, (FILTERING, bias[None])):
         causes[name] = np.vstack((causes.get(name, rows[:0]), rows))
-        total = total.with_part(rows.T @ rows)
+        total = total.with_cause(rows.T @ rows)
     if not (fit.question.in_file or fit.question.loaded):
         parameters, usual_body = fit.unknowns.bodies[fit.columns.robot.body_name]
-        indices = np.searchsorted(fit.unknowns.kept, parameters)
-        total, causes = once_possible(
+        indices = np.searchsorted(fit.unknowns.estimated, parameters)
+        total, causes = project_errors(
             total, causes, indices, fit.values[parameters], usual_body
         )
     move = _unlikely_move(fit)
     if len(move):
         causes[BODIES] = np.vstack((causes.get(BODIES, move[:0]), move))
-        total = total.with_part(move.T @ move)
+        total = total.with_cause(move.T @ move)
     counts = tuple(n / d for n, d in zip(total.effective, fit.inflation.tolist()))
     total = replace(total, effective=counts)
     return FitErrors(total, causes, _common_scale_error(fit), conflicts)
@@ -188,7 +193,7 @@ def _unlikely_move(fit: Fit) -> Array:
     errors of noise and priors cover the move. A larger cost has another cause, which may make the
     estimate as wrong as the move is long.
     """
-    move = (fit.values - fit.free)[None, fit.unknowns.kept]
+    move = (fit.values - fit.free)[None, fit.unknowns.estimated]
     cost = squared_effect(fit, fit.values - fit.free)
     bodies = [fit.free[indices] for indices, _ in fit.unknowns.bodies.values()]
     impossible = sum(not spatial.is_consistent(theta) for theta in bodies)
@@ -209,7 +214,7 @@ def _noise_errors(fit: Fit, residuals: Sequence[JointResiduals]) -> Uncertainty:
     weights = fit.weights
     space = joint_space(information, weights)
     if fit.samples and not residuals:
-        values = fit.values[fit.unknowns.kept]
+        values = fit.values[fit.unknowns.estimated]
         root = space.inverse_root()
         residuals = collect_residuals(information, fit.rows, values, root, weights)
     residuals = [
@@ -231,7 +236,7 @@ def _conflicts(fit: Fit, effective: Sequence[float]) -> tuple[PriorConflict, ...
     """
     if fit.question.loaded or fit.question.in_file:
         return ()
-    rows_per_sample = sample_counts(fit.evidence.whole) / np.maximum(effective, 1.0)
+    rows_per_sample = sample_counts(fit.evidence.total) / np.maximum(effective, 1.0)
     noise = np.sqrt(np.maximum(rows_per_sample, 1.0) * fit.inflation) * fit.noise
     conflicts = misfits(fit.evidence.of(fit.unknowns), noise, fit.unknowns.groups)
     # The prior of links is widened already (``link_scales``), and has its own test.
@@ -258,11 +263,11 @@ def _further_causes(
         yield SCALES, _common_scale_change(fit)
     if not fit.question.in_file:
         yield SCALES, _scaled_friction(fit)
-    at_bound = fit.columns.at(fit.unknowns.at_bound)
+    at_bound = fit.columns.indices(fit.unknowns.names_at_bound)
     at_bound = at_bound[fit.evidence.nonzero[at_bound]]
     if len(at_bound):
-        normal = normal_matrix(fit.evidence.whole, fit.weights)
-        crossed = normal[np.ix_(fit.unknowns.kept, at_bound)]
+        normal = normal_matrix(fit.evidence.total, fit.weights)
+        crossed = normal[np.ix_(fit.unknowns.estimated, at_bound)]
         move = inverse @ crossed
         eigenvalues, axes = np.linalg.eigh(
             normal[np.ix_(at_bound, at_bound)] - crossed.T @ move
@@ -278,13 +283,15 @@ def _scaled_friction(fit: Fit) -> Array:
     estimated in units of the sensor: their relative error is that of the scale.
     """
     spread = scale_spread(fit.columns, fit.question.options, fit.question.loaded)
-    names = fit.unknowns.kept_names
+    names = fit.unknowns.estimated_names
     rows = np.zeros((len(spread), len(names)))
     for row, joint in enumerate(fit.columns.joints):
         for column, name in enumerate(names):
             term, _, member = name.partition("[")
             if term in TERMS and term != "load" and member == f"{joint}]":
-                rows[row, column] = spread[row] * fit.values[fit.unknowns.kept[column]]
+                rows[row, column] = (
+                    spread[row] * fit.values[fit.unknowns.estimated[column]]
+                )
     return rows
 
 
@@ -317,13 +324,17 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
     """
     unknowns = fit.unknowns
     weights = fit.weights
-    indices = np.union1d(unknowns.kept, fit.columns.at(unknowns.at_bound))
-    all_unknowns = replace(unknowns, kept=indices)
+    indices = np.union1d(
+        unknowns.estimated, fit.columns.indices(unknowns.names_at_bound)
+    )
+    all_unknowns = replace(unknowns, estimated=indices)
     inverse_root = joint_space(fit.information, weights).inverse_root()
     root = np.zeros((len(fit.columns.names), inverse_root.shape[1]))
-    root[unknowns.kept] = inverse_root
-    information = restrict(fit.evidence.whole, all_unknowns.kept_names, unknowns.held)
-    rows = ChosenRows((samples,), all_unknowns)
+    root[unknowns.estimated] = inverse_root
+    information = restrict(
+        fit.evidence.total, all_unknowns.estimated_names, unknowns.held
+    )
+    rows = EstimatedRows((samples,), all_unknowns)
     values = fit.values[indices]
     sums = collect_residuals(information, rows, values, root[indices], weights, True)
     return [replace(joint, columns=indices[joint.columns]) for joint in sums]
@@ -333,7 +344,7 @@ def residuals_within(
     fit: Fit, residuals: Sequence[JointResiduals]
 ) -> list[JointResiduals]:
     """Return sums over lags, in the columns of all parameters, in those of a fit's unknowns."""
-    indices = fit.unknowns.kept
+    indices = fit.unknowns.estimated
     restricted_sums = []
     for joint in residuals:
         is_unknown = np.isin(joint.columns, indices)

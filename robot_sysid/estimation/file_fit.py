@@ -64,7 +64,7 @@ class FileFit:
 def fit_file(
     fitter: Fitter,
     options: EstimationOptions,
-    kept_parts: tuple[str, ...],
+    unchanged_parts: tuple[str, ...],
     estimate: Fit,
     pull: Array | None = None,
     carried: Array | None = None,
@@ -75,21 +75,21 @@ def fit_file(
 
     Args:
         options: prior uncertainty of the arm's links.
-        kept_parts: parts of the file that stay as they are.
+        unchanged_parts: parts of the file that stay as they are.
         estimate: a fit of all effects; the search begins at it, and rotors are taken from it.
         pull: see ``errors.fit_errors``.
         carried: the payload (10,) of loaded recordings.
     """
     robot = fitter.columns.robot
     keeps_motors = options.torques != "chain" or {FILE_FRICTION, FILE_ROTORS} <= {
-        *kept_parts
+        *unchanged_parts
     }
     motors = () if keeps_motors or not CAN_HOLD_ROTORS else estimate.choice.couplings
     question = Question(
         options,
         in_file=True,
         file_kind=robot.kind,
-        kept_parts=kept_parts,
+        unchanged_parts=unchanged_parts,
         carried=carried,
     )
     if not motors or robot.kind == "mjcf":
@@ -115,7 +115,7 @@ def _fit_kind(
     # Parameters that a file cannot hold go back to the model's values.
     values = estimate.values.copy()
     prefixes = ("scale", "drift", "zero", "load")
-    for name, index in fitter.columns.place.items():
+    for name, index in fitter.columns.index.items():
         if name.partition("[")[0] in prefixes or "[" not in name:
             values[index] = fitter.columns.prior[index]
     point = replace(fitter.columns.start(), values=values, in_file=True)
@@ -129,8 +129,10 @@ def _fit_kind(
     final_question = question
     start = fit.next_point
     rounds = _ROUNDS
-    if FILE_GRAVITY not in question.kept_parts and fit.unknowns.settle:
-        level = replace(question, kept_parts=(*question.kept_parts, FILE_GRAVITY))
+    if FILE_GRAVITY not in question.unchanged_parts and fit.unknowns.increments:
+        level = replace(
+            question, unchanged_parts=(*question.unchanged_parts, FILE_GRAVITY)
+        )
         tilted_score = score_of(judge, fit, question, choice)
         if not is_clearly_lower(tilted_score, score_of(judge, fit, level, choice)):
             final_question = level
@@ -147,7 +149,8 @@ def _fit_kind(
 def _holds_rotors(question: Question) -> bool:
     """Tell whether to write rotors; torques of the last joint alone do not identify its rotor."""
     is_kept = (
-        FILE_ROTORS in question.kept_parts or question.options.torques == "terminal"
+        FILE_ROTORS in question.unchanged_parts
+        or question.options.torques == "terminal"
     )
     return not is_kept and question.file_kind != "urdf"
 
@@ -160,7 +163,7 @@ def _friction(
     Kept parts are left out, and the rotors of joints whose inertia is known (``rotors``).
     """
     excluded: set[str] = set()
-    if FILE_FRICTION in question.kept_parts:
+    if FILE_FRICTION in question.unchanged_parts:
         excluded |= {"coulomb", "viscous", "quadratic", "cubic"}
     joints = rotors if _holds_rotors(question) else robot.joint_names
     with_rotor = {("armature", joint) for joint in joints}
@@ -185,13 +188,13 @@ def _validate_model(
     columns = fitter.columns
     data, _ = fitter.around(point)
     unknowns = build_unknowns(columns, question, choice, data.torque, data.nonzero)
-    offsets = [columns.place[f"offset[{joint}]"] for joint in columns.joints]
+    offsets = [columns.index[f"offset[{joint}]"] for joint in columns.joints]
     indices = np.array(
         [index for index in offsets if data.nonzero[index]], dtype=np.int64
     )
     held = columns.prior.copy()
     if question.carried is not None:
-        held[columns.at(PAYLOAD_NAMES)] = question.carried
+        held[columns.indices(PAYLOAD_NAMES)] = question.carried
     offset_unknowns = Unknowns(
         columns.names, indices, held, (), unknowns.lower, unknowns.upper, {}
     )
@@ -213,7 +216,7 @@ def _polynomials(
     judge: HeldOut, fit: Fit, question: Question, choice: Choice
 ) -> tuple[FrictionModel, ...]:
     """Return friction with nonlinear damping at joints whose held-out error it clearly lowers."""
-    if FILE_FRICTION in question.kept_parts:
+    if FILE_FRICTION in question.unchanged_parts:
         return choice.friction
     with_polynomial = _friction(
         fit.columns.robot, question, choice.rotors, WITH_POLYNOMIAL
@@ -257,7 +260,7 @@ def select_offsets(fit: Fit, question: Question, choice: Choice) -> Choice:
     deviations = dict(zip(fit.columns.robot.joint_names, OFFSET * fit.evidence.torque))
     unknowns = _unknowns_of(fit, question, choice)
     zero_joints = list(choice.offsets)
-    names = unknowns.kept_names
+    names = unknowns.estimated_names
     free = [
         j
         for j in fit.columns.joints
@@ -295,12 +298,14 @@ def select_rotors(fit: Fit) -> dict[str, float]:
         *columns.robot.joint_names,
         *(motor.name for motor in fit.choice.couplings),
     ]
-    owners = [owner for owner in owners if f"armature[{owner}]" in unknowns.kept_names]
+    owners = [
+        owner for owner in owners if f"armature[{owner}]" in unknowns.estimated_names
+    ]
     names = [f"armature[{owner}]" for owner in owners]
     if not names:
         return {}
     rotors, covariance = posterior_of(fit, unknowns, names)
-    indices = columns.at(names)
+    indices = columns.indices(names)
     error = np.sqrt(np.diag(covariance))
     is_clear = np.abs(rotors - columns.prior[indices]) > CLEAR_OFFSET * error
     values = np.where(is_clear, fit.values[indices], columns.prior[indices])

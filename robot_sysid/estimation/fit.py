@@ -66,28 +66,28 @@ class Evidence:
         blocks: the information of each block of rows that is held out in turn.
         squared_torque: (blocks, joints) sum of squares of the measured torque [N^2 m^2].
         torque: (n,) root mean square of each joint's measured torque [N m].
-        whole: the information of all blocks.
+        total: the information of all blocks.
     """
 
     blocks: tuple[SquareRootInformation, ...]
     squared_torque: Array
     torque: Array
-    whole: SquareRootInformation = field(init=False)
+    total: SquareRootInformation = field(init=False)
 
     def __post_init__(self) -> None:
-        whole = combine(self.blocks)
-        object.__setattr__(self, "whole", whole)
-        object.__setattr__(self, "blocks", tuple(parts_of(whole, self.blocks)))
+        total = combine(self.blocks)
+        object.__setattr__(self, "total", total)
+        object.__setattr__(self, "blocks", tuple(parts_of(total, self.blocks)))
 
     def merge_blocks(self) -> Evidence:
         """Return the evidence of all blocks as one block."""
         return Evidence(
-            (self.whole,), np.sum(self.squared_torque, axis=0)[None], self.torque
+            (self.total,), np.sum(self.squared_torque, axis=0)[None], self.torque
         )
 
     def of(self, unknowns: Unknowns) -> SquareRootInformation:
         """Return the information of all blocks about the unknowns, other parameters held."""
-        return restrict(self.whole, unknowns.kept_names, unknowns.held)
+        return restrict(self.total, unknowns.estimated_names, unknowns.held)
 
     def squared_residuals(self, values: Array) -> Array:
         """Return squared residuals (blocks, joints, m) at values (blocks, p, m) [N^2 m^2]."""
@@ -99,8 +99,8 @@ class Evidence:
     @cached_property
     def nonzero(self) -> np.ndarray:
         """Which parameters (p,) have a column that is not zero."""
-        nonzero = np.zeros(len(self.whole.names), dtype=bool)
-        for joint in self.whole.joints:
+        nonzero = np.zeros(len(self.total.names), dtype=bool)
+        for joint in self.total.joints:
             nonzero[joint.columns] |= np.any(joint.triangle[:, :-1] != 0.0, axis=0)
         return nonzero
 
@@ -123,7 +123,7 @@ def evidence_of(
 
 
 @dataclass(frozen=True)
-class ChosenRows:
+class EstimatedRows:
     """Rows of the unknowns, made from recordings' rows of all parameters.
 
     The torque of held parameters is subtracted; iterating makes the rows of one joint at a time.
@@ -143,7 +143,7 @@ class ChosenRows:
     def _joint_rows(self, joint: int) -> tuple[Array, Array]:
         columns = self.samples[0].columns[joint]
         ends = np.cumsum([len(recording) for recording in self.samples])
-        is_unknown = np.isin(columns, self.unknowns.kept)
+        is_unknown = np.isin(columns, self.unknowns.estimated)
         tau = list[Array]()
         held = self.unknowns.held[columns[~is_unknown]]
         all_rows = np.empty((ends[-1], np.count_nonzero(is_unknown)))
@@ -195,17 +195,17 @@ class Fit:
     @property
     def noise(self) -> Array:
         """Standard deviation (joints,) of the torque noise of one sample [N m]."""
-        return 1.0 / (self.weights * np.sqrt(self.inflation * self.noise_memory))
+        return 1.0 / (self.weights * np.sqrt(self.inflation * self.correlation_factors))
 
     @property
-    def noise_memory(self) -> Array:
+    def correlation_factors(self) -> Array:
         """Rows per independent row (joints,), as this fit weighted them."""
-        return memory_of(self.choice, len(self.columns.joints))
+        return autocorrelation_time(self.choice, len(self.columns.joints))
 
     @property
     def noise_per_joint(self) -> dict[str, float]:
         """Joint to standard deviation of its torque noise [N m], of joints with samples."""
-        pairs = zip(self.evidence.whole.joints, self.noise.tolist())
+        pairs = zip(self.evidence.total.joints, self.noise.tolist())
         return {joint.joint: noise for joint, noise in pairs if joint.n_samples}
 
     @property
@@ -214,13 +214,13 @@ class Fit:
         return bool(np.any(self.values != self.free))
 
     @property
-    def rows(self) -> ChosenRows:
+    def rows(self) -> EstimatedRows:
         """Rows of the unknowns."""
-        return ChosenRows(self.samples, self.unknowns)
+        return EstimatedRows(self.samples, self.unknowns)
 
     def value(self, name: str) -> float:
         """Return one parameter, the part of it that the point holds included."""
-        return float(self.final[self.columns.place[name]])
+        return float(self.final[self.columns.index[name]])
 
     @property
     def next_point(self) -> Point:
@@ -230,22 +230,22 @@ class Fit:
         around a possible one, which is far from it, torque scales would fit its torque.
         """
         values = self.free if self.question.loaded else self.values
-        return self.columns.move_point(self.point, values, self.unknowns.settle)
+        return self.columns.move_point(self.point, values, self.unknowns.increments)
 
     @cached_property
     def final(self) -> Array:
         """All parameters (p,); delay, tilt and speeds include the part that the point holds."""
         values = self.values.copy()
-        indices = self.columns.place
+        indices = self.columns.index
         values[indices[DELAY_NAME]] += self.point.delay
         if TILT_NAMES[0] in indices:
-            values[self.columns.at(TILT_NAMES)] = self.columns.whole_tilt(
+            values[self.columns.indices(TILT_NAMES)] = self.columns.whole_tilt(
                 self.point, self.values
             )
         for term, speeds in (self.point.speed or {}).items():
             for joint, speed in zip(self.columns.robot.joint_names, speeds.tolist()):
                 name = speed_name(term, joint)
-                if name in self.unknowns.settle:
+                if name in self.unknowns.increments:
                     values[indices[name]] += speed
         return values
 
@@ -282,7 +282,7 @@ class Fitter:
             self._last = point, evidence(samples, self.torque), samples
         return self._last[1:]
 
-    def noise_memory(self, fit: Fit) -> Array:
+    def correlation_factors(self, fit: Fit) -> Array:
         """Return how many rows (joints,) of each joint count as one independent row.
 
         That is the memory of their residuals, or the concentration of residuals in a few bursts,
@@ -365,12 +365,12 @@ def squared_effect(fit: Fit, change: Array) -> float:
 
     Each is in standard deviations: torques in those of the noise, unknowns in those of the prior.
     """
-    pairs = zip(fit.evidence.whole.joints, fit.weights)
+    pairs = zip(fit.evidence.total.joints, fit.weights)
     effects = [
         w * (joint.triangle[:, :-1] @ change[joint.columns]) for joint, w in pairs
     ]
-    indices = fit.unknowns.kept
-    names = fit.unknowns.kept_names
+    indices = fit.unknowns.estimated
+    names = fit.unknowns.estimated_names
     effects += [
         group.rows(names)[:, :-1] @ change[indices] for group in fit.unknowns.groups
     ]
@@ -381,7 +381,9 @@ def _is_settled(fit: Fit, next_point: Point) -> bool:
     """Tell whether prediction, delay, gravity and speeds change less than the limits above."""
     point = fit.point
     indices = [
-        k for k in fit.unknowns.kept if fit.columns.names[k] not in fit.unknowns.settle
+        k
+        for k in fit.unknowns.estimated
+        if fit.columns.names[k] not in fit.unknowns.increments
     ]
     change = np.zeros(len(fit.values))
     change[indices] = (next_point.values - point.values)[indices]
@@ -423,7 +425,7 @@ def solve(
         residual_memory: (joints,) as ``Visits.inflation`` returns it, where there are no rows.
     """
     unknowns = build_unknowns(columns, question, choice, data.torque, data.nonzero)
-    memory = memory_of(choice, len(columns.joints))
+    memory = autocorrelation_time(choice, len(columns.joints))
     repetition = np.ones_like(memory) if inflation is None else inflation
     correlation_memory = memory if residual_memory is None else residual_memory
     next_unknowns: Unknowns | None = unknowns
@@ -471,12 +473,12 @@ def solve(
     )
 
 
-def memory_of(choice: Choice, n_joints: int) -> Array:
+def autocorrelation_time(choice: Choice, n_joints: int) -> Array:
     """Return how many rows (joints,) of each joint count as one independent row."""
     return (
         np.ones(n_joints)
-        if choice.noise_memory is None
-        else np.array(choice.noise_memory)
+        if choice.correlation_factors is None
+        else np.array(choice.correlation_factors)
     )
 
 
@@ -503,7 +505,7 @@ def _solve_within_bounds(
     they would cross; equations are divided by the effective noise.
     """
     while True:  # each round holds at least one more parameter
-        prior = columns.prior[unknowns.kept]
+        prior = columns.prior[unknowns.estimated]
         unknowns, values, effective_noise, noise = _solve_weighted(
             unknowns, data, prior, inflation, memory, noise
         )
@@ -561,24 +563,24 @@ def possible(unknowns: Unknowns, data: Evidence, weights: Array, free: Array) ->
 
 def links_problem(unknowns: Unknowns) -> LinksProblem:
     """Return the indices of each body among the unknowns, and a usual body in its place."""
-    prior = np.zeros(len(unknowns.kept))
+    prior = np.zeros(len(unknowns.estimated))
     links = []
     for indices, usual_body in unknowns.bodies.values():
-        links.append(np.searchsorted(unknowns.kept, indices))
+        links.append(np.searchsorted(unknowns.estimated, indices))
         prior[links[-1]] = usual_body
     return LinksProblem(tuple(links), prior)
 
 
 def restrict_samples(samples: DecimatedSamples, unknowns: Unknowns) -> DecimatedSamples:
     """Return a recording's rows in the estimated parameters, with all held ones subtracted."""
-    rows_by_joint = list(ChosenRows((samples,), unknowns))
+    rows_by_joint = list(EstimatedRows((samples,), unknowns))
     columns = [
-        np.searchsorted(unknowns.kept, at[np.isin(at, unknowns.kept)])
+        np.searchsorted(unknowns.estimated, at[np.isin(at, unknowns.estimated)])
         for at in samples.columns
     ]
     return replace(
         samples,
-        names=unknowns.kept_names,
+        names=unknowns.estimated_names,
         columns=tuple(columns),
         rows=tuple(rows for _, rows, _ in rows_by_joint),
         tau=tuple(tau for _, _, tau in rows_by_joint),

@@ -81,7 +81,7 @@ class HeldOut:
         nonzero = self.data.nonzero
         if self.superset is None:
             return nonzero
-        is_unknown = np.isin(np.arange(len(nonzero)), self.superset.kept)
+        is_unknown = np.isin(np.arange(len(nonzero)), self.superset.estimated)
         return nonzero & (is_unknown | (self.superset.held != 0.0))
 
     @cached_property
@@ -117,12 +117,14 @@ class HeldOut:
         """
         available = self._available
         held = unknowns.held.copy()
-        assert not np.any(self.data.nonzero[unknowns.kept] & ~available[unknowns.kept])
-        held[unknowns.kept] = 0.0
+        assert not np.any(
+            self.data.nonzero[unknowns.estimated] & ~available[unknowns.estimated]
+        )
+        held[unknowns.estimated] = 0.0
         prior_rows = _prior_rows(unknowns)
         prior_gram = prior_rows.T @ prior_rows
         gram_indices = np.where(available, np.cumsum(available) - 1, -1)
-        indices = gram_indices[unknowns.kept]
+        indices = gram_indices[unknowns.estimated]
         held_indices = np.flatnonzero(held)
         for gram in self._grams:
             crossed = gram[np.ix_(indices, gram_indices[held_indices])]
@@ -158,8 +160,8 @@ class HeldOut:
         ):
             root = np.linalg.inv(np.linalg.cholesky(matrix)) * scale
             for row, joint in enumerate(block.joints):
-                is_unknown = np.isin(joint.columns, unknowns.kept)
-                indices = np.searchsorted(unknowns.kept, joint.columns[is_unknown])
+                is_unknown = np.isin(joint.columns, unknowns.estimated)
+                indices = np.searchsorted(unknowns.estimated, joint.columns[is_unknown])
                 block_expected[row] += np.sum(
                     (joint.triangle[:, :-1][:, is_unknown] @ root[:, indices].T) ** 2
                 )
@@ -187,14 +189,14 @@ class HeldOut:
 
     def _other_triangles(self, unknowns: Unknowns) -> Sequence[Array]:
         """Return triangles (., k+1) of the equations of all blocks but one in turn."""
-        key = unknowns.kept.tobytes(), unknowns.held.tobytes()
+        key = unknowns.estimated.tobytes(), unknowns.held.tobytes()
         if key not in self._triangles:
-            restriction = unknowns.kept_names, unknowns.held
+            restriction = unknowns.estimated_names, unknowns.held
             blocks = (restrict(block, *restriction) for block in self.data.blocks)
             stacked = (
                 np.column_stack(block.stacked(1.0 / self.noise)) for block in blocks
             )
-            empty = np.zeros((0, len(unknowns.kept) + 1))
+            empty = np.zeros((0, len(unknowns.estimated) + 1))
             triangles = [update_triangle(empty, block) for block in stacked]
             self._triangles[key] = _sums_of_others(triangles, update_triangle)
         return self._triangles[key]
@@ -231,8 +233,8 @@ def _sums_of_others(
 
 
 def _prior_rows(unknowns: Unknowns) -> Array:
-    rows = [group.rows(unknowns.kept_names) for group in unknowns.groups]
-    return np.vstack(rows) if rows else np.zeros((0, len(unknowns.kept) + 1))
+    rows = [group.rows(unknowns.estimated_names) for group in unknowns.groups]
+    return np.vstack(rows) if rows else np.zeros((0, len(unknowns.estimated) + 1))
 
 
 def is_clearly_lower(errors: Array, reference: Array) -> bool:
@@ -277,7 +279,7 @@ def held_out_validation(fit: Fit) -> Validation:
     noise = judge.counts * fit.noise**2
     return replace(
         judge.validation(errors),
-        told_enough=is_informative(errors, noise, lambda: judge.chance(fit)),
+        is_informative=is_informative_test(errors, noise, lambda: judge.chance(fit)),
     )
 
 
@@ -293,7 +295,9 @@ def _error_ratio(squared: Array, expected: Array) -> float:
     )
 
 
-def is_informative(squared: Array, noise: Array, variance: Callable[[], Array]) -> bool:
+def is_informative_test(
+    squared: Array, noise: Array, variance: Callable[[], Array]
+) -> bool:
     """Tell whether held-out errors are a test of a fit.
 
     They are one if they are as small as noise, or larger than the variance of the prediction.
@@ -336,20 +340,20 @@ def validate_rows(
     Raises:
         InputError: the rows hold no usable samples.
     """
-    counts = sample_counts(data.whole)
+    counts = sample_counts(data.total)
     squares = np.sum(data.squared_torque, axis=0)
     if not np.any(counts):
         raise InputError(f"no usable torque samples to validate on in {source}")
-    residual = data.whole.squared_residuals(fit.values)
-    joints = [joint.joint for joint in data.whole.joints]
+    residual = data.total.squared_residuals(fit.values)
+    joints = [joint.joint for joint in data.total.joints]
     validation = validation_of(joints, residual, squares, counts, source)
     noise = counts[None] * fit.noise**2
-    told_enough = is_informative(
+    is_informative = is_informative_test(
         residual[None],
         noise,
-        lambda: noise + _prediction_variance(fit, errors, data.whole),
+        lambda: noise + _prediction_variance(fit, errors, data.total),
     )
-    return replace(validation, told_enough=told_enough)
+    return replace(validation, is_informative=is_informative)
 
 
 def _prediction_variance(
@@ -358,9 +362,9 @@ def _prediction_variance(
     """Return the variance (joints,) of the torques that a fit predicts, summed over the rows of
     other data [N^2 m^2]; infinite where the fit does not identify a parameter of a joint's torque.
     """
-    indices = fit.unknowns.kept
+    indices = fit.unknowns.estimated
     variances = np.zeros(len(data.joints))
-    for row, (joint, fitted) in enumerate(zip(data.joints, fit.evidence.whole.joints)):
+    for row, (joint, fitted) in enumerate(zip(data.joints, fit.evidence.total.joints)):
         is_free = np.isin(joint.columns, indices)
         change = np.zeros((len(joint.triangle), len(indices)))
         columns = np.searchsorted(indices, joint.columns[is_free])

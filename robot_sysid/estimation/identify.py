@@ -118,13 +118,13 @@ def answer_link(
     datasets: Sequence[Dataset],
     options: EstimationOptions,
     progress: Progress,
-    kept_parts: tuple[str, ...] | None = (),
+    unchanged_parts: tuple[str, ...] | None = (),
     tests: Mapping[str, Sequence[Dataset]] | None = None,
 ) -> Answer:
     """Identify an arm from recordings without a payload.
 
     Args:
-        kept_parts: parts of the model file that stay as they are; None for no file.
+        unchanged_parts: parts of the model file that stay as they are; None for no file.
         tests: name to recordings that only test the result.
 
     Raises:
@@ -143,11 +143,11 @@ def answer_link(
     logs = compare_recordings(fit, [dataset.name for dataset in datasets])
     file = None
     validation = held_out_validation(fit)
-    if kept_parts is not None:
+    if unchanged_parts is not None:
         progress.stage(Detail("Fitting the model file..."))
         # The file's rows, which the report draws, take as much memory.
         fit = replace(fit, samples=(), evidence=fit.evidence.merge_blocks())
-        file = fit_file(fitter, options, kept_parts, fit)
+        file = fit_file(fitter, options, unchanged_parts, fit)
     signals = [dataset.signals for dataset in datasets if dataset.signals is not None]
     coarsest = max(
         (log_signals.acceleration_error for log_signals in signals), default=0.0
@@ -177,12 +177,12 @@ def answer_payload(
     datasets: Sequence[Dataset],
     question: Question,
     progress: Progress,
-    kept_parts: tuple[str, ...] | None = (),
+    unchanged_parts: tuple[str, ...] | None = (),
 ) -> tuple[Answer, Answer]:
     """Identify a payload from recordings without and with it.
 
     Args:
-        kept_parts: parts of the model file that stay as they are; None for no file.
+        unchanged_parts: parts of the model file that stay as they are; None for no file.
 
     Returns:
         (answer with the known mass where there is one, answer as if the mass were not known).
@@ -200,13 +200,13 @@ def answer_payload(
     )
     if question.known_mass is None:
         if (
-            kept_parts is not None
+            unchanged_parts is not None
             and options.torques == "chain"
             and not question.resting
         ):
             progress.stage(Detail("Fitting the model file..."))
             carried, _ = written_payload(weighed)
-            file = fit_file(fitter, options, kept_parts, free, carried=carried)
+            file = fit_file(fitter, options, unchanged_parts, free, carried=carried)
             weighed = replace(weighed, file=file)
         return weighed, weighed
     fit = fitter.fit(question, choice, free.point)
@@ -215,14 +215,16 @@ def answer_payload(
     ), weighed
 
 
-def refit(answer: Answer, used: Sequence[Mask], kept_parts: tuple[str, ...]) -> Answer:
+def refit(
+    answer: Answer, used: Sequence[Mask], unchanged_parts: tuple[str, ...]
+) -> Answer:
     """Return the answer from the used rows of its recordings, with all choices made again."""
     fit = answer.fit
     datasets = [
         replace(dataset, used=mask) for dataset, mask in zip(fit.columns.datasets, used)
     ]
     return answer_link(
-        answer.robot, datasets, fit.question.options, Progress(), kept_parts
+        answer.robot, datasets, fit.question.options, Progress(), unchanged_parts
     )
 
 
@@ -351,8 +353,8 @@ def payloads_by_recording(fit: Fit, flange: Flange) -> tuple[OneRecording, ...]:
     recordings = fit.columns.datasets
     payloads = []
     logs = [restrict_samples(samples, unknowns) for samples in fit.samples]
-    prior = fit.columns.prior[unknowns.kept]
-    indices = np.searchsorted(unknowns.kept, fit.columns.at(PAYLOAD_NAMES))
+    prior = fit.columns.prior[unknowns.estimated]
+    indices = np.searchsorted(unknowns.estimated, fit.columns.indices(PAYLOAD_NAMES))
     for is_loaded in (False, True):
         same = [k for k, log in enumerate(recordings) if log.is_loaded is is_loaded]
         others = [
@@ -466,10 +468,10 @@ def bodies_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     called empty or loaded is not used.
     """
     count = len(samples) - 1
-    common = np.setdiff1d(fit.unknowns.kept, fit.columns.at(PAYLOAD_NAMES))
-    fewer = replace(fit.unknowns, kept=common)
+    common = np.setdiff1d(fit.unknowns.estimated, fit.columns.indices(PAYLOAD_NAMES))
+    fewer = replace(fit.unknowns, estimated=common)
     added = tuple(f"{n}({k})" for k in range(count) for n in PARAMETER_NAMES)
-    names = (*fewer.kept_names, *added)
+    names = (*fewer.estimated_names, *added)
 
     def add_body_columns(number: int, samples: DecimatedSamples) -> DecimatedSamples:
         narrow = restrict_samples(samples, fewer)

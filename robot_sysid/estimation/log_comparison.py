@@ -45,7 +45,7 @@ from robot_sysid.estimation.algebra.priors import (
 from robot_sysid.estimation.algebra.uncertainty import memory
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import Fit, evidence_of, restrict_samples
-from robot_sysid.estimation.held_out import HeldOut, is_informative
+from robot_sysid.estimation.held_out import HeldOut, is_informative_test
 from robot_sysid.estimation.unknowns import FRICTION, Unknowns
 from robot_sysid.records import Array, SquareRootInformation, Validation
 from robot_sysid.records.figures import percent
@@ -181,9 +181,9 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
     chance = cache(partial(judge.chance, fit))
 
     def is_test(k: int) -> bool:
-        return is_informative(errors[[k]], noise[[k]], lambda: chance()[[k]])
+        return is_informative_test(errors[[k]], noise[[k]], lambda: chance()[[k]])
 
-    joints = [joint.joint for joint in fit.evidence.whole.joints]
+    joints = [joint.joint for joint in fit.evidence.total.joints]
     tests = tuple(
         validation_of(
             joints,
@@ -206,7 +206,7 @@ def compare_recordings(fit: Fit, names: Sequence[str]) -> LogComparison:
     masses = {}
     for name, log in own_rows.items():
         values, _, covariance = estimate_alone(
-            log, unknowns.groups, fit.columns.prior[unknowns.kept], fit.noise
+            log, unknowns.groups, fit.columns.prior[unknowns.estimated], fit.noise
         )
         masses[name] = float(values[0]), float(np.sqrt(covariance[0, 0]))
     note = () if friction is None else friction.note
@@ -228,9 +228,11 @@ def friction_of_logs(
     names = _friction_names(unknowns)
     if not names:
         return None
-    indices = np.array([unknowns.kept_names.index(name) for name in names])
-    values = fit.values[unknowns.kept[indices]]
-    plain = [restrict(block, unknowns.kept_names, unknowns.held) for block in blocks]
+    indices = np.array([unknowns.estimated_names.index(name) for name in names])
+    values = fit.values[unknowns.estimated[indices]]
+    plain = [
+        restrict(block, unknowns.estimated_names, unknowns.held) for block in blocks
+    ]
     ones = np.ones(len(fit.weights))
     squares = sum(normal_matrix(one, ones)[np.ix_(indices, indices)] for one in plain)
     owners = np.array([name.partition("[")[2][:-1] for name in names])
@@ -245,7 +247,7 @@ def friction_of_logs(
     normals = [normal_matrix(*pair) for pair in zip(plain, weights)]
     prior = np.zeros_like(normals[0])
     for group in unknowns.groups:
-        rows = group.rows(unknowns.kept_names)
+        rows = group.rows(unknowns.estimated_names)
         prior += rows.T @ rows
     kinds = np.unique(terms, return_inverse=True)[1]
     between = compare_logs(normals, prior, indices, values, sizes, kinds)
@@ -281,7 +283,7 @@ def _friction_names(unknowns: Unknowns) -> list[str]:
     terms = TERMS.keys() - {"armature"}
     return [
         n
-        for n in unknowns.kept_names
+        for n in unknowns.estimated_names
         if n not in nuisances and n.partition("[")[0] in terms
     ]
 
@@ -292,7 +294,7 @@ def _weights_beside_friction(
     """Return the weights (joints,) of a log [1/(N m)]: one over the noise of its residuals after
     friction was fitted to it alone, enlarged for the autocorrelation of that noise.
     """
-    values = fit.values[fit.unknowns.kept]
+    values = fit.values[fit.unknowns.estimated]
     weights = np.zeros(len(log[0].columns))
     for joint, columns in enumerate(log[0].columns):
         rows, tau = (

@@ -18,7 +18,10 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.least_squares import combine
-from robot_sysid.estimation.algebra.uncertainty import JointResiduals, memory_of
+from robot_sysid.estimation.algebra.uncertainty import (
+    JointResiduals,
+    autocorrelation_time,
+)
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import (
     CANDIDATES,
@@ -173,7 +176,7 @@ class LogInformation:
 
     def digest(self) -> str:
         """Return a hash of the equations."""
-        triangles = [joint.triangle.tobytes() for joint in self.evidence.whole.joints]
+        triangles = [joint.triangle.tobytes() for joint in self.evidence.total.joints]
         return hashlib.sha256(b"".join(triangles)).hexdigest()
 
 
@@ -236,7 +239,7 @@ class _Fixed(Fitter):
             residual_memory=self._residual_memory(),
         )
 
-    def noise_memory(self, fit: Fit) -> Array:
+    def correlation_factors(self, fit: Fit) -> Array:
         """Return how many rows (joints,) of each joint count as one, by the first round."""
         return self._residual_memory()
 
@@ -244,7 +247,9 @@ class _Fixed(Fitter):
         residuals = self._information.residuals
         if not residuals:
             return np.ones(len(self.columns.joints))
-        return np.array([memory_of(joint.products, joint.count) for joint in residuals])
+        return np.array(
+            [autocorrelation_time(joint.products, joint.count) for joint in residuals]
+        )
 
     def fit(
         self,

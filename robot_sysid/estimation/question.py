@@ -158,7 +158,7 @@ class Question:
         known_mass: of the payload [kg], where torque scales are estimated with it.
         in_file: whether to estimate only what a model file can hold.
         file_kind: kind of that file; a "urdf" holds no rotor inertia.
-        kept_parts: parts of that file that stay as they are, ``FILE_FRICTION`` and the like.
+        unchanged_parts: parts of that file that stay as they are, ``FILE_FRICTION`` and the like.
         carried: the payload (10,) that loaded recordings carry, where it is known.
         resting: whether the recordings are poses at rest.
     """
@@ -169,7 +169,7 @@ class Question:
     known_mass: float | None = None
     in_file: bool = False
     file_kind: str = "mjcf"
-    kept_parts: tuple[str, ...] = ()
+    unchanged_parts: tuple[str, ...] = ()
     carried: Array | None = None
     resting: bool = False
 
@@ -190,7 +190,8 @@ class Choice:
         dry_friction: (joints,) approximate dry friction of each row's joint [N m], which sizes the
             prior of friction curves; None while friction terms are chosen: beside such a prior no
             term would lower the held-out error.
-        noise_memory: (joints,) how many rows of a joint count as one independent row; None for one.
+        correlation_factors: (joints,) how many rows of a joint count as one independent row; None
+            for one row each.
     """
 
     friction: tuple[FrictionModel, ...]
@@ -200,4 +201,4 @@ class Choice:
     offsets: Mapping[str, float] = field(default_factory=dict)
     rotors: Mapping[str, float] = field(default_factory=dict)
     dry_friction: tuple[float, ...] | None = None
-    noise_memory: tuple[float, ...] | None = None
+    correlation_factors: tuple[float, ...] | None = None

@@ -121,12 +121,12 @@ _SURE = 2.0
 _LEAST_SIZE = 0.02
 
 
-Judged = tuple[Verdict, str]
+Judgement = tuple[Verdict, str]
 """A verdict and its reason in words."""
 
 
 def first(
-    findings: Iterable[Judged], otherwise: Verdict
+    findings: Iterable[Judgement], otherwise: Verdict
 ) -> tuple[Verdict, tuple[str, ...]]:
     """Return (verdict of the first finding, else the given one; reasons of all findings)."""
     judged = list(findings)
@@ -140,7 +140,7 @@ def find_misfits(
     tests: Sequence[Validation],
     acceleration_error: float,
     independent_share: Mapping[str, float],
-) -> Iterator[Judged]:
+) -> Iterator[Judgement]:
     """Yield reasons why the torques do not follow from the motion within their noise.
 
     Args:
@@ -154,7 +154,7 @@ def find_misfits(
             "the positions are too coarse or too seldom to have accelerations: expected error "
             f"{percent(acceleration_error)}",
         )
-    for test in (test for test in tests if test.told_enough):
+    for test in (test for test in tests if test.is_informative):
         errors = test.rmse_per_joint
         squares = [
             (errors[joint] / noise[joint]) ** 2 for joint in noise if joint in errors
@@ -210,7 +210,7 @@ def unexplained_share(
     )
 
 
-def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judged]:
+def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgement]:
     """Yield reasons why this arm cannot have the estimated terminal link."""
     body = link.inertial
     errors = link.errors
@@ -244,7 +244,7 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judged]:
 
 def implausible_joints(
     robot: RobotModel, joints: Mapping[str, JointEstimate], torque: Array
-) -> Iterator[Judged]:
+) -> Iterator[Judgement]:
     """Yield friction and rotor inertia too large for this arm, by usual torques (n,) [N m]."""
     inertia = robot.mass * robot.length**2
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
@@ -288,7 +288,7 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
             yield WrongLink(link.name, expected, moment, error)
 
 
-def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judged]:
+def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judgement]:
     """Yield reasons why this arm cannot have the other estimated links (n, 10)."""
     typical = float(np.median([body[0] for body in usual_bodies(robot).values()]))
     for index, (link, theta) in enumerate(zip(robot.links[:-1], thetas)):
@@ -320,12 +320,12 @@ def _strangeness(name: str, model_theta: Array, theta: Array, size: float) -> st
 
 def noise_share(fit: Fit) -> float:
     """Return the torque noise of a fit as a share of the torque."""
-    squares = float(np.sum(fit.noise**2 * sample_counts(fit.evidence.whole)))
+    squares = float(np.sum(fit.noise**2 * sample_counts(fit.evidence.total)))
     torque = float(np.sum(fit.evidence.squared_torque))
     return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
 
 
-def of_file(model: Validation, written: Validation, noise: float = 0.0) -> Judged:
+def judge_file(model: Validation, written: Validation, noise: float = 0.0) -> Judgement:
     """Return the verdict on a written file from its held-out error and that of the model.
 
     A model whose error is no larger than the noise, a share of the torque, was right: a file that
@@ -344,9 +344,9 @@ def of_file(model: Validation, written: Validation, noise: float = 0.0) -> Judge
     return (Verdict.BETTER if new < CLEARLY_LOWER * old else Verdict.AS_GOOD), sentence
 
 
-def of_payload(
+def judge_payload(
     robot: RobotModel, payload: BodyEstimate, contradicting: str, validation: Validation
-) -> Iterator[Judged]:
+) -> Iterator[Judgement]:
     """Yield reasons why a payload is not trustworthy.
 
     Args:
@@ -375,7 +375,7 @@ def of_payload(
         yield from _far_payload(robot, payload.inertial)
 
 
-def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Judged]:
+def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Judgement]:
     lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
     farthest = FARTHEST_PAYLOAD * max(sum(lengths), LEAST_REACH)
     distance = float(np.linalg.norm(payload.com))
@@ -394,9 +394,9 @@ def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Jud
             )
 
 
-def of_known_mass(
-    findings: Sequence[Judged], weighed: float, mass: float
-) -> Iterator[Judged]:
+def judge_known_mass(
+    findings: Sequence[Judgement], weighed: float, mass: float
+) -> Iterator[Judgement]:
     """Yield reasons why torque scales may not be taken from a known mass [kg].
 
     Args:

@@ -90,35 +90,35 @@ class Unknowns:
 
     Attributes:
         names: (p,) of all parameters.
-        kept: (k,) indices of the unknown parameters, ascending.
+        estimated: (k,) indices of the unknown parameters, ascending.
         held: (p,) values of the others.
         groups: priors of unknown parameters.
         lower, upper: (p,) bounds.
         bodies: name to (indices of its ten parameters, a usual body (10,)) of each unknown body,
             which has to be physically consistent.
-        settle: names of the unknown parameters that are increments of the linearisation point.
-        at_bound: names of the parameters that are held at a bound that they would cross.
+        increments: names of the unknown parameters that are increments of the linearisation point.
+        names_at_bound: names of the parameters that are held at a bound that they would cross.
     """
 
     names: tuple[str, ...]
-    kept: NDArray[np.int64]
+    estimated: NDArray[np.int64]
     held: Array
     groups: tuple[NuisanceGroup, ...]
     lower: Array
     upper: Array
     bodies: Mapping[str, tuple[NDArray[np.int64], Array]]
-    settle: tuple[str, ...] = ()
-    at_bound: tuple[str, ...] = ()
+    increments: tuple[str, ...] = ()
+    names_at_bound: tuple[str, ...] = ()
 
     @property
-    def kept_names(self) -> tuple[str, ...]:
+    def estimated_names(self) -> tuple[str, ...]:
         """Names (k,) of the unknown parameters."""
-        return tuple(self.names[index] for index in self.kept)
+        return tuple(self.names[index] for index in self.estimated)
 
     def full(self, estimate: Array) -> Array:
         """Return all parameters (p,) from the estimate (k,) of the unknown ones."""
         values = self.held.copy()
-        values[self.kept] = estimate
+        values[self.estimated] = estimate
         return values
 
     def may_be_scaled(self, question: Question) -> bool:
@@ -134,7 +134,7 @@ class Unknowns:
         """
         inside = np.clip(values, self.lower, self.upper)
         slack = 1e-9 * (1.0 + np.abs(inside))
-        crossing = [k for k in self.kept if abs(values[k] - inside[k]) > slack[k]]
+        crossing = [k for k in self.estimated if abs(values[k] - inside[k]) > slack[k]]
         if not crossing:
             return None
         held = self.held.copy()
@@ -142,12 +142,12 @@ class Unknowns:
         names = tuple(self.names[k] for k in crossing)
         return replace(
             self,
-            kept=np.setdiff1d(self.kept, crossing),
+            estimated=np.setdiff1d(self.estimated, crossing),
             held=held,
             groups=tuple(
-                _restrict_groups(self.groups, {*self.kept_names}.difference(names))
+                _restrict_groups(self.groups, {*self.estimated_names}.difference(names))
             ),
-            at_bound=(*self.at_bound, *names),
+            names_at_bound=(*self.names_at_bound, *names),
         )
 
 
@@ -188,7 +188,7 @@ def build_unknowns(
     terms = dict(_terms(columns, choice))
     friction_names = {f"{term}[{owner}]" for owner in terms for term in terms[owner]}
     # A column of zeros identifies nothing: the value would be whatever the search began with.
-    names |= {name for name in friction_names if nonzero[columns.place[name]]}
+    names |= {name for name in friction_names if nonzero[columns.index[name]]}
     settling = tuple(_settling_names(columns, question, choice))
     names |= set(settling)
     groups = list(_restrict_groups(groups, names))
@@ -202,10 +202,10 @@ def build_unknowns(
         term, _, owner = name.partition("[")
         curved = term == "viscous" and "sqrt" in terms[owner[:-1]]
         if not (curved or term in _FREE_SIGN or term.endswith("_speed")):
-            lower[columns.place[name]] = 0.0
-            upper[columns.place[name]] = LARGEST_LOSS if term == "load" else np.inf
+            lower[columns.index[name]] = 0.0
+            upper[columns.index[name]] = LARGEST_LOSS if term == "load" else np.inf
     held = _held_values(columns, question, choice)
-    kept = np.array(sorted(columns.place[name] for name in names), dtype=np.int64)
+    kept = np.array(sorted(columns.index[name] for name in names), dtype=np.int64)
     if question.known_mass is not None:
         error = _EXACT_MASS * question.known_mass
         payload = independent_prior(WEIGHT, PAYLOAD_NAMES[:1], ("payload",), error)
@@ -238,9 +238,9 @@ def _settling_names(
     columns: Columns, question: Question, choice: Choice
 ) -> Iterator[str]:
     """Yield the names of parameters that are increments of the linearisation point."""
-    tilts = [name for name in TILT_NAMES if name in columns.place]
+    tilts = [name for name in TILT_NAMES if name in columns.index]
     if question.in_file:
-        yield from tilts if FILE_GRAVITY not in question.kept_parts else ()
+        yield from tilts if FILE_GRAVITY not in question.unchanged_parts else ()
         return
     if question.options.delay == "auto":
         yield DELAY_NAME
@@ -259,20 +259,20 @@ def _held_values(columns: Columns, question: Question, choice: Choice) -> Array:
         if name != "payload":
             held[indices] = columns.prior[indices]
     if question.carried is not None:
-        held[columns.at(PAYLOAD_NAMES)] = question.carried
+        held[columns.indices(PAYLOAD_NAMES)] = question.carried
     for joint, model in zip(columns.robot.joint_names, choice.friction):
-        keeps = not model.terms or FILE_FRICTION in question.kept_parts
+        keeps = not model.terms or FILE_FRICTION in question.unchanged_parts
         own_terms = ("coulomb", "viscous") if keeps else ()
         armature = "armature" not in model.terms and question.file_kind != "urdf"
         for term in (*own_terms, *(("armature",) if armature else ())):
-            index = columns.place.get(f"{term}[{joint}]")
+            index = columns.index.get(f"{term}[{joint}]")
             if index is not None:
                 held[index] = columns.prior[index]
     for motor in columns.couplings:
-        indices = columns.at(motor.parameter_names)
+        indices = columns.indices(motor.parameter_names)
         held[indices] = columns.prior[indices]
     for owner, rotor in choice.rotors.items():
-        held[columns.place[f"armature[{owner}]"]] = rotor
+        held[columns.index[f"armature[{owner}]"]] = rotor
     return held
 
 
@@ -283,12 +283,15 @@ def _bodies(
     last = columns.robot.body_name
     others = (
         question.options.link_uncertainty > 0.0
-        and FILE_LINKS not in question.kept_parts
+        and FILE_LINKS not in question.unchanged_parts
     )
     for name, indices in columns.bodies().items():
         is_unknown = question.loaded if name == "payload" else name == last or others
         if is_unknown:
-            yield name, (indices, columns.usual[last if name == "payload" else name])
+            yield (
+                name,
+                (indices, columns.usual_bodies[last if name == "payload" else name]),
+            )
 
 
 def independent_prior(
@@ -324,9 +327,9 @@ def _prior_groups(
         names = tuple(f"offset[{joint}]" for joint in choice.offsets)
         deviations = np.maximum([*choice.offsets.values()], _EXACT)
         yield independent_prior(OFFSETS, names, tuple(choice.offsets), deviations)
-    tilts = tuple(name for name in TILT_NAMES if name in columns.place)
+    tilts = tuple(name for name in TILT_NAMES if name in columns.index)
     if question.in_file:
-        if tilts and FILE_GRAVITY not in question.kept_parts:
+        if tilts and FILE_GRAVITY not in question.unchanged_parts:
             yield independent_prior(TILT, tilts, ("the base",) * 2, FILE_TILT)
         return
     options = question.options

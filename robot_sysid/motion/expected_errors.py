@@ -18,8 +18,8 @@ from robot_sysid.dynamics.newton_euler import split_motion
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.consistent_bodies import (
-    once_possible,
-    possible_covariance,
+    project_errors,
+    projected_covariance,
 )
 from robot_sysid.estimation.algebra.identifiability import describe, triangle_space
 from robot_sysid.estimation.algebra.priors import (
@@ -191,7 +191,7 @@ def expect(
         names = PAYLOAD_NAMES if asked == "payload" else PARAMETER_NAMES
         sought = after.sought
         found = after.found
-        places = [sought.kept_names.index(name) for name in names]
+        places = [sought.estimated_names.index(name) for name in names]
         own = np.ix_(places, places)
         parts = {cause: rows[:, places] for cause, rows in after.causes.items()}
         causes = {
@@ -203,7 +203,7 @@ def expect(
         others = dict(_masses(problem, sought, found)) if asked == "arm" else {}
         if after.doubted > _OFTEN:
             words = f"In about {percent(after.doubted)} of recordings {DOUBTED}"
-            then = possible_covariance(theta, after.then.covariance[own])
+            then = projected_covariance(theta, after.then.covariance[own])
             doubt = Remedy(words, *information.spread_of(theta, then))
     rest = _never(problem, told), _best_first(problem, plan, how, known, told)
     return Prediction(
@@ -275,8 +275,8 @@ def _posterior(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> _Post
         doubt = _doubt(sought, found, wider, known(wider.groups))
     if not is_loaded:
         at, usual = sought.bodies[robot.body_name]
-        found, causes = once_possible(
-            found, causes, np.searchsorted(sought.kept, at), usual, usual
+        found, causes = project_errors(
+            found, causes, np.searchsorted(sought.estimated, at), usual, usual
         )
     return _Posterior(sought, found, causes, *doubt)
 
@@ -305,13 +305,13 @@ def _doubt(
     pairs = []
     for asked, after in ((sought, found), (wider, then)):
         scales = next(group for group in asked.groups if group.cause == SCALES)
-        places = scales.indices(asked.kept_names)
+        places = scales.indices(asked.estimated_names)
         pairs.append(
             (scales.factor @ scales.factor.T, after.inverse[np.ix_(places, places)])
         )
     share, told = false_alarms(*pairs)
     moved = then.inverse[:, places]
-    return share, then.with_part(0.5 * moved @ told @ moved.T)
+    return share, then.with_cause(0.5 * moved @ told @ moved.T)
 
 
 def friction_lines(
@@ -326,7 +326,7 @@ def friction_lines(
     except InputError:
         return
     for term, unit in (("coulomb", "N·m"), ("viscous", "N·m·s/rad")):
-        errors = dict(zip(after.sought.kept_names, after.found.standard_errors))
+        errors = dict(zip(after.sought.estimated_names, after.found.standard_errors))
         names = {joint: f"{term}[{joint}]" for joint in problem.joint_names}
         listed = ", ".join(
             f"{j} {errors[n]:.2g}" for j, n in names.items() if n in errors
@@ -355,7 +355,7 @@ def _masses(
     masses = {link.body_name: float(link.theta[0]) for link in problem.robot.links}
     for name, (places, _) in sought.bodies.items():
         if name != problem.robot.body_name:
-            place = int(np.searchsorted(sought.kept, places[0]))
+            place = int(np.searchsorted(sought.estimated, places[0]))
             yield name, float(found.standard_errors[place]) / masses[name]
 
 
@@ -404,7 +404,7 @@ def _remedies(
         words: str, covariance: Array, *planned: str, loaded: bool = asked == "payload"
     ) -> Remedy:
         scaled = loaded * _read_alike(problem, options) * theta[0]
-        covariance = covariance if loaded else possible_covariance(theta, covariance)
+        covariance = covariance if loaded else projected_covariance(theta, covariance)
         mass, centre = information.spread_of(theta, covariance)
         return Remedy(words, float(np.hypot(mass, scaled)), centre, planned)
 
@@ -462,7 +462,7 @@ def outlook(problem: ExcitationProblem, plan: MotionPlan, how: _How) -> str:
     least = (
         least
         if asked == "payload"
-        else possible_covariance(problem.robot.prior.theta, least)
+        else projected_covariance(problem.robot.prior.theta, least)
     )
     floor, centre = information.spread_of(problem.robot.prior.theta, least)
     if asked == "payload" or not floor > prediction.LOOSE_SHARE * mass:

@@ -106,7 +106,7 @@ class Validation:
     relative_error: float | None
     rmse_per_joint: Mapping[str, float]
     relative_error_per_joint: Mapping[str, float | None]
-    told_enough: bool = True
+    is_informative: bool = True
 
 
 def validation_of(

@@ -325,7 +325,7 @@ def _beyond_noise(result: Result) -> Iterator[str]:
     for test in result.validation:
         if test.rmse > max(WORSE * estimate.rmse, noise):
             why = "the model misses something that motion shows"
-            if not test.told_enough:
+            if not test.is_informative:
                 why = "no worse than expected of motion that the fitted logs tell too little of, "
                 why += "as of joints that hardly move in them; fit a log that moves like that"
             yield (

@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.uncertainty import autocovariance, memory_of
+from robot_sysid.estimation.algebra.uncertainty import (
+    autocorrelation_time,
+    autocovariance,
+)
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.rollout import split_time
@@ -478,7 +481,7 @@ def estimate_errors(
         normal += rows.T @ rows
         weighted = weight * residuals[:, joint]
         covariance, _ = autocovariance(weighted, max(len(rows) // 4, 1) - 1)
-        score += memory_of(covariance, np.inf) * rows.T @ rows
+        score += autocorrelation_time(covariance, np.inf) * rows.T @ rows
         bias += rows.T @ (weight * step_error[:, joint]) / scale[joint]
     inverse = np.linalg.inv(normal)
     variance = np.diag(inverse @ score @ inverse) + (inverse @ bias) ** 2

@@ -218,7 +218,7 @@ def test_a_common_torque_scale_is_distinguished_from_wrong_links(
     mass = plant.prior.mass
     assert bool(fit.choice.common_scale) == is_scaled
     error = abs(fit.values[0] - mass)
-    stated = fit_errors(fit).whole.standard_errors[0]
+    stated = fit_errors(fit).total.standard_errors[0]
     assert error < 0.1 * mass and error < 2.0 * stated < 0.2 * mass
 
 
@@ -232,7 +232,7 @@ def test_errors_grow_where_a_common_torque_scale_is_doubtful(
     fit, _ = choose_and_fit(plant, plant, torque, **LONG, **uncertainties)
     errors = fit_errors(fit)
     (scales,) = (group for group in fit.unknowns.groups if group.cause == SCALES)
-    prior_rows = scales.covariance_rows(fit.information.names, errors.whole.inverse)
+    prior_rows = scales.covariance_rows(fit.information.names, errors.total.inverse)
     growth = np.sum(errors.causes[SCALES][:, 0] ** 2) / np.sum(prior_rows[:, 0] ** 2)
     assert growth > 1.5 if grows else growth == pytest.approx(1.0, abs=0.01)
 
@@ -263,9 +263,9 @@ def free_equations(samples, unknowns, weights):
         full = np.zeros((len(rows), len(unknowns.names)))
         full[:, columns] = rows
         finite = np.isfinite(tau)
-        fixed = np.delete(unknowns.held, unknowns.kept)
-        right = tau - np.delete(full, unknowns.kept, 1) @ fixed
-        yield weight * full[finite][:, unknowns.kept], weight * right[finite]
+        fixed = np.delete(unknowns.held, unknowns.estimated)
+        right = tau - np.delete(full, unknowns.estimated, 1) @ fixed
+        yield weight * full[finite][:, unknowns.estimated], weight * right[finite]
 
 
 def test_each_block_is_predicted_from_the_others(noisy_fit):
@@ -273,7 +273,9 @@ def test_each_block_is_predicted_from_the_others(noisy_fit):
     cross_validation = held_out(noisy_fit)
     (samples,) = noisy_fit.samples
     unknowns = noisy_fit.unknowns
-    prior = np.vstack([group.rows(unknowns.kept_names) for group in unknowns.groups])
+    prior = np.vstack(
+        [group.rows(unknowns.estimated_names) for group in unknowns.groups]
+    )
     squared_errors = cross_validation.squared_errors(unknowns)
     for mask, squared in zip(block_masks(samples), squared_errors):
         weights = 1.0 / cross_validation.noise

@@ -210,7 +210,7 @@ def test_a_file_has_the_columns_of_the_arm_that_it_can_hold():
     bare = Columns(FOUR, ())
     values = true_values(bare, 5)
     for name in (*bare._scales, *bare._drifts):
-        values[bare.place[name]] = 0.0
+        values[bare.index[name]] = 0.0
     for is_loaded in (False, True):
         _, columns = record(bare, values, is_loaded, 5)
         point = point_at(columns, values)

@@ -17,10 +17,10 @@ from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import (
     BLOCKS,
     LONGEST_STRETCH,
+    AssembledRows,
     Dataset,
     DecimatedSamples,
     RestingPoses,
-    RowsBeside,
     block_masks,
     decimated_equations,
     store_rows,
@@ -164,7 +164,7 @@ def test_rows_of_several_factors_are_the_columns_beside_each_other(seed):
     factor = np.array([2.0, 0.0, -1.0])
     block = np.random.default_rng(seed).normal(size=(40, 2))
     factors = [(slice(None), factor), (block, 0.5), (slice(1), 3.0)]
-    rows = RowsBeside(samples.rows, [factors])
+    rows = AssembledRows(samples.rows, [factors])
     first = samples.rows[0]
     expected = np.hstack((first * factor, 0.5 * block, 3.0 * first[:, :1]))
     assert_array_equal(rows[0], expected)

@@ -59,8 +59,8 @@ def test_errors_are_the_spread_of_many_recordings(memory):
         white = np.random.default_rng(run).standard_normal(exact.torque.shape)
         noise = 0.1 * (autocorrelated(white, memory) if memory else white)
         fit = fit_recordings(SMALL, [add_torque(exact, noise)], EXACT_MODEL)
-        errors.append((fit.values - arm.values(fit.columns))[fit.unknowns.kept])
-        stated.append(fit_errors(fit).whole.standard_errors)
+        errors.append((fit.values - arm.values(fit.columns))[fit.unknowns.estimated])
+        stated.append(fit_errors(fit).total.standard_errors)
     squares = np.mean(np.square(errors), axis=0) / np.mean(np.square(stated), axis=0)
     assert np.all((np.sqrt(squares) > 0.6) & (np.sqrt(squares) < 1.6))
     coverage = np.mean(np.abs(errors) < 1.96 * np.array(stated))
@@ -79,7 +79,7 @@ def test_total_errors_cover_everything_that_is_wrong_with_an_arm():
         scale = 1.0 + 0.02 * rng.standard_normal(3)
         arm = ImperfectArm(SMALL, rng, sizes, scale)
         fit = fit_logs(SMALL, arm.log(plan, np.zeros(10), rng))
-        stated = fit_errors(fit).whole.standard_errors[:10]
+        stated = fit_errors(fit).total.standard_errors[:10]
         ratios.append((fit.values[:10] - arm.thetas[-1]) / stated)
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.2
     assert np.mean(np.abs(ratios) < 1.96) > 0.9
@@ -90,22 +90,22 @@ def fit_low_passed(plant, cutoff, seed, **sensors):
     log = log_of(plant, plan_of(plant, seed, 25.0), **sensors)
     fit = fit_logs(guess_model(plant), log, cutoff=cutoff, **NOISE_ONLY)
     errors = np.abs(fit.values - true_values(plant, fit.columns.names))
-    return fit_errors(fit), errors[fit.unknowns.kept]
+    return fit_errors(fit), errors[fit.unknowns.estimated]
 
 
 @pytest.mark.parametrize("cutoff", [0.9, 1.2])
 def test_a_cutoff_close_to_the_motion_adds_to_the_errors(plant, cutoff):
     """Motion of up to 0.6 Hz: noise alone, as the residuals show it, does not explain the error."""
     stated, errors = fit_low_passed(plant, cutoff, 2, encoder_resolution=1e-6)
-    assert np.max(errors / np.sqrt(np.diag(stated.whole.noise))) > 4.0
-    assert np.max(errors / stated.whole.standard_errors) < WITHIN
+    assert np.max(errors / np.sqrt(np.diag(stated.total.noise))) > 4.0
+    assert np.max(errors / stated.total.standard_errors) < WITHIN
 
 
 def test_a_cutoff_far_above_the_motion_adds_nothing(plant):
     stated, errors = fit_low_passed(plant, 8.0, 1, **NOISY_SENSORS)
     filtering = np.linalg.norm(stated.causes[FILTERING], axis=0)
-    assert np.all(filtering < 0.05 * np.sqrt(np.diag(stated.whole.noise)))
-    assert np.max(errors / stated.whole.standard_errors) < WITHIN
+    assert np.all(filtering < 0.05 * np.sqrt(np.diag(stated.total.noise)))
+    assert np.max(errors / stated.total.standard_errors) < WITHIN
 
 
 def test_friction_says_nothing_where_the_second_low_pass_reverses_the_motion(
@@ -148,7 +148,7 @@ def test_more_logs_make_nothing_worse(plant, robot, is_repeated):
             plan = plan_of(plant, 1 if is_repeated else 1 + k)
             logs.append(log_of(plant, plan, k, **NOISY_SENSORS))
         fit = fit_logs(robot, *logs)
-        errors.append(fit_errors(fit).whole.standard_errors[0])
+        errors.append(fit_errors(fit).total.standard_errors[0])
         assert abs(fit.values[0] - plant.prior.mass) < 2.0 * errors[-1]
     assert errors[0] > errors[1] > 0.98 * errors[2]
 
@@ -164,9 +164,9 @@ def errors(payload_fit):
 @pytest.fixture(scope="module")
 def payload_rows(payload_fit):
     """Return the rows (10, free parameters) that pick the payload."""
-    free = payload_fit.unknowns.kept
+    free = payload_fit.unknowns.estimated
     return np.eye(len(free))[
-        np.searchsorted(free, payload_fit.columns.at(PAYLOAD_NAMES))
+        np.searchsorted(free, payload_fit.columns.indices(PAYLOAD_NAMES))
     ]
 
 
@@ -182,12 +182,12 @@ def test_a_shift_to_a_possible_body_beyond_chance_is_an_error(
     payload_fit, errors, shift, share
 ):
     plain_values = payload_fit.free.copy()
-    index = payload_fit.columns.at(PAYLOAD_NAMES[:1])[0]
+    index = payload_fit.columns.indices(PAYLOAD_NAMES[:1])[0]
     plain_values[index] = payload_fit.values[index] - shift
-    row = int(np.searchsorted(payload_fit.unknowns.kept, index))
+    row = int(np.searchsorted(payload_fit.unknowns.estimated, index))
     shifted = fit_errors(replace(payload_fit, free=plain_values))
-    expected = np.hypot(share * shift, errors.whole.standard_errors[row])
-    assert shifted.whole.standard_errors[row] == pytest.approx(expected, rel=0.05)
+    expected = np.hypot(share * shift, errors.total.standard_errors[row])
+    assert shifted.total.standard_errors[row] == pytest.approx(expected, rel=0.05)
 
 
 def test_a_scale_of_all_joints_is_an_error_in_proportion(errors, payload_rows):
@@ -201,13 +201,13 @@ def test_a_scale_of_all_joints_is_an_error_in_proportion(errors, payload_rows):
 
 
 def test_the_truth_lies_within_the_errors(payload_fit, errors, payload_rows):
-    payload = payload_fit.values[payload_fit.columns.at(PAYLOAD_NAMES)]
+    payload = payload_fit.values[payload_fit.columns.indices(PAYLOAD_NAMES)]
     stated = np.sqrt(np.diag(errors.of(payload_rows, payload)[0]))
     assert np.max(np.abs(payload - PAYLOAD) / stated) < WITHIN
     assert np.all(errors.shown(payload_rows))
     share = errors.share(payload_fit)
     assert np.all((share >= 0.0) & (share <= 1.0))
-    names = payload_fit.unknowns.kept_names
+    names = payload_fit.unknowns.estimated_names
     assert share[names.index("m(payload)")] > 0.99
     # Its own joint shows nothing of it; the weights of other links say a little.
     assert share[names.index("m(link0)")] < 0.3
@@ -220,7 +220,7 @@ def test_parameters_that_no_torque_shows_have_infinite_errors():
     recording = arm.recording(wide_motion(1, 3), False)
     fit = fit_recordings(upright, [recording], EXACT_MODEL)
     errors = fit_errors(fit)
-    rows = np.eye(len(fit.unknowns.kept))[:10]
+    rows = np.eye(len(fit.unknowns.estimated))[:10]
     visible = [name in ("m", "hx", "hy", "Izz") for name in PARAMETER_NAMES]
     assert_array_equal(errors.shown(rows), visible)
     assert np.isinf(errors.of(rows[3:4])[1][0])

@@ -80,7 +80,9 @@ def test_the_file_predicts_as_it_is_said_to(plant, robot):
         error = torque_error(model, robot, recording.signals, "file").relative_error
         assert error == pytest.approx(found.after.relative_error, rel=0.25)
     # Nothing but what a file holds, and each joint's sensor offset.
-    terms = {name.partition("[")[0] for name in fit.unknowns.kept_names if "[" in name}
+    terms = {
+        name.partition("[")[0] for name in fit.unknowns.estimated_names if "[" in name
+    }
     assert terms == {"coulomb", "viscous", "offset"}
     assert np.array_equal(fit.point.gravity, gravity_vector(robot))
 
@@ -152,9 +154,9 @@ def test_a_part_that_is_to_stay_stays(plant, robot, parts):
     for name, held in (
         (name, kind in parts) for kind, names in stays.items() for name in names
     ):
-        place = fit.columns.place[name]
+        place = fit.columns.index[name]
         assert (fit.values[place] == fit.columns.prior[place]) == held, name
-    assert "offset[joint1]" in fit.unknowns.kept_names
+    assert "offset[joint1]" in fit.unknowns.estimated_names
 
 
 def test_a_urdf_gets_no_rotors(plant, robot):
@@ -162,7 +164,7 @@ def test_a_urdf_gets_no_rotors(plant, robot):
     model = replace(robot, kind="urdf")
     fit = file_of(plant, model).fit
     assert not [
-        name for name in fit.unknowns.kept_names if name.startswith("armature[")
+        name for name in fit.unknowns.estimated_names if name.startswith("armature[")
     ]
     assert all(fit.value(f"armature[{joint}]") == 0.0 for joint in model.joint_names)
 

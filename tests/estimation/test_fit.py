@@ -48,7 +48,7 @@ JOINTS = ROBOT.joint_names
 
 
 def payload(fit):
-    return fit.values[fit.columns.at(PAYLOAD_NAMES)]
+    return fit.values[fit.columns.indices(PAYLOAD_NAMES)]
 
 
 def pair(seed, **arm):
@@ -78,8 +78,8 @@ def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
             np.all(1.0 / fit.weights > 0.9e-6 * torque)
             or options.link_uncertainty == 0.0
         )
-        truth = arm.values(fit.columns)[fit.unknowns.kept]
-        assert_allclose(fit.values[fit.unknowns.kept], truth, atol=1e-6)
+        truth = arm.values(fit.columns)[fit.unknowns.estimated]
+        assert_allclose(fit.values[fit.unknowns.estimated], truth, atol=1e-6)
 
 
 @settings(max_examples=2)
@@ -140,7 +140,9 @@ def test_links_that_are_off_the_other_way_ask_for_the_opposite_scales(seed):
         model = np.array([link.theta for link in ROBOT.links])
         arm.thetas[:-1] = (model + sign * (arm.thetas - model))[:-1]
         fit = fit_recordings(ROBOT, [add_noise(arm.recording(motion, False), 0.02, 0)])
-        found.append(fit.free[fit.columns.at([f"scale[{joint}]" for joint in JOINTS])])
+        found.append(
+            fit.free[fit.columns.indices([f"scale[{joint}]" for joint in JOINTS])]
+        )
     bent = found[0] + found[2] - 2.0 * found[1]
     straight = found[0] - found[2]
     assert np.linalg.norm(bent) < 0.1 * np.linalg.norm(straight)
@@ -160,7 +162,7 @@ def test_what_gears_lose_with_their_load_is_found_and_stays_within_bounds():
     found = [fit.value(f"load[{joint}]") for joint in JOINTS]
     assert found[1] == pytest.approx(0.08, abs=0.02)
     assert found[2] == 0.0 and found[3] == LARGEST_LOSS
-    assert {"load[joint2]", "load[joint3]"} <= set(fit.unknowns.at_bound)
+    assert {"load[joint2]", "load[joint3]"} <= set(fit.unknowns.names_at_bound)
 
 
 def test_the_speed_of_a_stribeck_term_is_found_with_it_within_its_bounds():
@@ -212,7 +214,7 @@ def test_a_recording_given_twice_says_no_more(robot, noisy):
     ]
     errors = [np.linalg.norm(root, axis=1) for root in roots]
     assert np.all((errors[1] > 0.85 * errors[0]) & (errors[1] < 1.05 * errors[0]))
-    moved = (twice.values - once.values)[once.unknowns.kept]
+    moved = (twice.values - once.values)[once.unknowns.estimated]
     assert np.max(np.abs(moved) / errors[0]) < 0.02
     # What is said of a single sample is its own noise.
     assert_allclose(twice.noise, once.noise, rtol=0.05)
@@ -331,5 +333,5 @@ def test_a_tool_far_larger_than_the_models_link_is_not_pulled_towards_it():
     arm = TrueArm(ROBOT, 2, model_error=0.0)
     recording = add_noise(arm.recording(wide_motion(2), False), 1.0, 2)
     fit = fit_recordings(arms.robot_of(model), [recording])
-    off = (fit.values[0] - fit.free[0]) / fit_errors(fit).whole.standard_errors[0]
+    off = (fit.values[0] - fit.free[0]) / fit_errors(fit).total.standard_errors[0]
     assert fit.is_constrained and 0.3 < abs(off) < 1.0

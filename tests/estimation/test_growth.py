@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.real_arms import ARMS, SENSOR_ARMS, draw_arm
 from robot_sysid.estimation import errors
-from robot_sysid.estimation.algebra.consistent_bodies import once_possible
+from robot_sysid.estimation.algebra.consistent_bodies import project_errors
 from robot_sysid.estimation.choices import choose
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.identify import Piece, low_pass_recordings
@@ -101,7 +101,7 @@ def choice_and_start(fitter):
 def mass_errors(fit, found=None):
     """Stated errors (links,) of all masses [kg], of the errors of a fit that are known already."""
     found = found or fit_errors(fit)
-    kept = fit.unknowns.kept
+    kept = fit.unknowns.estimated
     places = [np.searchsorted(kept, at[0]) for at, _ in fit.unknowns.bodies.values()]
     covariance, _, _ = found.of(np.eye(len(kept))[places], fit.values[kept[places]])
     return np.sqrt(np.diag(covariance))
@@ -126,17 +126,17 @@ def test_with_the_same_priors_more_data_makes_no_mass_less_certain(
 
     def noted(whole, *given):
         before.append(whole)
-        return once_possible(whole, *given)
+        return project_errors(whole, *given)
 
     monkeypatch.setattr(errors, "misfits", lambda *_: ())
-    monkeypatch.setattr(errors, "once_possible", noted)
+    monkeypatch.setattr(errors, "project_errors", noted)
     stated = []
     unrestricted = []
     for fitter in fitters:
         fit = fitter.fit(QUESTION, choice)
         found = fit_errors(fit)
         stated.append(mass_errors(fit, found))
-        unrestricted.append(mass_errors(fit, replace(found, whole=before.pop())))
+        unrestricted.append(mass_errors(fit, replace(found, total=before.pop())))
     stated = np.array(stated)
     unrestricted = np.array(unrestricted)
     print(np.round(stated, 3), np.round(unrestricted, 3), sep="\n")

@@ -118,7 +118,7 @@ def test_a_log_of_a_joint_that_stood_still_is_no_test_but_one_of_another_body_is
         )
         others, _ = filter_logs(robot, seen)
         found = validated(fit, fit_errors(fit), others, "other.csv")
-        told.append(found.told_enough)
+        told.append(found.is_informative)
     assert told == [not still, True]
 
 
@@ -137,7 +137,7 @@ def test_what_a_report_draws_is_the_residual_of_the_file(robot, noisy):
     answer = answered(robot, noisy, kept=())
     fit = answer.file.fit
     traces = traces_of(answer)
-    squares = fit.evidence.whole.squared_residuals(fit.values)
+    squares = fit.evidence.total.squared_residuals(fit.values)
     # Near a reversal the low-pass takes from friction's jump.
     moves = np.isfinite(traces.measured[:, -1]) & (np.abs(traces.qd[:, -1]) > 0.3)
     assert traces.joints == robot.joint_names

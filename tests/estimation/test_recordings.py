@@ -231,12 +231,12 @@ def test_the_error_on_another_day_covers_the_friction_of_a_third_log(
         fit = fit_recordings(robot, datasets, options)
         friction = compare_recordings(fit, [d.name for d in datasets]).friction
         names = [name for name in friction.names if not name.startswith("offset")]
-        kept = [fit.unknowns.kept_names.index(name) for name in names]
+        kept = [fit.unknowns.estimated_names.index(name) for name in names]
         own = [friction.names.index(name) for name in names]
         errors = np.zeros(len(friction.names))
-        errors[own] = fit_errors(fit).whole.standard_errors[kept]
+        errors[own] = fit_errors(fit).total.standard_errors[kept]
         another_day = friction.between.next_log(errors)[own]
-        off = fit.values[fit.unknowns.kept[kept]] - true_friction(third, names)
+        off = fit.values[fit.unknowns.estimated[kept]] - true_friction(third, names)
         ratios += (off / another_day).tolist()
         excess += (another_day / errors[own]).tolist()
         assert bool(friction.differences) == (share > 0.0)

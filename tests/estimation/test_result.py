@@ -148,7 +148,7 @@ def test_a_common_scale_is_told_only_where_it_is_worth_a_word(
     answer = answer_link(plant, datasets, options, Progress(), None)
     fit = answer.fit
     values = fit.values.copy()
-    values[[fit.columns.place[f"scale[{joint}]"] for joint in plant.joint_names]] = (
+    values[[fit.columns.index[f"scale[{joint}]"] for joint in plant.joint_names]] = (
         size - 1.0
     )
     choice = replace(fit.choice, common_scale=0.15)

@@ -57,15 +57,15 @@ def found(robot, parts):
 
 def apart(*answers):
     """By how much what was sought differs."""
-    one, other = (each.fit.values[each.fit.unknowns.kept] for each in answers)
+    one, other = (each.fit.values[each.fit.unknowns.estimated] for each in answers)
     return np.abs(one - other)
 
 
 def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(found, together):
-    assert found.fit.unknowns.kept_names == together.fit.unknowns.kept_names
-    errors = together.errors.whole.standard_errors
+    assert found.fit.unknowns.estimated_names == together.fit.unknowns.estimated_names
+    errors = together.errors.total.standard_errors
     assert np.max(apart(found, together) / errors) < 0.02
-    assert found.errors.whole.standard_errors == pytest.approx(errors, rel=0.15)
+    assert found.errors.total.standard_errors == pytest.approx(errors, rel=0.15)
     assert set(found.errors.causes) == set(together.errors.causes)
     choice = found.fit.choice
     choice_together = together.fit.choice

@@ -57,7 +57,7 @@ LINK = {LINKS, SCALES, ZEROS, DELAY, TILT, FRICTION}
         ({"loaded": True, "known_mass": 1.0}, LINK | {WEIGHT}),
         ({"loaded": True, "resting": True}, LINK - {DELAY, FRICTION} | {COMMON}),
         ({"in_file": True}, {LINKS, TILT}),
-        ({"in_file": True, "kept_parts": ("gravity", "links")}, set()),
+        ({"in_file": True, "unchanged_parts": ("gravity", "links")}, set()),
         ({"options": EstimationOptions(**NOISE_ONLY)}, {DELAY}),
         (
             {"options": EstimationOptions(**NOISE_ONLY, delay="auto", tilt="auto")},
@@ -68,7 +68,7 @@ LINK = {LINKS, SCALES, ZEROS, DELAY, TILT, FRICTION}
 def test_a_question_has_the_priors_of_its_causes(question, expected):
     found = asked(**question)
     assert causes(found) == expected
-    names = set(found.kept_names)
+    names = set(found.estimated_names)
     for group in found.groups:
         assert set(group.names) <= names
     assert ("m(payload)" in names) == bool(question.get("loaded"))
@@ -122,7 +122,7 @@ def test_bounds_hold_friction_and_no_other_sign():
         f"{term}[{joint}]" for term in ("offset", "sqrt", "viscous", "scale", "zero")
     ]
     assert np.all(np.isinf([lower[name] for name in (*free, "m", "Ixy")]))
-    assert asked().lower[COLUMNS.place[f"viscous[{joint}]"]] == 0.0
-    assert found.upper[COLUMNS.place[f"load[{joint}]"]] == module.LARGEST_LOSS
+    assert asked().lower[COLUMNS.index[f"viscous[{joint}]"]] == 0.0
+    assert found.upper[COLUMNS.index[f"load[{joint}]"]] == module.LARGEST_LOSS
     # A loss that is only allowed for may come out either way.
-    assert np.isinf(asked().lower[COLUMNS.place[f"load[{joint}]"]])
+    assert np.isinf(asked().lower[COLUMNS.index[f"load[{joint}]"]])

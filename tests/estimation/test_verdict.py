@@ -58,11 +58,11 @@ def moved(theta):
 
 
 def of_payload(payload, misfit="", relative=0.03):
-    return trust.of_payload(SEVEN, payload, misfit, prediction(relative))
+    return trust.judge_payload(SEVEN, payload, misfit, prediction(relative))
 
 
 def of_weight(weighed, *before):
-    return trust.of_known_mass(before, weighed, 1.0)
+    return trust.judge_known_mass(before, weighed, 1.0)
 
 
 OK = Verdict.OK
@@ -137,7 +137,7 @@ def test_each_fault_is_refused_with_its_reason(findings, status, words):
     ],
 )
 def test_a_file_is_judged_beside_the_one_before(before, after, status):
-    assert trust.of_file(prediction(before), prediction(after))[0] is status
+    assert trust.judge_file(prediction(before), prediction(after))[0] is status
 
 
 def fit_of(robot, log):
@@ -186,7 +186,7 @@ def test_friction_that_one_stretch_alone_shows_is_no_misfit(robot, noisy):
     own = held_out_validation(fit)
     assert own.relative_error > trust.HARMLESS
     assert first(trust.find_misfits(fit, [own], 0.0, {}), OK) == (OK, ())
-    told = replace(own, told_enough=True)
+    told = replace(own, is_informative=True)
     assert first(trust.find_misfits(fit, [told], 0.0, {}), OK)[0] is Verdict.UNEXPLAINED
 
 
@@ -207,7 +207,7 @@ def test_a_joint_whose_torque_follows_from_nothing_is_named_one_with_noise_is_no
     fit = fit_of(robot, replace(noisy, tau=tau))
     counts = sample_counts(fit.information)
     share = dict(
-        zip(robot.joint_names, np.array(fit_errors(fit).whole.effective) / counts)
+        zip(robot.joint_names, np.array(fit_errors(fit).total.effective) / counts)
     )
     odd = first(trust.find_misfits(fit, [], 0.0, {}), OK)
     assert "of the torque of joint2 is unexplained" in odd[1][0]

@@ -11,7 +11,7 @@ import pytest
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.estimation.algebra import consistent_bodies
-from robot_sysid.estimation.algebra.consistent_bodies import possible_covariance
+from robot_sysid.estimation.algebra.consistent_bodies import projected_covariance
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.question import EstimationOptions
@@ -112,7 +112,7 @@ def test_the_search_makes_small_what_is_promised(options):
         motion.q, motion.qd, motion.qdd
     )
     found = criterion(some, known).covariance(told.information)
-    found = possible_covariance(some.robot.prior.theta, found)
+    found = projected_covariance(some.robot.prior.theta, found)
     ratio = promised(options).deviation / np.sqrt(np.diag(found))
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
 

@@ -442,7 +442,7 @@ _DRAWS = 60
 plain estimate is hardly ever consistent, 60 and 1000 give the same error of the mass to 7 %."""
 
 
-def once_possible(
+def project_errors(
     uncertainty: Uncertainty,
     causes: Mapping[str, Array],
     indices: NDArray[np.int64],
@@ -485,7 +485,7 @@ def once_possible(
     ), by_cause
 
 
-def possible_covariance(theta: Array, covariance: Array) -> Array:
+def projected_covariance(theta: Array, covariance: Array) -> Array:
     """Return the covariance (10, 10) of a body (10,) that is made consistent."""
     projection = _projected_errors(theta, covariance, theta)
     if projection is None:

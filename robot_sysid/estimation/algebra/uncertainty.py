@@ -56,7 +56,7 @@ class Uncertainty:
     inverse: Array
     effective: tuple[float, ...]
 
-    def with_part(self, covariance: Array) -> Uncertainty:
+    def with_cause(self, covariance: Array) -> Uncertainty:
         """Return the errors with one more cause of independent errors, of covariance (p, p)."""
         spread = np.hypot(
             self.standard_errors, np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -514,13 +514,13 @@ def _sum_bins(values: Array, bins: NDArray[np.int64]) -> Array:
 
 
 def memory(residual: Array, repeats: float = 1.0) -> float:
-    """Return ``memory_of`` a residual (K,), NaN where a sample is left out.
+    """Return ``autocorrelation_time`` a residual (K,), NaN where a sample is left out.
 
     Args:
         repeats: how many times the motion repeats, so that its samples count once only.
     """
     covariance, pairs = autocovariance(residual, max(len(residual) // 10, 1) - 1)
-    return memory_of(covariance, pairs[0] / repeats)
+    return autocorrelation_time(covariance, pairs[0] / repeats)
 
 
 def concentration(residual: Array) -> float:
@@ -539,7 +539,7 @@ def concentration(residual: Array) -> float:
     return float(_STRETCHES * np.sum(energies**2) / np.sum(energies) ** 2)
 
 
-def memory_of(covariance: Array, count: float) -> float:
+def autocorrelation_time(covariance: Array, count: float) -> float:
     """Return 1 + 2 sum of an autocorrelation, up to the first value that is not significant.
 
     That is the factor by which the variance of a mean is larger than that of independent values

@@ -16,8 +16,8 @@ from robot_sysid.estimation.algebra.consistent_bodies import (
     ConsistentLinks,
     LinksProblem,
     ScaledBodies,
-    once_possible,
-    possible_covariance,
+    project_errors,
+    projected_covariance,
 )
 from robot_sysid.estimation.algebra.uncertainty import Uncertainty
 from tests.support import arms
@@ -225,7 +225,7 @@ def test_the_covariance_is_the_spread_of_possible_bodies(seed):
         if not spatial.is_consistent(theta):
             theta = ConsistentLinks(rows, rows @ theta, problem).best()
         squares += (theta - LIGHT) ** 2 / 200.0
-    variance = np.diag(possible_covariance(LIGHT, covariance))
+    variance = np.diag(projected_covariance(LIGHT, covariance))
     # 200 draws know a spread to 5 %, the 60 of the code to 9 %.
     ratio = np.sqrt(variance / squares)
     assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
@@ -237,9 +237,9 @@ def test_where_every_body_is_possible_nothing_changes():
     covariance = random_covariance(1e-3)
     errors = uncertainty_of(covariance)
     causes = {"noise": np.linalg.cholesky(covariance).T}
-    result = once_possible(errors, causes, BODY, LIGHT, LIGHT)
+    result = project_errors(errors, causes, BODY, LIGHT, LIGHT)
     assert result[0] is errors and result[1] == causes
-    assert_array_equal(possible_covariance(LIGHT, covariance), covariance)
+    assert_array_equal(projected_covariance(LIGHT, covariance), covariance)
 
 
 def test_causes_still_add_up_and_parameters_correlated_with_the_body_follow():
@@ -250,7 +250,7 @@ def test_causes_still_add_up_and_parameters_correlated_with_the_body_follow():
     root = np.linalg.cholesky(covariance).T
     causes = {"links": np.sqrt(0.7) * root, "noise": np.sqrt(0.3) * root}
     errors = uncertainty_of(covariance)
-    errors, causes = once_possible(errors, causes, BODY, LIGHT, LIGHT)
+    errors, causes = project_errors(errors, causes, BODY, LIGHT, LIGHT)
     assert set(causes) == {"links", "noise", BODIES}
     rows = np.vstack([*causes.values()])
     assert_allclose(rows.T @ rows, errors.covariance, atol=1e-9 * covariance.max())
@@ -263,7 +263,7 @@ def test_causes_still_add_up_and_parameters_correlated_with_the_body_follow():
 def test_a_body_with_a_hidden_parameter_keeps_its_errors():
     errors = uncertainty_of(random_covariance(0.8))
     errors.standard_errors[4] = np.inf
-    assert once_possible(errors, {}, BODY, LIGHT, LIGHT)[0] is errors
+    assert project_errors(errors, {}, BODY, LIGHT, LIGHT)[0] is errors
 
 
 def test_errors_stay_where_a_drawn_body_cannot_be_made_possible(monkeypatch):
@@ -272,4 +272,4 @@ def test_errors_stay_where_a_drawn_body_cannot_be_made_possible(monkeypatch):
 
     monkeypatch.setattr(ConsistentLinks, "best", fail)
     covariance = random_covariance(0.8)
-    assert_array_equal(possible_covariance(LIGHT, covariance), covariance)
+    assert_array_equal(projected_covariance(LIGHT, covariance), covariance)
