@@ -17,7 +17,7 @@ from robot_sysid.dynamics.newton_euler import TILT_NAMES, gravity_vector, with_g
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import DELAY_NAME
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation

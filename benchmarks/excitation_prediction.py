@@ -49,7 +49,7 @@ from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DELAY_NAME, Measurement
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, sample_count
 from tests.support.places import GUESS, MODELS
 

@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.workshop import COMMANDS, EXAMPLE, SEARCH, Run, Workshop
-from robot_sysid.records.atomic_files import LOCK_NAME
+from robot_sysid.records.file_access import LOCK_NAME
 from tests.support.command_line import files_in
 
 WRITING = 0.02

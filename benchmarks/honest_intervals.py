@@ -46,7 +46,7 @@ from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.model.flange import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.results.cards import load_errors
 from robot_sysid.results.record import BodyEstimate
 from robot_sysid.simulator import simulate_inverse

@@ -24,7 +24,7 @@ from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_reco
 from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.model.flange import find_flange
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support.core_fits import ORIGIN, result_of_logs

@@ -230,7 +230,7 @@ def fit_error(fit, test, is_loaded: bool) -> float:
     offsets = [name for name in columns.names if name.startswith("offset[")]
     held = np.where(np.isin(columns.names, offsets), 0.0, fit.values)
     free = restrict(seen.total, offsets, held)
-    best = np.linalg.lstsq(*free.stacked(), rcond=None)[0]
+    best = np.linalg.lstsq(*free.equations(), rcond=None)[0]
     return float(
         np.sqrt(np.sum(free.squared_residuals(best)) / np.sum(seen.squared_torque))
     )

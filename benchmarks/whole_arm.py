@@ -27,7 +27,7 @@ from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordi
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.signals.process import process
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
@@ -122,7 +122,7 @@ def rank_of_log(robot, seconds: float = 15.0, rate: float = 200.0) -> int:
     signals = replace(signals, deadband=np.zeros_like(signals.deadband))
     columns = Columns(robot, [Dataset("log", signals)])
     (samples,) = columns.samples(columns.start())
-    matrix, _ = samples.information().stacked()
+    matrix, _ = samples.information().equations()
     places = [at for name, at in columns.bodies().items() if name != "payload"]
     order = np.concatenate(places)
     return base_combinations(matrix[:, order], parameter_scale(len(places))).rank

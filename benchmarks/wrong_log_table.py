@@ -28,7 +28,7 @@ from robot_sysid.diagnosis.log_checks import check_against_model
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.pipeline.stages import identify
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from tests.support.wrong_logs import truth_of
 
 TABLE_ARMS = ("gen3", "panda", "iiwa14", "ur5e", "xarm7", "openarm")

@@ -16,9 +16,14 @@ from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.records import atomic_files, options
-from robot_sysid.records.options import Option, OptionRecord, folder, option
-from robot_sysid.records.sampling import TrajectoryOptions
+from robot_sysid.records import file_access, option_fields
+from robot_sysid.records.option_fields import (
+    Option,
+    OptionRecord,
+    TrajectoryOptions,
+    option,
+    parse_folder,
+)
 from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.simulation import SimulatedArmOptions
 
@@ -37,7 +42,7 @@ class OutputOptions(OptionRecord):
 
     config: Path | None = None
     output_dir: Path = option(
-        Path("sysid_output"), "folder for the results", "DIR", parse=folder
+        Path("sysid_output"), "folder for the results", "DIR", parse=parse_folder
     )
     keep: tuple[str, ...] = option(
         (),
@@ -57,7 +62,11 @@ class OutputOptions(OptionRecord):
     plots: bool = option(False, "also write the report's figures as PNG and SVG")
 
 
-_ID: dict[str, Any] = {"value": "ID", "parse": options.whole_number, "repeats": True}
+_ID: dict[str, Any] = {
+    "value": "ID",
+    "parse": option_fields.parse_whole_number,
+    "repeats": True,
+}
 
 
 @dataclass(frozen=True)
@@ -72,12 +81,15 @@ class MotorOptions(OptionRecord):
         repeats=True,
     )
     can_id: tuple[int, ...] = option(
-        (), "CAN id of a motor; once per joint, base first", usual="1, 2, 3, ...", **_ID
+        (),
+        "CAN id of a motor; once per joint, base first",
+        default_text="1, 2, 3, ...",
+        **_ID,
     )
     master_id: tuple[int, ...] = option(
         (),
         "id on which a motor answers; once per joint, base first",
-        usual="CAN id + 0x10",
+        default_text="CAN id + 0x10",
         **_ID,
     )
 
@@ -93,7 +105,7 @@ def _given(
     *records: Any, only: tuple[str, ...] = (), but: tuple[str, ...] = ()
 ) -> list[Option]:
     """Return the options of records that were given: of some keys, or of all but some."""
-    given = [each for record in records for each in options.given_options(record)]
+    given = [each for record in records for each in option_fields.given_options(record)]
     return [
         each for each in given if each.key not in but and (not only or each.key in only)
     ]
@@ -115,9 +127,9 @@ class Config:
         InputError where one is unknown, its value cannot be used, or it does not go with another.
         """
         records = get_type_hints(cls)
-        options.refuse_unknown(values, options.keys_of(*records.values()))
+        option_fields.refuse_unknown(values, option_fields.keys_of(*records.values()))
         made = {
-            name: options.record_from(record, values)
+            name: option_fields.record_from(record, values)
             for name, record in records.items()
         }
         return cls(**{**made, "model": replace(made["model"], path=Path(path))})
@@ -126,7 +138,7 @@ class Config:
         for both, first, second in self._pairs():
             if both:
                 raise InputError(f"{first} and {second} exclude each other; choose one")
-        atomic_files.refuse_overwriting(self.read_files(), self._written())
+        file_access.refuse_overwriting(self.read_files(), self._written())
         for needed, why, useless in self._groups():
             if not needed and useless:
                 raise InputError(f"{useless[0].flag} {why}")
@@ -169,8 +181,8 @@ class Config:
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         """Yield the files that a run writes, each with the option that names it."""
-        results = atomic_files.PARAMS_NAME, atomic_files.SERVO_NAME
-        for name in (*results, *atomic_files.MODEL_NAMES.values()):
+        results = file_access.PARAMS_NAME, file_access.SERVO_NAME
+        for name in (*results, *file_access.MODEL_NAMES.values()):
             yield "--output-dir", self.output.output_dir / name
 
 
@@ -225,7 +237,7 @@ class SysidConfig(Config):
     @property
     def plan_file(self) -> Path | None:
         """Where the trajectory is written, or None."""
-        usual = self.output.output_dir / atomic_files.PLAN_NAME
+        usual = self.output.output_dir / file_access.PLAN_NAME
         return self.trajectory.save or (usual if self.trajectory.plan_only else None)
 
     @property
@@ -235,13 +247,16 @@ class SysidConfig(Config):
 
         model = self.model
         limits = self.limits
-        given = {each.key for each in options.given_options(limits)}.intersection(
+        given = {each.key for each in option_fields.given_options(limits)}.intersection(
             LIMITS
         )
-        kept = options.command_words(
+        kept = option_fields.command_arguments(
             {key: getattr(limits, key) for key in given}, limits
         )
-        return [str(model.path), *options.command_words(vars(model), model)], kept
+        return [
+            str(model.path),
+            *option_fields.command_arguments(vars(model), model),
+        ], kept
 
     def seeded(self) -> SysidConfig:
         """Return the configuration with a seed, where something is random."""
@@ -345,7 +360,7 @@ class SysidConfig(Config):
                 self.plan_file.with_suffix(".csv"),
             )
         if self.motors.export_damiao:
-            yield "--output-dir", self.output.output_dir / atomic_files.DAMIAO_NAME
+            yield "--output-dir", self.output.output_dir / file_access.DAMIAO_NAME
         if not self.trajectory.plan_only:
             yield from super()._written()
 
@@ -355,23 +370,23 @@ class PayloadOptions(OptionRecord):
     """Which recordings are empty and which are loaded, and what is wanted of the payload."""
 
     empty: tuple[Path, ...] = option(
-        (), "logs of the arm without the payload", "LOG", several=True
+        (), "logs of the arm without the payload", "LOG", takes_many=True
     )
     loaded: tuple[Path, ...] = option(
-        (), "logs of the arm with the payload", "LOG", several=True
+        (), "logs of the arm with the payload", "LOG", takes_many=True
     )
     order: str | None = option(
         None,
         "order in which the logs were recorded, A for the next empty one and B for the next "
         "loaded one, such as ABBA; a drift of friction is then estimated",
         "LETTERS",
-        usual="from the logs' clock, where they share one",
+        default_text="from the logs' clock, where they share one",
     )
     flange: str | None = option(
         None,
         "frame of the payload: a site or body fixed to the terminal body, or x,y,z in metres",
         "FRAME",
-        usual="found by its name, else the terminal body's",
+        default_text="found by its name, else the terminal body's",
     )
     as_body: str | None = option(
         None,
@@ -447,7 +462,7 @@ class PayloadConfig(Config):
         return (*super().read_files(), *self.payload.empty, *self.payload.loaded)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
-        yield "--output-dir", self.output.output_dir / atomic_files.CARD_NAME
+        yield "--output-dir", self.output.output_dir / file_access.CARD_NAME
         if self.payload.save_torque_scale is not None:
             yield "--save-torque-scale", self.payload.save_torque_scale
         yield from super()._written()

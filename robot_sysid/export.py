@@ -18,9 +18,8 @@ from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import WriteBack
 from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.records import Motion, atomic_files
-from robot_sysid.records.figures import with_error
-from robot_sysid.records.progress import Progress
+from robot_sysid.records import Motion, file_access
+from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.cards import Card, card_text, payload_cards
 from robot_sysid.results.json import export_params_json as export_params_json
 from robot_sysid.results.json import params_json_text
@@ -31,14 +30,14 @@ from robot_sysid.results.verdict import refusal
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
-_BESIDE = ("report_data.npz", atomic_files.RUN_NAME)
+_BESIDE = ("report_data.npz", file_access.RUN_NAME)
 """What a command writes once the results are in their places."""
 RESULT_NAMES = (
-    atomic_files.PARAMS_NAME,
-    atomic_files.SERVO_NAME,
-    *atomic_files.MODEL_NAMES.values(),
-    atomic_files.CARD_NAME,
-    atomic_files.DAMIAO_NAME,
+    file_access.PARAMS_NAME,
+    file_access.SERVO_NAME,
+    *file_access.MODEL_NAMES.values(),
+    file_access.CARD_NAME,
+    file_access.DAMIAO_NAME,
     "report.html",
 )
 """What a run leaves, whichever command and release it was; a planned motion is no result."""
@@ -70,8 +69,8 @@ def locked_folder(folder: Path, progress: Progress) -> Iterator[None]:
     """Keep an output folder to one run, and tell at its end what MuJoCo warned of meanwhile;
     InputError where the folder cannot be written to, or another run has it.
     """
-    atomic_files.require_writable(folder)
-    with warnings_as_notes(progress), atomic_files.only_run_in(folder):
+    file_access.require_writable(folder)
+    with warnings_as_notes(progress), file_access.lock_folder(folder):
         yield
 
 
@@ -94,7 +93,7 @@ def export_updated_xml(
     """
     change = ModelChange((BodyChange(body, 0, plan),), rmse, principal=principal)
     folder = destination.absolute().parent
-    atomic_files.write_whole(
+    file_access.write_atomically(
         destination, changed_model_text(source, change, folder, mesh_dir)
     )
 
@@ -133,7 +132,7 @@ def save(
     cards: tuple[Card, ...] = ()
     written: list[Path] = []
     notes: tuple[str, ...] = ()
-    with atomic_files.whole_files() as files:
+    with file_access.atomic_files() as files:
         if failure is None and not calibrates:
             # Drafted first, it takes its place last: what the other files say then holds for it.
             target = ModelTarget(
@@ -142,17 +141,19 @@ def save(
             try:
                 written, notes = _write_models(result, target, as_body)
             except ExportError as error:
-                failure = f"{error} (the identified numbers are in {atomic_files.PARAMS_NAME})"
+                failure = (
+                    f"{error} (the identified numbers are in {file_access.PARAMS_NAME})"
+                )
             if result.payload is not None:
                 cards, text = _card_file(result, result.payload)
-                written.append(folder / atomic_files.CARD_NAME)
+                written.append(folder / file_access.CARD_NAME)
                 files.write(written[-1], text)
         if motor_file is not None:
-            written.append(folder / atomic_files.DAMIAO_NAME)
+            written.append(folder / file_access.DAMIAO_NAME)
             with files.open(written[-1]) as file:
                 report = motor_file(file)
         text = params_json_text(result, cards, notes, failure)
-        written.append(folder / atomic_files.PARAMS_NAME)
+        written.append(folder / file_access.PARAMS_NAME)
         files.write(written[-1], text)
         read = (
             *inputs,
@@ -182,7 +183,7 @@ def _write_models(
             result,
             *([] if beside is None else [replace(result, file=beside)]),
         ):
-            path = target.path / atomic_files.MODEL_NAMES[model.model_kind]
+            path = target.path / file_access.MODEL_NAMES[model.model_kind]
             notes += write_model(model, replace(target, path=path), as_body)
             written.append(path)
     except ExportError:
@@ -193,7 +194,7 @@ def _write_models(
 
 
 def remove_earlier(
-    files: atomic_files.WholeFiles,
+    files: file_access.AtomicFiles,
     folder: Path,
     written: Collection[Path],
     read: Collection[Path],

@@ -30,7 +30,7 @@ from robot_sysid.model.chain import (
 from robot_sysid.model.compilation import CompiledModel, compile_model
 from robot_sysid.model.inertia import arm_links, subtree_bodies
 from robot_sysid.records import InertialParameters, RobotModel, SubtreeBody
-from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint
+from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
 
 
 def load_robot_model(

@@ -39,7 +39,7 @@ def identify_parameters(
     if possible and not spatial.is_consistent(free[:N_INERTIAL]):
         link_only = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
         problem = LinksProblem((np.arange(N_INERTIAL),), link_only)
-        values = ConsistentLinks(*information.stacked(1.0 / noise), problem).best()
+        values = ConsistentLinks(*information.equations(1.0 / noise), problem).best()
     errors = uncertainty(information, 1.0 / noise, noise)
     n_samples = {}
     noise_per_joint = {}

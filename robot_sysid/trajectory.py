@@ -15,7 +15,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel, check_arrays
-from robot_sysid.records.sampling import TrajectoryOptions
+from robot_sysid.records.option_fields import TrajectoryOptions
 
 FREQUENCY_BAND_HZ = (0.1, 0.6)
 TERMS_PER_JOINT = (3, 5)

@@ -56,8 +56,6 @@ LAYERS = (
     ("records",),
     # The conversions that the records themselves need.
     ("dynamics.spatial",),
-    ("json_files",),
-    ("special_files",),
     ("errors",),
     # Nothing but the version.
     ("",),

@@ -13,7 +13,7 @@ import pytest
 
 from robot_sysid.cli import main
 from robot_sysid.errors import SysidError
-from robot_sysid.records.atomic_files import only_run_in
+from robot_sysid.records.file_access import lock_folder
 from tests.support.arms import Y, serial_arm
 from tests.support.command_line import files_in
 from tests.support.places import GUESS
@@ -257,7 +257,7 @@ def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
 
 
 def test_two_runs_do_not_write_into_one_folder(command, arm):
-    with only_run_in(arm.parent / "sysid_output"):
+    with lock_folder(arm.parent / "sysid_output"):
         assert "another run is writing to sysid_output" in command.refused(arm, *SHORT)
         command.run(arm, *SHORT, "--output-dir", "elsewhere")
     command.run(arm, *SHORT)

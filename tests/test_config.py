@@ -12,7 +12,7 @@ from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.question import CHOSEN, DEFAULT_TERMINAL, EstimationOptions
-from robot_sysid.records.sampling import MOST_SAMPLES
+from robot_sysid.records.option_fields import MAX_SAMPLES
 from robot_sysid.records.torque_scale import write_torque_scale
 from tests.support import option_samples
 
@@ -231,7 +231,7 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
     duration, rate
 ):
     values = {"duration": duration, "sample_rate": rate}
-    if duration * rate > MOST_SAMPLES:
+    if duration * rate > MAX_SAMPLES:
         assert "more than the 1e+09 a run can take" in refused(**values)
     elif duration * rate >= 1.0:
         assert SysidConfig.of(MODEL, **values).trajectory.duration == duration

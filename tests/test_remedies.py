@@ -17,7 +17,7 @@ import pytest
 from robot_sysid.commands import COMMANDS as NAMES
 from robot_sysid.commands import example, log, motors, report, run
 from robot_sysid.config import Config
-from robot_sysid.records.options import OptionRecord
+from robot_sysid.records.option_fields import OptionRecord
 from tests.test_architecture import FUNCTIONS, nodes_of, package_sources
 
 Place = tuple[str, str]
@@ -56,7 +56,7 @@ RUNS = ("run", "identify", "payload")
 OF_PLANS = places("pipeline.planning", "write_plan")
 CHOSEN = places("signals.filters", "design_low_pass")  # a cut-off that nobody gave fits
 USUAL = places(
-    "records.sampling", "require_countable"
+    "records.option_fields", "require_countable"
 )  # the motion that nobody asked for is short
 SECOND = places("damiao.settings", "SecondArm")  # one arm at a time
 LIFTED = places(

@@ -49,9 +49,9 @@ HELD = {
     "a MATLAB file": f"{ARRAYS}test_a_matlab_file_may_end_its_process_and_takes_bounded_time",
     "bounded memory": f"{ARRAYS}test_a_matlab_files_empty_cells_are_not_unpacked",
     "a compressed": "logs/test_ros_bag.py::test_a_bag_that_unpacks_to_too_much_is_refused",
-    "JSON nested": "test_json_files.py::test_what_is_no_json_is_refused_in_one_line",
-    "or of more than 30 MB": "test_json_files.py::test_what_is_too_large_is_not_read",
-    "an integer": "test_json_files.py::test_an_integer_beyond_all_floats_is_infinite",
+    "JSON nested": "records/test_file_access.py::test_what_is_no_json_is_refused_in_one_line",
+    "or of more than 30 MB": "records/test_file_access.py::test_what_is_too_large_is_not_read",
+    "an integer": "records/test_file_access.py::test_an_integer_beyond_all_floats_is_infinite",
     "names and titles": "test_cli.py::test_of_a_long_name_beginning_and_end_are_shown",
     "control characters": "test_cli.py::test_names_cannot_steer_the_terminal",
     "column titles": "commands/test_log.py::test_titles_cannot_steer_the_terminal",
@@ -64,7 +64,7 @@ HELD = {
     "Nothing is written": "test_security.py::"
     "test_files_are_written_where_a_command_says_and_no_network_is_opened",
     "A run that would": "test_config.py::test_no_file_is_written_over_another_one",
-    "Files appear whole": "records/test_atomic_files.py::"
+    "Files appear whole": "records/test_file_access.py::"
     "test_an_error_at_any_instant_leaves_whole_files_and_nothing_else",
     "No network": "test_security.py::"
     "test_files_are_written_where_a_command_says_and_no_network_is_opened",

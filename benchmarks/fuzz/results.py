@@ -14,7 +14,7 @@ import matplotlib.font_manager  # noqa: F401 - makes its folders when it is firs
 
 from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged, damaged_json
-from robot_sysid.records.atomic_files import PARAMS_NAME
+from robot_sysid.records.file_access import PARAMS_NAME
 from robot_sysid.report.page import html, save_data, sections_of
 from robot_sysid.report.runs import DATA_NAME, fingerprint, load_run
 from tests.support import reports

@@ -29,8 +29,8 @@ from robot_sysid.motion.trajectories import (
     load_trajectory,
     save_trajectory,
 )
-from robot_sysid.records.progress import Progress
-from robot_sysid.records.sampling import TrajectoryOptions, require_countable
+from robot_sysid.records.messages import Progress
+from robot_sysid.records.option_fields import TrajectoryOptions, require_countable
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
 from tests.support import arms
 

@@ -226,5 +226,5 @@ def cramer_rao_bound(information: SquareRootInformation, noise: Array) -> Array:
         information: the equations.
         noise: (joints,) noise standard deviation [N m].
     """
-    root = visible_space(information.stacked(1.0 / noise)[0]).inverse_root()
+    root = visible_space(information.equations(1.0 / noise)[0]).inverse_root()
     return root @ root.T

@@ -41,8 +41,8 @@ from robot_sysid.pipeline.planning import (
 from robot_sysid.pipeline.recordings import diagnose_logs
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Measurement, RobotModel, Traces
-from robot_sysid.records.options import record_from
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
+from robot_sysid.records.option_fields import record_from
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

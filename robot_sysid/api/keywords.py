@@ -45,9 +45,14 @@ from robot_sysid.model.compilation import (
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import RobotModel
-from robot_sysid.records import options as option_records
-from robot_sysid.records.options import Option, default_of, keys_of, options_of
-from robot_sysid.records.sampling import TrajectoryOptions
+from robot_sysid.records import option_fields as option_records
+from robot_sysid.records.option_fields import (
+    Option,
+    TrajectoryOptions,
+    default_of,
+    keys_of,
+    options_of,
+)
 from robot_sysid.simulation import SimulatedArmOptions
 
 Model = Union[str, "os.PathLike[str]", InMemory]

@@ -19,8 +19,8 @@ from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.records.atomic_files import DAMIAO_NAME, temporary_folder
-from robot_sysid.records.options import given_options
+from robot_sysid.records.file_access import DAMIAO_NAME, temporary_folder
+from robot_sysid.records.option_fields import given_options
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

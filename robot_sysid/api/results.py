@@ -23,9 +23,8 @@ from robot_sysid.pipeline.outcome import Identification, Outcome
 from robot_sysid.pipeline.planning import draft_plan
 from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
-from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
-from robot_sysid.records.figures import with_error
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
+from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.console import HEADINGS, BeforeAfter, asked_rows, result_lines
 from robot_sysid.results.json import params_json_text
 from robot_sysid.results.model import model_in_memory, write_bundle
@@ -303,7 +302,7 @@ class PlanResult:
             raise SysidError(f"{self.failure}; nothing was written")
         trajectory = replace(self.config.trajectory, save=Path(path))
         config = replace(self.config, trajectory=trajectory)
-        with in_python(), one_thread(), whole_files() as files:
+        with in_python(), one_thread(), atomic_files() as files:
             rate = config.trajectory.sample_rate
             return draft_plan(
                 files, config.plan_file, self.robot, self.checked.plan, rate

@@ -8,13 +8,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
-import robot_sysid.records.options as options
+import robot_sysid.records.option_fields as options
 from robot_sysid import __version__
 from robot_sysid.commands import PROGRAM as PROGRAM
 from robot_sysid.commands.console import Console, ConsoleOptions
 from robot_sysid.commands.streams import print_line
 from robot_sysid.errors import EXIT_CODES, InputError
-from robot_sysid.records.plan_settings import read_toml
+from robot_sysid.records.file_access import read_toml
 
 PYTHON_ONLY = ("plan_only",)
 """Keys of options that only Python programs have."""
@@ -214,8 +214,8 @@ def described(each: options.Option, default: Any) -> str:
 
 def default_text(each: options.Option, default: Any) -> str:
     """Return a default as a user would type it, or in words; "" where there is none."""
-    if each.usual:
-        return each.usual
+    if each.default_text:
+        return each.default_text
     if default is None or isinstance(default, (bool, tuple)):
         return ""
     return f"{default:g}" if isinstance(default, float) else str(default)
@@ -240,7 +240,7 @@ def _add(group: Any, each: options.Option, default: Any, hidden: bool) -> None:
         words["type"] = _typed(each.parse or str)
     if isinstance(each.metavar, tuple):
         words["nargs"] = len(each.metavar)
-    elif each.several:
+    elif each.takes_many:
         words["nargs"] = "+"
     if each.repeats:
         words["action"] = "append"
@@ -276,7 +276,7 @@ def parsed(
         if file
         else vars(parser.parse_args(arguments))
     )
-    values = {key: options.frozen(value) for key, value in given.items()}
+    values = {key: options.immutable_value(value) for key, value in given.items()}
     console = options.record_from(Console, values)
     for name in options.options_of(Console):
         values.pop(name, None)

@@ -11,8 +11,8 @@ from typing import Any
 
 from robot_sysid.commands.streams import print_line, print_text
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import OptionRecord, option
-from robot_sysid.records.progress import Detail, Progress
+from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.option_fields import OptionRecord, option
 
 TOLD_EVERY = 10.0
 """Time between two lines of progress where there is no terminal [s]."""

@@ -13,8 +13,13 @@ import robot_sysid
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.config import SysidConfig
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.records.atomic_files import draft_folder, temporary_folder
-from robot_sysid.records.options import OptionRecord, folder, option, record_from
+from robot_sysid.records.file_access import draft_folder, temporary_folder
+from robot_sysid.records.option_fields import (
+    OptionRecord,
+    option,
+    parse_folder,
+    record_from,
+)
 
 EXAMPLES = ("kinova",)
 MAIN = ("output_dir",)
@@ -45,7 +50,11 @@ class ExampleOptions(OptionRecord):
     """Where an example goes."""
 
     output_dir: Path | None = option(
-        None, "folder for the copy", "DIR", parse=folder, usual="the example's name"
+        None,
+        "folder for the copy",
+        "DIR",
+        parse=parse_folder,
+        default_text="the example's name",
     )
 
 

@@ -13,7 +13,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.preview import PreviewOptions, require_preview, show_preview
-from robot_sysid.records.options import given_options, record_from
+from robot_sysid.records.option_fields import given_options, record_from
 
 INTERRUPTED = "interrupted; nothing was written"
 LEFT_OUT = ("measurements", "validation_measurements", "verify_rollout")

@@ -12,7 +12,12 @@ from robot_sysid.commands.console import Console
 from robot_sysid.config import OutputOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.options import OptionRecord, folder, option, record_from
+from robot_sysid.records.option_fields import (
+    OptionRecord,
+    option,
+    parse_folder,
+    record_from,
+)
 
 
 @dataclass(frozen=True)
@@ -23,8 +28,8 @@ class PageOptions(OptionRecord):
         None,
         "folder for the page",
         "DIR",
-        parse=folder,
-        usual="the run's own, or the first one's",
+        parse=parse_folder,
+        default_text="the run's own, or the first one's",
     )
     plots: bool = option(False, "also write the figures as PNG and SVG")
 

@@ -30,9 +30,14 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.preview import PreviewOptions, require_preview, show_plan
-from robot_sysid.records import atomic_files
-from robot_sysid.records.options import default_of, keys_of, options_of, record_from
-from robot_sysid.records.sampling import TrajectoryOptions
+from robot_sysid.records import file_access
+from robot_sysid.records.option_fields import (
+    TrajectoryOptions,
+    default_of,
+    keys_of,
+    options_of,
+    record_from,
+)
 from robot_sysid.simulation import SimulatedArmOptions
 
 
@@ -259,7 +264,7 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
     if config.output.bundle:
         from robot_sysid.results.model import write_bundle
 
-        names = atomic_files.MODEL_NAMES.values()
+        names = file_access.MODEL_NAMES.values()
         for model in [path for path in outcome.files if path.name in names][:1]:
             console.stage(
                 f"Bundle saved to {write_bundle(model, config.output.output_dir)}"
@@ -272,7 +277,7 @@ def carry_out(config: Config, console: Console, preview: PreviewOptions) -> int:
 
 def _repeatable(config: Config) -> None:
     """Write the file that repeats a run, but not over the one that it was asked with."""
-    path = config.output.output_dir / atomic_files.RUN_NAME
+    path = config.output.output_dir / file_access.RUN_NAME
     command = PROGRAM
     usual: Mapping[str, Any] = {}
     if isinstance(config, PayloadConfig):
@@ -284,7 +289,7 @@ def _repeatable(config: Config) -> None:
         usual = PLANNED
     given = config.output.config
     if given is None or not (path.exists() and path.samefile(given)):
-        atomic_files.write_whole(path, text_of(command, config, path, usual))
+        file_access.write_atomically(path, text_of(command, config, path, usual))
 
 
 def text_of(command: str, config: Any, path: Path, usual: Mapping[str, Any]) -> str:
@@ -316,7 +321,7 @@ def _toml(value: Any) -> str:
 def _answer(outcome: Any) -> Mapping[str, Any] | str:
     """Return what --json prints: the result's file, or what there is to say of a plan."""
     for path in outcome.files:
-        if path.name in (atomic_files.PARAMS_NAME, atomic_files.SERVO_NAME):
+        if path.name in (file_access.PARAMS_NAME, file_access.SERVO_NAME):
             return str(path.read_text(encoding="utf-8"))
     return {
         "verdict": outcome.verdict,

@@ -30,7 +30,7 @@ from typing import Any
 from robot_sysid.damiao.bus import Link, LinkError, SystemClock
 from robot_sysid.damiao.protocol import BusTiming, Frame
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.records.options import OptionRecord, option
+from robot_sysid.records.option_fields import OptionRecord, option
 
 # Adapters on this computer only: nothing here may put motor commands on a network.
 INTERFACES = (

@@ -70,7 +70,7 @@ from robot_sysid.errors import HardwareAbort, InputError, SysidError, error_text
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import Array
-from robot_sysid.records.options import given_options, record_from
+from robot_sysid.records.option_fields import given_options, record_from
 
 
 class MotorRun:

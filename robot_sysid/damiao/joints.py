@@ -51,10 +51,12 @@ import numpy as np
 
 from robot_sysid.damiao.protocol import Address, MitCommand
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.json_files import read_json
 from robot_sysid.records import Array
-from robot_sysid.records.atomic_files import write_whole
-from robot_sysid.special_files import refuse_special_file
+from robot_sysid.records.file_access import (
+    read_json,
+    refuse_special_file,
+    write_atomically,
+)
 
 RPM = 2.0 * pi / 60.0
 """One revolution per minute [rad/s]."""
@@ -383,7 +385,7 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
         ids = f"{row.name},{row.channel},{row.can_id},{row.master_id:#x}"
         mounting = f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g}"
         lines.append(f"{ids},{mounting},{row.verified}")
-    write_whole(path, "\n".join(lines) + "\n")
+    write_atomically(path, "\n".join(lines) + "\n")
 
 
 def map_joints(

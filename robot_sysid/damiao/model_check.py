@@ -33,13 +33,13 @@ from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, NO_LIMITS, DamiaoTrajec
 from robot_sysid.errors import InputError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.limit_check import BetweenArms, first_contact
-from robot_sysid.motion.plan_options import LimitOptions
+from robot_sysid.motion.plan_options import WEIGHT, LimitOptions
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, RobotModel
-from robot_sysid.records.options import record_from
-from robot_sysid.records.plan_settings import WEIGHT, settings_of
+from robot_sysid.records.file_access import plan_settings
+from robot_sysid.records.option_fields import record_from
 from robot_sysid.simulation.forward_dynamics import ArmStepper
 from robot_sysid.simulation.playback import interpolate
 from robot_sysid.simulator import ArmTorque
@@ -328,13 +328,15 @@ def _accelerations(trajectory: DamiaoTrajectory) -> Array:
 
 def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
     """Tell whether a motion was planned to weigh an arm that its model may not know."""
-    settings = settings_of(trajectory.path.parent)
+    settings = plan_settings(trajectory.path.parent)
     return settings is not None and settings[1].get("for_") == WEIGHT
 
 
 def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
     """Tell whether a file's torque is that of its motion by the model that it was planned with."""
-    settings = None if trajectory.has_two_arms else settings_of(trajectory.path.parent)
+    settings = (
+        None if trajectory.has_two_arms else plan_settings(trajectory.path.parent)
+    )
     if settings is None:
         return False
     model = record_from(ModelOptions, settings[1])
@@ -384,7 +386,7 @@ def _plan_command(
     """
     if trajectory.has_two_arms:
         return []
-    settings = settings_of(trajectory.path.parent)
+    settings = plan_settings(trajectory.path.parent)
     program = ["robot-sysid", "plan"]
     model = [str(robot.path)]
     if settings is not None and "trajectory" not in settings[1]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Array
-from robot_sysid.records.options import OptionRecord, option
+from robot_sysid.records.option_fields import OptionRecord, option
 
 Bytes = NDArray[np.uint8]
 Codes = NDArray[np.int64]
@@ -444,9 +444,12 @@ class BusTiming(OptionRecord):
     """Bit rates of a bus."""
 
     fd: bool = option(False, "use CAN-FD frames")
-    bitrate: float = option(1e6, "nominal bit rate", _BIT_RATE, usual="1000000")
+    bitrate: float = option(1e6, "nominal bit rate", _BIT_RATE, default_text="1000000")
     data_bitrate: float = option(
-        5e6, "bit rate of the data part of CAN-FD frames", _BIT_RATE, usual="5000000"
+        5e6,
+        "bit rate of the data part of CAN-FD frames",
+        _BIT_RATE,
+        default_text="5000000",
     )
 
     @property

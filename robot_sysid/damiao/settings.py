@@ -19,8 +19,13 @@ from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import Array
-from robot_sysid.records.options import OptionRecord, option, per_joint, speed_factor
-from robot_sysid.special_files import refuse_special_file
+from robot_sysid.records.file_access import refuse_special_file
+from robot_sysid.records.option_fields import (
+    OptionRecord,
+    check_speed_factor,
+    joint_values,
+    option,
+)
 
 # A judgement: half way from a warm room to the limit, so that a run does not end in its middle.
 _START_TEMPERATURE = 60.0
@@ -38,7 +43,7 @@ LONGEST_SET_WATCHDOG = 1.0
 # Commands may move by a tenth faster than the trajectory: rows are rounded.
 _SPEED_MARGIN = 1.1
 _EACH = "one for all or one per joint"
-_BY_TYPE: dict[str, Any] = {"several": True, "usual": "by motor type"}
+_BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
 _ANGLE = "ANGLE [rad] >= 0"
 _SPEED = "V [rad/s] > 0"
 
@@ -83,10 +88,10 @@ class PlaySettings(OptionRecord):
         None,
         "control cycles per second",
         "HZ [Hz] > 0",
-        usual="250, with --fd 500, less where the bus is full",
+        default_text="250, with --fd 500, less where the bus is full",
     )
     speed: float = option(
-        1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=speed_factor
+        1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=check_speed_factor
     )
     approach_speed: float = option(
         0.2, "joint speed on the way to the first point", _SPEED
@@ -104,15 +109,15 @@ class PlaySettings(OptionRecord):
         (),
         f"how far a joint's torque may be from the trajectory's, {_EACH}",
         "TAU [N·m] > 0",
-        several=True,
-        usual="two thirds of the motor's peak torque",
+        takes_many=True,
+        default_text="two thirds of the motor's peak torque",
     )
     max_temperature: float = option(80.0, "of power stage and winding", "T [°C] >= 0")
     park: str | None = option(
         None,
         "where to leave it: rest (lowered), start (where it stood), or a file of positions",
         "WHERE",
-        usual="disabled where it ends",
+        default_text="disabled where it ends",
     )
     others: str = option(
         "limp",
@@ -150,7 +155,7 @@ class PlaySettings(OptionRecord):
         least = np.maximum(_LEAST_SHARE * _DAMPING * stiffness, _LEAST_DAMPING)
         damping = np.clip(np.minimum(_DAMPING * stiffness, light), least, KD_MAX)
         chosen: dict[str, Any] = {
-            name: tuple(per_joint(asked, n, flag) if asked else usual)
+            name: tuple(joint_values(asked, n, flag) if asked else usual)
             for name, asked, usual, flag in (
                 ("kp", self.kp, stiffness, "--kp"),
                 ("kd", self.kd, damping, "--kd"),
@@ -191,7 +196,7 @@ class Permissions(OptionRecord):
         "S [s]",
         flag="--set-watchdog",
         check=_watchdog_time,
-        usual="as they are",
+        default_text="as they are",
     )
     directions: bool = option(
         False,
@@ -209,7 +214,7 @@ class RecordingOptions(OptionRecord):
         None,
         "write every frame, format by suffix: .log .asc .blf .trc",
         "FILE",
-        usual="beside --record",
+        default_text="beside --record",
     )
     overwrite: bool = option(False, "replace existing recordings")
 

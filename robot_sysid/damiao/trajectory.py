@@ -52,9 +52,8 @@ from robot_sysid.damiao.protocol import (
 from robot_sysid.errors import InputError
 from robot_sysid.motion.plan_options import LimitOptions
 from robot_sysid.records import Array
-from robot_sysid.records.atomic_files import whole_file
-from robot_sysid.records.options import per_joint
-from robot_sysid.special_files import refuse_special_file
+from robot_sysid.records.file_access import atomic_file, refuse_special_file
+from robot_sysid.records.option_fields import joint_values
 
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
 
@@ -136,7 +135,7 @@ def export_damiao_trajectory(
     (n_clamped, peak_velocity, peak_torque) = np.zeros((3, len(joints)))
     # Milliseconds where all moments are on their grid.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
-    with whole_file(path_or_file) as file:
+    with atomic_file(path_or_file) as file:
         file.write(_head(joints))
         for chunk in chain([first], chunks):
             signals = _require_chunk(chunk, len(joints))
@@ -427,7 +426,7 @@ def limit_excesses(
         (acceleration, limits.max_acceleration, "rad/s^2", "--max-acceleration", slack),
         (torque, limits.max_torque, "N m", "--max-torque", _ROUNDING),
     ):
-        joint_limits = per_joint(
+        joint_limits = joint_values(
             np.inf if limit is None else limit, trajectory.n_joints, flag
         )
         for j, peak in peaks_beyond(values, joint_limits + rounding):

@@ -28,7 +28,7 @@ from robot_sysid.diagnosis.rows import LogRows, Prior, base_prior, log_rows, rms
 from robot_sysid.dynamics.equations import link_names, other_links
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.figures import percent, with_error
+from robot_sysid.records.messages import percent, with_error
 from robot_sysid.signals.process import ProcessedSignals
 
 MARGIN = 15.0

@@ -20,7 +20,7 @@ from robot_sysid.diagnosis.rows import PAYLOAD, REACH, LogRows, Prior, rms
 from robot_sysid.dynamics.newton_euler import TILT_NAMES, LinkDynamics, gravity_vector
 from robot_sysid.dynamics.spatial import parameter_scale
 from robot_sysid.records import Array, Motion
-from robot_sysid.records.figures import percent, with_error
+from robot_sysid.records.messages import percent, with_error
 from robot_sysid.signals.process import ProcessedSignals
 
 STEPS = 17

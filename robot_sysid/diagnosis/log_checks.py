@@ -21,8 +21,7 @@ from robot_sysid.errors import InputError, SysidError, prefix_input_errors
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
-from robot_sysid.records.figures import percent
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress, percent
 from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.signals.resampling import sampling_period
 

@@ -42,8 +42,8 @@ from robot_sysid.records import (
     RobotModel,
     Validation,
 )
-from robot_sysid.records.atomic_files import MODEL_NAMES
-from robot_sysid.records.figures import percent, with_error
+from robot_sysid.records.file_access import MODEL_NAMES
+from robot_sysid.records.messages import percent, with_error
 from robot_sysid.results.cards import inertia_is_known, principal_moments
 from robot_sysid.results.record import (
     BaseParameters,
@@ -420,7 +420,7 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     names = fit.columns.bodies()
     order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
     unknowns = fit.unknowns
-    data = fit.evidence.total.blocks
+    data = fit.evidence.total.equation_blocks
     rows = triangle_of(block[:, order] for block in data(fit.weights))
     combinations = base_combinations(rows, parameter_scale(len(order) // 10))
     others = np.setdiff1d(unknowns.estimated, order)

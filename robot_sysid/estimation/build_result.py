@@ -48,8 +48,7 @@ from robot_sysid.records import (
     WrongLink,
 )
 from robot_sysid.records.data import Traces
-from robot_sysid.records.figures import with_error
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.messages import Detail, with_error
 from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
@@ -380,7 +379,7 @@ def make_traces(
         qd=interpolate_motion("qd"),
         measured=np.where(np.isfinite(missing), measured, np.nan),
         predicted=measured - missing + _products(samples, estimate),
-        before=measured - missing + _products(samples, prior),
+        prior_prediction=measured - missing + _products(samples, prior),
         friction=_products(samples, rubbing),
         limits=JointLimits(
             limits.lower[indices],

@@ -53,9 +53,9 @@ from robot_sysid.estimation.unknowns import (
     build_unknowns,
     independent_prior,
 )
-from robot_sysid.json_files import read_json
 from robot_sysid.model.chain import CAN_HOLD_ROTORS, shared_motors
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.file_access import read_json
 
 CANDIDATES = (
     "coulomb-viscous-offset-armature",

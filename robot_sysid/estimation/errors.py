@@ -256,7 +256,7 @@ def _further_causes(
     there.
     """
     for conflict in conflicts:
-        excess = (conflict.asked / conflict.scale) ** 2 - 1.0
+        excess = (conflict.deviation / conflict.scale) ** 2 - 1.0
         if excess > 0.0:
             yield conflict.cause, np.sqrt(excess) * causes[conflict.cause]
     if fit.choice.common_scale:

@@ -557,7 +557,7 @@ def possible(unknowns: Unknowns, data: Evidence, weights: Array, free: Array) ->
         spatial.is_consistent(free[indices]) for indices, _ in unknowns.bodies.values()
     ):
         return free
-    rows = with_prior(data.of(unknowns), unknowns.groups).stacked(weights)
+    rows = with_prior(data.of(unknowns), unknowns.groups).equations(weights)
     return unknowns.full(ConsistentLinks(*rows, links_problem(unknowns)).best())
 
 

@@ -32,7 +32,7 @@ from robot_sysid.estimation.fit import Evidence, Fit, evidence_of, links_problem
 from robot_sysid.estimation.question import Choice, Question
 from robot_sysid.estimation.unknowns import Unknowns, build_unknowns
 from robot_sysid.records import Array, SquareRootInformation, Validation
-from robot_sysid.records.results import validation_of
+from robot_sysid.records.data import validation_of
 
 OWN_SOURCE = "the logs, each fifth predicted from the others"
 
@@ -194,7 +194,7 @@ class HeldOut:
             restriction = unknowns.estimated_names, unknowns.held
             blocks = (restrict(block, *restriction) for block in self.data.blocks)
             stacked = (
-                np.column_stack(block.stacked(1.0 / self.noise)) for block in blocks
+                np.column_stack(block.equations(1.0 / self.noise)) for block in blocks
             )
             empty = np.zeros((0, len(unknowns.estimated) + 1))
             triangles = [update_triangle(empty, block) for block in stacked]

@@ -32,7 +32,7 @@ from robot_sysid.estimation.log_comparison import compare_recordings, estimate_a
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.estimation.unknowns import WEIGHT, independent_prior
 from robot_sysid.records import Array, Flange, Measurement, RobotModel
-from robot_sysid.records.progress import Detail, Progress
+from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.results.record import OneRecording
 from robot_sysid.signals.process import LogPiece, process
 from robot_sysid.signals.repetition import find_visits

@@ -48,8 +48,8 @@ from robot_sysid.estimation.fit import Fit, evidence_of, restrict_samples
 from robot_sysid.estimation.held_out import HeldOut, is_informative_test
 from robot_sysid.estimation.unknowns import FRICTION, Unknowns
 from robot_sysid.records import Array, SquareRootInformation, Validation
-from robot_sysid.records.figures import percent
-from robot_sysid.records.results import validation_of
+from robot_sysid.records.data import validation_of
+from robot_sysid.records.messages import percent
 
 DISAGREE = 2.0
 """Scatter over stated errors beyond which logs do not agree."""
@@ -99,10 +99,10 @@ def estimate_alone(
         residuals = [log.tau[joint] - log.rows[joint] @ values[at] for log in logs]
         memories.append(memory(np.concatenate(residuals)))
     weights = 1.0 / (noise * np.sqrt(memories))
-    space = visible_space(information.stacked(weights)[0])
+    space = visible_space(information.equations(weights)[0])
     inverse = space.inverse()
     identified = space.identified
-    noise_root = plain.stacked(weights)[0] @ inverse
+    noise_root = plain.equations(weights)[0] @ inverse
     covariance = np.where(np.outer(identified, identified), inverse, np.inf)
     return solved(weights)[0], noise_root.T @ noise_root, covariance
 

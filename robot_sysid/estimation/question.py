@@ -11,7 +11,12 @@ from robot_sysid.dynamics.friction import Coupling, FrictionModel
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.priors import AS_STATED, LinkScales
 from robot_sysid.records import Array
-from robot_sysid.records.options import OptionRecord, PerJoint, given_options, option
+from robot_sysid.records.option_fields import (
+    OptionRecord,
+    PerJoint,
+    given_options,
+    option,
+)
 
 if TYPE_CHECKING:
     from robot_sysid.dynamics.friction import FrictionModel
@@ -49,14 +54,14 @@ class EstimationOptions(OptionRecord):
         None,
         "friction terms of every joint, such as coulomb-viscous-offset, or auto",
         "TERMS",
-        usual="auto: each joint's by held-out torques; of the last joint's torque alone "
+        default_text="auto: each joint's by held-out torques; of the last joint's torque alone "
         f"{DEFAULT_TERMINAL}",
     )
     cutoff: float | None = option(
         None,
         "cut-off of the low-pass that all signals go through",
         "HZ [Hz] > 0",
-        usual="from the data",
+        default_text="from the data",
     )
     delay: str = option(
         "off",
@@ -77,7 +82,7 @@ class EstimationOptions(OptionRecord):
         None,
         "how far each joint's torque scale may be off, one number or one per joint",
         "P [%] >= 0",
-        usual="2; 3 of payloads; what a file of torque scales says of itself",
+        default_text="2; 3 of payloads; what a file of torque scales says of itself",
     )
     zero_uncertainty: float = _uncertainty(
         2.0, "how far each joint's zero position may be off", "mrad"
@@ -97,14 +102,14 @@ class EstimationOptions(OptionRecord):
         None,
         "JSON file of motors that turn with several joints",
         "FILE",
-        usual="found where it shows",
+        default_text="found where it shows",
     )
     torque_from: str | None = option(
         None,
         "no torque was measured: find servos, friction and rotor inertia from commanded and "
         "measured positions",
         choices=("position-error",),
-        usual="measured torques",
+        default_text="measured torques",
     )
 
     def __post_init__(self) -> None:

@@ -24,7 +24,7 @@ from robot_sysid.records import (
     Validation,
     WrongLink,
 )
-from robot_sysid.records.figures import percent, with_error
+from robot_sysid.records.messages import percent, with_error
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 
 HARMLESS = 0.02

@@ -34,7 +34,7 @@ from robot_sysid.estimation.question import (
     Question,
 )
 from robot_sysid.records import DELAY_NAME, Array
-from robot_sysid.records.options import per_joint
+from robot_sysid.records.option_fields import joint_values
 
 # Causes of error, as they are called in results.
 LINKS = "links"
@@ -452,7 +452,7 @@ def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> 
     percent = options.scale_uncertainty
     if percent is None:
         percent = LOADED_SCALE if loaded else USUAL_SCALE
-    scale = per_joint(percent, columns.robot.n_joints, "--scale-uncertainty")
+    scale = joint_values(percent, columns.robot.n_joints, "--scale-uncertainty")
     return PER_CENT * scale[list(columns.joint_indices)]
 
 

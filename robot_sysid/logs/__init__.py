@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from robot_sysid.records.options import OptionRecord, option
-from robot_sysid.records.torque_scale import Factors, factors_in, usable_factor
+from robot_sysid.records.option_fields import OptionRecord, option
+from robot_sysid.records.torque_scale import Factors, check_factor, parse_factors
 
 CHECKS = {
     "torque-scale": "torque in another unit, on the motor's side of the gear, or scaled",
@@ -47,35 +47,35 @@ class LogOptions(OptionRecord):
         repeats=True,
     )
     columns: Path | None = option(
-        None, "file that says which column is what", "FILE", usual="recognised"
+        None, "file that says which column is what", "FILE", default_text="recognised"
     )
     units: str | None = option(
-        None, "units of the log, such as deg or deg,ms", "UNITS", usual="SI"
+        None, "units of the log, such as deg or deg,ms", "UNITS", default_text="SI"
     )
     torque_scale: Factors | None = option(
         None,
         "divide torques by this: a number, one per joint, or a file",
         "SCALE",
-        parse=factors_in,
-        check=usable_factor,
+        parse=parse_factors,
+        check=check_factor,
     )
     torque_constants: Factors | None = option(
         None,
         "the log holds motor currents: torque at the joint per ampere, gear included; a number, "
         "one per joint, or a file",
         "K [N·m/A]",
-        parse=factors_in,
-        check=usable_factor,
+        parse=parse_factors,
+        check=check_factor,
     )
     topic: str | None = option(
-        None, "topic of a ROS bag, where several fit", "TOPIC", usual="found"
+        None, "topic of a ROS bag, where several fit", "TOPIC", default_text="found"
     )
     episode: tuple[int, ...] = option(
         (),
         "episode of a LeRobot data set; may be repeated",
         "N",
         repeats=True,
-        usual="all",
+        default_text="all",
     )
     accept: tuple[str, ...] = option(
         (),

@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.json_files import read_json
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import (
     BLOCK,
@@ -47,6 +46,7 @@ from robot_sysid.logs.table import (
 )
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
+from robot_sysid.records.file_access import read_json
 
 
 def recordings_table(

@@ -25,8 +25,7 @@ from robot_sysid.logs.table import (
 )
 from robot_sysid.logs.titles import collect_errors
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.figures import position
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.messages import Detail, position_unit
 from robot_sysid.signals.resampling import GAP_STEPS, sampling_period
 
 Check = Callable[[LogRows, RobotModel], "Iterable[str] | None"]
@@ -395,7 +394,7 @@ def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     largest = np.max(excess, axis=0)
     outside = []
     for joint in np.flatnonzero(largest > _LIMIT_MARGIN).tolist():
-        unit = position(robot.is_slide[joint])
+        unit = position_unit(robot.is_slide[joint])
         outside.append(f"{robot.joint_names[joint]} by {largest[joint]:.3g} {unit}")
     yield (
         f"positions leave the model's joint limits: {', '.join(outside)} "

@@ -47,7 +47,7 @@ from robot_sysid.logs.table import (
     import_optional,
     model_spelling,
 )
-from robot_sysid.special_files import refuse_special_file
+from robot_sysid.records.file_access import refuse_special_file
 
 FORM = "a ROS bag"
 POSITION = ("position",)

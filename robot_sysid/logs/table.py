@@ -29,9 +29,9 @@ from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnChoices, ColumnMap
 from robot_sysid.records import Array, Measurement
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.file_access import refuse_special_file
+from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import Thinning
-from robot_sysid.special_files import refuse_special_file
 
 Lines = NDArray[np.int64]
 """Numbers of lines, messages or rows, counted from 1."""

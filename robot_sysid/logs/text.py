@@ -26,7 +26,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import DATE, Block, LogSource, LogTable, nanoseconds
 from robot_sysid.records import Array, Measurement
-from robot_sysid.records.atomic_files import whole_file
+from robot_sysid.records.file_access import atomic_file
 
 _EMPTY = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
 """Cells, in lower case, that are marked empty."""
@@ -349,7 +349,7 @@ def write_measurement_csv(
     Columns are called ``<joint>_position`` and so on; the file appears when it is complete. All
     chunks have the quantities of the first. InputError where there is no chunk.
     """
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         writer = csv.writer(stream, lineterminator="\n")
         attributes: dict[str, str] = {}
         for chunk in chunks:

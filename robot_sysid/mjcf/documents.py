@@ -17,8 +17,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from robot_sysid.errors import InputError, ModelError, error_text
-from robot_sysid.records.atomic_files import require_utf8
-from robot_sysid.special_files import refuse_special_file
+from robot_sysid.records.file_access import refuse_special_file, require_utf8
 
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
 _KINDS = {"mujoco": "mjcf", "robot": "urdf"}

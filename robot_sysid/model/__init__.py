@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from robot_sysid.records.options import OptionRecord, option
+from robot_sysid.records.option_fields import OptionRecord, option
 
 
 @dataclass(frozen=True)
@@ -14,14 +14,14 @@ class ModelOptions(OptionRecord):
 
     path: Path = Path()
     mesh_dir: Path | None = option(
-        None, "folder of the mesh files", usual="what the model says"
+        None, "folder of the mesh files", default_text="what the model says"
     )
     joint: str | None = option(
-        None, "terminal joint", "NAME", usual="found automatically"
+        None, "terminal joint", "NAME", default_text="found automatically"
     )
     keyframe: str | None = option(
         None,
         "keyframe in which the arm is at rest, where motions start",
         "NAME",
-        usual="home, or the only one",
+        default_text="home, or the only one",
     )

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.records import Array, JointFriction, JointLimits
-from robot_sysid.records.options import PerJoint, per_joint
+from robot_sysid.records.option_fields import PerJoint, joint_values
 
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 _JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
@@ -246,7 +246,7 @@ def joint_limits(
     index = np.array(joints)
     limited = mj_model.jnt_limited[index].astype(bool)
     slide = mj_model.jnt_type[index] == _SLIDE
-    asked = per_joint(max_velocity, len(joints), "--max-velocity")
+    asked = joint_values(max_velocity, len(joints), "--max-velocity")
     usual = np.where(slide, np.minimum(DEFAULT_SLIDE_VELOCITY, asked), asked)
     return JointLimits(
         lower=np.where(limited, mj_model.jnt_range[index, 0], -np.inf),

@@ -35,7 +35,7 @@ from robot_sysid.mjcf.urdf import (
 )
 from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 
 # RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
 FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)

@@ -40,7 +40,7 @@ from robot_sysid.motion.plan_options import ExcitationOptions
 from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 
 DRAWS_PER_JOB = 5
 """An interruption loses no more of them than one job holds."""

@@ -56,7 +56,7 @@ from robot_sysid.motion.information import Criterion, Known
 from robot_sysid.motion.prediction import Prediction, Remedy
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, Measurement, MotionPlan, SquareRootInformation
-from robot_sysid.records.figures import percent
+from robot_sysid.records.messages import percent
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_count

@@ -12,12 +12,20 @@ import numpy as np
 from robot_sysid import trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
-from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.motion.plan_options import (
+    WEIGHT,
+    ExcitationOptions,
+    LimitOptions,
+    PoseOptions,
+)
 from robot_sysid.records import Motion, MotionPlan, RobotModel
-from robot_sysid.records.options import PerJoint, given_options
-from robot_sysid.records.plan_settings import WEIGHT
-from robot_sysid.records.progress import Detail, Progress
-from robot_sysid.records.sampling import TrajectoryOptions, require_countable
+from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.option_fields import (
+    PerJoint,
+    TrajectoryOptions,
+    given_options,
+    require_countable,
+)
 from robot_sysid.simulator import ArmTorque
 
 if (

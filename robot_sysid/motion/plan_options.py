@@ -8,21 +8,22 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import (
+from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
     OptionRecord,
     PerJoint,
-    levels,
     option,
-    processors,
+    parse_numbers,
+    processor_count,
 )
-from robot_sysid.records.plan_settings import WEIGHT
 
 if TYPE_CHECKING:
     from robot_sysid.motion.trajectories import FourierBasis
     from robot_sysid.records import Array
 
 EXCITATIONS = ("sines", "optimal")
+WEIGHT = "weight"
+"""Purpose of the motion that comes first where an arm is heavier than its model says."""
 LONGEST_FADE = 1.5
 """Fade of a designed trajectory [s], shorter where that is short: it takes 7.5 / 1.5^2 = 3.3 / s^2
 of an offset, a quarter of what a swing as wide at 0.6 Hz takes."""
@@ -65,21 +66,21 @@ class LimitOptions(OptionRecord):
         DEFAULT_MAX_VELOCITY,
         "speed limit of hinge joints, one number or one per joint",
         "V [rad/s] > 0",
-        parse=levels,
+        parse=parse_numbers,
     )
     max_acceleration: float | None = option(
         None,
         "acceleration limit of hinge joints",
         "A [rad/s²] > 0",
-        usual="none; for a new motion, what full speed at 0.6 Hz needs, or at its top frequency "
-        "if lower",
+        default_text="none; for a new motion, what full speed at 0.6 Hz needs, or at its top "
+        "frequency if lower",
     )
     max_torque: PerJoint | None = option(
         None,
         "torque limit beside the model's own, one number or one per joint",
         "T [N·m] > 0",
-        parse=levels,
-        usual="the model's own",
+        parse=parse_numbers,
+        default_text="the model's own",
     )
     payload_reserve: float = option(
         0.0,
@@ -87,7 +88,10 @@ class LimitOptions(OptionRecord):
         "KG [kg] >= 0",
     )
     max_tool_speed: float | None = option(
-        None, "speed limit of the tool's fastest point", "V [m/s] > 0", usual="none"
+        None,
+        "speed limit of the tool's fastest point",
+        "V [m/s] > 0",
+        default_text="none",
     )
     workspace: tuple[float, ...] | None = option(
         None,
@@ -188,7 +192,7 @@ class ExcitationOptions(OptionRecord):
         "design for this time",
         "S [s] > 0",
         flag="--excitation-time-budget",
-        usual="until it hardly gets better",
+        default_text="until it hardly gets better",
     )
     draws: int = 60
     starts: int = 2
@@ -230,7 +234,7 @@ class ExcitationOptions(OptionRecord):
         """
         if self.workers is None and (self.time_budget or 0.0) < WORTH_WORKERS:
             return 1
-        return min(self.workers or processors(), max(2, self.starts))
+        return min(self.workers or processor_count(), max(2, self.starts))
 
 
 @dataclass(frozen=True)

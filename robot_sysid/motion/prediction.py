@@ -21,8 +21,7 @@ from robot_sysid.motion.problem import (
 from robot_sysid.motion.solids import swept_space
 from robot_sysid.motion.static import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.figures import THETA, percent
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.messages import PARAMETER_UNITS, Detail, percent
 from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
 
 LOOSE_SHARE = 0.2
@@ -190,7 +189,7 @@ def _promise_lines(prediction: Prediction) -> Iterator[str]:
         )
         yield f"  mass of the other links: {listed}"
     for name, deviation, unit in zip(
-        spatial.PARAMETER_NAMES, prediction.deviation, THETA
+        spatial.PARAMETER_NAMES, prediction.deviation, PARAMETER_UNITS
     ):
         if np.isfinite(deviation):
             yield Detail(f"  {name:3s} ± {deviation:9.2e} {unit}")

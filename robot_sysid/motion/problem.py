@@ -19,8 +19,12 @@ from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.plan_options import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.solids import has_floor, mounting_height, outermost_points
 from robot_sysid.records import Array, JointLimits, Motion, RobotModel
-from robot_sysid.records.options import DEFAULT_MAX_VELOCITY, PerJoint, per_joint
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.messages import Detail
+from robot_sysid.records.option_fields import (
+    DEFAULT_MAX_VELOCITY,
+    PerJoint,
+    joint_values,
+)
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import (
     POSITION_MARGIN,
@@ -335,7 +339,7 @@ def build_problem(
         link_errors=model_link_factor(robot, links, 0.01 * link_uncertainty),
         obstacles=obstacles,
         rows=rows,
-        sigma=per_joint(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
+        sigma=joint_values(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
         origins=origins,
         notes=notes + more,
         has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
@@ -372,7 +376,7 @@ def _limits(
     natural = 2.0 * np.pi * top * own.velocity
     lower, upper = _position_limits(robot)
     strongest = np.inf if options.max_torque is None else options.max_torque
-    most = per_joint(strongest, robot.n_joints, "--max-torque")
+    most = joint_values(strongest, robot.n_joints, "--max-torque")
     limits = MotionLimits(
         lower=lower,
         upper=upper,
@@ -381,7 +385,7 @@ def _limits(
         torque=TORQUE_MARGIN * np.minimum(own.torque, most),
         tool_speed=np.inf if options.max_tool_speed is None else options.max_tool_speed,
     )
-    speed = per_joint(options.max_velocity, robot.n_joints, "--max-velocity")
+    speed = joint_values(options.max_velocity, robot.n_joints, "--max-velocity")
     usual = np.where(slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
     by_default = slide | (speed == DEFAULT_MAX_VELOCITY)
     ranged = np.isfinite(own.lower) & np.isfinite(own.upper)

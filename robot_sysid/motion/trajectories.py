@@ -23,9 +23,8 @@ from typing import Any, TextIO, TypeVar
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.json_files import read_json
 from robot_sysid.records import Array, Motion, MotionPlan, check_arrays
-from robot_sysid.records.atomic_files import whole_file
+from robot_sysid.records.file_access import atomic_file, read_json
 from robot_sysid.trajectory import (
     Series,
     SineTrajectory,
@@ -338,7 +337,7 @@ def save_trajectory(
     kind, parts = _parts(plan)
     # The repr of a float is exact.
     numbers = {name: np.asarray(value).tolist() for name, value in parts.items()}
-    with whole_file(path) as file:
+    with atomic_file(path) as file:
         json.dump({**content, "kind": kind, **numbers}, file, indent=1)
         file.write("\n")
 
@@ -387,7 +386,7 @@ def save_samples(
     titles = [
         f"{quantity}_{name}" for quantity in ("q", "qd", "qdd") for name in joint_names
     ]
-    with whole_file(path) as file:
+    with atomic_file(path) as file:
         file.write(",".join(["time", *titles]) + "\n")
         for motion in motion_chunks(plan, sample_rate):
             table = np.hstack((motion.time[:, None], motion.q, motion.qd, motion.qdd))

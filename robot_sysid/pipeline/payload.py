@@ -26,7 +26,7 @@ from robot_sysid.logs.reader import open_log
 from robot_sysid.model.flange import find_flange
 from robot_sysid.pipeline.outcome import Identification
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.records.torque_scale import SCALE, joint_factors
 from robot_sysid.results.record import Figure, Payload
 from robot_sysid.signals.repetition import resting_poses

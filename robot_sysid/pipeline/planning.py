@@ -15,13 +15,12 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.export import MotorFile
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.motion.plan_options import LimitOptions, PoseOptions
+from robot_sysid.motion.plan_options import WEIGHT, LimitOptions, PoseOptions
 from robot_sysid.pipeline.outcome import Outcome
 from robot_sysid.records import MotionPlan, RobotModel
-from robot_sysid.records.atomic_files import DAMIAO_NAME, WholeFiles, whole_files
-from robot_sysid.records.options import per_joint
-from robot_sysid.records.plan_settings import WEIGHT
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
+from robot_sysid.records.messages import Progress
+from robot_sysid.records.option_fields import joint_values
 from robot_sysid.results.console import clamping_lines
 from robot_sysid.results.verdict import plan_verdict, shortfalls_of_plan
 from robot_sysid.simulator import ArmTorque
@@ -75,7 +74,7 @@ def _limits_with_motors(
         return limits
     from robot_sysid.damiao.joints import motor_spec
 
-    option_limits = per_joint(limits.max_torque or np.inf, n_joints, "--max-torque")
+    option_limits = joint_values(limits.max_torque or np.inf, n_joints, "--max-torque")
     max_torque = []
     for motor_type, option_limit in zip(motors.motor_type, option_limits.tolist()):
         spec = motor_spec(motor_type)
@@ -136,7 +135,7 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
     if failure:
         failure = f"{failure}; nothing was written"
     else:
-        with whole_files() as files:
+        with atomic_files() as files:
             paths = draft_plan(files, config.plan_file, robot, checked.plan, rate)
             motor_file = motor_writer(config.motors, robot, checked.plan, rate)
             if motor_file is not None:
@@ -190,7 +189,7 @@ def _shortfalls(
 
 
 def draft_plan(
-    files: WholeFiles,
+    files: AtomicFiles,
     path: Path | None,
     robot: RobotModel,
     plan: MotionPlan,

@@ -32,12 +32,11 @@ from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.pipeline.outcome import Identification
 from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
 from robot_sysid.records.arm import InertialParameters
-from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
 from robot_sysid.records.data import Traces
-from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import RolloutTest
+from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
+from robot_sysid.records.messages import Progress
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
-from robot_sysid.results.record import Result
+from robot_sysid.results.record import Result, RolloutTest
 from robot_sysid.results.rollout import (
     LAST_FIFTH,
     fitted_rows,
@@ -248,7 +247,7 @@ def _with_file_tests(
     error_pairs = []
     with temporary_folder() as folder:
         path = folder / MODEL_NAMES["mjcf"]  # the content tells MJCF from URDF
-        with whole_files() as files:
+        with atomic_files() as files:
             rmse = result.estimate.rmse
             write_model(result, ModelTarget(files, path, checkpoints, rmse, mesh_dir))
         for dataset in tests:

@@ -19,7 +19,7 @@ from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.pipeline.outcome import Identification
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
 from robot_sysid.records.data import Traces
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse

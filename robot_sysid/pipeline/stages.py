@@ -26,10 +26,9 @@ from robot_sysid.pipeline.planning import (
 )
 from robot_sysid.pipeline.self_test import run_self_test
 from robot_sysid.records import RobotModel
-from robot_sysid.records.atomic_files import MODEL_NAMES, whole_files
-from robot_sysid.records.options import PerJoint
-from robot_sysid.records.plan_settings import command_after_weighing
-from robot_sysid.records.progress import Detail, Progress
+from robot_sysid.records.file_access import MODEL_NAMES, atomic_files
+from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.option_fields import PerJoint
 from robot_sysid.records.torque_scale import write_torque_scale
 from robot_sysid.results.console import (
     block_lines,
@@ -37,7 +36,7 @@ from robot_sysid.results.console import (
     folder_text,
     more_lines,
 )
-from robot_sysid.results.verdict import verdict_lines
+from robot_sysid.results.verdict import command_after_weighing, verdict_lines
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 
@@ -121,7 +120,7 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
             if config.trajectory.file is not None:
                 remedy = "slow the motion down with --speed, or design one for this arm"
             raise InputError(f"{checked.failure}; relax that limit, {remedy}")
-        with whole_files() as files:
+        with atomic_files() as files:
             draft_plan(files, config.plan_file, robot, checked.plan, rate)
     plan = checked.plan
     if config.arm.plant_model is None:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import OptionRecord, option
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
+from robot_sysid.records.option_fields import OptionRecord, option
 
 if TYPE_CHECKING:
     from robot_sysid.motion.plan import CheckedPlan

@@ -25,8 +25,8 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
-from robot_sysid.records.atomic_files import require_writable, whole_files
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.file_access import atomic_files, require_writable
+from robot_sysid.records.messages import Progress
 from robot_sysid.simulation.playback import interpolate
 
 Picture = NDArray[np.uint8]
@@ -350,7 +350,7 @@ def write_film(
         options = {"mode": "I", "duration": 1000.0 * step / RATE, "loop": 0}
     frames = range(0, len(preview.time), step)
     panel, columns = _draw_panel(preview)
-    with whole_files() as files, Studio(robot, *_SIZE) as studio:
+    with atomic_files() as files, Studio(robot, *_SIZE) as studio:
         studio.look_at_arm(preview.q[:: max(1, len(preview.q) // 50)])
         writer: Any
         with imageio.get_writer(files.draft(path), **options) as writer:

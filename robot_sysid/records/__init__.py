@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from robot_sysid.records.arm import *  # noqa: F403
     from robot_sysid.records.data import *  # noqa: F403
-    from robot_sysid.records.results import *  # noqa: F403
 
 
 def __getattr__(name: str) -> Any:
-    """Load the records when one is first asked for: options and progress do not wait for numpy."""
-    for module in ("arm", "data", "results"):
-        found = vars(importlib.import_module(f"{__name__}.{module}"))
-        if name in found:
-            return globals().setdefault(name, found[name])
+    """Import ``arm`` and ``data`` on first use: options and progress do not wait for numpy."""
+    for module_name in ("arm", "data"):
+        names = vars(importlib.import_module(f"{__name__}.{module_name}"))
+        if name in names:
+            return globals().setdefault(name, names[name])
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,9 +1,14 @@
-"""Motion, measurements, what is left of them after one pass, and what a report draws of them."""
+"""Motion and measurements, the information that one pass leaves of them, and what follows from it.
+
+Samples become square-root information, that becomes an ``Estimate``, which is judged by a
+``Validation``. ``Traces`` are what a report draws of the samples.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
 from typing import Protocol
 
 import numpy as np
@@ -27,14 +32,12 @@ class Motion:
 
 
 def _check_samples(record: Motion | Measurement, *names: str) -> None:
-    """Check the time (N,) of a record and, where they are there, arrays (N, n)."""
+    """Check the time (N,) of a record, and its fields of some names (N, n) that are not None."""
     check_arrays(record, time=(None,))
-    shape = (
-        len(record.time),
-        np.shape(record.q)[1] if np.ndim(record.q) == 2 else None,
-    )
-    there = (name for name in names if getattr(record, name) is not None)
-    check_arrays(record, **dict.fromkeys(there, shape))
+    n_joints = np.shape(record.q)[1] if np.ndim(record.q) == 2 else None
+    for name in names:
+        if getattr(record, name) is not None:
+            check_arrays(record, **{name: (len(record.time), n_joints)})
 
 
 class MotionPlan(Protocol):
@@ -50,16 +53,15 @@ class MotionPlan(Protocol):
 
 @dataclass(frozen=True)
 class Measurement:
-    """Joint motion and torque samples, from a simulation or a log; one chunk of them or all.
+    """Joint motion and torque samples, from a simulation or a log: all of them or one chunk.
 
     Attributes:
         time: (N,) [s], increasing.
         q: (N, n) positions [rad].
-        tau: (N, n) joint torques [N m]; position errors [rad] where there are commands.
+        tau: (N, n) joint torques [N m]; position errors [rad] where ``command`` is not None.
         qd, qdd: (N, n) velocities, accelerations [rad/s, rad/s^2]; None where the log has none.
         joint_time: (N, n) when each joint was sampled [s]; None where ``time`` holds for all.
-        command: (N, n) positions that a servo was asked for [rad], of a log that is read for them
-            and not for torque; else None.
+        command: (N, n) commanded positions [rad], of a log of servos; else None.
     """
 
     time: Array
@@ -79,9 +81,13 @@ class Measurement:
 
 @dataclass(frozen=True)
 class JointInformation:
-    """Square-root information of one joint's equations, which contain the global parameters in
-    ``columns`` (k,): the upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau], or fewer rows
-    with such a product where there are fewer equations.
+    """Square-root information of one joint's equations Y x = tau.
+
+    Attributes:
+        columns: (k,) indices of the global parameters that these equations contain.
+        triangle: upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau]; fewer rows, with that
+            product, where there are fewer equations.
+        n_samples: number of equations.
     """
 
     joint: str
@@ -96,13 +102,13 @@ class JointInformation:
 
 @dataclass(frozen=True)
 class SquareRootInformation:
-    """All that is left of the data after one pass over it.
+    """The equations of all joints after one pass over the data, as one triangle per joint.
 
     Attributes:
         names: (p,) global parameter names: the ten of ``spatial.PARAMETER_NAMES`` first, then
             nuisances such as ``coulomb[joint6]``.
-        prior: (r, p+1) further equations [A b] of unit variance: what was known before the data;
-            None where nothing was.
+        joints: the equations of each joint, base to terminal.
+        prior: (r, p+1) equations [A b] of unit variance that state the prior; None without one.
     """
 
     names: tuple[str, ...]
@@ -114,18 +120,18 @@ class SquareRootInformation:
         """Number of scalar equations."""
         return sum(joint.n_samples for joint in self.joints)
 
-    def stacked(self, weights: Array | None = None) -> tuple[Array, Array]:
+    def equations(self, weights: Array | None = None) -> tuple[Array, Array]:
         """Return (A (M, p), b (M,)) with ||A x - b||^2 = sum_j w_j^2 ||Y_j x - tau_j||^2.
 
         Args:
             weights: (joints,) weight of each joint's equations, 1/sigma; the prior's equations
-                come with them. None weighs all joints alike and leaves the prior out.
+                come last. None weighs all joints alike and leaves the prior out.
         """
-        rows = np.vstack(list(self.blocks(weights)))
+        rows = np.vstack(list(self.equation_blocks(weights)))
         return rows[:, :-1], rows[:, -1]
 
-    def blocks(self, weights: Array | None = None) -> Iterator[Array]:
-        """Yield the rows (m, p + 1) of what ``stacked`` returns, one joint after the other."""
+    def equation_blocks(self, weights: Array | None = None) -> Iterator[Array]:
+        """Yield the rows [A b] (m, p+1) of ``equations`` joint by joint, then the prior's."""
         scale = np.ones(len(self.joints)) if weights is None else np.asarray(weights)
         for joint, weight in zip(self.joints, scale):
             block = np.zeros((len(joint.triangle), len(self.names) + 1))
@@ -135,32 +141,260 @@ class SquareRootInformation:
             yield self.prior
 
     def squared_residuals(self, values: Array) -> Array:
-        """Return sums of squared residuals (joints, ...) [N^2 m^2] at values (p, ...)."""
-        pairs = ((j.triangle, values[j.columns]) for j in self.joints)
-        return np.array(
-            [np.sum((((t[:, :-1] @ x).T - t[:, -1]) ** 2).T, axis=0) for t, x in pairs]
-        )
+        """Return each joint's sum of squared residuals (joints, ...) at values (p, ...) [N^2 m^2].
+
+        The prior's equations do not count.
+        """
+        sums = []
+        for joint in self.joints:
+            predicted = joint.triangle[:, :-1] @ values[joint.columns]
+            residual = predicted.T - joint.triangle[:, -1]
+            sums.append(np.sum((residual**2).T, axis=0))
+        return np.array(sums)
 
 
 SampleSource = Iterable[tuple[int, Array, Array]]
-"""The equations behind an information, sample by sample, for methods that need several passes.
+"""The equations of a ``SquareRootInformation`` sample by sample, for methods with several passes.
 
-Each pass yields (joint number, rows (N, k), tau (N,)) of every joint, in the order of time. tau is
-NaN where a sample is left out of the fit; such a row stays in its place so that time lags keep
-their meaning."""
+Each pass yields (joint index, rows (N, k), tau (N,)) of every joint, in the order of time. tau is
+NaN where a sample is left out of the fit; its row stays, so that time lags keep their meaning."""
+DELAY_NAME = "delay"
+"""Name of the parameter by which torque lags position."""
 
-SIGNALS = ("q", "qd", "measured", "predicted", "before", "friction")
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Which parameters of the terminal link and its joint's friction the equations determine.
+
+    Attributes:
+        rank: number of identifiable combinations.
+        n_parameters: number p of parameters.
+        condition_number: of the stacked regressor, or of its identifiable part where it has less
+            than full rank.
+        scaled_condition_number: likewise, after scaling each column to unit length.
+        identified: (p,) whether the data alone determines a parameter.
+        unidentifiable: descriptions of the combinations that it does not, for instance "mass".
+    """
+
+    rank: int
+    n_parameters: int
+    condition_number: float
+    scaled_condition_number: float
+    identified: tuple[bool, ...]
+    unidentifiable: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Result of one solver run.
+
+    Attributes:
+        names: (p,) parameter names, as in the information.
+        values: (p,) the estimated parameters, the ten inertial ones first.
+        identifiability: of these parameters.
+        rmse: root mean square torque residual of all joints [N m].
+        rmse_per_joint: joint name to that of the joint [N m].
+        method: name of the solver.
+        covariance: (p, p), or None where none was computed; zero along unidentifiable directions.
+        standard_errors: (p,) standard deviation of each value, all causes together; infinite where
+            only the model's value is known.
+        noise_per_joint: joint name to standard deviation of its torque noise [N m], where used.
+        samples: joint name to the number of samples of its equations.
+        effective_samples: joint name to the number of independent samples, by the autocorrelation
+            of its noise.
+        constrained: whether the plain estimate was replaced by the best possible rigid body.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    identifiability: Identifiability
+    rmse: float
+    rmse_per_joint: Mapping[str, float]
+    method: str = "ols"
+    covariance: Array | None = None
+    standard_errors: Array | None = None
+    noise_per_joint: Mapping[str, float] = field(default_factory=dict)
+    samples: Mapping[str, int] = field(default_factory=dict)
+    effective_samples: Mapping[str, float] = field(default_factory=dict)
+    constrained: bool = False
+
+    def __post_init__(self) -> None:
+        check_arrays(self, values=(len(self.names),))
+
+    @property
+    def inertial(self) -> InertialParameters:
+        """The ten inertial parameters."""
+        return InertialParameters(self.values[:10])
+
+    @property
+    def independent_share(self) -> dict[str, float]:
+        """Joint name to independent samples per sample; small where residuals are correlated."""
+        shares = {}
+        for joint, count in self.samples.items():
+            if count and joint in self.effective_samples:
+                shares[joint] = self.effective_samples[joint] / count
+        return shares
+
+    def value(self, name: str) -> float | None:
+        """Return one parameter by name, or None where it was not estimated."""
+        return (
+            float(self.values[self.names.index(name)]) if name in self.names else None
+        )
+
+    def error(self, name: str) -> float | None:
+        """Return the standard error of one parameter by name, or None where there is none."""
+        if self.standard_errors is None or name not in self.names:
+            return None
+        return float(self.standard_errors[self.names.index(name)])
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Torque prediction errors on some data.
+
+    Attributes:
+        source: description of the data.
+        n_samples: number of samples of the joint that has most.
+        rmse: root mean square error of all joints [N m].
+        relative_error: ||tau - prediction|| / ||tau|| of all joints; None where tau is zero.
+        rmse_per_joint: joint name to its root mean square error [N m].
+        relative_error_per_joint: joint name to its relative error, or None.
+        is_informative: whether the fitted data determines the torque of such a motion well enough
+            for these errors to speak against the fit.
+    """
+
+    source: str
+    n_samples: int
+    rmse: float
+    relative_error: float | None
+    rmse_per_joint: Mapping[str, float]
+    relative_error_per_joint: Mapping[str, float | None]
+    is_informative: bool = True
+
+
+def validation_of(
+    joint_names: Sequence[str],
+    squared_errors: Array,
+    squared_torques: Array,
+    counts: Array,
+    source: str,
+) -> Validation:
+    """Return prediction errors as a record.
+
+    Args:
+        joint_names: the n joints.
+        squared_errors: (n,) sum of the squared errors of each joint [N^2 m^2].
+        squared_torques: (n,) sum of the squared torques of each joint [N^2 m^2].
+        counts: (n,) number of samples in these sums.
+        source: description of the data.
+    """
+
+    def relative(error: float, torque: float) -> float | None:
+        return float(np.sqrt(error / torque)) if torque > 0.0 else None
+
+    total = float(np.sum(squared_errors))
+    rmse_per_joint = np.sqrt(squared_errors / np.maximum(counts, 1.0)).tolist()
+    relative_errors = map(relative, squared_errors, squared_torques)
+    return Validation(
+        source=source,
+        n_samples=int(np.max(counts, initial=0)),
+        rmse=float(np.sqrt(total / max(np.sum(counts), 1.0))),
+        relative_error=relative(total, float(np.sum(squared_torques))),
+        rmse_per_joint=dict(zip(joint_names, rmse_per_joint)),
+        relative_error_per_joint=dict(zip(joint_names, relative_errors)),
+    )
+
+
+@dataclass(frozen=True)
+class WrongLink:
+    """A link of the model that recordings contradict.
+
+    A first moment is mass times distance of the centre of mass from the link's joint [kg m], along
+    the direction that it has in the model.
+
+    Attributes:
+        name: the body's.
+        first_moment_of_model: in the model.
+        first_moment: according to the recordings.
+        error: standard error of ``first_moment``.
+    """
+
+    name: str
+    first_moment_of_model: float
+    first_moment: float
+    error: float
+
+
+@dataclass(frozen=True)
+class PriorConflict:
+    """A prior that the data contradicts, such as that of "links".
+
+    Attributes:
+        cause: what the prior is about.
+        members: names of the parameters' owners, the one with the largest deviation first.
+        deviation: root mean square deviation from the prior's mean, in its standard deviations.
+        scale: the factor by which the prior was widened; 1 where it was not.
+    """
+
+    cause: str
+    members: tuple[str, ...]
+    deviation: float
+    scale: float
+
+
+class Source(Enum):
+    """Where the torques of an identification come from, with its description."""
+
+    ITSELF = "simulation of the model itself"
+    SIMULATED_ARM = "simulated plant"
+    LOG = "log"
+
+
+@dataclass(frozen=True)
+class DataOrigin:
+    """Where the data of an identification comes from.
+
+    Attributes:
+        source: of the torques.
+        detail: added to the source's description, such as the name of a log.
+        duration: [s].
+        sample_rate: [Hz].
+        seed: of trajectory and simulated noise; None for a log.
+        files: full paths of the logs.
+    """
+
+    source: Source
+    detail: str
+    duration: float
+    sample_rate: float
+    seed: int | None = None
+    files: tuple[str, ...] = ()
+
+    @property
+    def description(self) -> str:
+        """Source and detail, such as "log arm.csv"."""
+        return f"{self.source.value} {self.detail}".rstrip()
+
+
+SIGNAL_NAMES = ("q", "qd", "measured", "predicted", "prior_prediction", "friction")
+"""The fields of ``Signals`` with one column per joint."""
 
 
 @dataclass(frozen=True)
 class Signals:
-    """K instants of all n joints whose torque was used: arrays (K, n) [s, rad, rad/s, N m].
+    """Motion and torques of n joints at K instants.
 
     Attributes:
-        measured: torque; NaN where a sample was not used.
-        predicted, friction: torque that the result predicts, and the part that friction makes.
-        before: torque that was predicted before: by the model as it is in its file, of a payload
-            by the arm without it.
+        joints: names, base to terminal.
+        is_slide: (n,) whether a joint is a slide.
+        time: (K,) [s].
+        q: (K, n) positions [rad].
+        qd: (K, n) velocities [rad/s].
+        measured: (K, n) torque [N m]; NaN where a sample was not used.
+        predicted: (K, n) torque that the result predicts [N m].
+        prior_prediction: (K, n) torque [N m] that the model predicts as its file has it; of a
+            payload, torque of the arm without it.
+        friction: (K, n) the part of ``predicted`` that is friction [N m].
     """
 
     joints: tuple[str, ...]
@@ -170,22 +404,24 @@ class Signals:
     qd: Array
     measured: Array
     predicted: Array
-    before: Array
+    prior_prediction: Array
     friction: Array
 
     def __post_init__(self) -> None:
-        shape = (len(self.time), len(self.joints))
-        for name in SIGNALS:
-            if np.shape(getattr(self, name)) != shape:
-                raise InputError(
-                    f"{name} has shape {np.shape(getattr(self, name))}, not {shape}"
-                )
+        expected_shape = (len(self.time), len(self.joints))
+        for name in SIGNAL_NAMES:
+            shape = np.shape(getattr(self, name))
+            if shape != expected_shape:
+                raise InputError(f"{name} has shape {shape}, not {expected_shape}")
 
 
 @dataclass(frozen=True)
 class Traces(Signals):
-    """All instants of a result; the time starts anew with each log. The truth is what a simulated
-    arm's link really is, None where nobody knows.
+    """All instants of a result's data; the time starts anew with each log.
+
+    Attributes:
+        limits: of the joints.
+        truth: what the terminal link of a simulated arm really is; None for a real arm.
     """
 
     limits: JointLimits

@@ -1,4 +1,4 @@
-"""What a joint's torque column has to be divided by (or multiplied with) to be N m at the joint.
+"""Factors from a joint's torque column to N m at the joint: torque scales and torque constants.
 
 A scale says how much too large the column reads: tau = column / scale. A torque constant turns
 motor current into torque: tau = constant * current, at the joint, so with the gear in it. Both are
@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Union
 
 from robot_sysid.errors import InputError
-from robot_sysid.json_files import read_json
-from robot_sysid.records.atomic_files import write_whole
-from robot_sysid.records.options import PerJoint, levels, per_joint
+from robot_sysid.records.file_access import read_json, write_atomically
+from robot_sysid.records.option_fields import PerJoint, joint_values, parse_numbers
 
 if TYPE_CHECKING:
     from robot_sysid.records import Array
@@ -32,10 +31,10 @@ Factors = Union[PerJoint, Path]
 """One number for all joints, one per joint, or the file that lists them by name."""
 
 
-def factors_in(text: str) -> Factors:
+def parse_factors(text: str) -> Factors:
     """Return the numbers in a text, or the file that it names."""
     try:
-        return levels(text)
+        return parse_numbers(text)
     except InputError:
         if not os.path.isfile(text):
             raise InputError(
@@ -44,36 +43,44 @@ def factors_in(text: str) -> Factors:
         return Path(text)
 
 
-def usable_factor(value: float | Path) -> str | None:
-    """Complain unless a value is a file or a positive number."""
+def check_factor(value: float | Path) -> str | None:
+    """Return a complaint unless a value is a file or a positive number; None where it is."""
     if isinstance(value, Path) or (value > 0.0 and math.isfinite(value)):
         return None
     return f"must be positive (got {value:g}); turn a sign round in the columns file"
 
 
-def joint_factors(given: Factors, joint_names: Sequence[str], table: str) -> Array:
-    """Return each joint's factor and its standard error, NaN where no file tells it: (2, n).
+def joint_factors(factors: Factors, joint_names: Sequence[str], table: str) -> Array:
+    """Return (2, n): the factor of each joint, and its standard error or NaN where none is stated.
 
-    ``SCALE`` or ``CONSTANTS`` is the table of a file and the name of the option. Raises InputError.
+    Args:
+        factors: numbers, or the file to read them from.
+        joint_names: the n joints, in the order of the columns that are returned.
+        table: ``SCALE`` or ``CONSTANTS``, the key in the file and the name of the option.
+
+    Raises:
+        InputError: the number of values does not fit, or the file lacks a joint or cannot be read.
     """
     import numpy as np
 
-    if not isinstance(given, Path):
-        typed = per_joint(given, len(joint_names), "--" + table.replace("_", "-"))
-        return np.array([typed, np.full(len(typed), np.nan)])
-    values = read_factors(given, table)
-    missing = [name for name in joint_names if name not in values]
-    if missing:
-        raise InputError(
-            f"{given} has no {table} of joint {missing[0]}; it lists {', '.join(values) or 'none'}"
-        )
-    return np.array([values[name] for name in joint_names]).T
+    if not isinstance(factors, Path):
+        flag = "--" + table.replace("_", "-")
+        values = joint_values(factors, len(joint_names), flag)
+        return np.array([values, np.full(len(values), np.nan)])
+    by_joint = read_factors(factors, table)
+    for name in joint_names:
+        if name not in by_joint:
+            listed = ", ".join(by_joint) or "none"
+            raise InputError(
+                f"{factors} has no {table} of joint {name}; it lists {listed}"
+            )
+    return np.array([by_joint[name] for name in joint_names]).T
 
 
 def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, float]]:
     """Return joint name to factor and standard error of one table of a file, or raise InputError.
 
-    The error is not a number where the file is of version 1, which has none.
+    The error is NaN where the file is of version 1, which states none.
     """
     form = f'{{"version": 1, "{table}": {{"JOINT": 1.3, ...}}}}'
     content = read_json(path, f"torque factors have the form {form}")
@@ -84,32 +91,33 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, fl
         raise InputError(
             f"{path} has version {version!r}, this program reads up to {VERSION}: {form}"
         )
-    found = {}
-    for joint, each in content[table].items():
+    factors = {}
+    for joint, value in content[table].items():
         error = math.nan
         if version == VERSION:
-            each = each if isinstance(each, dict) else {}
-            error = _factor(path, joint, each.get("standard_error"))
-            each = each.get("value")
-        found[str(joint)] = _factor(path, joint, each), error
-    return found
+            fields = value if isinstance(value, dict) else {}
+            error = _checked_factor(path, joint, fields.get("standard_error"))
+            value = fields.get("value")
+        factors[str(joint)] = _checked_factor(path, joint, value), error
+    return factors
 
 
-def write_torque_scale(path: Path, scale: Mapping[str, tuple[float, float]]) -> None:
-    """Write what ``--torque-scale`` reads: joint to its scale and the standard error of that."""
-    checked = {
-        joint: {
-            "value": _factor(path, joint, value),
-            "standard_error": _factor(path, joint, error),
+def write_torque_scale(path: Path, scales: Mapping[str, tuple[float, float]]) -> None:
+    """Write the file that ``--torque-scale`` reads: joint to its scale and its standard error."""
+    entries = {}
+    for joint, (scale, error) in scales.items():
+        entries[joint] = {
+            "value": _checked_factor(path, joint, scale),
+            "standard_error": _checked_factor(path, joint, error),
         }
-        for joint, (value, error) in scale.items()
-    }
-    write_whole(path, json.dumps({"version": VERSION, SCALE: checked}, indent=2) + "\n")
+    content = {"version": VERSION, SCALE: entries}
+    write_atomically(path, json.dumps(content, indent=2) + "\n")
 
 
-def _factor(path: Path, joint: str, value: object) -> float:
-    number = float(value) if isinstance(value, (int, float)) else math.nan
-    complaint = usable_factor(number)
+def _checked_factor(path: Path, joint: str, value: object) -> float:
+    """Return a factor of a file, or raise InputError where it is no positive number."""
+    factor = float(value) if isinstance(value, (int, float)) else math.nan
+    complaint = check_factor(factor)
     if complaint:
         raise InputError(f"{path}: the factor of joint {joint} {complaint}")
-    return number
+    return factor

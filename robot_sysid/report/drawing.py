@@ -22,7 +22,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
-from robot_sysid.records.figures import figure as number_text
+from robot_sysid.records.messages import number_text
 
 MOST_ROWS = 60
 """Rows of a figure's table; more are thinned."""

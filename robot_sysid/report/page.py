@@ -14,9 +14,13 @@ from pathlib import Path
 
 from robot_sysid import __version__
 from robot_sysid.errors import InputError
-from robot_sysid.records.atomic_files import require_writable, whole_files, write_whole
 from robot_sysid.records.data import Traces
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.file_access import (
+    atomic_files,
+    require_writable,
+    write_atomically,
+)
+from robot_sysid.records.messages import Progress
 from robot_sysid.report.drawing import Section, inline, png, svg
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, report_data
 from robot_sysid.report.sections import signals, verdict
@@ -104,7 +108,7 @@ def save_data(folder: Path, traces: Traces, result: str) -> None:
 
     InputError where it cannot be written.
     """
-    write_whole(folder / DATA_NAME, data_bytes(report_data(traces, result)))
+    write_atomically(folder / DATA_NAME, data_bytes(report_data(traces, result)))
 
 
 def write_report(
@@ -128,7 +132,7 @@ def write_report(
         name = COMPARISON_NAME
     sections = sections_of(runs, mesh_dir, progress)
     written = []
-    with whole_files() as files:
+    with atomic_files() as files:
         if page:
             files.write(destination / name, html(f"robot-sysid: {about}", sections))
             written.append(destination / name)

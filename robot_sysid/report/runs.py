@@ -18,10 +18,9 @@ import numpy as np
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.uncertainty import autocovariance
-from robot_sysid.json_files import read_json
 from robot_sysid.logs.arrays import npz_arrays
-from robot_sysid.records import SIGNALS, Array, Signals, Traces, Validation
-from robot_sysid.records.atomic_files import PARAMS_NAME
+from robot_sysid.records import SIGNAL_NAMES, Array, Signals, Traces, Validation
+from robot_sysid.records.file_access import PARAMS_NAME, read_json
 from robot_sysid.results.cards import ERROR_NAMES
 from robot_sysid.results.json import SCHEMA_VERSION
 from robot_sysid.results.record import PAYLOAD, Figure
@@ -101,7 +100,7 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))
     drawn: dict[str, Any] = {
-        n: np.asarray(getattr(traces, n)[kept], np.float32) for n in SIGNALS
+        n: np.asarray(getattr(traces, n)[kept], np.float32) for n in SIGNAL_NAMES
     }
     return ReportData(
         joints=traces.joints,
@@ -121,6 +120,7 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
 def data_bytes(data: ReportData) -> bytes:
     """Return the content of report_data.npz; the same for the same data."""
     arrays = {each.name: np.asarray(getattr(data, each.name)) for each in fields(data)}
+    arrays["before"] = arrays.pop("prior_prediction")
     buffer = io.BytesIO()
     np.savez_compressed(buffer, version=np.array(_VERSION), **arrays)  # type: ignore[arg-type]
     return buffer.getvalue()
@@ -144,6 +144,7 @@ def load_data(path: Path) -> ReportData:
         content = npz_arrays(path)
         if content.pop("version", None) != _VERSION:
             raise InputError(f"{path} was written by another version")
+        content["prior_prediction"] = content.pop("before")
         return ReportData(**{name: kind(content[name]) for name, kind in kinds.items()})
     except InputError as error:
         cause = str(error)
@@ -362,6 +363,7 @@ def _restored(value: Any) -> Any:
     if entries.keys() == {"value", "standard_error", "interval"}:
         return Figure(number(entries["value"]), number(entries["standard_error"]))
     if "relative_error_per_joint" in entries:
+        entries["is_informative"] = entries.pop("told_enough")
         return Validation(**entries)
     if "error_budget" in entries:
         return _body(entries)

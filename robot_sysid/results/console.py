@@ -16,9 +16,15 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import TILT_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import plan_write_back
-from robot_sysid.records import DELAY_NAME, Array, RolloutTest, Validation
-from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
-from robot_sysid.records.progress import Detail
+from robot_sysid.records import DELAY_NAME, Array, Validation
+from robot_sysid.records.messages import (
+    PARAMETER_UNITS,
+    Detail,
+    number_text,
+    percent,
+    term_unit,
+    with_error,
+)
 from robot_sysid.results.cards import INERTIA, NOT_KNOWN, load_errors
 from robot_sysid.results.record import (
     BaseParameters,
@@ -26,6 +32,7 @@ from robot_sysid.results.record import (
     Figure,
     Payload,
     Result,
+    RolloutTest,
 )
 from robot_sysid.results.verdict import limitations, verdict_lines
 
@@ -203,7 +210,7 @@ def _joint_lines(result: Result) -> Iterator[str]:
 def _another_day(term: Figure | None) -> str:
     if term is None or not math.isfinite(term.error):
         return ""
-    return f" (on another day ± {figure(term.error, term.error)})"
+    return f" (on another day ± {number_text(term.error, term.error)})"
 
 
 def _sensor_lines(result: Result) -> Iterator[str]:
@@ -272,7 +279,7 @@ def _details(result: Result) -> Iterator[str]:
             "" if noise is None else f", noise {noise:.2g}"
         )
     if result.is_measured:
-        named = zip(estimate.names, result.body.noise_errors, THETA)
+        named = zip(estimate.names, result.body.noise_errors, PARAMETER_UNITS)
         known = (each for each in named if np.isfinite(each[1]))
         listed = ", ".join(f"{name} {error:.2g} {unit}" for name, error, unit in known)
         yield f"  Standard errors of noise alone: {listed}"
@@ -280,7 +287,7 @@ def _details(result: Result) -> Iterator[str]:
         yield "  Sensors:"
     for name, (value, error) in result.sensors.items():
         held = math.isnan(error)
-        yield f"    {name}: {f'{figure(value)} (held)' if held else with_error(value, error)}"
+        yield f"    {name}: {f'{number_text(value)} (held)' if held else with_error(value, error)}"
     for joint, each in result.joints.items():
         if each.candidates:
             tried = sorted(each.candidates.items(), key=lambda item: item[1])
@@ -409,7 +416,7 @@ class BeforeAfter:
         ratio = by / self.before if self.before else np.inf
         if self.before * self.after > 0.0 and abs(ratio) <= _TEN_TIMES:
             return f"{'+' if ratio > 0.0 else ''}{percent(ratio)}"
-        return f"{'+' if by > 0.0 else ''}{figure(by, self.error)}"
+        return f"{'+' if by > 0.0 else ''}{number_text(by, self.error)}"
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -418,9 +425,9 @@ class BeforeAfter:
         known = self.error is not None and np.isfinite(self.error)
         return (
             self.name,
-            "" if self.before is None else figure(self.before, error),
-            figure(self.after, error),
-            figure(error, error) if known and error is not None else "",
+            "" if self.before is None else number_text(self.before, error),
+            number_text(self.after, error),
+            number_text(error, error) if known and error is not None else "",
             self.unit,
             self.change,
         )
@@ -447,7 +454,9 @@ def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     before = None if body.before is None else body.before.theta
     pairs = _from_to(before, found.theta, found.scale)
     shares = body.data_share.tolist()
-    rows = zip(spatial.PARAMETER_NAMES, pairs, body.errors.tolist(), THETA, shares)
+    rows = zip(
+        spatial.PARAMETER_NAMES, pairs, body.errors.tolist(), PARAMETER_UNITS, shares
+    )
     return [
         BeforeAfter(LABELS[n], *pair, error or None, *rest)
         for n, pair, error, *rest in rows
@@ -527,7 +536,7 @@ def friction_text(
     """Return one friction term of a joint, such as "coulomb 0.4 -> 0.133 ± 0.004 N·m"."""
     if error is not None and np.isinf(error):
         return f"{term} not visible"
-    old = "" if before is None else f"{figure(before)} -> "
+    old = "" if before is None else f"{number_text(before)} -> "
     if error is not None and np.isnan(error):
-        return f"{term} {old}{figure(after)} (held at its bound)"
+        return f"{term} {old}{number_text(after)} (held at its bound)"
     return f"{term} {old}{with_error(after, error, unit)}"

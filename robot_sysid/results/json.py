@@ -26,8 +26,8 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.records import InertialParameters, RolloutTest
-from robot_sysid.records.atomic_files import write_whole
+from robot_sysid.records import InertialParameters, PriorConflict, Validation
+from robot_sysid.records.file_access import write_atomically
 from robot_sysid.results import record
 from robot_sysid.results.cards import ERROR_NAMES, INERTIA, Card, load_errors
 from robot_sysid.results.model import versions
@@ -37,6 +37,7 @@ from robot_sysid.results.record import (
     JointEstimate,
     Payload,
     Result,
+    RolloutTest,
 )
 from robot_sysid.results.verdict import PRIOR_SHARE, limitations, verdict_lines
 
@@ -71,7 +72,7 @@ _IN_BAM = {
 
 def export_params_json(result: Result, path: Path, notes: Sequence[str] = ()) -> None:
     """Write params.json, or raise InputError; ``notes``, a sentence each, join the result's."""
-    write_whole(path, params_json_text(result, notes=notes))
+    write_atomically(path, params_json_text(result, notes=notes))
 
 
 def params_json_text(
@@ -295,12 +296,21 @@ def _fit(result: Result) -> dict[str, Any]:
         "standard_errors": None
         if errors is None
         else dict(zip(estimate.names, errors)),
-        "prior_conflicts": result.conflicts,
+        "prior_conflicts": [_prior_conflict(conflict) for conflict in result.conflicts],
         "link_scales": result.link_scales,
         "wrong_links": result.wrong_links,
         "noise_per_joint": estimate.noise_per_joint,
         "samples_per_joint": estimate.samples,
         "effective_samples_per_joint": estimate.effective_samples,
+    }
+
+
+def _prior_conflict(conflict: PriorConflict) -> dict[str, Any]:
+    return {
+        "cause": conflict.cause,
+        "members": conflict.members,
+        "asked": conflict.deviation,
+        "scale": conflict.scale,
     }
 
 
@@ -321,7 +331,7 @@ def _beside(result: Result) -> dict[str, Any]:
         **{name: getattr(result, name) for name in _OF_RUN},
         "limitations": limitations(result),
         "notes": result.notes,
-        "source": data.words,
+        "source": data.description,
         "logs": data.files,
         "model": {"path": str(robot.path), "sha256": robot.sha256},
         "joint_names": robot.joint_names,
@@ -339,6 +349,10 @@ def _strict(value: Any) -> Any:
         return _strict(
             {"value": found, "standard_error": value.error, "interval": interval}
         )
+    if isinstance(value, Validation):
+        entries = asdict(value)
+        entries["told_enough"] = entries.pop("is_informative")
+        return _strict(entries)
     if is_dataclass(value) and not isinstance(value, type):
         return _strict(asdict(value))
     if isinstance(value, Mapping):

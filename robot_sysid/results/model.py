@@ -40,9 +40,8 @@ from robot_sysid.model.flange import place_in_carrier
 from robot_sysid.model.inertia import body_theta, link_bodies
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
-from robot_sysid.records.atomic_files import WholeFiles, draft_folder, only_run_in
-from robot_sysid.records.figures import with_error
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.file_access import AtomicFiles, draft_folder, lock_folder
+from robot_sysid.records.messages import Detail, with_error
 from robot_sysid.results import verification
 from robot_sysid.results.record import Figure, ModelFile, Payload, Result
 
@@ -61,7 +60,7 @@ class ModelTarget:
     the residual of the identification [N m], for its comments.
     """
 
-    files: WholeFiles
+    files: AtomicFiles
     path: Path
     checkpoints: Motion
     rmse: float
@@ -348,7 +347,7 @@ def write_bundle(model: Path, folder: Path) -> Path:
     place = folder / BUNDLE_NAME
     try:
         with (
-            only_run_in(folder),
+            lock_folder(folder),
             draft_folder(place) as draft,
             draft_folder(place) as earlier,
         ):

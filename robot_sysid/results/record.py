@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from robot_sysid import records
 from robot_sysid.dynamics.friction import Coupling
-from robot_sysid.records import Array, InertialParameters, RolloutTest, Validation
+from robot_sysid.records import Array, InertialParameters, Validation
+from robot_sysid.records.arm import check_arrays
 
 LINK = "link"
 PAYLOAD = "payload"
@@ -242,6 +243,72 @@ class Payload:
     scatter: tuple[OneRecording, ...] = ()
     torque_scale: Mapping[str, Figure] = field(default_factory=dict)
     known_mass: float | None = None
+
+
+OPEN = "open loop"
+CLOSED = "closed loop"
+"""Measured torques alone; a servo that holds the model near the measured motion, or commands."""
+
+
+@dataclass(frozen=True)
+class RolloutError:
+    """Root mean square position errors of the two models (n,) [rad or m] over windows of a length
+    (horizon [s]), loop ``OPEN`` or ``CLOSED``; how many windows of each ran away, which count with
+    the largest error.
+    """
+
+    loop: str
+    horizon: float
+    windows: int
+    before: Array
+    after: Array
+    diverged: tuple[int, int] = (0, 0)
+
+    def __post_init__(self) -> None:
+        check_arrays(self, before=(None,), after=(np.size(self.before),))
+
+    @property
+    def overall(self) -> tuple[float, float]:
+        """The error of all joints together (before, after)."""
+        before, after = (
+            float(np.sqrt(np.mean(e**2))) for e in (self.before, self.after)
+        )
+        return before, after
+
+    @property
+    def ratio(self) -> float | None:
+        """Error of all joints, after by before; None where there was none before."""
+        before, after = self.overall
+        return after / before if before > 0.0 else None
+
+
+@dataclass(frozen=True)
+class RolloutTest:
+    """The old and the new model, played on pieces of the logs that were not fitted.
+
+    Attributes:
+        held_out, servo: which pieces, and what held the model in closed loop, in words.
+        errors: one per loop and horizon that could be played.
+        notes: what could not be, one sentence each.
+    """
+
+    joint_names: tuple[str, ...]
+    held_out: str
+    servo: str
+    errors: tuple[RolloutError, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def score(self) -> float | None:
+        """Geometric mean of the ratios of all loops and horizons; None where nothing was played."""
+        ratios = [error.ratio for error in self.errors]
+        known = [max(ratio, 1e-12) for ratio in ratios if ratio is not None]
+        return float(np.exp(np.mean(np.log(known)))) if known else None
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the new model moves more like the arm."""
+        return self.score is not None and self.score < 1.0
 
 
 @dataclass(frozen=True)

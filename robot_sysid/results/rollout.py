@@ -19,15 +19,10 @@ from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, Motion, RobotModel, Validation
-from robot_sysid.records.atomic_files import MODEL_NAMES, temporary_folder, whole_files
-from robot_sysid.records.results import (
-    CLOSED,
-    OPEN,
-    RolloutError,
-    RolloutTest,
-    validation_of,
-)
+from robot_sysid.records.data import validation_of
+from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget
+from robot_sysid.results.record import CLOSED, OPEN, RolloutError, RolloutTest
 from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.simulation import playback
 
@@ -63,7 +58,7 @@ def play(
         checkpoints = signals[0].motion(signals[0].spread_indices(CHECKPOINTS))
         with temporary_folder() as folder:
             path = folder / MODEL_NAMES["mjcf"]  # what is in it tells its kind
-            with whole_files() as files:
+            with atomic_files() as files:
                 write(ModelTarget(files, path, checkpoints, 0.0, mesh_dir))
             after = load_robot_model(path, joint=robot.terminal_joint)
         return compare(robot, after, pieces, held_out)

@@ -14,10 +14,15 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.motion.plan_options import WEIGHT
 from robot_sysid.records import DELAY_NAME, Source
-from robot_sysid.records.atomic_files import CARD_NAME, DAMIAO_NAME, MODEL_NAMES
-from robot_sysid.records.figures import percent
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.file_access import (
+    CARD_NAME,
+    DAMIAO_NAME,
+    MODEL_NAMES,
+    plan_settings,
+)
+from robot_sysid.records.messages import Detail, percent
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
 
 UNKNOWN = 0.5
@@ -134,6 +139,28 @@ def plan_verdict(
     if shortfalls:
         return two_lines(f"Not ready: {'; '.join(shortfalls)}", remedy or then)
     return two_lines("Usable: play it on the arm, slowly at first, and record it", then)
+
+
+def command_after_weighing(folder: Path, model: Path, written: Path) -> str:
+    """Return the command that plans the next motion, with the model that a weighing log led to.
+
+    Args:
+        folder: holds the settings of the plan whose motion was recorded.
+        model: the model that was identified; the settings of another arm are not used.
+        written: the model that the log has led to.
+
+    Returns:
+        "" where the recorded motion was not planned for weighing this arm.
+    """
+    settings = plan_settings(folder)
+    if settings is None:
+        return ""
+    path, content = settings
+    if content.get("for_") != WEIGHT or content.get("path") != str(model):
+        return ""
+    command = ["robot-sysid", "plan", str(written), "--config", str(path)]
+    command += ["--for", "link", "--output-dir", str(folder / "planned")]
+    return shlex.join(command)
 
 
 def shortfalls_of_plan(
@@ -280,7 +307,10 @@ def _conflicts(result: Result) -> Iterator[str]:
     for conflict in result.conflicts:
         cause = _CONFLICTS.get(conflict.cause, f"{conflict.cause}: not as was thought")
         said = f"{cause} (most: {', '.join(conflict.members[:3])})"
-        off = f"{conflict.asked:.2g} times as far off as was allowed, and the errors were widened"
+        off = (
+            f"{conflict.deviation:.2g} times as far off as was allowed, and the errors were "
+            "widened"
+        )
         if conflict.scale > 1.0:
             yield f"{said}: they are {off} for it"
         else:

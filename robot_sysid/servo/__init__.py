@@ -21,19 +21,18 @@ from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
 from robot_sysid.pipeline.outcome import Outcome
 from robot_sysid.records import (
-    CLOSED,
     Array,
     DataOrigin,
     Measurement,
     Motion,
     RobotModel,
-    atomic_files,
+    file_access,
 )
-from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import RolloutError, RolloutTest
+from robot_sysid.records.messages import Progress
 from robot_sysid.results.console import folder_text, rollout_lines
 from robot_sysid.results.json import json_text, rollout_entry
 from robot_sysid.results.model import ModelTarget, versions, write_joints
+from robot_sysid.results.record import CLOSED, RolloutError, RolloutTest
 from robot_sysid.results.rollout import HORIZONS, LAST_FIFTH, refusal
 from robot_sysid.results.verdict import two_lines
 from robot_sysid.servo import fit as servo_fit
@@ -287,7 +286,7 @@ class ServoIdentification:
             "position_errors": dict(
                 zip(self.robot.joint_names, self.fit.position_error)
             ),
-            "source": self.data.words,
+            "source": self.data.description,
             "duration": self.data.duration,
             "model": {"path": str(self.robot.path), "sha256": self.robot.sha256},
             "versions": versions(),
@@ -398,8 +397,8 @@ def run_servo(
     with locked_folder(folder, progress):
         result, poses = identify_servos(robot, logs, progress)
         progress.note(*result.notes)
-        with atomic_files.whole_files() as files:
-            path = folder / atomic_files.MODEL_NAMES[robot.kind]
+        with file_access.atomic_files() as files:
+            path = folder / file_access.MODEL_NAMES[robot.kind]
             target = ModelTarget(files, path, poses, 0.0, mesh_dir)
             reason = refusal(result.rollout, logs.accept)
             outcome = _write_results(result, target, reason)
@@ -509,7 +508,7 @@ def _write_results(
         target: the model file to write; servo.json goes beside it.
         failure: why no model may be written, or None.
     """
-    path = target.path.parent / atomic_files.SERVO_NAME
+    path = target.path.parent / file_access.SERVO_NAME
     written = [path]
     if failure is None:
         try:
@@ -518,7 +517,7 @@ def _write_results(
             written = [target.path, path]
         except ExportError as error:
             failure = (
-                f"{error} (the identified numbers are in {atomic_files.SERVO_NAME})"
+                f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
             )
     target.files.write(path, json_text(result.json_content()))
     lines = (*servo_lines(result), f"Results saved to {folder_text(path.parent)}")

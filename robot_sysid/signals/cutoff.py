@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_sysid.records import Array
-from robot_sysid.records.figures import percent
+from robot_sysid.records.messages import percent
 from robot_sysid.signals.filters import design_low_pass
 
 # Expected squared error of the acceleration, relative to its mean square, that does no harm: it

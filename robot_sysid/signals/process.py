@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.messages import Detail
 from robot_sysid.signals.cutoff import (
     CutoffChoice,
     Spectra,

@@ -5,7 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from robot_sysid.records.options import OptionRecord, PerJoint, not_negative, option
+from robot_sysid.records.option_fields import (
+    OptionRecord,
+    PerJoint,
+    check_not_negative,
+    option,
+)
 
 LONGEST_DELAY = 1.0
 """Longest torque delay that is accepted [s]; more is surely a slip of the unit."""
@@ -17,7 +22,7 @@ def _delay_complaint(value: float) -> str | None:
         return (
             f"is given in seconds and may be at most {LONGEST_DELAY:g} (got {value:g})"
         )
-    return not_negative(value)
+    return check_not_negative(value)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from robot_sysid.model.chain import is_hinge_or_slide, joint_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import robot_from_compiled
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
-from robot_sysid.records.options import per_joint
+from robot_sysid.records.option_fields import joint_values
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_times
@@ -56,7 +56,7 @@ class PlantSimulation:
         sample_rate: float,
         rng: np.random.Generator,
     ) -> None:
-        per_joint(options.noise_torque, plant.n_joints, "--noise-torque")
+        joint_values(options.noise_torque, plant.n_joints, "--noise-torque")
         plan_joints = plan.evaluate(np.zeros(1)).q.shape[1]
         if plan_joints != plant.n_joints:
             raise InputError(

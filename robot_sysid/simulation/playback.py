@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from robot_sysid.model.chain import actuators_on
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, RobotModel
-from robot_sysid.records.options import processors
+from robot_sysid.records.option_fields import processor_count
 from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.simulation.forward_dynamics import forward_model, set_chain_state
 
@@ -103,7 +103,7 @@ class RolloutRunner:
         self._robot = robot
         self.model = model
         self._pool: Any = None
-        threads = processors() if _has_threads() else 1
+        threads = processor_count() if _has_threads() else 1
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         if _has_threads():
             from mujoco import rollout

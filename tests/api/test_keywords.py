@@ -10,7 +10,7 @@ import pytest
 
 import robot_sysid as rs
 from robot_sysid.api.keywords import RECORDS, python_words, refused_by
-from robot_sysid.records.options import keys_of
+from robot_sysid.records.option_fields import keys_of
 from tests.support import keyword_types
 from tests.support.places import ROOT
 

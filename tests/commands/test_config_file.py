@@ -14,7 +14,7 @@ from robot_sysid.commands.run import QUESTIONS, build_parser, text_of
 from robot_sysid.config import PayloadConfig, SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.options import default_of, options_of
+from robot_sysid.records.option_fields import default_of, options_of
 from tests.support import option_samples
 
 IDENTIFY = partial(build_parser, "identify")

@@ -13,7 +13,7 @@ import pytest
 
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.messages import Detail
 
 
 @pytest.mark.parametrize(("verbose", "shown"), [(False, 1), (True, 2)])

@@ -56,7 +56,7 @@ BESIDE = {
 
 def is_path(action):
     """Whether an option or a word of a parser takes a path."""
-    kinds = {"Path", "folder", "film_path", "factors_in"}
+    kinds = {"Path", "parse_folder", "film_path", "parse_factors"}
     return getattr(action.type, "__name__", "") in kinds or action.dest == "park"
 
 

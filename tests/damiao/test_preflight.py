@@ -24,7 +24,7 @@ from robot_sysid.damiao.preflight import (
 from robot_sysid.damiao.protocol import BusTiming, bus_load
 from robot_sysid.damiao.settings import Permissions, PlaySettings
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
-from robot_sysid.records.options import record_from
+from robot_sysid.records.option_fields import record_from
 
 # Beside the limit, so that rounding does not decide.
 SHARES = st.floats(0.01, 0.999) | st.floats(1.001, 4.0)

@@ -21,7 +21,7 @@ from robot_sysid.damiao.protocol import (
 )
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import options_of
+from robot_sysid.records.option_fields import options_of
 
 SPECS = st.lists(st.sampled_from(list(MOTORS.values())), min_size=1, max_size=8)
 TIMINGS = st.builds(BusTiming, fd=st.booleans())
@@ -72,7 +72,7 @@ def test_another_number_of_gains_is_refused():
     [
         (n, -1.0)
         for n, each in options_of(PlaySettings).items()
-        if each.check and not each.several
+        if each.check and not each.takes_many
     ]
     + [("kp", (1.0, bad)) for bad in (-1.0, 500.1, np.nan)]
     + [("kd", (1.0, bad)) for bad in (0.0, 5e-4, 5.1, np.nan)],

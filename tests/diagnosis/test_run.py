@@ -30,7 +30,7 @@ from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import CHECKS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 from tests.support import arms

@@ -94,7 +94,7 @@ def identify(robot, measurements, torques="chain", friction=TERMINAL_FRICTION):
 
 
 def solve(information, prior):
-    matrix, right = information.stacked()
+    matrix, right = information.equations()
     space = visible_space(matrix)
     values = prior + space.solve(right - matrix @ prior)
     squared = np.sum(information.squared_residuals(values))

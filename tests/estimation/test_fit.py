@@ -209,7 +209,7 @@ def test_a_recording_given_twice_says_no_more(robot, noisy):
     once, twice = (fit_recordings(robot, [log] * count, options) for count in (1, 2))
     assert np.all(twice.inflation > 1.7) and np.all(once.inflation < 1.3)
     roots = [
-        np.linalg.inv(np.linalg.qr(f.information.stacked(f.weights)[0], "r"))
+        np.linalg.inv(np.linalg.qr(f.information.equations(f.weights)[0], "r"))
         for f in (once, twice)
     ]
     errors = [np.linalg.norm(root, axis=1) for root in roots]

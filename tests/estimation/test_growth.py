@@ -23,7 +23,7 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from tests.support.core_fits import fitter_of
 from tests.support.places import DATA, MODELS
 

@@ -21,7 +21,7 @@ from robot_sysid.estimation.identify import (
     refit,
 )
 from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from tests.support import arms
 from tests.support.core_fits import BASIC, ORIGIN, filter_logs, fit_recordings
 from tests.support.measured_logs import XML, log_of, plan_of

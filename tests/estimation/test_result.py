@@ -16,7 +16,7 @@ from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import answer_link, answer_payload
 from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.records import Flange, Measurement
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.results.record import LINK, Figure, Verdict
 from tests.support.core_fits import BASIC, ORIGIN, filter_logs
 from tests.support.imperfect_arm import ImperfectArm, Imperfections

@@ -18,7 +18,7 @@ from robot_sysid.estimation.log_information import (
 )
 from robot_sysid.estimation.question import FILE_GRAVITY as GRAVITY
 from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from tests.support.core_fits import filter_logs
 from tests.support.measured_logs import CUTOFF, RATE, log_of, plan_of
 

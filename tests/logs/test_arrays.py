@@ -19,7 +19,7 @@ from scipy.io import savemat
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays, table
 from robot_sysid.logs.reader import content_lines, open_table
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from tests.support.log_files import JOINTS, motion, read_measurements
 
 DATA = motion()

@@ -24,7 +24,7 @@ from robot_sysid.motion.design import Candidate, Design, constraints_of
 from robot_sysid.motion.design_search import design_excitation, draw_trajectories
 from robot_sysid.motion.expected_errors import known_of
 from robot_sysid.motion.problem import ROUNDING
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
 from tests.support import arms
 from tests.support.arms import SEEDS

@@ -25,7 +25,7 @@ from robot_sysid.motion.expected_errors import (
 )
 from robot_sysid.motion.information import criterion, predicted_information
 from robot_sysid.motion.trajectories import FourierTrajectory
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks

@@ -12,7 +12,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.trajectories import save_trajectory
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, witness
 from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot

@@ -10,7 +10,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.pipeline.self_test import run_self_test, self_test_verdict
 from robot_sysid.records import Identifiability, Source
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.results.record import Verdict
 from robot_sysid.trajectory import CHUNK
 from tests.support import results

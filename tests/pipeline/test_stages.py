@@ -14,7 +14,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.stages import run
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from tests.support import arms
 from tests.support.places import GUESS
 from tests.support.results import theta_in

@@ -13,10 +13,10 @@ from robot_sysid.errors import InputError
 from robot_sysid.records.torque_scale import (
     CONSTANTS,
     SCALE,
-    factors_in,
+    check_factor,
     joint_factors,
+    parse_factors,
     read_factors,
-    usable_factor,
     write_torque_scale,
 )
 
@@ -38,9 +38,9 @@ def test_a_written_scale_reads_back_to_the_last_bit(tmp_path, scale):
 
 @given(st.lists(st.floats(1e-3, 1e3), min_size=3, max_size=3))
 def test_what_is_typed_is_what_is_used(values):
-    typed = factors_in(",".join(map(repr, values)))
+    typed = parse_factors(",".join(map(repr, values)))
     np.testing.assert_array_equal(joint_factors(typed, JOINTS, SCALE)[0], values)
-    one = joint_factors(factors_in(repr(values[0])), JOINTS, SCALE)
+    one = joint_factors(parse_factors(repr(values[0])), JOINTS, SCALE)
     np.testing.assert_array_equal(one, [[values[0]] * 3, [np.nan] * 3])
 
 
@@ -49,7 +49,7 @@ def test_a_file_is_read_by_joint_names(tmp_path):
     table = {"wrist": 3.0, "base": 1.0, "elbow": 2.0, "gripper": 9.0}
     path.write_text(json.dumps({"version": 1, CONSTANTS: table}))
     np.testing.assert_array_equal(
-        joint_factors(factors_in(str(path)), JOINTS, CONSTANTS)[0], [1.0, 2.0, 3.0]
+        joint_factors(parse_factors(str(path)), JOINTS, CONSTANTS)[0], [1.0, 2.0, 3.0]
     )
     with pytest.raises(InputError, match="holds no torque_scale"):
         joint_factors(path, JOINTS, SCALE)
@@ -88,9 +88,9 @@ def test_a_broken_file_says_what_is_wrong(tmp_path, text, said):
 
 def test_wrong_words_are_refused():
     with pytest.raises(InputError, match="neither a number"):
-        factors_in("nofile.json")
+        parse_factors("nofile.json")
     with pytest.raises(
         InputError, match="--torque-scale takes one number, or one for each of"
     ):
         joint_factors((1.0, 2.0), JOINTS, SCALE)
-    assert usable_factor(-1.0) and usable_factor(0.0) and not usable_factor(1.3)
+    assert check_factor(-1.0) and check_factor(0.0) and not check_factor(1.3)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.records import InertialParameters, SubtreeBody
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.messages import Detail
 from robot_sysid.results import console
 from robot_sysid.results.cards import load_errors
 from robot_sysid.results.console import asked_rows, block_lines, more_lines

@@ -24,7 +24,7 @@ from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import find_flange
 from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records.atomic_files import whole_files
+from robot_sysid.records.file_access import atomic_files
 from robot_sysid.results import model as model_module
 from robot_sysid.results import record, verification
 from robot_sysid.results.model import (
@@ -77,7 +77,7 @@ def checkpoints(robot, seed=0):
 def target_of(robot, folder=None):
     """Where a model goes to; the file is there when the block ends."""
     path = (folder or robot.path.parent / "out") / f"updated{robot.path.suffix}"
-    with whole_files() as files:
+    with atomic_files() as files:
         yield ModelTarget(files, path, checkpoints(robot), 1.23e-4)
 
 

@@ -108,8 +108,8 @@ def error_on(model, robot, motion, tau, usable, source="a log"):
     signals = SimpleNamespace(
         tau=tau,
         qd=motion.qd,
-        low_pass=SimpleNamespace(decimated=np.asarray),
-        passed=lambda made, smooth: made(motion),
+        low_pass=SimpleNamespace(decimate=np.asarray),
+        filter_columns=lambda made, smooth: made(motion),
         usable=lambda: usable,
     )
     return torque_error(model, robot, signals, source)

@@ -16,14 +16,14 @@ from robot_sysid.dynamics.spatial import (
     parameter_scale,
 )
 from robot_sysid.records import PriorConflict
-from robot_sysid.records.atomic_files import DAMIAO_NAME
-from robot_sysid.records.figures import percent
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.file_access import DAMIAO_NAME
+from robot_sysid.records.messages import Detail, percent
 from robot_sysid.results.record import Figure, Verdict
 from robot_sysid.results.verdict import (
     COLOURED,
     SURE,
     WORSE,
+    command_after_weighing,
     limitations,
     plan_verdict,
     shortfalls_of_plan,
@@ -258,3 +258,21 @@ def test_a_prediction_within_the_noise_is_not_worse_than_an_exact_fit(factor):
     test = made.validation_of(1e-9 * factor)
     assert not limitations(made.found(exact, validation=(test,)))
     assert limitations(made.found(exact, validation=(made.validation_of(0.05),)))
+
+
+@pytest.mark.parametrize(
+    ("content", "follows"),
+    [
+        ('path = "arm.xml"\nfor_ = "weight"', True),
+        ('path = "arm.xml"', False),
+        ('path = "other.xml"\nfor_ = "weight"', False),
+        (None, False),
+    ],
+)
+def test_a_plan_follows_where_this_arm_was_weighed(tmp_path, content, follows):
+    if content is not None:
+        (tmp_path / "trajectory.toml").write_text(content)
+    written = tmp_path / "updated_model.xml"
+    command = command_after_weighing(tmp_path, Path("arm.xml"), written)
+    words = f"--config {tmp_path}/trajectory.toml --for link --output-dir {tmp_path}/planned"
+    assert command == (f"robot-sysid plan {written} {words}" if follows else "")

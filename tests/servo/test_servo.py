@@ -14,8 +14,9 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
-from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import DataOrigin, RolloutError, RolloutTest, Source
+from robot_sysid.records.data import DataOrigin, Source
+from robot_sysid.records.messages import Progress
+from robot_sysid.results.record import RolloutError, RolloutTest
 from robot_sysid.servo.fit import ServoFit, smooth_states
 from robot_sysid.simulation.playback import ServoParameters, servos_in_model
 from tests.support import schemas, urdf

@@ -14,7 +14,7 @@ from robot_sysid.estimation.fit import Fitter
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.question import Choice, EstimationOptions, Question
 from robot_sysid.records import DataOrigin, Source
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.signals.repetition import find_visits
 from robot_sysid.signals.resampling import split_at_gaps
 from tests.support.measured_logs import CUTOFF

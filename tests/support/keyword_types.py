@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from robot_sysid.api.keywords import RECORDS, refused_by
-from robot_sysid.records.options import Option, default_of, options_of
+from robot_sysid.records.option_fields import Option, default_of, options_of
 from tests.support.places import ROOT
 
 PATH = ROOT / "robot_sysid" / "api" / "keyword_types.pyi"
@@ -33,8 +33,9 @@ File = str | os.PathLike[str]
 Numbers = Sequence[float] | NDArray[Any]
 '''
 _TYPES = {
-    "float": "float", "int": "int", "whole_number": "int", "str": "str", "Path": "File",
-    "folder": "File", "levels": "float | Numbers", "factors_in": "float | Numbers | File",
+    "float": "float", "int": "int", "parse_whole_number": "int", "str": "str", "Path": "File",
+    "parse_folder": "File", "parse_numbers": "float | Numbers",
+    "parse_factors": "float | Numbers | File",
 }  # fmt: skip
 
 
@@ -49,7 +50,7 @@ def type_of(option: Option, default: Any) -> str:
         one = "Numbers"
     if _has_alias(option):
         one = option.key.capitalize()
-    if option.repeats or option.several:
+    if option.repeats or option.takes_many:
         one = f"{one} | Sequence[{one}]"
     return f"{one} | None" if default is None else one
 

@@ -13,7 +13,7 @@ from typing import Any, get_type_hints
 
 from robot_sysid.commands.console import ConsoleOptions
 from robot_sysid.config import SysidConfig
-from robot_sysid.records.options import Option, default_of, options_of
+from robot_sysid.records.option_fields import Option, default_of, options_of
 
 # Values that cannot be made from the kind of value alone.
 _CHOSEN = {
@@ -75,7 +75,7 @@ def _value(option: Option, default: Any) -> Any:
         "7" if option.parse("7") == 7 and isinstance(option.parse("7"), int) else "0.25"
     )
     value = option.parse(text)
-    return (value,) if option.repeats or option.several else value
+    return (value,) if option.repeats or option.takes_many else value
 
 
 def keys_of(parser: argparse.ArgumentParser) -> set[str]:

@@ -19,7 +19,7 @@ from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.motion.plan_options import PoseOptions
 from robot_sysid.preview import PreviewOptions
-from robot_sysid.records.options import Option, default_of, options_of
+from robot_sysid.records.option_fields import Option, default_of, options_of
 from tests.support.places import ROOT
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
@@ -80,7 +80,7 @@ def _typed(option: Option, default: object) -> str:
 
 def _default(option: Option, record: type, name: str) -> str:
     text = default_text(option, default_of(record, name))
-    return f"`{text}`" if text and not option.usual else text
+    return f"`{text}`" if text and not option.default_text else text
 
 
 def _meaning(option: Option) -> str:

@@ -17,7 +17,7 @@ from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.plan_options import ExcitationOptions, LimitOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.records.progress import Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation, load_plant

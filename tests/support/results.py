@@ -24,9 +24,10 @@ from robot_sysid.records import (
     Validation,
     WrongLink,
 )
-from robot_sysid.records.results import CLOSED, OPEN, RolloutError, RolloutTest
 from robot_sysid.results.record import (
+    CLOSED,
     LINK,
+    OPEN,
     PAYLOAD,
     BaseParameters,
     BodyEstimate,
@@ -36,6 +37,8 @@ from robot_sysid.results.record import (
     OneRecording,
     Payload,
     Result,
+    RolloutError,
+    RolloutTest,
     Verdict,
 )
 

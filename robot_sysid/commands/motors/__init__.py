@@ -38,14 +38,14 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import LimitOptions
-from robot_sysid.records.options import (
+from robot_sysid.records.file_access import plan_settings
+from robot_sysid.records.option_fields import (
     OptionRecord,
-    command_words,
+    command_arguments,
     option,
     options_of,
     record_from,
 )
-from robot_sysid.records.plan_settings import settings_of
 
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
@@ -438,13 +438,13 @@ def _identify_command(
     settings = (
         None
         if plan.trajectory.has_two_arms
-        else settings_of(plan.trajectory.path.parent)
+        else plan_settings(plan.trajectory.path.parent)
     )
     folder = () if settings is None else ("--output-dir", str(settings[0].parent))
     if settings is not None and not real:
         arm = settings[1]
         model = arm.get("path", model)
-    arm_options = command_words(arm, ModelOptions)
+    arm_options = command_arguments(arm, ModelOptions)
     return [PROGRAM, "identify", str(model), str(record), *arm_options, *folder]
 
 

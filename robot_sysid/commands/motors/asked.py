@@ -34,8 +34,8 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion.plan_options import LimitOptions
-from robot_sysid.records.options import command_words
-from robot_sysid.records.progress import Detail
+from robot_sysid.records.messages import Detail
+from robot_sysid.records.option_fields import command_arguments
 from robot_sysid.results.verdict import two_lines
 
 
@@ -100,14 +100,14 @@ class Asked(MotorRun):
         words = [PROGRAM, "motors", name]
         files = ("model", "joint_map")
         words += [str(values[key]) for key in ("trajectory",) if values.get(key)]
-        words += command_words(values, *_WHERE)
+        words += command_arguments(values, *_WHERE)
         for key in (key for key in files if values.get(key)):
             words += [f"--{key.replace('_', '-')}", str(values[key])]
         limits = {key: values[key] for key in LIMITS if key in values}
         return [
             *words,
-            *command_words(values, *_HOW),
-            *command_words(limits, LimitOptions),
+            *command_arguments(values, *_HOW),
+            *command_arguments(limits, LimitOptions),
         ]
 
     def play_words(self) -> list[str]:

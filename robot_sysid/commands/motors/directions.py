@@ -23,7 +23,7 @@ from robot_sysid.damiao.references import TRANSFER_RATE, transfer_rows
 from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
-from robot_sysid.records.options import OptionRecord, option
+from robot_sysid.records.option_fields import OptionRecord, option
 
 
 @dataclass(frozen=True)

@@ -38,12 +38,12 @@ from robot_sysid.damiao.joints import BY_HAND, DamiaoJoint, id_problems, write_j
 from robot_sysid.damiao.protocol import refuse_motion
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.options import (
+from robot_sysid.records.option_fields import (
     OptionRecord,
     given_options,
     option,
+    parse_whole_number,
     record_from,
-    whole_number,
 )
 
 # A judgement: longer than a flash memory takes to be written [s].
@@ -57,7 +57,7 @@ def _within(low: float, high: float, words: str) -> Callable[[float], str | None
 _BIT_RATES = f"must be one of {', '.join(map(str, protocol.BIT_RATES))}"
 _ID: dict[str, Any] = {
     "metavar": "ID",
-    "parse": whole_number,
+    "parse": parse_whole_number,
     "check": _within(1, 15, "1 to 15"),
 }
 
@@ -84,7 +84,7 @@ class SetupOptions(OptionRecord):
         None,
         "set its bit rate; it listens at the new one from then on",
         "RATE [bit/s]",
-        parse=whole_number,
+        parse=parse_whole_number,
         check=lambda rate: None if rate in protocol.BIT_RATES else _BIT_RATES,
     )
     set_zero: bool = option(False, "make where it stands its zero; asks twice")
@@ -320,7 +320,7 @@ class LifetimeOptions(OptionRecord):
     """When that ends which would go on until Ctrl-C."""
 
     lifetime: float | None = option(
-        None, "end after this time", "S [s] > 0", flag="--for", usual="Ctrl-C"
+        None, "end after this time", "S [s] > 0", flag="--for", default_text="Ctrl-C"
     )
 
 

@@ -139,7 +139,7 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition numbers are those of Y_interest,
     so that they mean the same for a plan, a simulation and a log.
     """
-    matrix, _ = information.stacked()
+    matrix, _ = information.equations()
     space = visible_space(matrix)
     joint = information.joints[-1].joint
     interest = np.isin(information.names, [f"coulomb[{joint}]", f"viscous[{joint}]"])

@@ -251,7 +251,7 @@ def _solve_by_decomposition(
     information: SquareRootInformation, prior: Array, weights: Array
 ) -> tuple[Array, Array]:
     """Return what ``solver`` describes, by a decomposition."""
-    matrix, right_side = information.stacked(weights)
+    matrix, right_side = information.equations(weights)
     values, root = solve_rows(np.column_stack((matrix, right_side - matrix @ prior)))
     pairs = zip(information.joints, weights)
     leverage = [
@@ -318,9 +318,9 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
 
 
 def normal_matrix(information: SquareRootInformation, weights: Array) -> Array:
-    """Return (p+1, p+1) [A b]^T [A b] of the equations of ``stacked``."""
+    """Return (p+1, p+1) [A b]^T [A b] of the equations of ``equations``."""
     normal = np.zeros((len(information.names) + 1,) * 2)
-    blocks = information.blocks(weights)
+    blocks = information.equation_blocks(weights)
     while batch := list(islice(blocks, _TOGETHER)):
         rows = np.vstack(batch)
         at = np.flatnonzero(np.any(rows != 0.0, axis=0))

@@ -290,7 +290,9 @@ class WithPriors:
             self._gram + prior.T @ prior, blocks, squares, np.zeros(size)
         )
         if solution is None:
-            solution = solve_rows(np.vstack((*self._data.blocks(self._weights), prior)))
+            solution = solve_rows(
+                np.vstack((*self._data.equation_blocks(self._weights), prior))
+            )
         values, root = solution
         residual = self._weights**2 @ self._data.squared_residuals(values)
         misfit = residual + np.sum((prior @ np.append(values, -1.0)) ** 2)

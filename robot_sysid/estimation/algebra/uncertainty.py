@@ -121,7 +121,7 @@ def whole_triangle(information: SquareRootInformation, weights: Array) -> Array:
     """Return the triangle of all equations by weights (joints,)."""
     # The last joints' first: they have the columns of few links.
     backwards = replace(information, joints=information.joints[::-1])
-    return triangle_of(backwards.blocks(weights[::-1]))
+    return triangle_of(backwards.equation_blocks(weights[::-1]))
 
 
 def triangle_of(blocks: Iterable[Array]) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array
-from robot_sysid.records.figures import THETA, percent, with_error
+from robot_sysid.records.messages import PARAMETER_UNITS, percent, with_error
 from robot_sysid.report import drawing
 from robot_sysid.report.drawing import AFTER, Figure, Section, Table, drawn, table
 from robot_sysid.report.runs import Body, Run, number
@@ -74,7 +74,7 @@ def _before_after(body: Body, name: str) -> Figure:
             *(drawing.text(float(theta[k]), body.errors[k]) for theta in told.values()),
             drawing.plus_minus(body.errors[k]),
         )
-        for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, THETA))
+        for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS))
     ]
     numbers = ("parameter", *told, "± standard error"), rows
     against = " against the model's values before" if "before" in told else ""
@@ -105,7 +105,10 @@ def _before_after(body: Body, name: str) -> Figure:
             }
             ax.errorbar(body.after[part], places, xerr=errors[part], **bar)
             ax.set_yticks(places, PARAMETER_NAMES[part])
-            ax.set(ylim=(places[-1] - 0.6, 0.6), xlabel=f"{title} [{THETA[start]}]")
+            ax.set(
+                ylim=(places[-1] - 0.6, 0.6),
+                xlabel=f"{title} [{PARAMETER_UNITS[start]}]",
+            )
             ax.margins(x=0.08)
             ax.locator_params(axis="x", nbins=6)
             least = 0.5 * _LEAST_SPAN * float(np.max(np.abs(body.after[part]))) or 5e-7
@@ -305,7 +308,9 @@ def compared(runs: Sequence[Run]) -> Section:
         columns = [
             map(with_error, each.after, each.stated(each.errors)) for each in same
         ]
-        labels = (f"{label} [{unit}]" for label, unit in zip(PARAMETER_NAMES, THETA))
+        labels = (
+            f"{label} [{unit}]" for label, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS)
+        )
         tables.append(table((title, *bodies), list(zip(labels, *columns))))
     return Section("compared", "Parameters", (words,), tables, is_open=True)
 

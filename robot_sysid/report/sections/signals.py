@@ -9,7 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robot_sysid.records import Array, Validation
-from robot_sysid.records.figures import percent, position, term_unit, torque, with_error
+from robot_sysid.records.messages import (
+    percent,
+    position_unit,
+    term_unit,
+    torque_unit,
+    with_error,
+)
 from robot_sysid.report import drawing
 from robot_sysid.report.drawing import Curves, Figure, Panel, Section, Table
 from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, number
@@ -48,7 +54,7 @@ def _by_joint(
 
 
 def _torque(data: ReportData, joint: int, before: str) -> Figure:
-    unit = torque(data.is_slide[joint])
+    unit = torque_unit(data.is_slide[joint])
     name = data.joints[joint]
     above = _before_after(data, joint)
     measured, earlier, after = (values for values, _ in above.values())
@@ -73,11 +79,13 @@ def most_changed(run: Run) -> Figure:
     """Return measured and predicted torque of the joint whose error has changed most."""
     data = run.data
     assert data is not None
-    earlier, after = (data.measured - each for each in (data.before, data.predicted))
+    earlier, after = (
+        data.measured - each for each in (data.prior_prediction, data.predicted)
+    )
     falls = [_rms(old) - _rms(new) for old, new in zip(earlier.T, after.T)]
     joint = int(np.argmax(np.nan_to_num(np.abs(falls))))
     name = data.joints[joint]
-    unit = torque(data.is_slide[joint])
+    unit = torque_unit(data.is_slide[joint])
     old = _rms(earlier[:, joint])
     new = _rms(after[:, joint])
     caption = (
@@ -91,9 +99,10 @@ def most_changed(run: Run) -> Figure:
 
 
 def _before_after(data: ReportData, joint: int) -> Curves:
-    unit = torque(data.is_slide[joint])
+    unit = torque_unit(data.is_slide[joint])
     measured, earlier, after = (
-        each[:, joint] for each in (data.measured, data.before, data.predicted)
+        each[:, joint]
+        for each in (data.measured, data.prior_prediction, data.predicted)
     )
     return {
         f"measured [{unit}]": (
@@ -122,8 +131,8 @@ def residuals(run: Run) -> Section | None:
 
 
 def _left_over(data: ReportData, joint: int) -> Figure:
-    left = f"residual [{torque(data.is_slide[joint])}]"
-    speed = f"speed [{position(data.is_slide[joint])}/s]"
+    left = f"residual [{torque_unit(data.is_slide[joint])}]"
+    speed = f"speed [{position_unit(data.is_slide[joint])}/s]"
     known = np.isfinite(data.speed[joint])
     columns = (data.speed, data.residual_mean, data.residual_spread)
     speeds, mean, spread = (each[joint, known] for each in columns)
@@ -219,8 +228,8 @@ def _coefficients(
 
 
 def _curve(data: ReportData, joint: int) -> Figure:
-    unit = torque(data.is_slide[joint])
-    speed = f"speed [{position(data.is_slide[joint])}/s]"
+    unit = torque_unit(data.is_slide[joint])
+    speed = f"speed [{position_unit(data.is_slide[joint])}/s]"
     known = np.isfinite(data.speed[joint])
     columns = (data.speed, data.friction_measured, data.friction_predicted)
     # Dry friction jumps where the speed changes its sign: no line is drawn across.
@@ -273,7 +282,7 @@ def _shares(data: ReportData) -> Table:
 
 
 def _motion(data: ReportData, joint: int) -> Figure:
-    unit = position(data.is_slide[joint])
+    unit = position_unit(data.is_slide[joint])
     low, high, fast = (float(v[joint]) for v in (data.lower, data.upper, data.velocity))
     limits = (
         f"{low:.3g} to {high:.3g} {unit}"

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from robot_sysid.mjcf.inertial import rmse_words
-from robot_sysid.records.atomic_files import MODEL_NAMES
-from robot_sysid.records.figures import percent, with_error
-from robot_sysid.records.results import Source
+from robot_sysid.records.data import Source
+from robot_sysid.records.file_access import MODEL_NAMES
+from robot_sysid.records.messages import percent, with_error
 from robot_sysid.report.drawing import Section
 from robot_sysid.report.runs import Run
 from robot_sysid.report.sections.signals import most_changed

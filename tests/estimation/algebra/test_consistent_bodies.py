@@ -131,7 +131,7 @@ def test_without_weight_the_objective_is_that_of_the_semidefinite_program(seed):
     rng = np.random.default_rng(seed)
     equations, names = arm_equations(rng, count=40)
     truth = np.concatenate((random_body(rng, 0.1), rng.uniform(0.1, 1.0, 6)))
-    matrix, right = information_of(equations, names, truth, 3.0, rng).stacked()
+    matrix, right = information_of(equations, names, truth, 3.0, rng).equations()
     plain = np.linalg.lstsq(matrix, right, rcond=None)[0]
     assert not spatial.is_consistent(plain[:10])
     problem = LinksProblem((BODY,), np.append(random_body(rng), np.zeros(6)))

@@ -140,7 +140,7 @@ def test_units_do_not_decide_what_is_visible(seed, exponents):
     scaled = JointInformation(joint.joint, joint.columns, triangle, joint.n_samples)
     names = tuple("abcdefghijkl")
     space, scaled_space = (
-        visible_space(SquareRootInformation(names, (information,)).stacked()[0])
+        visible_space(SquareRootInformation(names, (information,)).equations()[0])
         for information in (joint, scaled)
     )
     assert scaled_space.identified == space.identified
@@ -407,7 +407,7 @@ def assert_same(information, visibility):
     is_identified = np.linalg.norm(visibility.null, axis=1) < 1e-6
     assert_array_equal(identifiability.identified, is_identified)
     assert len(identifiability.unidentifiable) == visibility.null.shape[1]
-    space = visible_space(information.stacked()[0])
+    space = visible_space(information.equations()[0])
     hidden = space.scale[:, None] * space.null / visibility.scale[:, None]
     hidden /= np.linalg.norm(hidden, axis=0)
     residual = np.linalg.norm(visibility.matrix @ hidden)

@@ -73,7 +73,7 @@ def test_triangle_gives_the_residual_of_all_rows(seed, chunks):
     information = accumulator.result()
     assert information.n_samples == 20 * chunks
     assert_allclose(information.squared_residuals(values), [expected], rtol=1e-12)
-    matrix, right = information.stacked()
+    matrix, right = information.equations()
     squares = np.sum((matrix @ values - right) ** 2)
     assert squares == pytest.approx(expected, rel=1e-12)
 
@@ -194,7 +194,7 @@ def test_equations_with_a_prior_are_solved_to_rounding(seed):
     prior = np.column_stack((np.diag(10.0 ** rng.uniform(-3, 0, 16)), np.zeros(16)))
     weights = rng.uniform(0.1, 10.0, 3)
     information = replace(samples.information(names), prior=prior)
-    expected = np.linalg.lstsq(*information.stacked(weights), rcond=None)[0]
+    expected = np.linalg.lstsq(*information.equations(weights), rcond=None)[0]
     values, _ = solver(information, PRIOR)(weights)
     assert_allclose(values, expected, rtol=0.0, atol=1e-11 * np.max(np.abs(truth)))
 

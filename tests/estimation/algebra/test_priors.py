@@ -97,7 +97,7 @@ def test_the_estimate_is_the_mean_of_the_posterior(seed):
     mean, covariance = prior_moments(groups)
     precision = np.zeros((16, 16))
     precision[10:, 10:] = np.linalg.inv(covariance)
-    matrix, right = information.stacked()
+    matrix, right = information.equations()
     normal = matrix.T @ matrix / NOISE**2 + precision
     right_side = matrix.T @ right / NOISE**2 + precision[:, 10:] @ mean
     solve = solver(with_prior(information, groups), np.zeros(16))
@@ -137,7 +137,7 @@ def test_evidence_is_the_density_of_the_data_under_the_priors(seed):
     """The dense density of the data that no plain parameter can explain."""
     rng = np.random.default_rng(seed)
     information = noisy_information(rng, random_truth(rng, random_groups(rng)))
-    matrix, right = information.stacked()
+    matrix, right = information.equations()
     complement = np.linalg.qr(matrix[:, :10], mode="complete")[0][:, 10:].T
     rows = complement @ matrix[:, 10:]
     evidence = []
@@ -188,7 +188,7 @@ def test_only_priors_that_the_data_contradicts_are_named():
         false_alarm_count += len(misfits(noisy_information(rng, truth), NOISE, groups))
         truth[13] += 5.0
         (conflict,) = misfits(noisy_information(rng, truth), NOISE, groups)
-        assert conflict.cause == "links" and conflict.asked > 1.0
+        assert conflict.cause == "links" and conflict.deviation > 1.0
     # The test allows itself one in a hundred per cause.
     assert false_alarm_count <= 4
 
@@ -228,7 +228,7 @@ def test_a_conflict_of_one_aspect_is_not_lost_among_the_others():
     for aspects in (tuple, lambda: link_aspects(thetas, lengths)):
         groups = (replace(group, aspects=aspects),)
         (conflict,) = misfits(information, np.array([0.5]), groups)
-        widening.append(conflict.asked)
+        widening.append(conflict.deviation)
     assert widening[0] < 3.0 and widening[1] == pytest.approx(6.0, rel=0.2)
 
 

@@ -11,19 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import (
+from robot_sysid.records.option_fields import (
     OptionRecord,
     PerJoint,
+    check_not_negative,
+    check_positive,
+    check_speed_factor,
     default_of,
     given_options,
-    levels,
-    not_negative,
+    joint_values,
     option,
     options_of,
-    per_joint,
-    positive,
+    parse_numbers,
     record_from,
-    speed_factor,
 )
 
 
@@ -32,9 +32,9 @@ class Oven(OptionRecord):
     """A record with an option of each kind."""
 
     name: str = "unnamed"
-    heat: float = option(180.0, "how hot", unit="°C", check=positive)
+    heat: float = option(180.0, "how hot", unit="°C", check=check_positive)
     fan_speed: int | None = option(None, "turns per second", flag="--fan")
-    trays: tuple[float, ...] = option((), "heights", check=positive, repeats=True)
+    trays: tuple[float, ...] = option((), "heights", check=check_positive, repeats=True)
     recipe: Path | None = option(None, "file")
     mode: str = option("top", "where from", choices=("top", "bottom"))
     gas: bool = option(False, "burn gas")
@@ -124,25 +124,25 @@ NUMBERS = st.one_of(st.floats(), st.sampled_from([0.0, 1.0, -1.0, np.inf, np.nan
 @given(NUMBERS)
 def test_checks_accept_exactly_their_range(value):
     finite = bool(np.isfinite(value))
-    assert (positive(value) is None) == (finite and value > 0.0)
-    assert (not_negative(value) is None) == (finite and value >= 0.0)
-    assert (speed_factor(value) is None) == (0.0 < value <= 1.0)
+    assert (check_positive(value) is None) == (finite and value > 0.0)
+    assert (check_not_negative(value) is None) == (finite and value >= 0.0)
+    assert (check_speed_factor(value) is None) == (0.0 < value <= 1.0)
 
 
 @given(
     st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=7)
 )
 def test_levels_read_what_was_written(numbers):
-    written: PerJoint = levels(",".join(map(repr, numbers)))
+    written: PerJoint = parse_numbers(",".join(map(repr, numbers)))
     assert written == (numbers[0] if len(numbers) == 1 else tuple(numbers))
 
 
 def test_one_number_serves_all_joints():
-    assert per_joint(0.3, 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
-    assert per_joint((0.3,), 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
-    assert per_joint((1.0, 2.0), 2, "--noise-torque").tolist() == [1.0, 2.0]
+    assert joint_values(0.3, 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
+    assert joint_values((0.3,), 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
+    assert joint_values((1.0, 2.0), 2, "--noise-torque").tolist() == [1.0, 2.0]
     for wrong in ((1.0, 2.0), ()):
         with pytest.raises(
             InputError, match="--noise-torque takes one number, or one for each of"
         ):
-            per_joint(wrong, 3, "--noise-torque")
+            joint_values(wrong, 3, "--noise-torque")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
+import math
 import os
 import signal
 import subprocess
@@ -12,14 +14,21 @@ from pathlib import Path
 
 import pytest
 
+import robot_sysid as rs
 from robot_sysid.errors import InputError
-from robot_sysid.records import atomic_files as files
-from robot_sysid.records.atomic_files import (
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.reader import open_table
+from robot_sysid.records import file_access as files
+from robot_sysid.records.file_access import (
     LOCK_NAME,
-    only_run_in,
-    whole_file,
-    whole_files,
-    write_whole,
+    atomic_file,
+    atomic_files,
+    lock_folder,
+    plan_settings,
+    read_json,
+    read_toml,
+    refuse_special_file,
+    write_atomically,
 )
 from tests.support.places import ROOT
 
@@ -32,7 +41,7 @@ def everything_in(folder: Path) -> dict[str, str]:
 
 
 def write_set(folder, text):
-    with whole_files() as outputs:
+    with atomic_files() as outputs:
         for name in NAMES:
             outputs.write(folder / name, text)
 
@@ -127,16 +136,16 @@ def test_a_signal_at_any_instant_waits_for_the_whole_new_set(
 @pytest.mark.skipif(os.name == "nt", reason="no SIGKILL here")
 def test_a_process_that_is_killed_leaves_whole_files_and_keeps_no_folder(old_set):
     code = (
-        "import os, signal; from pathlib import Path; from tests.records import test_atomic_files\n"
-        "test_atomic_files.watch(lambda n: n == 4 and os.kill(os.getpid(), signal.SIGKILL))\n"
-        "with test_atomic_files.only_run_in(Path.cwd()):\n"
-        "    test_atomic_files.write_set(Path.cwd(), 'new')"
+        "import os, signal; from pathlib import Path; from tests.records import test_file_access\n"
+        "test_file_access.watch(lambda n: n == 4 and os.kill(os.getpid(), signal.SIGKILL))\n"
+        "with test_file_access.lock_folder(Path.cwd()):\n"
+        "    test_file_access.write_set(Path.cwd(), 'new')"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     killed = subprocess.run([sys.executable, "-c", code], cwd=old_set, env=environment)
     assert killed.returncode == -signal.SIGKILL
     assert_whole(old_set)
-    with only_run_in(old_set):
+    with lock_folder(old_set):
         write_set(old_set, "new")
     assert {name: everything_in(old_set)[name] for name in NAMES} == dict.fromkeys(
         NAMES, "new"
@@ -145,24 +154,24 @@ def test_a_process_that_is_killed_leaves_whole_files_and_keeps_no_folder(old_set
 
 def test_one_file_appears_when_the_block_ends_without_an_error(tmp_path):
     path = tmp_path / "a.csv"
-    with whole_file(path) as file:
+    with atomic_file(path) as file:
         file.write("1\n")
         assert not path.exists()
-    with pytest.raises(ZeroDivisionError), whole_file(path) as file:
+    with pytest.raises(ZeroDivisionError), atomic_file(path) as file:
         file.write("half")
         raise ZeroDivisionError
     assert everything_in(tmp_path) == {"a.csv": "1\n"}
 
 
 def test_a_failed_group_leaves_nothing_not_even_its_folder(tmp_path):
-    with pytest.raises(KeyboardInterrupt), whole_files() as outputs:
+    with pytest.raises(KeyboardInterrupt), atomic_files() as outputs:
         outputs.write(tmp_path / "new" / "deep" / "a.txt", "a")
         outputs.write(tmp_path / "b.txt", b"b")
         raise KeyboardInterrupt
     full = pytest.raises(InputError, match="cannot write .*: No space left on device")
     with (
         full,
-        whole_files() as outputs,
+        atomic_files() as outputs,
         outputs.open(tmp_path / "new" / "a.csv") as file,
     ):
         file.write("begun")
@@ -171,7 +180,7 @@ def test_a_failed_group_leaves_nothing_not_even_its_folder(tmp_path):
 
 
 def test_a_draft_can_be_read_before_and_withdrawn(tmp_path):
-    with whole_files() as outputs:
+    with atomic_files() as outputs:
         draft = outputs.write(tmp_path / "out" / "model.xml", "<a/>")
         assert (draft.read_text(), draft.suffix) == ("<a/>", ".xml")
         outputs.write(tmp_path / "out" / "b", "{}")
@@ -195,7 +204,7 @@ def test_what_is_to_go_goes_last_and_only_where_nothing_fails(
         unlink(path, **options)
 
     monkeypatch.setattr(Path, "unlink", watched)
-    with contextlib.suppress(ZeroDivisionError), whole_files() as outputs:
+    with contextlib.suppress(ZeroDivisionError), atomic_files() as outputs:
         outputs.write(tmp_path / "a", "new")
         outputs.remove(tmp_path / "gone")
         if fails:
@@ -208,31 +217,31 @@ def test_a_path_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "a.txt", tmp_path):
         with pytest.raises(InputError) as caught:
-            write_whole(path, "x")
+            write_atomically(path, "x")
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_only_one_run_at_a_time_has_a_folder(tmp_path):
     folder = tmp_path / "new" / "out"
-    with pytest.raises(ZeroDivisionError), only_run_in(folder):
+    with pytest.raises(ZeroDivisionError), lock_folder(folder):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
-    with only_run_in(folder):
+    with lock_folder(folder):
         with (
             pytest.raises(InputError, match="another run is writing to"),
-            only_run_in(folder),
+            lock_folder(folder),
         ):
             raise AssertionError("two at once")
         (folder / "result").write_text("")
     assert everything_in(folder) == {"result": ""}
-    with only_run_in(folder):
+    with lock_folder(folder):
         pass
 
 
 def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(
     tmp_path, monkeypatch
 ):
-    take = files._has_lock
+    take = files._try_lock
     taken = []
 
     def take_late(handle):
@@ -242,7 +251,104 @@ def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(
         taken.append(handle)
         return take(handle)
 
-    monkeypatch.setattr(files, "_has_lock", take_late)
-    with only_run_in(tmp_path):
+    monkeypatch.setattr(files, "_try_lock", take_late)
+    with lock_folder(tmp_path):
         assert len(taken) == 2
         assert os.path.samestat(os.fstat(taken[-1]), os.stat(tmp_path / LOCK_NAME))
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
+    assert plan_settings(tmp_path) is None
+    path = tmp_path / "trajectory.toml"
+    with pytest.raises(InputError, match="cannot read"):
+        read_toml(path)
+    path.write_text("path = ")
+    with pytest.raises(InputError, match="is no TOML file"):
+        read_toml(path)
+    # A next step is made of it after a run, whose own words are to be read.
+    assert plan_settings(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    "text", [None, b"{", b"[" * 100_000, b"\xff", b"", b"9" * 100_000 + b"x"]
+)
+def test_what_is_no_json_is_refused_in_one_line(tmp_path, text):
+    path = tmp_path / "a.json"
+    if text is not None:
+        path.write_bytes(text)
+    with pytest.raises(InputError, match="cannot read .*a.json: .*; do this") as caught:
+        read_json(path, "do this")
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_too_large_is_not_read(tmp_path):
+    with (tmp_path / "a.json").open("wb") as file:
+        file.truncate(5 * 10**9)
+    with pytest.raises(InputError, match="larger than 30 MB; do this"):
+        read_json(tmp_path / "a.json", "do this")
+
+
+def test_an_integer_beyond_all_floats_is_infinite(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text("\ufeff[1" + "0" * 400 + ', 3, {"a": null}]', encoding="utf-8")
+    assert read_json(path, "") == [math.inf, 3, {"a": None}]
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    if sys.platform == "win32":
+        pytest.skip("needs named pipes")
+    os.mkfifo(tmp_path / "pipe")
+    return tmp_path / "pipe"
+
+
+def test_files_folders_and_what_is_not_there_are_left_alone(tmp_path):
+    (tmp_path / "a").touch()
+    for path in (
+        tmp_path,
+        tmp_path / "a",
+        tmp_path / "b",
+        str(tmp_path),
+        "a" * 5000,
+        "a\0",
+    ):
+        refuse_special_file(path)
+
+
+def test_a_device_is_neither_read_nor_replaced(tmp_path, pipe):
+    (tmp_path / "null").symlink_to(os.devnull)
+    for path in (pipe, tmp_path / "null"):
+        with pytest.raises(InputError, match="is a pipe or a device; do this"):
+            read_json(path, "do this")
+        with pytest.raises(
+            InputError, match="is a pipe or a device; choose another name"
+        ):
+            write_atomically(path, "content")
+    assert not (tmp_path / "null").is_file() and pipe.is_fifo()
+
+
+def test_parts_of_a_recording_are_files(tmp_path, pipe):
+    pytest.importorskip("pyarrow")
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "data").mkdir()
+    names = {"names": ["a.pos", "a.torque"]}
+    content = {"features": {"observation.state": names}}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps(content))
+    pipe.rename(tmp_path / "data" / "part.parquet")
+    with pytest.raises(InputError, match="part.parquet is a pipe or a device"):
+        open_table(tmp_path, ("a",), LogOptions())
+
+
+def test_parts_of_a_bag_are_files(tmp_path, pipe):
+    pytest.importorskip("rosbags")
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
+    pipe.rename(tmp_path / "part.db3")
+    with pytest.raises(InputError, match="part.db3 is a pipe or a device"):
+        open_table(tmp_path, ("a",), LogOptions())
+
+
+def test_python_programs_get_the_same_refusal(pipe):
+    with pytest.raises(
+        rs.InputError, match="pipe is a pipe or a device; give columns another"
+    ):
+        rs.identify("arm.xml", "log.csv", columns=pipe)

@@ -1,0 +1,405 @@
+"""Files: results are written whole or not at all, what others wrote is read with care.
+
+A file is written as a draft, by a hidden name in the folder of its final path: an older file stays
+in place until the moment in which the draft replaces it. Whatever the system refuses, and a folder
+that another run has locked, raises InputError.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import stat
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from robot_sysid.errors import InputError, delay_signals, error_text
+
+MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
+"""Format of the robot's model file to the name of the written model: a URDF stays one."""
+PARAMS_NAME = "params.json"
+PLAN_NAME = "trajectory.json"
+SETTINGS_NAME = "trajectory.toml"
+"""Settings that a plan writes beside its motion, from which it can be planned again."""
+DAMIAO_NAME = "damiao_trajectory.csv"
+CARD_NAME = "payload_card.txt"
+SERVO_NAME = "servo.json"
+RUN_NAME = "run.toml"
+LOCK_NAME = ".robot-sysid.lock"
+_DRAFT_PREFIX = ".robot-sysid-"
+_MAX_INTEGER_DIGITS = 300
+"""Digits up to which an integer of a JSON file fits into a float, of at most 1.8e308."""
+_MAX_JSON_BYTES = 30_000_000
+"""Largest JSON file that is read: one of nothing but empty lists takes 0.7 GB of memory."""
+
+
+def refuse_special_file(
+    path: str | os.PathLike[str], remedy: str = "give a file"
+) -> None:
+    """Raise InputError where a path leads to a pipe, a device or a socket.
+
+    Reading one may never end, and the system would miss a device that a file has replaced.
+    Folders, missing files and paths that cannot be looked at pass: opening them says what is wrong.
+    The remedy ends the message.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise InputError(f"{path} is a pipe or a device; {remedy}")
+
+
+def read_json(path: Path, remedy: str) -> Any:
+    """Return the content of a JSON file; an integer too large for a float becomes infinite.
+
+    Args:
+        path: the file.
+        remedy: what the user should do where the file cannot be read; ends the message.
+
+    Raises:
+        InputError: the file cannot be read, is no JSON, or is larger than 30 MB.
+    """
+    refuse_special_file(path, remedy)
+    try:
+        if path.stat().st_size > _MAX_JSON_BYTES:
+            raise ValueError(f"it is larger than {_MAX_JSON_BYTES / 1e6:g} MB")
+        return json.loads(
+            path.read_text(encoding="utf-8-sig"), parse_int=_number_of_digits
+        )
+    except OSError as error:
+        reason = error_text(error)
+    except (ValueError, RecursionError) as error:
+        reason = f"it is not JSON: {error}"
+    raise InputError(f"cannot read {path}: {reason}; {remedy}")
+
+
+def _number_of_digits(digits: str) -> int | float:
+    """Return the integer that digits state, infinite where no float is that large."""
+    return int(digits) if len(digits) < _MAX_INTEGER_DIGITS else float(digits)
+
+
+def read_toml(path: Path) -> Mapping[str, Any]:
+    """Return the content of a TOML file, or raise InputError that names the file."""
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+    refuse_special_file(path, "give a TOML file")
+    try:
+        return dict(tomllib.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise InputError(f"{path} is no TOML file: {error}") from None
+
+
+def plan_settings(folder: Path) -> tuple[Path, Mapping[str, Any]] | None:
+    """Return path and content of the settings file of the plan in a folder.
+
+    None where there is no such file or it cannot be read: the settings only serve to suggest the
+    next command.
+    """
+    path = folder / SETTINGS_NAME
+    try:
+        return (path, read_toml(path)) if path.is_file() else None
+    except InputError:
+        return None
+
+
+class AtomicFiles:
+    """Drafts of several files, all of which replace their final paths in one step, ``commit``.
+
+    A draft is known by the final path of its file. Paths appear in the reverse order in which
+    their drafts were made.
+    """
+
+    def __init__(self) -> None:
+        self._drafts: dict[Path, Path] = {}
+        self._unwanted: list[Path] = []
+        self._created_folders: list[Path] = []
+
+    def draft(self, path: Path) -> Path:
+        """Create an empty draft of the file ``path`` and return where the draft is.
+
+        The draft has the suffix of ``path``, so that it can be loaded and checked before
+        ``commit``. An earlier draft of ``path`` is removed.
+        """
+        if os.path.isdir(path):
+            raise InputError(
+                f"cannot write {path}: it is a folder; choose another name"
+            )
+        refuse_special_file(path, "choose another name to write to")
+        self.withdraw(path)
+        with _refusals_as_input_errors(path):
+            self.create_folder(path.parent)
+            self._drafts[path] = _hidden_path(path)
+            # touch() and not a temporary file of tempfile: the user's umask decides who may read.
+            self._drafts[path].touch(exist_ok=False)
+        return self._drafts[path]
+
+    @contextlib.contextmanager
+    def open(self, path: Path) -> Iterator[TextIO]:
+        """Yield a new draft of the file ``path`` as an open UTF-8 text file."""
+        draft = self.draft(path)
+        with (
+            _refusals_as_input_errors(path),
+            open(draft, "w", encoding="utf-8", newline="\n") as file,
+        ):
+            yield file
+
+    def write(self, path: Path, content: str | bytes) -> Path:
+        """Write a draft of the file ``path`` and return where the draft is."""
+        draft = self.draft(path)
+        with _refusals_as_input_errors(path):
+            draft.write_bytes(
+                content.encode("utf-8") if isinstance(content, str) else content
+            )
+        return draft
+
+    def withdraw(self, path: Path) -> None:
+        """Remove the draft of the file ``path``, if there is one; ``commit`` then leaves it out."""
+        if path in self._drafts:
+            self._drafts.pop(path).unlink(missing_ok=True)
+
+    def remove(self, path: Path) -> None:
+        """Have ``commit`` remove an existing file, after all drafts have their final names."""
+        self._unwanted.append(path)
+
+    def commit(self) -> None:
+        """Give every draft its final name, the first one last.
+
+        With several drafts, an older file by the name of the first one is removed before the others
+        change: should the system refuse to go on in between, it would describe files that are gone.
+        """
+        for path, draft in self._drafts.items():
+            with _refusals_as_input_errors(path), open(draft, "rb+") as file:
+                os.fsync(file.fileno())
+        with delay_signals():
+            if len(self._drafts) > 1:
+                first = next(iter(self._drafts))
+                with _refusals_as_input_errors(first):
+                    first.unlink(missing_ok=True)
+            for path, draft in reversed(self._drafts.items()):
+                with _refusals_as_input_errors(path):
+                    os.replace(draft, path)
+            for path in self._unwanted:
+                with _refusals_as_input_errors(path):
+                    path.unlink()
+
+    def discard(self) -> None:
+        """Remove all drafts without a final name, and the created folders that are empty."""
+        for draft in self._drafts.values():
+            # It may have its final name, or never have been made.
+            with contextlib.suppress(OSError):
+                draft.unlink()
+        for folder in reversed(self._created_folders):
+            # It may hold a file.
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+    def create_folder(self, folder: Path) -> None:
+        """Create a folder and those above it; ``discard`` removes them if they stay empty."""
+        missing = [f for f in (folder, *folder.parents) if not os.path.exists(f)]
+        for new_folder in reversed(missing):
+            new_folder.mkdir(exist_ok=True)
+            self._created_folders.append(new_folder)
+
+
+@contextlib.contextmanager
+def atomic_files() -> Iterator[AtomicFiles]:
+    """Yield an ``AtomicFiles`` whose drafts get their final names when the block ends.
+
+    The file of the first draft appears last, so that it may describe the others. An error or Ctrl-C
+    inside the block leaves every path as it was before, older files included.
+    """
+    files = AtomicFiles()
+    try:
+        yield files
+        files.commit()
+    finally:
+        files.discard()
+
+
+@contextlib.contextmanager
+def atomic_file(path_or_file: str | os.PathLike[str] | TextIO) -> Iterator[TextIO]:
+    """Yield a text file to write, which appears at its path when the block ends without an error.
+
+    An open file is yielded as it is.
+    """
+    if not isinstance(path_or_file, (str, os.PathLike)):
+        yield path_or_file
+        return
+    with atomic_files() as files, files.open(Path(path_or_file)) as file:
+        yield file
+
+
+def write_atomically(path: Path, content: str | bytes) -> None:
+    """Write a file whole or not at all, and create its folder where it is missing."""
+    with atomic_files() as files:
+        files.write(path, content)
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Yield a new folder that is removed after the block."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as name:
+        yield Path(name)
+
+
+@contextlib.contextmanager
+def draft_folder(path: Path) -> Iterator[Path]:
+    """Yield a new folder beside ``path``; removed after the block unless it was renamed inside."""
+    import shutil
+
+    draft = _hidden_path(path)
+    try:
+        draft.mkdir()
+        yield draft
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _hidden_path(path: Path) -> Path:
+    """Return a new hidden path in the folder of ``path``, with its suffix cut to 25 characters."""
+    return path.with_name(f"{_DRAFT_PREFIX}{os.urandom(4).hex()}{path.suffix[-25:]}")
+
+
+@contextlib.contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Create an output folder and keep other runs out of it while the block runs.
+
+    A folder that this created and that is still empty is removed after the block. InputError where
+    another run has the folder.
+    """
+    files = AtomicFiles()
+    lock_path = folder / LOCK_NAME
+    try:
+        with _refusals_as_input_errors(folder):
+            files.create_folder(folder)
+            handle = _open_lock(lock_path)
+        try:
+            yield
+        finally:
+            # Windows keeps what is open.
+            with contextlib.suppress(OSError):
+                lock_path.unlink()
+            os.close(handle)
+    finally:
+        files.discard()
+
+
+def _open_lock(lock_path: Path) -> int:
+    """Return the handle of a lock file, which this process holds until it closes it or ends."""
+    while True:
+        handle = os.open(lock_path, os.O_CREAT | os.O_RDWR, 0o666)
+        is_free = _try_lock(handle)
+        # A run that has just ended may have removed the file between opening and locking.
+        with contextlib.suppress(FileNotFoundError):
+            if is_free and os.path.samestat(os.fstat(handle), os.stat(lock_path)):
+                return handle
+        os.close(handle)
+        if not is_free:
+            remedy = "wait until it ends, or choose another --output-dir"
+            raise InputError(f"another run is writing to {lock_path.parent}; {remedy}")
+
+
+def _try_lock(handle: int) -> bool:
+    """Lock an open file; False where another process has it locked.
+
+    True, without a lock, on a file system that has no locks.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+    return True
+
+
+def require_writable(folder: Path) -> None:
+    """Raise InputError where files could not be written to a folder, which is not created.
+
+    For use before a long computation whose results are to be written there.
+    """
+    require_utf8(folder)
+    with _missing_folder_as_input_error():
+        absolute = folder.absolute()
+    # Path.exists fails where a folder above cannot be entered, or a name is too long.
+    existing = next(f for f in (absolute, *absolute.parents) if os.path.lexists(f))
+    fault = None
+    if not os.path.exists(existing):
+        fault = f"{existing} is a link that leads nowhere"
+    elif not existing.is_dir():
+        fault = f"{existing} is not a folder"
+    elif not os.access(existing, os.W_OK | os.X_OK):
+        fault = "no permission"
+    if fault is not None:
+        raise InputError(f"cannot write to {folder}: {fault}; choose another folder")
+
+
+def refuse_overwriting(
+    read_paths: Iterable[Path | None], written_paths: Iterable[tuple[str, Path]]
+) -> None:
+    """Raise InputError where a written file would replace a file that is read or written too.
+
+    Args:
+        read_paths: files that are read; None is skipped.
+        written_paths: (option that has the file written, its path).
+    """
+    with _missing_folder_as_input_error():
+        uses = {}
+        for read_path in read_paths:
+            if read_path is not None:
+                uses[os.path.realpath(read_path)] = "a file that is read"
+        for option, path in written_paths:
+            real_path = os.path.realpath(path)
+            if real_path in uses:
+                raise InputError(
+                    f"{option} would overwrite {uses[real_path]}: {path}; choose another"
+                )
+            uses[real_path] = f"what {option} writes"
+
+
+def require_utf8(path: Path) -> None:
+    """Raise InputError where a path has no UTF-8 form, which MuJoCo and JSON need."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError(
+            f"the path {path} cannot be written as UTF-8; rename it, or use a UTF-8 locale"
+        ) from None
+
+
+@contextlib.contextmanager
+def _missing_folder_as_input_error() -> Iterator[None]:
+    """Raise InputError where the block fails because the current folder was removed."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise InputError(
+            "the current folder no longer exists; change to another one"
+        ) from None
+
+
+@contextlib.contextmanager
+def _refusals_as_input_errors(path: Path) -> Iterator[None]:
+    """Raise InputError, with one line on ``path``, where the system refuses to write it."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"cannot write {path}: {error_text(error)}; choose another folder"
+        ) from None

@@ -1,0 +1,105 @@
+"""Text for the user: numbers with the digits their errors deserve, units, notes, progress."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+PARAMETER_UNITS = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
+"""Units of the ten inertial parameters [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz]."""
+_TERM_UNITS: Mapping[str, tuple[str, str]] = {
+    **dict.fromkeys(("coulomb", "offset", "stribeck", "sigmoid"), ("N·m", "N")),
+    **dict.fromkeys(("fading_fast", "fading", "fading_slow"), ("N·m", "N")),
+    "viscous": ("N·m·s/rad", "N·s/m"),
+    "armature": ("kg·m²", "kg"),
+    "sqrt": ("N·m·√(s/rad)", "N·√(s/m)"),
+    "quadratic": ("N·m·s²/rad²", "N·s²/m²"),
+    "cubic": ("N·m·s³/rad³", "N·s³/m³"),
+    **dict.fromkeys(("stribeck_speed", "sigmoid_speed"), ("rad/s", "m/s")),
+    "zero": ("rad", "m"),
+}
+"""Friction term, speed parameter of one, or joint zero to its unit in a hinge and in a slide."""
+_MAX_DECIMALS = 6
+_MAX_PERCENT = 1000.0
+
+
+def number_text(value: float, error: float | None = None) -> str:
+    """Return a number with as many decimals as make two digits of its standard error.
+
+    Four significant digits where the error is None, zero or infinite. "0" for zero only: one that
+    its decimals would hide gets its first digit. "not known" where the number is not finite.
+    """
+    if not math.isfinite(value):
+        return "not known"
+    if value == 0.0:
+        return "0"
+    if error is None or not 0.0 < error < math.inf:
+        return f"{value:.4g}"
+    decimals = 1 - math.floor(math.log10(error))
+    if decimals <= _MAX_DECIMALS:
+        text = f"{value:.{max(decimals, 0)}f}"
+        return text if abs(float(text) - value) <= 0.5 * abs(value) else f"{value:.1g}"
+    digits = math.floor(math.log10(abs(value))) + decimals + 1
+    return f"{value:.{max(digits, 1)}g}"
+
+
+def with_error(value: float, error: float | None, unit: str = "") -> str:
+    """Return a number and its standard error, such as "1.551 ± 0.087 kg".
+
+    "1.551 kg (± not known)" where the error is not finite; the number alone where it is None or 0.
+    """
+    if not error or not math.isfinite(error):
+        text = f"{number_text(value)} {unit}".rstrip()
+        return f"{text} (± not known)" if error else text
+    return f"{number_text(value, error)} ± {number_text(error, error)} {unit}".rstrip()
+
+
+def percent(share: float) -> str:
+    """Return a share in percent with two digits, "over 1000 %", or "not known" for NaN."""
+    size = 100.0 * abs(share)
+    if not size <= _MAX_PERCENT:
+        return "over 1000 %" if size > _MAX_PERCENT else "not known"
+    return f"{100.0 * share:.2g} %" if size < 99.5 else f"{100.0 * share:.0f} %"
+
+
+def torque_unit(is_slide: bool) -> str:
+    """Return the unit of a joint's torque: N of a slide, N·m of a hinge."""
+    return "N" if is_slide else "N·m"
+
+
+def position_unit(is_slide: bool) -> str:
+    """Return the unit of a joint's position: m of a slide, rad of a hinge."""
+    return "m" if is_slide else "rad"
+
+
+def term_unit(term: str, is_slide: bool) -> str:
+    """Return the unit of a friction term's coefficient, or "" where the term has none."""
+    return _TERM_UNITS[term][is_slide] if term in _TERM_UNITS else ""
+
+
+class Detail(str):
+    """A line or note of minor interest, which the console prints with --verbose only.
+
+    Result files and Python programs have it in any case.
+    """
+
+
+class Progress:
+    """Receives the progress of a long run. This one ignores all; the console's one prints it."""
+
+    def stage(self, *messages: str) -> None:
+        """Announce a stage of the run, or tell its outcome."""
+
+    def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
+        """Yield the items, with ``advance`` after each and a line "LABEL: 100%" after the last."""
+        for count, item in enumerate(items, start=1):
+            yield item
+            self.advance(label, count, total, "")
+        self.stage(f"{label}: 100%")
+
+    def advance(self, label: str, done: float, total: float, text: str) -> None:
+        """Tell that ``done`` of ``total`` steps are finished; ``text`` tells the state."""
+
+    def note(self, *messages: str) -> None:
+        """Tell the user something that does not stop the run, such as a warning."""

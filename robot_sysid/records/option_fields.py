@@ -1,0 +1,414 @@
+"""Options as fields of frozen records, each stated once with its help, its unit and its check.
+
+The parsers of the command line, the defaults, the names in messages and the tables in the README
+all come from these fields. The record of the options of a sampled motion is here, too.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import cache
+from keyword import iskeyword
+from numbers import Integral, Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
+
+from robot_sysid.errors import InputError
+from robot_sysid.records.file_access import refuse_special_file
+
+if TYPE_CHECKING:
+    from robot_sysid.records import Array
+
+PerJoint = Union[float, tuple[float, ...]]
+"""One number for all joints, or one per joint."""
+DEFAULT_MAX_VELOCITY = 2.0
+"""Speed limit of hinge joints for which neither model nor user states one [rad/s]."""
+MAX_SAMPLES = 1e9
+"""Largest number of samples of a run; more would take days."""
+Check = Callable[[Any], Optional[str]]
+"""Returns what is wrong with a value, as the end of a sentence that begins with the option's flag,
+or None where nothing is."""
+Record = TypeVar("Record")
+_VALUE_FORM = re.compile(r"((?![\[>])\S+)? ?(?:\[(.*)\])? ?(?:(>=?) 0)?")
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of the command line, without its name in the record and its default.
+
+    Attributes:
+        flag: such as "--no-friction".
+        help: for the parser's help and the README.
+        unit: of its number, such as "s"; "" where there is none.
+        metavar: name of the value in the help; one per value where the option takes several.
+        choices: the texts that it accepts; () where it accepts any.
+        parse: turns text into a value; None for a switch. By default it follows from the type that
+            the field's annotation names.
+        check: applied to the value, or to each of a tuple.
+        default_text: describes a default that is only found while running.
+        repeats: whether the flag may stand several times, each with one value.
+        takes_many: whether any number of values may follow the flag.
+        short: another flag of one letter.
+    """
+
+    flag: str
+    help: str
+    unit: str = ""
+    metavar: str | tuple[str, ...] | None = None
+    choices: tuple[str, ...] = ()
+    parse: Callable[[str], Any] | None = None
+    check: Check | None = None
+    default_text: str = ""
+    repeats: bool = False
+    takes_many: bool = False
+    short: str = ""
+
+    @property
+    def key(self) -> str:
+        """The option's name as a keyword: no_friction for --no-friction, for_ for --for."""
+        name = self.flag.lstrip("-").replace("-", "_")
+        return f"{name}_" if iskeyword(name) else name
+
+
+@dataclass(frozen=True)
+class OptionRecord:
+    """Base of all records of options; checks the values of its options on construction."""
+
+    def __post_init__(self) -> None:
+        """Raise InputError naming the first option whose value cannot be used."""
+        for name, stated in options_of(self).items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            for single in value if isinstance(value, tuple) else (value,):
+                if stated.choices and single not in stated.choices:
+                    choices = ", ".join(stated.choices)
+                    raise InputError(
+                        f"{stated.flag} {single!r}: choose one of {choices}"
+                    )
+                if isinstance(single, Path):
+                    refuse_special_file(single, f"give {stated.flag} another path")
+                complaint = stated.check(single) if stated.check else None
+                if complaint:
+                    raise InputError(f"{stated.flag} {complaint}")
+
+
+def option(
+    default: Any, help: str, value: str = "", flag: str = "", **attributes: Any
+) -> Any:
+    """Return a dataclass field that is an option of the command line.
+
+    Args:
+        default: of the field.
+        help: for the parser's help and the README.
+        value: name of the value in the help, its unit and its range, as far as it has them:
+            "FILE" or "V [rad/s] > 0".
+        flag: where it is not the field's name with dashes.
+        attributes: further ones of ``Option``; they overrule what ``value`` says.
+    """
+    form = _VALUE_FORM.fullmatch(value)
+    assert form, value
+    if form[1]:
+        attributes.setdefault("metavar", form[1])
+    if form[2]:
+        attributes.setdefault("unit", form[2])
+    if form[3]:
+        attributes.setdefault("check", _RANGE_CHECKS[form[3]])
+    return field(default=default, metadata={"option": Option(flag, help, **attributes)})
+
+
+def options_of(record: Any) -> Mapping[str, Option]:
+    """Return field name to option of a record or of a record's class, in the order of the fields.
+
+    The mapping is cached and shared: callers must not change it.
+    """
+    return _options_of_class(record if isinstance(record, type) else type(record))
+
+
+@cache
+def _options_of_class(record_class: Any) -> Mapping[str, Option]:
+    options = {}
+    for record_field in fields(record_class):
+        if "option" in record_field.metadata:
+            stated: Option = record_field.metadata["option"]
+            flag = stated.flag or "--" + record_field.name.replace("_", "-")
+            # float for "tuple[float, ...] | None".
+            type_names = re.findall(r"\w+", str(record_field.type))
+            parsers = [_PARSERS[name] for name in type_names if name in _PARSERS]
+            parse = stated.parse or next(iter(parsers), None)
+            options[record_field.name] = replace(stated, flag=flag, parse=parse)
+    return options
+
+
+def default_of(record: Any, name: str) -> Any:
+    """Return the default of a field of a record or of its class; None where it has none."""
+    default = record.__dataclass_fields__[name].default
+    return None if default is MISSING else default
+
+
+def given_options(record: Any) -> Iterator[Option]:
+    """Yield the options of a record whose values differ from their defaults."""
+    for name, stated in options_of(record).items():
+        if getattr(record, name) != default_of(record, name):
+            yield stated
+
+
+def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
+    """Return the arguments of a command line that state the options of some records.
+
+    Args:
+        values: option's key to its value; an option without one, or with None or False, is left
+            out.
+        records: records of options, or their classes.
+    """
+    arguments = []
+    for stated in (s for record in records for s in options_of(record).values()):
+        value = values.get(stated.key)
+        if value is None or value is False:
+            continue
+        for single in value if stated.repeats else (value,):
+            arguments.append(stated.flag)
+            numbers = single if isinstance(single, tuple) else (single,)
+            texts = [f"{n:.12g}" if isinstance(n, float) else str(n) for n in numbers]
+            if stated.takes_many or isinstance(stated.metavar, tuple):
+                arguments += texts if stated.parse else []
+            elif stated.parse:
+                arguments.append(",".join(texts))
+    return arguments
+
+
+def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record:
+    """Return a record with the values of its options by their keys, defaults for all others.
+
+    A text is parsed as on the command line, a list or array becomes a tuple. Keys of other records
+    are left aside. Raises InputError where a value has another type than its option's.
+    """
+    arguments = {}
+    for name, stated in options_of(record_class).items():
+        if stated.key in values:
+            value = values[stated.key]
+            is_default = value is None and default_of(record_class, name) is None
+            arguments[name] = None if is_default else _checked_value(stated, value)
+    return record_class(**arguments)
+
+
+def _checked_value(stated: Option, given: Any) -> Any:
+    """Return a value as the record holds it, or raise InputError where its type is wrong."""
+    try:
+        value = immutable_value(given, stated.parse)
+    except ValueError:
+        value = given
+    except InputError as error:
+        raise InputError(f"{stated.flag}: {error}") from None
+    has_rows = isinstance(stated.metavar, tuple)
+    is_single = not isinstance(value, tuple)
+    if has_rows and not is_single:
+        is_single = not any(isinstance(row, tuple) for row in value)
+    takes_many = stated.repeats or stated.takes_many
+    if takes_many and is_single:
+        value = (value,)
+    parser_name = getattr(stated.parse, "__name__", "bool")
+    types, type_text = _VALUE_TYPES.get(parser_name, ((object,), ""))
+    takes_many = takes_many or has_rows or type_text.endswith(_PER_JOINT)
+    # A bool is a number to Python, and none here.
+    fits = all(
+        isinstance(leaf, types) and (bool in types or not isinstance(leaf, bool))
+        for leaf in _leaves(value)
+    )
+    if not fits or not (takes_many or is_single):
+        raise InputError(f"{stated.flag} must be {type_text} (got {given!r:.60})")
+    return value
+
+
+def immutable_value(value: Any, parse: Callable[[str], Any] | None = None) -> Any:
+    """Return lists and arrays as tuples, nested ones too, and texts as ``parse`` reads them."""
+    # numpy's arrays and scalars.
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return tuple(immutable_value(item, parse) for item in value)
+    return parse(value) if isinstance(value, str) and parse is not None else value
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    """Yield the values in nested tuples, or a value that is no tuple."""
+    if isinstance(value, tuple):
+        for item in value:
+            yield from _leaves(item)
+    else:
+        yield value
+
+
+def keys_of(*records: Any) -> set[str]:
+    """Return the keys of all options of some records, or of their classes."""
+    return {stated.key for record in records for stated in options_of(record).values()}
+
+
+def refuse_unknown(keys: Collection[str], valid_keys: Collection[str]) -> None:
+    """Raise InputError naming a key that is not valid, and the valid one that is most like it."""
+    from difflib import get_close_matches
+
+    for key in sorted({*keys} - {*valid_keys}):
+        hint = f"valid: {', '.join(sorted(valid_keys))}"
+        for similar_key in get_close_matches(key, valid_keys, 1, 0.7):
+            hint = f"did you mean {similar_key!r}?"
+        raise InputError(f"unknown option {key!r}; {hint}")
+
+
+def check_positive(value: float) -> str | None:
+    """Return a complaint unless a number is positive and finite; None where it is."""
+    fits = value > 0.0 and math.isfinite(value)
+    return None if fits else f"must be positive (got {value:g})"
+
+
+def check_not_negative(value: float) -> str | None:
+    """Return a complaint unless a number is zero or more and finite; None where it is."""
+    fits = value >= 0.0 and math.isfinite(value)
+    return None if fits else f"must be a number that is not negative (got {value:g})"
+
+
+def check_speed_factor(value: float) -> str | None:
+    """Return a complaint unless a number is above 0 and at most 1; None where it is."""
+    fits = 0.0 < value <= 1.0
+    return None if fits else f"must be above 0 and at most 1 (got {value:g})"
+
+
+_RANGE_CHECKS = {">": check_positive, ">=": check_not_negative}
+"""Sign before the 0 in the ``value`` of ``option`` to the check that it asks for."""
+
+
+def joint_values(values: PerJoint, n_joints: int, flag: str) -> Array:
+    """Return the values (n,) of an option that takes one number for all joints, or one per joint.
+
+    Raises InputError, naming the option's flag, where the number of values does not fit.
+    """
+    import numpy as np
+
+    numbers = np.atleast_1d(np.asarray(values, dtype=float))
+    if len(numbers) not in (1, n_joints):
+        raise InputError(
+            f"{flag} takes one number, or one for each of the {n_joints} joints "
+            f"(got {len(numbers)})"
+        )
+    return np.broadcast_to(numbers, (n_joints,)).copy()
+
+
+def parse_numbers(text: str) -> PerJoint:
+    """Return the numbers in a text: one for all joints, or one per joint between commas."""
+    try:
+        numbers = tuple(float(number) for number in text.split(","))
+    except ValueError as error:
+        raise InputError(
+            f"{text!r} is neither a number nor a list like 0.1,0.1,0.05"
+        ) from error
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def parse_folder(text: str) -> Path:
+    """Return a path; InputError for an empty text, such as a shell variable that is not set."""
+    if not text:
+        raise InputError("the folder's name is empty; use . for the current folder")
+    return Path(text)
+
+
+def parse_whole_number(text: str) -> int:
+    """Return a whole number written in decimal or as 0x..."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise InputError(f"{text!r} is not a whole number; write 3 or 0x03") from None
+
+
+_PARSERS: Mapping[str, Callable[[str], Any]] = {
+    "PerJoint": parse_numbers,
+    "float": float,
+    "int": int,
+    "str": str,
+    "Path": Path,
+}
+"""Name of a type in a field's annotation to what parses its text."""
+_PER_JOINT = "one per joint"
+_WHOLE_NUMBER = ((Integral,), "a whole number")
+_PATH = ((os.PathLike,), "a path")
+_VALUE_TYPES: Mapping[str, tuple[tuple[type, ...], str]] = {
+    "float": ((Real,), "a number"),
+    "int": _WHOLE_NUMBER,
+    "parse_whole_number": _WHOLE_NUMBER,
+    "str": ((str,), "a text"),
+    "Path": _PATH,
+    "parse_folder": _PATH,
+    "parse_numbers": ((Real,), f"a number, or {_PER_JOINT}"),
+    "parse_factors": ((Real, os.PathLike), f"a number, a file, or {_PER_JOINT}"),
+    "bool": ((bool,), "True or False"),
+}
+"""Name of the function that parses an option's text to the types of its values, also in words."""
+
+
+def processor_count() -> int:
+    """Return how many processors this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class TrajectoryOptions(OptionRecord):
+    """Options on the trajectory that the arm moves along, and on its sampling."""
+
+    duration: float = option(
+        15.0, "length; longer gives better conditioning", "[s] > 0"
+    )
+    sample_rate: float = option(
+        1000.0, "samples per second; higher gives more equations", "RATE [Hz] > 0"
+    )
+    seed: int | None = option(
+        None,
+        "seed of the random trajectory and of simulated noise",
+        ">= 0",
+        parse=parse_whole_number,
+        default_text="a fresh one",
+    )
+    speed: float = option(
+        1.0,
+        "slow the whole motion down, for a first run",
+        "FACTOR",
+        check=check_speed_factor,
+    )
+    file: Path | None = option(
+        None, "use a trajectory that was saved", "FILE", flag="--trajectory"
+    )
+    save: Path | None = option(
+        None,
+        "write the trajectory as JSON (coefficients), and as CSV (samples) beside it",
+        "FILE",
+        flag="--save-trajectory",
+    )
+    plan_only: bool = option(False, "make, check and write the trajectory, then stop")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.duration * self.sample_rate < 1.0:
+            raise InputError(
+                "--duration times --sample-rate gives less than two samples; raise one of them"
+            )
+        require_countable(self.duration / self.speed, self.sample_rate)
+
+
+def require_countable(duration: float, sample_rate: float) -> None:
+    """Raise InputError where a trajectory has more than ``MAX_SAMPLES`` samples.
+
+    Args:
+        duration: [s].
+        sample_rate: [Hz].
+    """
+    count = duration * sample_rate
+    if not count <= MAX_SAMPLES:
+        raise InputError(
+            f"a trajectory of {duration:.3g} s with --sample-rate {sample_rate:g} has "
+            f"{count:.3g} samples, more than the {MAX_SAMPLES:.0e} a run can take; "
+            "shorten it, raise --speed where that slows it down, or lower the rate"
+        )
