@@ -96,14 +96,14 @@ def arm(monkeypatch):
     """Two motors on a bus in simulated time."""
     arm = two_motor_arm()
     clock = ScriptedClock()
-    monkeypatch.setattr(execution.bus, "SystemClock", lambda: clock)
+    monkeypatch.setattr(execution, "SystemClock", lambda: clock)
 
     def opened(address, timing, clock, tell):
         return RememberingLink(
             execution.SimulatedLink(clock, arm, timing, echo=True), clock
         )
 
-    monkeypatch.setattr(execution.bus, "open_bus", opened)
+    monkeypatch.setattr(execution, "open_bus", opened)
     return arm
 
 

@@ -76,7 +76,7 @@ def person(monkeypatch):
 @pytest.fixture
 def bus(monkeypatch):
     simulated = SimulatedBus()
-    monkeypatch.setattr(execution.bus, "SystemClock", lambda: simulated.clock)
-    monkeypatch.setattr(execution.bus, "open_bus", simulated.open)
+    monkeypatch.setattr(execution, "SystemClock", lambda: simulated.clock)
+    monkeypatch.setattr(execution, "open_bus", simulated.open)
     with heard_signals():
         yield simulated

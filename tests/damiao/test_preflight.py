@@ -40,7 +40,7 @@ def rows_of(n, position=0.0, velocity=0.0, torque=0.0, seconds=1.0):
 
 
 def checks_of(
-    rows, types, timing=None, inertia=None, pose=None, offset=0.0, **settings
+    rows, types, timing=None, inertia=None, parking_pose=None, offset=0.0, **settings
 ):
     """What is said to what the checks look at of a plan, without a trajectory file."""
     joints = [
@@ -50,7 +50,12 @@ def checks_of(
     chosen = PlaySettings(**settings).for_motors(
         [joint.spec for joint in joints], timing
     )
-    asked = {"settings": chosen, "timing": timing, "inertia": inertia, "pose": pose}
+    asked = {
+        "settings": chosen,
+        "timing": timing,
+        "inertia": inertia,
+        "parking_pose": parking_pose,
+    }
     played = DamiaoTrajectory(Path(), tuple(joints), np.arange(len(rows[0])), *rows)
     return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **asked))
 
@@ -160,7 +165,7 @@ def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, t
 )
 def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(place, offset):
     pose = np.array([-offset, place - offset])
-    checks = checks_of(rows_of(2), ["DM4340"] * 2, pose=pose, offset=offset)
+    checks = checks_of(rows_of(2), ["DM4340"] * 2, parking_pose=pose, offset=offset)
     found = [check for check in checks if check.text.endswith("choose another --park")]
     assert [check.severity for check in found] == [STOP] * (place > 12.5)
     assert all(c.text.startswith("motor 2") and "limit 12.5" in c.text for c in found)
