@@ -81,7 +81,7 @@ def truth(rng) -> dict:
     }
 
 
-def recorded(model, robot, seed: int, seconds: float):
+def record_log(model, robot, seed: int, seconds: float):
     """(time, q, held torque) of a controlled motion of the true arm, as sensors read it."""
     rng = np.random.default_rng(seed)
     plan = generate_excitation_trajectory(robot, rng, seconds, ArmTorque(robot))[0]
@@ -97,10 +97,10 @@ def recorded(model, robot, seed: int, seconds: float):
         mujoco.mj_forward(model, data)
         q[k] = data.qpos
         mujoco.mj_fullM(model, data, mass)
-        wanted = motion.qdd[k] + 900.0 * (motion.q[k] - data.qpos)
-        wanted = wanted + 60.0 * (motion.qd[k] - data.qvel)
+        commanded = motion.qdd[k] + 900.0 * (motion.q[k] - data.qpos)
+        commanded = commanded + 60.0 * (motion.qd[k] - data.qvel)
         dry = model.dof_frictionloss * np.tanh(motion.qd[k] / 0.02)
-        tau[k] = mass @ wanted + data.qfrc_bias + model.dof_damping * data.qvel + dry
+        tau[k] = mass @ commanded + data.qfrc_bias + model.dof_damping * data.qvel + dry
         data.ctrl[:] = tau[k]
         mujoco.mj_step(model, data)
     read = tau + TORQUE_NOISE * rng.normal(size=tau.shape)
@@ -174,7 +174,7 @@ def joint_parameters(names=NAMES, bounds=BOUNDS):
     return params
 
 
-def optimised(spec, log, params, residual=None, steps: int = 200):
+def optimise(spec, log, params, residual=None, steps: int = 200):
     """What mujoco.sysid makes of parameters on pieces of a log (time, q, qd, torque)."""
     from mujoco import sysid
 
@@ -186,8 +186,8 @@ def optimised(spec, log, params, residual=None, steps: int = 200):
         spec,
         [f"piece{k}" for k in range(len(states))],
         list(states),
-        [sysid.TimeSeries(clock, each) for each in torques],
-        [sysid.TimeSeries.from_names(clock, each, model) for each in positions],
+        [sysid.TimeSeries(clock, signal) for signal in torques],
+        [sysid.TimeSeries.from_names(clock, signal, model) for signal in positions],
     )
     built = {}
 
@@ -200,11 +200,11 @@ def optimised(spec, log, params, residual=None, steps: int = 200):
             built[key] = sysid.apply_param_modifiers(params, spec)
         return built[key]
 
-    wrong = sysid.build_residual_fn(
+    residual_function = sysid.build_residual_fn(
         models_sequences=[sequences], build_model=once, modify_residual=residual
     )
     return sysid.optimize(
-        params, wrong, optimizer="mujoco", verbose=False, max_iters=steps
+        params, residual_function, optimizer="mujoco", verbose=False, max_iters=steps
     )[0]
 
 
@@ -219,9 +219,9 @@ def in_radians(params, predicted, measured, model, all_of_it, **_):
 
 def by_rollouts(log) -> dict:
     """The numbers from mujoco.sysid."""
-    found = optimised(spec_of(), moving(log), joint_parameters())
+    optimum = optimise(spec_of(), moving(log), joint_parameters())
     return {
-        number: np.array([found[f"{name}_{number}"].value[0] for name in NAMES])
+        number: np.array([optimum[f"{name}_{number}"].value[0] for name in NAMES])
         for number in BOUNDS
     }
 
@@ -247,8 +247,10 @@ def rollout_error(values, log) -> float:
     """Root mean square position error over held-out pieces [mrad]."""
     model = spec_of(values).compile()
     states, torques, positions = pieces(model, moving(log), HORIZON)
-    found, _ = rollout.rollout(model, mujoco.MjData(model), states, torques[:, :-1])
-    off = found[:, :, 1 : 1 + model.nq] - positions[:, 1:]
+    final_states, _ = rollout.rollout(
+        model, mujoco.MjData(model), states, torques[:, :-1]
+    )
+    off = final_states[:, :, 1 : 1 + model.nq] - positions[:, 1:]
     return 1e3 * float(np.sqrt(np.mean(off**2)))
 
 
@@ -267,13 +269,13 @@ class Side:
     farthest: dict
 
 
-def compared() -> dict[str, Side]:
+def compare_sides() -> dict[str, Side]:
     """Both sides on the same log."""
     true = truth(np.random.default_rng(0))
     model = spec_of(true).compile()
     robot = arms.robot_of(spec_of().compile())
-    log = recorded(model, robot, 1, SECONDS)
-    other = recorded(model, robot, 2, SECONDS)
+    log = record_log(model, robot, 1, SECONDS)
+    other = record_log(model, robot, 2, SECONDS)
     print(
         f"start: held-out rollout error {rollout_error(None, other):.2f} mrad",
         file=sys.stderr,
@@ -283,7 +285,7 @@ def compared() -> dict[str, Side]:
         file=sys.stderr,
     )
     by_torques(robot, log)
-    found = {}
+    sides = {}
     for name, run in (
         ("robot-sysid (inverse dynamics)", lambda: by_torques(robot, log)),
         ("mujoco.sysid (rollouts)", lambda: by_rollouts(log)),
@@ -292,20 +294,20 @@ def compared() -> dict[str, Side]:
         values = run()
         seconds = time.process_time() - start
         off = {k: float(np.max(np.abs(v / true[k] - 1))) for k, v in values.items()}
-        found[name] = Side(seconds, rollout_error(values, other), off)
-    return found
+        sides[name] = Side(seconds, rollout_error(values, other), off)
+    return sides
 
 
 def main() -> None:
     """Print both sides."""
-    found = compared()
-    for name, side in found.items():
+    sides = compare_sides()
+    for name, side in sides.items():
         worst = {k: f"{100 * v:.1f} %" for k, v in side.farthest.items()}
         print(
             f"{name}: {side.seconds:.2f} s, held-out rollout error {side.error:.2f} mrad"
         )
         print(f"  farthest from the truth: {worst}")
-    ours, theirs = found.values()
+    ours, theirs = sides.values()
     print(f"{theirs.seconds / ours.seconds:.0f} times faster, by processor time")
 
 

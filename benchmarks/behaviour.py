@@ -92,13 +92,16 @@ def takes_output(line: str) -> bool:
 
 def compare(first: Path, second: Path) -> list[str]:
     """Return the differences of all files of two folders, a few lines of each."""
-    before, after = (contents(folder) for folder in (first, second))
+    first_contents, second_contents = (contents(folder) for folder in (first, second))
     differences = [
-        f"only in one: {path}" for path in sorted(before.keys() ^ after.keys())
+        f"only in one: {path}"
+        for path in sorted(first_contents.keys() ^ second_contents.keys())
     ]
-    for path in sorted(before.keys() & after.keys()):
+    for path in sorted(first_contents.keys() & second_contents.keys()):
         changed = list(
-            difflib.unified_diff(before[path], after[path], n=0, lineterm="")
+            difflib.unified_diff(
+                first_contents[path], second_contents[path], n=0, lineterm=""
+            )
         )[2:]
         if changed:
             differences.append("\n  ".join((path, *changed[:12])))

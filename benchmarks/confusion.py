@@ -41,7 +41,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.confusion_causes import CAUSES, RIGHT, Scene, draw_scene
-from benchmarks.real_arms import ARMS, KINDS, USUAL_ARMS
+from benchmarks.real_arms import ARMS, DEVIATIONS, USUAL_ARMS
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.log_checks import check_against_model
 from robot_sysid.errors import SysidError
@@ -186,7 +186,7 @@ class Case:
 
     cause: str
     arm_name: str
-    kind: str
+    deviation: str
     duration: float
     seed: int
 
@@ -194,23 +194,27 @@ class Case:
     def row(self) -> str:
         """The row of the table that it belongs to."""
         is_right = self.cause == RIGHT
-        return f"{RIGHT} {self.kind} {self.duration:g} s" if is_right else self.cause
+        return (
+            f"{RIGHT} {self.deviation} {self.duration:g} s" if is_right else self.cause
+        )
 
     def run(self, robot: RobotModel, is_answered: bool) -> Outcome:
         """Return what the tool makes of it."""
-        scene = draw_scene(robot, self.arm_name, self.kind, self.duration, self.seed)
+        scene = draw_scene(
+            robot, self.arm_name, self.deviation, self.duration, self.seed
+        )
         make_cause, _ = CAUSES[self.cause]
         return check_scene(make_cause(scene), is_answered)
 
     def is_failure(self, outcome: Outcome) -> bool:
         """Return whether the cause is not named as it should be, or the answer is harmful."""
-        wanted = "silent" if self.cause == RIGHT else "rightly"
+        expected_naming = "silent" if self.cause == RIGHT else "rightly"
         naming = outcome.classify_naming(CAUSES[self.cause][1])
-        return naming != wanted or "harmful" in outcome.classify_costs()
+        return naming != expected_naming or "harmful" in outcome.classify_costs()
 
     def describe_failure(self, outcome: Outcome) -> str:
         """Return one line on it."""
-        about = f"{self.arm_name} {self.kind} {self.duration:g} s seed {self.seed}"
+        about = f"{self.arm_name} {self.deviation} {self.duration:g} s seed {self.seed}"
         texts = [finding.line()[:SHOWN_TEXT] for finding in outcome.findings]
         texts = texts or ["nothing is said"]
         answers = [] if outcome.answer is None else [outcome.answer.describe()]
@@ -247,37 +251,41 @@ class Tally:
         return f"{row:<31}{numbers}{np.mean(self.seconds):>7.2f} s  {names}"
 
 
-def cases_of(cause: str, chosen: argparse.Namespace) -> Iterator[Case]:
+def cases_of(cause: str, options: argparse.Namespace) -> Iterator[Case]:
     """Yield the logs of a cause, row after row."""
-    for kind in chosen.kinds:
-        for duration in RIGHT_DURATIONS if cause == RIGHT else (chosen.duration,):
-            for arm_name in chosen.arms:
-                for seed in range(chosen.first_seed, chosen.first_seed + chosen.seeds):
-                    yield Case(cause, arm_name, kind, duration, seed)
+    for deviation in options.deviations:
+        for duration in RIGHT_DURATIONS if cause == RIGHT else (options.duration,):
+            for arm_name in options.arms:
+                for seed in range(
+                    options.first_seed, options.first_seed + options.seeds
+                ):
+                    yield Case(cause, arm_name, deviation, duration, seed)
 
 
 def print_cause(
-    cause: str, robots: dict[str, RobotModel], chosen: argparse.Namespace
+    cause: str, robots: dict[str, RobotModel], options: argparse.Namespace
 ) -> Tally:
     """Print the rows of a cause and its failures; return the counts of all its logs."""
-    whole = Tally.empty()
+    total = Tally.empty()
     rows: dict[str, Tally] = {}
     failures: list[str] = []
-    for case in cases_of(cause, chosen):
-        outcome = case.run(robots[case.arm_name], not chosen.no_answers)
-        for tally in (whole, rows.setdefault(case.row, Tally.empty())):
+    for case in cases_of(cause, options):
+        outcome = case.run(robots[case.arm_name], not options.no_answers)
+        for tally in (total, rows.setdefault(case.row, Tally.empty())):
             tally.add(case, outcome)
         if case.is_failure(outcome):
             failures.append(case.describe_failure(outcome))
     for row, tally in rows.items():
         print(tally.line(row))
     print(*failures, sep="\n", end="\n" * bool(failures), flush=True)
-    return whole
+    return total
 
 
-def print_share(what: str, part: int, count: int) -> None:
-    if count:
-        print(f"{what}: {part} of {count}, {100.0 * part / count:.1f} %")
+def print_share(title: str, numerator: int, denominator: int) -> None:
+    if denominator:
+        print(
+            f"{title}: {numerator} of {denominator}, {100.0 * numerator / denominator:.1f} %"
+        )
 
 
 def main() -> int:
@@ -292,7 +300,7 @@ def main() -> int:
     parser.add_argument(
         "--causes", nargs="+", default=list(CAUSES), choices=list(CAUSES)
     )
-    parser.add_argument("--kinds", nargs="+", default=["real"], choices=KINDS)
+    parser.add_argument("--deviations", nargs="+", default=["real"], choices=DEVIATIONS)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument(
@@ -301,25 +309,27 @@ def main() -> int:
     parser.add_argument(
         "--no-answers", action="store_true", help="only look at the logs"
     )
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     robots = {
-        arm_name: load_robot_model(chosen.models / ARMS[arm_name])
-        for arm_name in chosen.arms
+        arm_name: load_robot_model(options.models / ARMS[arm_name])
+        for arm_name in options.arms
     }
     titles = "".join(f"{title:>9}" for title in ("logs", *NAMINGS, *COSTS))
     print(f"{'cause':<31}{titles}{'time':>9}  names", flush=True)
-    tallies = {cause: print_cause(cause, robots, chosen) for cause in chosen.causes}
-    right = tallies.pop(RIGHT, Tally.empty())
+    tallies = {cause: print_cause(cause, robots, options) for cause in options.causes}
+    right_tally = tallies.pop(RIGHT, Tally.empty())
     namings = sum((tally.namings for tally in tallies.values()), Counter[str]())
-    costs = sum((tally.costs for tally in tallies.values()), right.costs)
+    costs = sum((tally.costs for tally in tallies.values()), right_tally.costs)
     wrong_count = sum(namings.values())
-    right_count = len(right.seconds)
+    right_count = len(right_tally.seconds)
     print()
     print_share("wrong logs named rightly", namings["rightly"], wrong_count)
     named_count = namings["rightly"] + namings["tie"]
     print_share("wrong logs named rightly or as a tie", named_count, wrong_count)
-    print_share("right logs named", right_count - right.namings["silent"], right_count)
-    print_share("right logs stopped", right.costs["stopped"], right_count)
+    print_share(
+        "right logs named", right_count - right_tally.namings["silent"], right_count
+    )
+    print_share("right logs stopped", right_tally.costs["stopped"], right_count)
     print_share(
         "harmful answers of all logs", costs["harmful"], wrong_count + right_count
     )

@@ -46,8 +46,8 @@ class Scene(Truth):
     @property
     def usual_torque(self) -> Array:
         """What each joint carries (n,), of weak ones 2 % of the strongest joint's [N m]."""
-        usual = np.sqrt(np.mean(self.rigid**2, axis=0))
-        return np.asarray(np.maximum(usual, 0.02 * np.max(usual)))
+        rms_torque = np.sqrt(np.mean(self.rigid**2, axis=0))
+        return np.asarray(np.maximum(rms_torque, 0.02 * np.max(rms_torque)))
 
     @property
     def weight(self) -> float:
@@ -73,15 +73,21 @@ def resting_torque(
     robot: RobotModel, q: Array, thetas: Array, gravity_vector: Array | None = None
 ) -> Array:
     """Return the torque (N, n) of links (n, 10) at rest, under the model's or another gravity."""
-    still = np.zeros_like(q)
-    return LinkDynamics(robot, gravity_vector).motion(q, still, still).torque(thetas)
+    no_motion = np.zeros_like(q)
+    return (
+        LinkDynamics(robot, gravity_vector)
+        .motion(q, no_motion, no_motion)
+        .torque(thetas)
+    )
 
 
 def draw_scene(
-    robot: RobotModel, arm_name: str, kind: str, duration: float, seed: int
+    robot: RobotModel, arm_name: str, deviation: str, duration: float, seed: int
 ) -> Scene:
     """Return an arm with a right log of it; every other one has white noise."""
-    arm = draw_arm(robot, kind, arm_name in SENSOR_ARMS, duration, seed % 2 == 0, seed)
+    arm = draw_arm(
+        robot, deviation, arm_name in SENSOR_ARMS, duration, seed % 2 == 0, seed
+    )
     return Scene(
         robot=robot,
         theta=arm.thetas[-1],
@@ -127,14 +133,19 @@ def torque_of_force(scene: Scene, force: Array) -> Array:
     return resting_torque(scene.robot, scene.arm.motion.q, thetas, force)
 
 
-def change_payload(scene: Scene, before: float, after: float, instant: float) -> Scene:
+def change_payload(
+    scene: Scene, first_mass: float, second_mass: float, instant: float
+) -> Scene:
     """Return the scene with parts of the payload before and after an instant [s]."""
     payload = payload_of(scene)
-    share = np.where(scene.log.time < instant, before, after)
+    share = np.where(scene.log.time < instant, first_mass, second_mass)
     changed = scene.with_more_torque(share[:, None] * torque_of_payload(scene, payload))
     link_mass = float(scene.theta[0])
     payload_mass = float(payload[0])
-    masses = (link_mass + before * payload_mass, link_mass + after * payload_mass)
+    masses = (
+        link_mass + first_mass * payload_mass,
+        link_mass + second_mass * payload_mass,
+    )
     return replace(changed, last_masses=masses)
 
 
@@ -257,7 +268,7 @@ def joint_scale(scene: Scene) -> Scene:
     return scene.with_torque_times(factors)
 
 
-def uncalibrated(scene: Scene) -> Scene:
+def uncalibrated_currents(scene: Scene) -> Scene:
     """Return a log of currents, each joint's gain 1.2 to 2.1."""
     return scene.with_torque_times(scene.rng.uniform(1.2, 2.1, scene.robot.n_joints))
 
@@ -296,16 +307,19 @@ def leave_right(scene: Scene) -> Scene:
 Cause = Callable[[Scene], Scene]
 
 
-def spoil_log(spoiled: Callable[[Truth], Measurement], scene: Scene) -> Scene:
+def spoil_log(fault: Callable[[Truth], Measurement], scene: Scene) -> Scene:
     """Return the scene with its log spoiled by a function of ``benchmarks.wrong_logs``."""
-    return replace(scene, log=spoiled(scene))
+    return replace(scene, log=fault(scene))
 
 
 def causes_of_logs(
-    names: tuple[str, ...], *kinds: str
+    names: tuple[str, ...], *faults: str
 ) -> dict[str, tuple[Cause, tuple[str, ...]]]:
-    """Return kinds of ``benchmarks.wrong_logs`` as causes that have check names in common."""
-    return {kind: (partial(spoil_log, wrong_logs.KINDS[kind]), names) for kind in kinds}
+    """Return faults of ``benchmarks.wrong_logs`` as causes with common names of checks."""
+    causes = {}
+    for fault in faults:
+        causes[fault] = (partial(spoil_log, wrong_logs.FAULTS[fault]), names)
+    return causes
 
 
 SCALE = ("torque-scale",)
@@ -329,22 +343,22 @@ CAUSES: dict[str, tuple[Cause, tuple[str, ...]]] = {
     "hot_gears": (hot_gears, ("friction",)),
     "gain_drift": (gain_drift, SCALE),
     "joint_scale": (joint_scale, SCALE),
-    "uncalibrated": (uncalibrated, SCALE),
+    "uncalibrated": (uncalibrated_currents, SCALE),
     **causes_of_logs(SCALE, "amperes", "motor_side", "millinewtonmetres", "other_unit"),
     **causes_of_logs(SCALE, "per_cent", "one_joint_in_millinewtonmetres"),
     "model_in_grams": (model_in_grams, SCALE),
     **causes_of_logs(("gravity",), "gravity_compensated", "external"),
-    **causes_of_logs(("computed",), "computed"),
+    **causes_of_logs(("computed",), "computed_torque"),
     **causes_of_logs(("sign",), "torque_sign", "position_sign"),
-    **causes_of_logs(("order",), "exchanged", "reversed_order"),
+    **causes_of_logs(("order",), "exchanged_joints", "reversed_order"),
     **causes_of_logs(("angle-unit",), "degrees_as_radians", "radians_as_degrees"),
     **causes_of_logs(("zero",), "position_offset"),
     **causes_of_logs(("delay",), "late_torque", "late_joint"),
     "long_time": (long_time, CLOCK),
-    **causes_of_logs(CLOCK, "drifting_0.1"),
+    **causes_of_logs(CLOCK, "drifting_clock"),
     **causes_of_logs(("clock",), "dropped_samples", "clock_jump"),
     "stale_samples": (stale_samples, ("clock",)),
-    **causes_of_logs(("saturated",), "saturated"),
+    **causes_of_logs(("saturated",), "saturated_sensor"),
     **causes_of_logs(("held",), "held"),
     **causes_of_logs(("model",), "other_arm"),
 }

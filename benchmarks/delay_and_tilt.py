@@ -41,7 +41,8 @@ def main() -> None:
     for name, plan in plans.items():
         for noise, step in SENSORS:
             rows = [
-                found(study, plan, pair, noise, step, k) for k, pair in enumerate(PAIRS)
+                errors_of_run(study, plan, pair, noise, step, k)
+                for k, pair in enumerate(PAIRS)
             ]
             worst = np.max(np.abs(rows), axis=0)
             sensor = f"{noise:.1f} N m, {step:g} rad"
@@ -51,7 +52,7 @@ def main() -> None:
             )
 
 
-def found(study, plan, pair, noise, step, seed):
+def errors_of_run(study, plan, pair, noise, step, seed):
     """(error of delay, its standard error [ms], error of gravity's direction, stated [degrees])."""
     delay, tilt = pair
     turn = np.radians(tilt) * np.array([np.cos(seed), np.sin(seed), 0.0])
@@ -65,9 +66,9 @@ def found(study, plan, pair, noise, step, seed):
     datasets, _ = low_pass_recordings(study.robot, [Piece("", log)], OPTIONS)
     answer = answer_link(study.robot, datasets, OPTIONS, Progress(), None)
     late, *both = (answer.figure(name) for name in (DELAY_NAME, *TILT_NAMES))
-    here = answer.fit.point.gravity
-    off = np.arctan2(np.linalg.norm(np.cross(here, down)), here @ down)
-    stated = np.linalg.norm([each.error for each in both])
+    found_down = answer.fit.point.gravity
+    off = np.arctan2(np.linalg.norm(np.cross(found_down, down)), found_down @ down)
+    stated = np.linalg.norm([angle.error for angle in both])
     return (
         1e3 * (late.value - delay),
         1e3 * late.error,

@@ -51,11 +51,11 @@ def _search(path: Path, workers: int) -> None:
     from tests.support.excitation_arms import TUBES_AND_POST, design
 
     few = {"draws": 30, "starts": 3, "rounds": 3, "iterations": 20}
-    some = design(TUBES_AND_POST, workers=workers, **few)
+    problem = design(TUBES_AND_POST, workers=workers, **few)
     with one_thread():
-        found = design_excitation(some, np.random.default_rng(1))
-    assert not found.stopped
-    save_trajectory(path, found.trajectory, some.problem.joint_names)
+        result = design_excitation(problem, np.random.default_rng(1))
+    assert not result.stopped
+    save_trajectory(path, result.trajectory, problem.problem.joint_names)
 
 
 def commands(folder: Path, workers: int) -> None:
@@ -76,21 +76,21 @@ def commands(folder: Path, workers: int) -> None:
         assert main([*line.split(), "--quiet"]) in (0, 1), line
 
 
-def child(way: str, folder: Path, threads: int, workers: int) -> dict[str, str]:
+def child(command: str, folder: Path, threads: int, workers: int) -> dict[str, str]:
     """Return the hash of each file that a process with these settings writes."""
     settings = {
         **os.environ,
         **dict.fromkeys(VARIABLES, str(threads)),
         "PYTHONPATH": str(ROOT),
     }
-    with tempfile.TemporaryDirectory(dir=folder) as place:
-        call = [sys.executable, "-m", "benchmarks.determinism", "--way", way]
+    with tempfile.TemporaryDirectory(dir=folder) as scratch:
+        call = [sys.executable, "-m", "benchmarks.determinism", "--way", command]
         call += ["--folder", str(folder), "--workers", str(workers)]
-        subprocess.run(call, cwd=place, env=settings, check=True)
-        found = files_in(Path(place))
+        subprocess.run(call, cwd=scratch, env=settings, check=True)
+        digests = files_in(Path(scratch))
     return {
         k: hashlib.sha256(content).hexdigest()
-        for k, content in found.items()
+        for k, content in digests.items()
         if content
     }
 
@@ -103,13 +103,13 @@ def compare(folder: Path) -> None:
         for k in (1, 2):
             line = f"{GUESS} {WORDS} --seed {k} --plant-model {TRUTH} --output-dir {folder}/made"
             run([*line.split(), "--save-measurements", f"{folder}/{k}.csv", "--quiet"])
-    for way in WAYS:
-        seen: dict[str, set[str]] = defaultdict(set)
+    for command in WAYS:
+        digests: dict[str, set[str]] = defaultdict(set)
         for setting in SETTINGS:
-            for name, value in child(way, folder, *setting).items():
-                seen[name].add(value)
-        for name, values in sorted(seen.items()):
-            print(f"{way:10s} {name:36s} {len(values)}", flush=True)
+            for name, value in child(command, folder, *setting).items():
+                digests[name].add(value)
+        for name, values in sorted(digests.items()):
+            print(f"{command:10s} {name:36s} {len(values)}", flush=True)
 
 
 def main() -> None:

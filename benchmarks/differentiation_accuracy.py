@@ -42,7 +42,7 @@ def estimates(q: np.ndarray, rate: float, cutoff: float) -> dict[str, np.ndarray
     window = max(7, int(1.2 * rate / cutoff) | 1)
     frequency = 2.0 * np.pi * np.fft.rfftfreq(len(smooth), 1.0 / rate)
     spectral = np.fft.irfft(-(frequency**2) * np.fft.rfft(smooth), len(smooth))
-    found = {
+    accelerations = {
         "window + 8th order": second_derivative(smooth, rate),
         "window + central": np.diff(smooth, 2) * rate**2,
         "window + Fourier": spectral,
@@ -50,10 +50,10 @@ def estimates(q: np.ndarray, rate: float, cutoff: float) -> dict[str, np.ndarray
         "Savitzky-Golay on raw": savgol_filter(q, window, 4, deriv=2, delta=1.0 / rate),
         "raw second difference": np.diff(q, 2) * rate**2,
     }
-    return {name: padded(values, len(q)) for name, values in found.items()}
+    return {name: pad(values, len(q)) for name, values in accelerations.items()}
 
 
-def padded(values: np.ndarray, length: int) -> np.ndarray:
+def pad(values: np.ndarray, length: int) -> np.ndarray:
     """Return values centred in an array of NaN."""
     lost = (length - len(values)) // 2
     return np.pad(values, (lost, length - len(values) - lost), constant_values=np.nan)
@@ -64,16 +64,16 @@ def main() -> None:
     for rate in (200.0, 500.0, 1000.0):
         for resolution in (0.0, 1e-4):
             time, q, exact = motion(rate, np.random.default_rng(0))
-            seen = np.round(q / resolution) * resolution if resolution else q
-            steps = quantisation_error(seen[:, None])
+            readings = np.round(q / resolution) * resolution if resolution else q
+            steps = quantisation_error(readings[:, None])
             cutoff = (
-                choose_cutoff(acceleration_spectra(seen[:, None], rate, steps))[0]
+                choose_cutoff(acceleration_spectra(readings[:, None], rate, steps))[0]
                 if resolution
                 else 10.0
             )
             inner = (time > EDGE) & (time < DURATION - EDGE)
             print(f"{rate:g} Hz, encoder {resolution:g} rad, cut-off {cutoff:.1f} Hz")
-            for name, values in estimates(seen, rate, cutoff).items():
+            for name, values in estimates(readings, rate, cutoff).items():
                 error = np.sqrt(
                     np.mean((values - exact)[inner] ** 2) / np.mean(exact[inner] ** 2)
                 )

@@ -70,11 +70,11 @@ def beliefs(problem, motion):
     robot = problem.robot
     columns = Columns(problem.robot, (), OPTIONS.torques)
     torque = np.sqrt(np.mean(problem.arm_torque(motion) ** 2, axis=0))
-    shown = np.ones(len(columns.names), dtype=bool)
-    sought = build_unknowns(
-        columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, shown
+    is_visible = np.ones(len(columns.names), dtype=bool)
+    unknowns = build_unknowns(
+        columns, Question(OPTIONS), _choice(problem, OPTIONS), torque, is_visible
     )
-    return robot, columns, sought.groups
+    return robot, columns, unknowns.groups
 
 
 def drawn_links(robot, rng):
@@ -85,7 +85,7 @@ def drawn_links(robot, rng):
     round as well.
     """
     share = 0.01 * OPTIONS.link_uncertainty
-    found = []
+    links = []
     heavier, longer = share * rng.normal(size=2)
     for number in other_links(robot):
         theta = robot.links[number].theta
@@ -100,8 +100,8 @@ def drawn_links(robot, rng):
         off = spatial.symmetric_from_six(np.diag(turns) * rng.normal(size=6))
         while not all(is_body(grown * inertia + sign * off) for sign in (1.0, -1.0)):
             off *= 0.5
-        found.append(spatial.theta_from_com(grown * mass, moved, grown * inertia + off))
-    return np.concatenate(found)
+        links.append(spatial.theta_from_com(grown * mass, moved, grown * inertia + off))
+    return np.concatenate(links)
 
 
 def is_body(inertia):
@@ -109,7 +109,7 @@ def is_body(inertia):
     return spatial.is_consistent(spatial.theta_from_com(1.0, np.zeros(3), inertia))
 
 
-def measured(robot, columns, values, motion):
+def simulate_log(robot, columns, values, motion):
     """Torque of an arm with these values, and the positions that its encoders tell."""
     at = {name: float(value) for name, value in zip(columns.names, values)}
 
@@ -130,11 +130,13 @@ def measured(robot, columns, values, motion):
     )
     torque = (1.0 + of("scale")) * gear + friction + of("armature") * motion.qdd
     late = motion.time - at[DELAY_NAME]
-    delayed = np.column_stack([np.interp(late, motion.time, each) for each in torque.T])
+    delayed = np.column_stack(
+        [np.interp(late, motion.time, column) for column in torque.T]
+    )
     return delayed, motion.q + of("zero")
 
 
-def identified(problem, motion, rng, exact):
+def identification_errors(problem, motion, rng, exact):
     """Errors (10,) of the result and of the plain estimate, what is stated, and whether a common
     torque scale was looked for.
     """
@@ -146,7 +148,7 @@ def identified(problem, motion, rng, exact):
         else:
             drawn = group.mean + group.factor @ rng.normal(size=len(group.mean))
         values[columns.indices(group.names)] = drawn
-    tau, q = measured(robot, columns, values, motion)
+    tau, q = simulate_log(robot, columns, values, motion)
     tau = tau + SIGMA * rng.normal(size=tau.shape)
     recording = Measurement(motion.time, q, None, tau, None)
     datasets, _ = low_pass_recordings(robot, [Piece("log", recording)], OPTIONS)
@@ -162,7 +164,7 @@ def identified(problem, motion, rng, exact):
     )
 
 
-def told(theta, squares, covariance, words):
+def error_line(theta, squares, covariance, title):
     """A line: mean products (10, 10) of errors, over what is promised."""
     ratio = np.sqrt(np.diag(squares) / np.diag(covariance))
     centre = spread_of(theta, squares)[1] / spread_of(theta, covariance)[1]
@@ -170,7 +172,7 @@ def told(theta, squares, covariance, words):
     figures = (
         f"mass {ratio[0]:.2f}  centre {centre:.2f}  ten {np.median(ratio):.2f}  {ten}"
     )
-    return f"  {words:32s} {figures}"
+    return f"  {title:32s} {figures}"
 
 
 def lines(path, runs, exact):
@@ -181,36 +183,41 @@ def lines(path, runs, exact):
     options = ExcitationOptions(workers=1)
     design = Design(problem, options, motion, known_of(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
-    after = _posterior(problem, plan, (RATE, OPTIONS, "link"))
-    own = np.ix_(
-        *[[after.sought.estimated_names.index(name) for name in PARAMETER_NAMES]] * 2
+    posterior = _posterior(problem, plan, (RATE, OPTIONS, "link"))
+    terminal = np.ix_(
+        *[[posterior.sought.estimated_names.index(name) for name in PARAMETER_NAMES]]
+        * 2
     )
-    covariance = (after.causes[NOISE] if exact else after.found.covariance)[own]
-    then = projected_covariance(robot.prior.theta, after.then.covariance[own])
-    both = (1.0 - after.doubted) * covariance + after.doubted * then
+    covariance = (posterior.causes[NOISE] if exact else posterior.found.covariance)[
+        terminal
+    ]
+    then = projected_covariance(robot.prior.theta, posterior.then.covariance[terminal])
+    both = (1.0 - posterior.doubted) * covariance + posterior.doubted * then
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began = time.process_time()
-    found = []
+    errors = []
     for seed in range(runs):
         rng = np.random.default_rng([seed, ARMS.index(path)])
-        found.append(identified(problem, moves, rng, exact))
-    off, free, stated, common = map(np.array, zip(*found))
+        errors.append(identification_errors(problem, moves, rng, exact))
+    off, free, stated, common = map(np.array, zip(*errors))
     yield f"{path.parent.name}/{path.stem}: {runs} runs ({time.process_time() - began:.0f} s)"
-    chosen = {
+    selections = {
         "result": off,
         "result, scales not doubted": off[~common],
         "plain estimate": free,
     }
-    for words, each in chosen.items():
-        squares = each.T @ each / max(len(each), 1)
-        yield told(robot.prior.theta, squares, covariance, f"{words} ({len(each)})")
-        if each is off and not exact:
-            yield told(
+    for title, is_selected in selections.items():
+        squares = is_selected.T @ is_selected / max(len(is_selected), 1)
+        yield error_line(
+            robot.prior.theta, squares, covariance, f"{title} ({len(is_selected)})"
+        )
+        if is_selected is off and not exact:
+            yield error_line(
                 robot.prior.theta, squares, both, "result, over what is told of both"
             )
     if np.any(common):
-        own = np.sqrt(np.mean((off / stated)[common] ** 2, axis=0))
-        yield f"  scales doubted, over what is stated: {np.array2string(own, precision=2)}"
+        ratio = np.sqrt(np.mean((off / stated)[common] ** 2, axis=0))
+        yield f"  scales doubted, over what is stated: {np.array2string(ratio, precision=2)}"
     share = np.median(stated, axis=0) / np.sqrt(np.diag(covariance))
     yield f"  stated: {np.array2string(share, precision=2)}"
 
@@ -221,11 +228,11 @@ def main() -> None:
     parser.add_argument("--arms", default="")
     parser.add_argument("--runs", type=int, default=240)
     parser.add_argument("--exact", action="store_true")
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     for path in ARMS:
-        if chosen.arms in str(path):
-            for each in lines(path, chosen.runs, chosen.exact):
-                print(each, flush=True)
+        if options.arms in str(path):
+            for line in lines(path, options.runs, options.exact):
+                print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -78,22 +78,30 @@ def left_by(design, plan):
 def figures(design, information):
     """What some information leaves unknown."""
     covariance = design.criterion.covariance(information)
-    own = np.sqrt(np.diag(covariance))
+    standard_errors = np.sqrt(np.diag(covariance))
     scale = sizes(design.problem)
     centre = spread_of(design.problem.robot.prior.theta, covariance)[1]
     mean = np.exp(design.criterion.evaluate(information)[0])
-    return np.array([own[0], centre, own[9], np.median(own / scale), mean])
+    return np.array(
+        [
+            standard_errors[0],
+            centre,
+            standard_errors[9],
+            np.median(standard_errors / scale),
+            mean,
+        ]
+    )
 
 
 def nearest(robot, plan):
     """Smallest distance of parts that move against each other, without those that overlap."""
     model = copy.copy(robot.mj_model)
-    parts = parts_by_joints(robot)
+    moving_groups = parts_by_joints(robot)
     model.geom_margin[:] = 0.1
     model.geom_gap[:] = 0.0
     model.body_margin[:] = 0.1
     data = mujoco.MjData(model)
-    rest = None
+    allowed_pairs = None
     data.qpos[:] = robot.reference_qpos
     least = np.inf
     for motion in motion_chunks(plan, 500.0):
@@ -103,11 +111,11 @@ def nearest(robot, plan):
             mujoco.mj_comPos(model, data)
             mujoco.mj_collision(model, data)
             bodies = np.sort(model.geom_bodyid[data.contact.geom], axis=1)
-            moving = parts[bodies[:, 0]] != parts[bodies[:, 1]]
-            if rest is None:
+            moving = moving_groups[bodies[:, 0]] != moving_groups[bodies[:, 1]]
+            if allowed_pairs is None:
                 inside = moving & (data.contact.dist <= 0.0)
-                rest = {tuple(pair) for pair in bodies[inside].tolist()}
-            counted = [tuple(pair) not in rest for pair in bodies.tolist()]
+                allowed_pairs = {tuple(pair) for pair in bodies[inside].tolist()}
+            counted = [tuple(pair) not in allowed_pairs for pair in bodies.tolist()]
             least = np.min(
                 data.contact.dist[moving & np.array(counted, dtype=bool)], initial=least
             )
@@ -118,13 +126,13 @@ def parts_by_joints(robot):
     """Number of chain joints above each body."""
     model = robot.mj_model
     joints = set(model.dof_jntid[robot.dof_index].tolist())
-    found = np.zeros(model.nbody, dtype=int)
+    groups = np.zeros(model.nbody, dtype=int)
     for body in range(1, model.nbody):
-        own = [
+        joint_bodies = [
             j for j in range(model.njnt) if model.jnt_bodyid[j] == body and j in joints
         ]
-        found[body] = found[model.body_parentid[body]] + len(own)
-    return found
+        groups[body] = groups[model.body_parentid[body]] + len(joint_bodies)
+    return groups
 
 
 def line(path, joint, seeds, budget):
@@ -134,8 +142,8 @@ def line(path, joint, seeds, budget):
     options = ExcitationOptions(workers=1)
     top = options.basis(motion.duration).top_frequency_hz
     problem = build_problem(robot, LimitOptions(), top_frequency_hz=top)
-    known = known_of(problem, EstimationOptions(), "link")
-    design = Design(problem, options, motion, known)
+    prior = known_of(problem, EstimationOptions(), "link")
+    design = Design(problem, options, motion, prior)
     torque = ArmTorque(robot)
     sines = np.median(
         [
@@ -144,14 +152,14 @@ def line(path, joint, seeds, budget):
         ],
         axis=0,
     )
-    least = figures(design, random_information(problem, known, 1e-6))
+    least = figures(design, random_information(problem, prior, 1e-6))
     began = time.process_time()
-    found = []
+    ratios = []
     for seed in seeds:
         result = design_excitation(design, np.random.default_rng(seed))
-        found.append(left_by(design, result.trajectory))
+        ratios.append(left_by(design, result.trajectory))
     spent = (time.process_time() - began) / len(seeds)
-    best = np.median(found, axis=0)
+    best = np.median(ratios, axis=0)
     check = result.limit_check
     neighbours = problem.obstacles.neighbours.distance
     stated = min(
@@ -159,23 +167,19 @@ def line(path, joint, seeds, budget):
     )
     real = nearest(robot, result.trajectory)
     pairs = zip(NAMES, sines / best, least / best)
-    ratios = "  ".join(
+    ratio_text = "  ".join(
         f"{name} {ratio:5.1f} ({100.0 * f:3.0f} %)" for name, ratio, f in pairs
     )
-    words = (
-        f"{path.parent.name}/{path.stem:24s} {ratios}  stated {1e3 * stated:6.1f} mm"
-    )
-    words += (
+    text = f"{path.parent.name}/{path.stem:24s} {ratio_text}  stated {1e3 * stated:6.1f} mm"
+    text += (
         f"  real {1e3 * real:6.1f} mm  tool {check.tool_speed:4.2f} m/s  {spent:4.1f} s"
     )
     if budget is None:
-        return words
+        return text
     design_module.clock = time.process_time
-    longer = Design(problem, replace(options, time_budget=budget), motion, known)
-    most = design_excitation(longer, np.random.default_rng(seeds[-1]))
-    return (
-        f"{words}  {100.0 * most.objective / result.objective:.0f} % after {budget:g} s"
-    )
+    longer = Design(problem, replace(options, time_budget=budget), motion, prior)
+    longest_plan = design_excitation(longer, np.random.default_rng(seeds[-1]))
+    return f"{text}  {100.0 * longest_plan.objective / result.objective:.0f} % after {budget:g} s"
 
 
 def main() -> None:
@@ -184,13 +188,13 @@ def main() -> None:
     parser.add_argument("--arms", default="")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--budget", type=float)
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     for path, joint in [
         (GUESS, None),
         *((MODELS / model, joint) for model, joint in ARMS),
     ]:
-        if chosen.arms in str(path):
-            print(line(path, joint, chosen.seeds, chosen.budget), flush=True)
+        if options.arms in str(path):
+            print(line(path, joint, options.seeds, options.budget), flush=True)
 
 
 if __name__ == "__main__":

@@ -66,13 +66,13 @@ class Study:
         if EXAMPLE in names:  # It refuses to write over an earlier one.
             self.old[EXAMPLE] = {}
 
-    def started(self, name: str) -> Run:
+    def start(self, name: str) -> Run:
         """Start a command over the earlier results."""
         self.shop.fill(self.old[name])
         self.shop.out.mkdir(exist_ok=True)
-        return self.shop.start(self.shop.words(name, 2))
+        return self.shop.start(self.shop.command_arguments(name, 2))
 
-    def there(self) -> dict[str, bytes]:
+    def output_files(self) -> dict[str, bytes]:
         """Return all that is in the output folder."""
         return files_in(self.shop.out) if self.shop.out.is_dir() else {}
 
@@ -80,12 +80,12 @@ class Study:
         """Return what is wrong with the files in the output folder."""
         if not self.shop.out.is_dir():
             return []
-        found = {k: v for k, v in self.there().items() if not is_hidden(k)}
-        gone = () if removed else set(self.old[name]) - set(found)
+        files = {k: v for k, v in self.output_files().items() if not is_hidden(k)}
+        gone = () if removed else set(self.old[name]) - set(files)
         faults = [f"{missing} is gone" for missing in gone]
-        if name == EXAMPLE and found and found.keys() != self.new[name].keys():
+        if name == EXAMPLE and files and files.keys() != self.new[name].keys():
             faults.append("only a part of the example is there")
-        for path, content in found.items():
+        for path, content in files.items():
             if path.endswith("inside") or not content:  # put there instead of a file
                 continue
             if content in (self.old[name].get(path), self.new[name].get(path)):
@@ -98,21 +98,21 @@ class Study:
         """Run the command again and return what is wrong."""
         if name == EXAMPLE:
             shutil.rmtree(self.shop.out / "kinova", ignore_errors=True)
-        run = self.shop.start(self.shop.words(name, 2))
+        run = self.shop.start(self.shop.command_arguments(name, 2))
         if run.code != 0:
             return [f"the next run ends with {run.code}: {run.errors}"]
-        found = self.there()
+        files = self.output_files()
         left = [
-            f"the next run leaves {k}" for k in found if self.new[name] and is_hidden(k)
+            f"the next run leaves {k}" for k in files if self.new[name] and is_hidden(k)
         ]
-        seen = {k: v for k, v in found.items() if not is_hidden(k)}
-        differs = name != SEARCH and seen != self.new[name]
+        visible_files = {k: v for k, v in files.items() if not is_hidden(k)}
+        differs = name != SEARCH and visible_files != self.new[name]
         return left + ["the next run writes something else"] * differs
 
 
 def is_hidden(path: str) -> bool:
     """Tell drafts and locks from results."""
-    return any(part.startswith(".") for part in Path(path).parts)
+    return any(component.startswith(".") for component in Path(path).parts)
 
 
 def is_whole(path: str, content: bytes, other: dict[str, bytes]) -> bool:
@@ -133,13 +133,13 @@ def has_draft(folder: Path) -> bool:
 
 def session_of(number: int) -> list[int]:
     """Return the processes that run in a session."""
-    found = []
+    process_ids = []
     for entry in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
-            words = entry.read_text().rpartition(")")[2].split()
-            if int(words[3]) == number and words[0] != "Z":
-                found.append(int(entry.parent.name))
-    return found
+            fields = entry.read_text().rpartition(")")[2].split()
+            if int(fields[3]) == number and fields[0] != "Z":
+                process_ids.append(int(entry.parent.name))
+    return process_ids
 
 
 def left_over(run: Run, patience: float = 15.0) -> int:
@@ -158,10 +158,10 @@ def kills(study: Study, count: int) -> None:
     """Kill runs at random times and tell what was there."""
     tally: collections.Counter[str] = collections.Counter()
     for number in range(count):
-        turn, place = divmod(number, len(study.names))
-        name = study.names[place]
-        writes = (turn + place) % 2 == 1 and bool(study.new[name])
-        run = study.started(name)
+        turn, index = divmod(number, len(study.names))
+        name = study.names[index]
+        writes = (turn + index) % 2 == 1 and bool(study.new[name])
+        run = study.start(name)
         if writes:
             run.wait_for(lambda: has_draft(study.shop.out))
         time.sleep(
@@ -172,7 +172,7 @@ def kills(study: Study, count: int) -> None:
         tally[f"killed: {name}"] += run.code == -signal.SIGKILL
         tally["killed while it wrote"] += has_draft(study.shop.out)
         tally["processes that outlived a killed run"] += left_over(run)
-        files = study.there()
+        files = study.output_files()
         hidden = sum(map(is_hidden, files))
         tally["files"] += len(files) - hidden
         tally["hidden files of killed runs"] += hidden
@@ -180,10 +180,10 @@ def kills(study: Study, count: int) -> None:
         tally["files neither old nor new, or gone"] += len(faults)
         # The next run takes the most time, so that of every third kill has to do.
         goes_on = hidden > 0 or number % 3 == 0
-        again = study.next_run(name) if goes_on else []
+        problems = study.next_run(name) if goes_on else []
         tally["next runs"] += goes_on
-        tally["next runs that failed or left hidden files"] += bool(again)
-        for fault in (*faults, *again):
+        tally["next runs that failed or left hidden files"] += bool(problems)
+        for fault in (*faults, *problems):
             print(f"  FAULT kill {number}, {name}: {fault}", flush=True)
         print(
             f"  {number + 1}: {dict(tally)}",
@@ -191,14 +191,14 @@ def kills(study: Study, count: int) -> None:
             flush=True,
         )
     print(f"\nkills: {count}")
-    for what, found in sorted(tally.items()):
-        print(f"  {found:5d} {what}")
+    for ending, times in sorted(tally.items()):
+        print(f"  {times:5d} {ending}")
 
 
 def stages(study: Study, name: str) -> list[str]:
     """Return the lines that a command prints before its result."""
     study.shop.fill(study.old[name])
-    run = study.shop.start(study.shop.words(name, 2))
+    run = study.shop.start(study.shop.command_arguments(name, 2))
     lines = run.out.read_text(encoding="utf-8").splitlines() if run.code == 0 else []
     return [line for line in lines if line.endswith(("...", "100%"))]
 
@@ -215,26 +215,26 @@ def interrupts(study: Study, count: int) -> None:
     )
     for name in study.names:
         for stage in stages(study, name):
-            _interrupted(
+            interrupt_runs(
                 study, name, stage, count, lambda run, s=stage: has_said(run, s)
             )
         if study.new[name]:
             writes = lambda run: lambda: has_draft(study.shop.out)  # noqa: E731
-            _interrupted(study, name, "(writing)", count, writes)
+            interrupt_runs(study, name, "(writing)", count, writes)
         for _ in range(count):
             moment = time.monotonic() + study.random.uniform(0.02, study.time[name])
             any_time = lambda run, m=moment: lambda: time.monotonic() > m  # noqa: E731
-            _interrupted(study, name, "(any time)", 1, any_time)
+            interrupt_runs(study, name, "(any time)", 1, any_time)
     for delay in WORKER_DELAYS if SEARCH in study.names else ():
         stage = f"(workers start, +{delay:g} s)"
-        _interrupted(study, SEARCH, stage, count, _has_workers, delay)
+        interrupt_runs(study, SEARCH, stage, count, _has_workers, delay)
 
 
 def _has_workers(run: Run) -> Callable[[], bool]:
     return lambda: len(session_of(run.process.pid)) > 1
 
 
-def _interrupted(
+def interrupt_runs(
     study: Study,
     name: str,
     stage: str,
@@ -244,10 +244,10 @@ def _interrupted(
 ) -> None:
     """Interrupt runs of a command at a moment, as a terminal does: all its processes."""
     codes: collections.Counter[int] = collections.Counter()
-    said: collections.Counter[str] = collections.Counter()
+    outputs: collections.Counter[str] = collections.Counter()
     faults: list[str] = []
     for _ in range(count):
-        run = study.started(name)
+        run = study.start(name)
         if run.wait_for(moment(run)):
             time.sleep(delay)
             with contextlib.suppress(ProcessLookupError):
@@ -257,12 +257,12 @@ def _interrupted(
             faults.append("goes on after it was interrupted")
             run.process.kill()
         codes[run.code] += 1
-        said.update(run.errors)
+        outputs.update(run.errors)
         faults += study.faults(name)
         faults += [f"{n} processes are left" for n in (left_over(run),) if n]
-        faults += [f"left: {n}" for n in study.there() if is_hidden(n)]
+        faults += [f"left: {n}" for n in study.output_files() if is_hidden(n)]
     listed = ", ".join(f"{code} x {n}" for code, n in codes.items())
-    lines = "; ".join(f"{n} x {line[:90]}" for line, n in said.items())
+    lines = "; ".join(f"{n} x {line[:90]}" for line, n in outputs.items())
     print(f"  {name:16s} {stage[:44]:44s} {listed:18s} {lines}", flush=True)
     for fault in faults:
         print(f"    FAULT {fault}")
@@ -294,10 +294,15 @@ def disks(study: Study, sizes: list[str]) -> None:
                     return print("  no disk can be mounted here")
                 if name == "report" and not _has_room(study):
                     continue
-                _tell(study, name, size, study.shop.start(study.shop.words(name, 2)))
+                _tell(
+                    study,
+                    name,
+                    size,
+                    study.shop.start(study.shop.command_arguments(name, 2)),
+                )
         with small_disk(study, "16m"):
             study.shop.put(study.old[name])
-            run = study.shop.start(study.shop.words(name, 2))
+            run = study.shop.start(study.shop.command_arguments(name, 2))
             time.sleep(0.5 * study.time[name])
             call = ["mount", "-o", "remount,ro", str(study.shop.out)]
             was_open = (
@@ -310,7 +315,7 @@ def disks(study: Study, sizes: list[str]) -> None:
                 run,
             )
             subprocess.run(call, capture_output=True, check=False)
-            run = study.shop.start(study.shop.words(name, 2))
+            run = study.shop.start(study.shop.command_arguments(name, 2))
             _tell(study, name, "read-only before", run)
 
 
@@ -323,14 +328,14 @@ def _has_room(study: Study) -> bool:
     return False
 
 
-def _tell(study: Study, name: str, what: str, run: Run) -> None:
+def _tell(study: Study, name: str, event: str, run: Run) -> None:
     print(
-        f"  {name:16s} {what:28s} {run.code:4d}  {' | '.join(run.errors)[:150]}",
+        f"  {name:16s} {event:28s} {run.code:4d}  {' | '.join(run.errors)[:150]}",
         flush=True,
     )
     faults = study.faults(name, removed=True)
-    if not what.startswith("read-only"):
-        faults += [f"left: {n}" for n in study.there() if is_hidden(n)]
+    if not event.startswith("read-only"):
+        faults += [f"left: {n}" for n in study.output_files() if is_hidden(n)]
     faults += ["more than one line"] * (len(run.errors) > 1)
     faults += ["a defect"] * ("defect" in " ".join(run.errors))
     for fault in faults:
@@ -349,29 +354,29 @@ def folders(study: Study) -> None:
         "removed during the run": shutil.rmtree,
         "a file in its place": _file_instead,
     }
-    before = {
+    preparations = {
         "a dangling link": lambda out: out.symlink_to("nowhere/at all"),
         "a link to itself": lambda out: out.symlink_to(out.name),
         "a file": lambda out: out.write_text("mine"),
     }
     for name in study.names:
-        for what, act in during.items():
-            run = study.started(name)
+        for title, act in during.items():
+            run = study.start(name)
             time.sleep(0.5 * study.time[name])
             act(study.shop.out)
-            _tell(study, name, what, run)
+            _tell(study, name, title, run)
             study.shop.fill(study.old[name])
             print(
                 "".join(f"    FAULT {fault}\n" for fault in study.next_run(name)),
                 end="",
             )
-        for what, act in before.items():
+        for title, act in preparations.items():
             study.shop.fill({})
             act(study.shop.out)
-            run = study.shop.start(study.shop.words(name, 2))
+            run = study.shop.start(study.shop.command_arguments(name, 2))
             start = time.monotonic()
             run.process.join()
-            _tell(study, name, f"{what} ({time.monotonic() - start:.1f} s)", run)
+            _tell(study, name, f"{title} ({time.monotonic() - start:.1f} s)", run)
         for result, content in study.new[name].items():
             if (
                 not content
@@ -385,16 +390,16 @@ def folders(study: Study) -> None:
                 study,
                 name,
                 f"{result} is a folder",
-                study.shop.start(study.shop.words(name, 2)),
+                study.shop.start(study.shop.command_arguments(name, 2)),
             )
         _two_at_once(study, name)
     study.shop.fill({})
 
 
 def _two_at_once(study: Study, name: str) -> None:
-    first = study.started(name)
+    first = study.start(name)
     second = study.shop.start(
-        study.shop.words(name, 1 if name != "report" else 2), "second"
+        study.shop.command_arguments(name, 1 if name != "report" else 2), "second"
     )
     codes = (first.code, second.code)
     errors = [*first.errors, *second.errors]

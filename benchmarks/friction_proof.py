@@ -63,7 +63,9 @@ class Truth:
     def __init__(self, robot, rng: np.random.Generator) -> None:
         joints = robot.n_joints
         self.robot = robot
-        self.thetas = np.array([_wrong(link.theta, rng) for link in robot.links])
+        self.thetas = np.array(
+            [draw_wrong_link(link.theta, rng) for link in robot.links]
+        )
         self.armature = np.geomspace(1.0, 0.01, joints)
         self.coulomb = np.geomspace(6.0, 1.0, joints) * rng.uniform(0.8, 1.2, joints)
         self.viscous = self.coulomb * rng.uniform(0.5, 1.5, joints)
@@ -90,7 +92,7 @@ class Truth:
         return Measurement(clock, round_to_multiples(motion.q, STEP), None, tau)
 
 
-def _wrong(theta, rng):
+def draw_wrong_link(theta, rng):
     """A link's parameters 2 % off."""
     if not np.any(theta):
         return theta
@@ -106,8 +108,8 @@ def plans(robot):
     problem = build_problem(robot, LimitOptions(max_velocity=FASTEST))
     options = ExcitationOptions(kind="optimal", draws=DRAWS)
     design = Design(problem, options, TrajectoryOptions(duration=30.0), for_arm=True)
-    found = [design_excitation(design, np.random.default_rng(seed)) for seed in SINES]
-    return [design_sweeps(problem), *(each.trajectory for each in found)]
+    sines = [design_excitation(design, np.random.default_rng(seed)) for seed in SINES]
+    return [design_sweeps(problem), *(result.trajectory for result in sines)]
 
 
 def prove(name: str, path: str) -> None:
@@ -116,35 +118,37 @@ def prove(name: str, path: str) -> None:
     rng = np.random.default_rng(0)
     truth = Truth(robot, rng)
     start = time.perf_counter()
-    made = plans(robot)
+    motions = plans(robot)
     designed = time.perf_counter() - start
-    logs = [truth.log(plan, rng) for plan in made]
+    logs = [truth.log(plan, rng) for plan in motions]
     start = time.perf_counter()
     result = result_of_logs(robot, logs, EstimationOptions())
     spent = time.perf_counter() - start
-    lengths = ", ".join(f"{plan.duration:.0f} s" for plan in made)
+    lengths = ", ".join(f"{plan.duration:.0f} s" for plan in motions)
     print(
         f"{name}: motions {lengths} designed in {designed:.0f} s; identified in {spent:.0f} s"
     )
     scales = ", ".join(
-        f"{kind} {scale:.2g}" for kind, scale in result.link_scales.items()
+        f"{quantity} {scale:.2g}" for quantity, scale in result.link_scales.items()
     )
     print(
         f"  links off by so many times their share: {scales}; low-pass {result.cutoff:g} Hz"
     )
     for index, joint in enumerate(robot.joint_names):
-        found = result.joints[joint]
-        cells = [_cell(truth, found, index, term) for term in GOALS]
-        print(f"  {joint:22s} " + " ".join(cells) + f"  {short(found.friction_model)}")
+        estimate = result.joints[joint]
+        cells = [_cell(truth, estimate, index, term) for term in GOALS]
+        print(
+            f"  {joint:22s} " + " ".join(cells) + f"  {short(estimate.friction_model)}"
+        )
 
 
 def _cell(truth, joint, index, term) -> str:
-    right = getattr(truth, term)[index]
+    true_value = getattr(truth, term)[index]
     if term not in joint.terms:
         return f"{term} MISSING        "
     value, error = joint.terms[term]
-    off = value / right - 1.0
-    error = error / right
+    off = value / true_value - 1.0
+    error = error / true_value
     mark = " " if abs(off) <= GOALS[term] else "!"
     return f"{term} {100 * off:+6.1f} ±{100 * error:4.1f} %{mark}"
 
@@ -155,6 +159,6 @@ def short(model: str) -> str:
 
 
 if __name__ == "__main__":
-    chosen = sys.argv[1:] or list(ARMS)
-    for arm in chosen:
+    arm_names = sys.argv[1:] or list(ARMS)
+    for arm in arm_names:
         prove(arm, ARMS[arm])

@@ -24,6 +24,7 @@ of runs with a sentence that names a cause: false ones, where nothing is off.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -112,10 +113,10 @@ class Arm:
         ]
         self.thetas = robot.thetas
         if cell.links:
-            usual = [robot.links[link].theta for link in links]
-            factor = link_factor(usual, 0.01 * cell.links, lengths)
-            wrong = factor @ rng.standard_normal(len(factor))
-            self.thetas[list(links)] += wrong.reshape(-1, 10)
+            reference_links = [robot.links[link].theta for link in links]
+            factor = link_factor(reference_links, 0.01 * cell.links, lengths)
+            deviation = factor @ rng.standard_normal(len(factor))
+            self.thetas[list(links)] += deviation.reshape(-1, 10)
         self.scales = 1.0 + 0.01 * cell.scale * rng.standard_normal(robot.n_joints)
         self.zeros = 1e-3 * cell.zero * rng.standard_normal(robot.n_joints)
         self.plan, _ = generate_excitation_trajectory(robot, rng, DURATION)
@@ -125,13 +126,15 @@ class Arm:
         """What its sensors say; friction that is bent falls with speed and grows with load."""
         motion = self.plan.evaluate(np.arange(int(RATE * DURATION)) / RATE)
         exact = next(iter(simulate_inverse(self.arm, iter([motion]))))
-        own = self.robot.thetas
+        links = self.robot.thetas
         moves = LinkDynamics(self.arm).motion(exact.q, exact.qd, exact.qdd)
-        rest = exact.tau - self.arm.friction.torque(exact.qd) - moves.torque(own)
+        other_torque = (
+            exact.tau - self.arm.friction.torque(exact.qd) - moves.torque(links)
+        )
         carried = self.thetas.copy()
-        bare = rest + moves.torque(carried)
+        bare = other_torque + moves.torque(carried)
         carried[-1] += PAYLOAD * loaded
-        rigid = rest + moves.torque(carried)
+        rigid = other_torque + moves.torque(carried)
         self.dry = 0.03 * np.max(np.abs(bare), axis=0)
         fastest = np.max(np.abs(exact.qd), axis=0)
         dry = self.dry * (
@@ -152,10 +155,10 @@ def noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     """White noise, and half as large noise with a memory."""
     from scipy.signal import lfilter
 
-    kept = np.exp(-1.0 / (RATE * MEMORY))
+    memory = np.exp(-1.0 / (RATE * MEMORY))
     ahead = int(10 * RATE * MEMORY)
     drawn = rng.standard_normal((shape[0] + ahead, shape[1]))
-    slow = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], drawn, axis=0)[ahead:]
+    slow = lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], drawn, axis=0)[ahead:]
     return rng.standard_normal(shape) + COLOURED * slow
 
 
@@ -163,49 +166,54 @@ Off = tuple[str, float, float, float]
 """What a number is of, its error, its stated error, the size that counts as one."""
 
 
-def body_off(found: BodyEstimate, true: Array) -> Iterator[Off]:
+def body_off(estimate: BodyEstimate, true: Array) -> Iterator[Off]:
     """Yield how far a body's numbers are off."""
     mass, com, inertia = spatial.com_from_theta(true)
     size = float(np.sqrt(np.trace(inertia) / mass))
-    spread = load_errors(found)[1:4]
-    yield "mass", found.inertial.mass - true[0], float(found.errors[0]), float(true[0])
+    spread = load_errors(estimate)[1:4]
+    yield (
+        "mass",
+        estimate.inertial.mass - true[0],
+        float(estimate.errors[0]),
+        float(true[0]),
+    )
     for k in range(3):
         yield (
             "centre of mass",
-            float(found.inertial.com[k] - com[k]),
+            float(estimate.inertial.com[k] - com[k]),
             float(spread[k]),
             size,
         )
     for k in range(4, 10):
-        off = float(found.inertial.theta[k] - true[k])
-        yield "inertia", off, float(found.errors[k]), mass * size**2
+        off = float(estimate.inertial.theta[k] - true[k])
+        yield "inertia", off, float(estimate.errors[k]), mass * size**2
 
 
-def identified(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
+def link_errors(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
     """How far the numbers of an arm are off, and the causes that are said to be larger."""
     robot = arm.robot
     result = result_of_logs(arm.robot, [arm.log()], options)
-    found = list(body_off(result.links[-1], arm.thetas[-1]))
+    errors = list(body_off(result.links[-1], arm.thetas[-1]))
     middle = other_links(robot)[len(other_links(robot)) // 2]
     link = next((b for b in result.links if b.joint == robot.joint_names[middle]), None)
     if link is not None:
         true = float(arm.thetas[middle][0])
         off = link.inertial.mass - true
-        found.append(("middle mass", off, float(link.errors[0]), true))
+        errors.append(("middle mass", off, float(link.errors[0]), true))
     for joint, dry in zip(robot.joint_names, arm.dry.tolist()):
         level = (
             result.joints[joint].terms.get("coulomb")
             or result.joints[joint].terms["sigmoid"]
         )
-        found.append(("Coulomb", level.value - dry, level.error, dry))
-    return found, [each.cause for each in result.conflicts]
+        errors.append(("Coulomb", level.value - dry, level.error, dry))
+    return errors, [conflict.cause for conflict in result.conflicts]
 
 
-def weighed(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
+def payload_errors(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]:
     """How far the payload's numbers are off, and the causes that are said to be larger."""
-    places = np.linspace(-1.0, 1.0, len(ORDER)).tolist()
+    order_positions = np.linspace(-1.0, 1.0, len(ORDER)).tolist()
     pieces = [
-        Piece(f"log{k}", arm.log(loaded), loaded, places[k])
+        Piece(f"log{k}", arm.log(loaded), loaded, order_positions[k])
         for k, loaded in enumerate(ORDER)
     ]
     datasets, _ = low_pass_recordings(
@@ -226,25 +234,25 @@ def weighed(arm: Arm, options: EstimationOptions) -> tuple[list[Off], list[str]]
 
 def study(robot: RobotModel, name: str, cell: Cell, runs: int) -> Iterator[str]:
     """Yield one line per quantity, and one of the sentences."""
-    found: dict[str, list[tuple[float, ...]]] = {}
-    said: list[list[str]] = []
+    rows_by_quantity: dict[str, list[tuple[float, ...]]] = {}
+    causes_of_runs: list[list[str]] = []
     for seed in range(runs):
         arm = Arm(robot, cell, np.random.default_rng(seed))
         options = cell.options() if name == "told" else EstimationOptions()
-        off, causes = (weighed if name in ("payload", "loaded") else identified)(
-            arm, options
-        )
-        said.append(causes)
-        for what, *numbers in off:
-            found.setdefault(what, []).append(tuple(numbers))
-    for what, rows in found.items():
+        off, causes = (
+            payload_errors if name in ("payload", "loaded") else link_errors
+        )(arm, options)
+        causes_of_runs.append(causes)
+        for quantity, *numbers in off:
+            rows_by_quantity.setdefault(quantity, []).append(tuple(numbers))
+    for quantity, rows in rows_by_quantity.items():
         error, sigma, size = np.array(rows).T
         inside = 100.0 * np.mean(np.abs(error) < 1.96 * sigma)
         share = 100.0 * float(np.sqrt(np.mean((error / size) ** 2)))
         ratio = float(np.sqrt(np.mean((error / sigma) ** 2)))
-        yield f"{what:<16}{inside:6.0f} %{share:8.2f} %{ratio:8.2f}"
-    listed = sorted({cause for causes in said for cause in causes})
-    share = 100.0 * np.mean([bool(causes) for causes in said])
+        yield f"{quantity:<16}{inside:6.0f} %{share:8.2f} %{ratio:8.2f}"
+    listed = sorted(set(itertools.chain.from_iterable(causes_of_runs)))
+    share = 100.0 * np.mean([bool(causes) for causes in causes_of_runs])
     yield f"{'sentences':<16}{share:6.0f} %  {', '.join(listed)}"
 
 
@@ -264,17 +272,18 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=list(ARMS))
     parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=list(CELLS))
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     print(
         f"{'arm':<8}{'cell':<9}{'links scale zeros tilt':<26}{'':<16}coverage     rms  rms/stated"
     )
-    for name in chosen.arms:
-        robot = load_robot_model(chosen.models / ARMS[name])
-        for kind in chosen.cells:
-            for cell in CELLS[kind]:
-                words = f"{cell.links:g} % {cell.scale:g} % {cell.zero:g} mrad {cell.tilt:g} deg"
-                for line in study(robot, kind, cell, chosen.runs):
-                    print(f"{name:<8}{kind:<9}{words:<26}{line}", flush=True)
+    for name in options.arms:
+        robot = load_robot_model(options.models / ARMS[name])
+        for question in options.cells:
+            for cell in CELLS[question]:
+                links = f"{cell.links:g} % {cell.scale:g} %"
+                description = f"{links} {cell.zero:g} mrad {cell.tilt:g} deg"
+                for line in study(robot, question, cell, options.runs):
+                    print(f"{name:<8}{question:<9}{description:<26}{line}", flush=True)
     return 0
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.payload_by_difference import MODELS, recordings, rms, weighed
+from benchmarks.payload_by_difference import MODELS, recordings, rms, weigh
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
@@ -33,7 +33,7 @@ def body(mass):
     return spatial.theta_from_com(mass, np.array([0.03, -0.02, 0.08]), inertia)
 
 
-def calibrated(recording, scale):
+def divide_by_scale(recording, scale):
     """A recording with its torques divided by scales (n,)."""
     samples = replace(recording.samples, tau=recording.samples.tau / scale)
     return replace(recording, samples=samples, pieces=(samples,))
@@ -45,13 +45,13 @@ def calibration(robot, arm, rng, sets):
     sure = None
     for _ in range(sets):
         logs = [
-            calibrated(each, scale)
-            for each in recordings(robot, arm, rng, payload=body(WEIGHT))
+            divide_by_scale(recording, scale)
+            for recording in recordings(robot, arm, rng, payload=body(WEIGHT))
         ]
         options = EstimationOptions(scale_uncertainty=sure)
-        found = weighed(robot, logs, options, known_mass=WEIGHT).payload
+        payload = weigh(robot, logs, options, known_mass=WEIGHT).payload
         more, errors = np.transpose(
-            [found.torque_scale[joint] for joint in robot.joint_names]
+            [payload.torque_scale[joint] for joint in robot.joint_names]
         )
         scale = scale * more
         sure = tuple((100.0 * errors / more).tolist())
@@ -69,10 +69,10 @@ def run(robot, seed, sets):
     promised = []
     for mass in PAYLOADS:
         raw = recordings(robot, arm, rng, payload=body(mass))
-        plain.append(weighed(robot, raw).payload.body.inertial.mass / mass - 1.0)
-        better = [calibrated(each, scale) for each in raw]
+        plain.append(weigh(robot, raw).payload.body.inertial.mass / mass - 1.0)
+        better = [divide_by_scale(recording, scale) for recording in raw]
         options = EstimationOptions(scale_uncertainty=sure)
-        result = weighed(robot, better, options).payload.body
+        result = weigh(robot, better, options).payload.body
         scaled.append(result.inertial.mass / mass - 1.0)
         promised.append(result.errors[0] / mass)
     return plain, scaled, promised, off
@@ -86,21 +86,22 @@ def main():
     parser.add_argument(
         "--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS)
     )
-    given = parser.parse_args()
-    for name in given.arms:
-        robot = load_robot_model(given.models / MODELS[name])
+    options = parser.parse_args()
+    for name in options.arms:
+        robot = load_robot_model(options.models / MODELS[name])
         rows = []
-        for seed in range(given.runs):
-            rows.append(run(robot, seed, given.sets))
+        for seed in range(options.runs):
+            rows.append(run(robot, seed, options.sets))
             print(
                 f"  {name} run {seed}: {np.round(100 * np.array(rows[-1][:2]), 2)} %",
                 file=sys.stderr,
             )
         plain, scaled, promised, off = zip(*rows)
         print(
-            f"{name}, scales 3 % off, {given.runs} arms, {given.runs * len(PAYLOADS)} payloads: "
+            f"{name}, scales 3 % off, {len(rows)} arms, {len(rows) * len(PAYLOADS)} payloads: "
             f"rms {100.0 * rms(plain):.2f} % as measured, {100.0 * rms(scaled):.2f} % with the "
-            f"scales of {WEIGHT:g} kg in {given.sets} sets (stated {100.0 * rms(promised):.2f} %); "
+            f"scales of {WEIGHT:g} kg in {options.sets} sets "
+            f"(stated {100.0 * rms(promised):.2f} %); "
             f"95 % intervals of the scales cover {100.0 * np.mean(off):.0f} %",
             flush=True,
         )

@@ -58,8 +58,8 @@ def stretch(log: Measurement, start: float, end: float) -> Measurement:
 
 def half_fits(robot: RobotModel, log: Measurement) -> Iterator[tuple[Fit, FitErrors]]:
     """Yield the fit of each half of a log, as its whole is fitted, and its errors."""
-    whole = answer_of(robot, log)
-    signals = whole.fit.columns.datasets[0].signals
+    answer = answer_of(robot, log)
+    signals = answer.fit.columns.datasets[0].signals
     assert signals is not None
     options = EstimationOptions(cutoff=signals.cutoff)
     middle = 0.5 * (log.time[-1] - log.time[0])
@@ -67,8 +67,8 @@ def half_fits(robot: RobotModel, log: Measurement) -> Iterator[tuple[Fit, FitErr
         datasets, _ = low_pass_recordings(
             robot, [Piece("half", stretch(log, start, end))], options
         )
-        fitter = fitter_of(robot, datasets, couplings=whole.fit.columns.couplings)
-        fit = fitter.fit(Question(options), whole.fit.choice)
+        fitter = fitter_of(robot, datasets, couplings=answer.fit.columns.couplings)
+        fit = fitter.fit(Question(options), answer.fit.choice)
         yield fit, fit_errors(fit)
 
 
@@ -80,18 +80,18 @@ def answer_of(robot: RobotModel, log: Measurement) -> Answer:
 
 
 def difference_errors(
-    names: list[str], fits: list[Fit], errors: list[FitErrors], places: list[Array]
+    names: list[str], fits: list[Fit], errors: list[FitErrors], indices: list[Array]
 ) -> Array:
     """Return standard errors (m,) of the halves' differences; places (m,) of the names in each."""
     squares = np.zeros(len(names))
-    for found, at in zip(errors, places):
-        squares += np.diag(found.total.noise)[at]
+    for half_errors, at in zip(errors, indices):
+        squares += np.diag(half_errors.total.noise)[at]
     priors = {group.cause for fit in fits for group in fit.unknowns.groups}
     for cause in {*errors[0].causes, *errors[1].causes}:
         nothing = np.zeros((0, len(names)))
         one, other = (
-            found.causes[cause][:, at] if cause in found.causes else nothing
-            for found, at in zip(errors, places)
+            half_errors.causes[cause][:, at] if cause in half_errors.causes else nothing
+            for half_errors, at in zip(errors, indices)
         )
         # What is held at its bound in one half alone leaves its prior with other rows.
         if cause in priors and len(one) == len(other):
@@ -101,13 +101,13 @@ def difference_errors(
     return np.asarray(np.sqrt(squares))
 
 
-def kind_of(name: str, links: set[str], allowed: set[str]) -> str | None:
+def kind_of(name: str, links: set[str], nuisances: set[str]) -> str | None:
     """Return which kind of number a parameter is; None where it is of no interest."""
     term = name.partition("[")[0]
     if name in links:
         by_term = {"m": "masses", **dict.fromkeys(("hx", "hy", "hz"), "first moments")}
         return by_term.get(term.partition("(")[0])
-    if name in allowed or term not in TERMS or term == "offset":
+    if name in nuisances or term not in TERMS or term == "offset":
         return None
     return "rotors" if term == "armature" else "friction"
 
@@ -119,53 +119,53 @@ def ratios(robot: RobotModel, log: Measurement) -> dict[str, list[float]]:
     names = [
         name for name in first.estimated_names if name in set(second.estimated_names)
     ]
-    places = [
+    indices = [
         np.array([u.estimated_names.index(name) for name in names])
         for u in (first, second)
     ]
-    values = [fit.values[fit.unknowns.estimated[at]] for fit, at in zip(fits, places)]
-    stated = difference_errors(names, fits, errors, places)
-    links = {first.names[place] for at, _ in first.bodies.values() for place in at}
+    values = [fit.values[fit.unknowns.estimated[at]] for fit, at in zip(fits, indices)]
+    stated = difference_errors(names, fits, errors, indices)
+    links = {first.names[index] for at, _ in first.bodies.values() for index in at}
     groups = (group for group in first.groups if group.cause == FRICTION)
-    allowed = {name for group in groups for name in group.names}
-    table: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    nuisances = {name for group in groups for name in group.names}
+    table: dict[str, list[float]] = {quantity: [] for quantity in KINDS}
     for name, difference, error in zip(names, values[0] - values[1], stated):
-        kind = kind_of(name, links, allowed)
-        shown = all(
-            np.isfinite(found.total.standard_errors[at[names.index(name)]])
-            for found, at in zip(errors, places)
+        quantity = kind_of(name, links, nuisances)
+        is_visible = all(
+            np.isfinite(half_errors.total.standard_errors[at[names.index(name)]])
+            for half_errors, at in zip(errors, indices)
         )
         # A number that is a prior's in both halves differs by rounding alone.
-        if kind is not None and shown and error > 1e-9:
-            table[kind].append(float(difference / error))
+        if quantity is not None and is_visible and error > 1e-9:
+            table[quantity].append(float(difference / error))
     return table
 
 
 def main() -> int:
     """Print the table."""
-    print(f"{'log':<40}" + "".join(f"{kind:>16}" for kind in KINDS))
-    every: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    print(f"{'log':<40}" + "".join(f"{quantity:>16}" for quantity in KINDS))
+    every: dict[str, list[float]] = {quantity: [] for quantity in KINDS}
     for model, name, start, end in LOGS:
         robot = load_robot_model(DATA / model)
         path = DATA / name
         log = open_log(
             robot, path, LogOptions(measurements=(path,)), Progress()
         ).samples
-        found = ratios(robot, stretch(log, start, end))
-        for kind in KINDS:
-            every[kind] += found[kind]
-        print(line(name, found), flush=True)
+        log_ratios = ratios(robot, stretch(log, start, end))
+        for quantity in KINDS:
+            every[quantity] += log_ratios[quantity]
+        print(line(name, log_ratios), flush=True)
     print(line("all", every))
     return 0
 
 
-def line(name: str, found: dict[str, list[float]]) -> str:
+def line(name: str, ratios_by_quantity: dict[str, list[float]]) -> str:
     """Return root mean squares and numbers of ratios as a line."""
     cells = (
         f"{np.sqrt(np.mean(np.square(values))):8.2f} of {len(values):<4}"
         if values
         else f"{'-':>8}"
-        for values in found.values()
+        for values in ratios_by_quantity.values()
     )
     return f"{name:<40}" + "".join(f"{cell:>16}" for cell in cells)
 

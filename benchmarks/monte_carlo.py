@@ -28,24 +28,24 @@ def main() -> None:
     studies["designed"] = NoiseStudy(designed_plan(robot))
     for name, study in studies.items():
         print(f"{name}, cut-off {study.cutoff:.3g} Hz")
-        for words, level in LEVELS.items():
-            for memory in MEMORIES if words == "0.1 to 0.5" else (0.0,):
-                print(line(study, words, Noise(level, memory)), flush=True)
+        for title, level in LEVELS.items():
+            for memory in MEMORIES if title == "0.1 to 0.5" else (0.0,):
+                print(line(study, title, Noise(level, memory)), flush=True)
 
 
-def line(study, words, noise) -> str:
+def line(study, title, noise) -> str:
     """One line of the table."""
     outcome = study.run(noise, DRAWS)
     bound = study.bound(noise)
     plain = np.mean(outcome.plain_covered)
     result = np.mean(outcome.covered)
-    text = f"  {words:>10} N m, memory {1e3 * noise.memory:3.0f} ms: "
+    text = f"  {title:>10} N m, memory {1e3 * noise.memory:3.0f} ms: "
     if noise.memory == 0.0:
         ratio = outcome.over_bound(bound)
-        still = study.errors(study.identified(study.samples)[0])
+        noise_free_errors = study.errors(study.identify(study.samples)[0])
         worst = outcome.names[int(np.argmax(ratio))]
         text += f"error / bound median {np.median(ratio):.3f}, worst {ratio.max():.3f} ({worst}); "
-        text += f"encoder {np.max(np.abs(still) / bound):.2f}; "
+        text += f"encoder {np.max(np.abs(noise_free_errors) / bound):.2f}; "
     return (
         f"{text}intervals hold the truth: plain {100 * plain:.1f} %, result {100 * result:.1f} %; "
         f"moved {100 * outcome.constrained:.0f} %, impossible {outcome.impossible}"

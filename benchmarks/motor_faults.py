@@ -96,10 +96,10 @@ def damage_cases(arm: str, runs: int, seed: int) -> list[Case]:
         joint = int(random.integers(len(ARMS[arm].motor_types)))
         damage = _damage(name, size, joint, len(ARMS[arm].motor_types), random)
         begin, end, _ = MOMENTS[phase]
-        after = random.uniform(begin, end)
+        instant = random.uniform(begin, end)
         cause = DamagedFrame(damage)
         label = f"{name}, {size}"
-        cases.append(Case(label, setup, cause, phase, after, DAMAGE_PATIENCE, joint))
+        cases.append(Case(label, setup, cause, phase, instant, DAMAGE_PATIENCE, joint))
     return cases
 
 
@@ -117,7 +117,7 @@ def _damage(name, size, joint: int, n: int, random: np.random.Generator) -> Dama
 
 
 def fault_cases(
-    arm: str, belief: str = "guess", after: float = FAULT_AFTER
+    arm: str, belief: str = "guess", instant: float = FAULT_AFTER
 ) -> list[Case]:
     """Return a case for each named fault, with the model given and without."""
     cases = []
@@ -125,7 +125,7 @@ def fault_cases(
         setup = SetUp(arm, belief, is_given)
         light = len(ARMS[arm].motor_types) - 2
         for name, (cause, phase) in named_causes(loaded_joint(setup), light).items():
-            delay = after if phase else 0.0
+            delay = instant if phase else 0.0
             cases.append(Case(name, setup, cause, phase, delay, None, joint_of(cause)))
     return cases
 
@@ -170,14 +170,14 @@ def clean_result(setup: SetUp) -> dict:
     }
 
 
-def short_words(words: str, length: int = 78) -> str:
+def shorten_message(message: str, length: int = 78) -> str:
     """Return an error's first words, with numbers of motors and values left out."""
-    first = re.sub(r"\(joint [^)]*\) ", "", words)
+    first = re.sub(r"\(joint [^)]*\) ", "", message)
     return re.sub(r"motor \d+", "motor", first)[:length]
 
 
-def _rough(words: str) -> str:
-    return re.sub(r"-?\d+(\.\d+)?", "#", short_words(words, 48)) or "-"
+def _rough(message: str) -> str:
+    return re.sub(r"-?\d+(\.\d+)?", "#", shorten_message(message, 48)) or "-"
 
 
 def print_outcomes(cases: list[Case], jobs: int) -> list:
@@ -210,10 +210,12 @@ def print_damage_table(outcomes: list) -> None:
         ]
         top_speed = max(outcome.top_speed for outcome in group)
         endings = Counter(_rough(outcome.words) for outcome in stopped)
-        words = "; ".join(f"{count}x {text}" for text, count in endings.most_common(3))
+        summary = "; ".join(
+            f"{count}x {text}" for text, count in endings.most_common(3)
+        )
         print(
             f"| {name} | {len(group)} | {len(stopped)} | {worst.departure:.3f} "
-            f"| {worst.phase[:12]} | {top_speed:.2f} | {words} |"
+            f"| {worst.phase[:12]} | {top_speed:.2f} | {summary} |"
         )
     worst = max(outcome.departure for outcome in outcomes)
     beyond = sum(outcome.departure > DAMAGE_BOUND for outcome in outcomes)
@@ -226,7 +228,7 @@ _DELAY = (
     "stop after [s]",
     lambda o: "-" if o.stop_delay is None else f"{o.stop_delay:.3f}",
 )
-_WORDS = ("words", lambda o: short_words(o.words) or o.ending)
+_WORDS = ("words", lambda o: shorten_message(o.words) or o.ending)
 FAULT_COLUMNS = (
     ("fault", lambda o: o.name),
     ("model", lambda o: o.setup.belief if o.setup.model_is_given else "none"),
@@ -291,19 +293,17 @@ def write_page(jobs: int) -> None:
     rows = [PAGE_HEAD]
     for line in LINES:
         outcome = outcomes[line.name]
-        words = re.sub(r" \(joint [^)]*\)", "", line.words)
+        message = re.sub(r" \(joint [^)]*\)", "", line.words)
         mark = "*" if line.quantity != "departure" else ""
         measured = f"{getattr(outcome, line.quantity):.2f}{mark}"
         rows.append(
-            f"| {line.name} | {measured} | {words or 'nothing: it plays to the end'} |"
+            f"| {line.name} | {measured} | {message or 'nothing: it plays to the end'} |"
         )
     page = PAGE.read_text(encoding="utf-8")
-    before, _, later = page.partition(PAGE_BEGIN)
-    after = later.partition(PAGE_END)[2]
+    head, _, later = page.partition(PAGE_BEGIN)
+    tail = later.partition(PAGE_END)[2]
     table = "\n".join(rows)
-    PAGE.write_text(
-        f"{before}{PAGE_BEGIN}\n{table}\n{PAGE_END}{after}", encoding="utf-8"
-    )
+    PAGE.write_text(f"{head}{PAGE_BEGIN}\n{table}\n{PAGE_END}{tail}", encoding="utf-8")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -329,36 +329,36 @@ def parser() -> argparse.ArgumentParser:
 
 def main() -> int:
     """Run the campaigns that were asked for; return the exit code."""
-    chosen = parser().parse_args()
-    if chosen.campaign == "page":
-        write_page(chosen.jobs)
+    options = parser().parse_args()
+    if options.campaign == "page":
+        write_page(options.jobs)
         return 0
-    is_all = chosen.campaign == "all"
+    is_all = options.campaign == "all"
     has_failed = False
     results: dict[str, list] = {}
-    if is_all or chosen.campaign == "damage":
-        cases = damage_cases(chosen.arm, chosen.runs, chosen.seed)
-        outcomes = print_outcomes(cases, chosen.jobs)
+    if is_all or options.campaign == "damage":
+        cases = damage_cases(options.arm, options.runs, options.seed)
+        outcomes = print_outcomes(cases, options.jobs)
         print_damage_table(outcomes)
         has_failed |= any(outcome.departure > DAMAGE_BOUND for outcome in outcomes)
         results["damage"] = [asdict(outcome) for outcome in outcomes]
-    if is_all or chosen.campaign == "faults":
-        cases = fault_cases(chosen.arm, chosen.belief)
-        cases = [case for case in cases if chosen.only in case.name]
-        outcomes = print_outcomes(cases, chosen.jobs)
+    if is_all or options.campaign == "faults":
+        cases = fault_cases(options.arm, options.belief)
+        cases = [case for case in cases if options.only in case.name]
+        outcomes = print_outcomes(cases, options.jobs)
         print_table(outcomes, FAULT_COLUMNS)
         results["faults"] = [asdict(outcome) for outcome in outcomes]
-    if is_all or chosen.campaign == "stop":
-        outcomes = print_outcomes(hold_cases(chosen.arm), chosen.jobs)
+    if is_all or options.campaign == "stop":
+        outcomes = print_outcomes(hold_cases(options.arm), options.jobs)
         print_table(outcomes, HOLD_COLUMNS)
         results["stop"] = [asdict(outcome) for outcome in outcomes]
-    if is_all or chosen.campaign == "clean":
+    if is_all or options.campaign == "clean":
         results["clean"] = print_clean_runs(
-            list(ARMS), chosen.rate or RATES, chosen.jobs
+            list(ARMS), options.rate or RATES, options.jobs
         )
         has_failed |= not all(result["completed"] for result in results["clean"])
-    if chosen.json:
-        chosen.json.write_text(json.dumps(results, indent=1))
+    if options.json:
+        options.json.write_text(json.dumps(results, indent=1))
     return int(has_failed)
 
 

@@ -70,38 +70,38 @@ CASES = {
 
 def times(inertial: str, factor: float) -> str:
     """Return an ``<inertial>`` element with mass and inertia times a factor."""
-    words = inertial.split('"')
-    for place, word in enumerate(words[:-1]):
+    fields = inertial.split('"')
+    for index, word in enumerate(fields[:-1]):
         if word.endswith(("mass=", "fullinertia=")):
-            words[place + 1] = " ".join(
-                repr(factor * float(x)) for x in words[place + 1].split()
+            fields[index + 1] = " ".join(
+                repr(factor * float(x)) for x in fields[index + 1].split()
             )
-    return '"'.join(words)
+    return '"'.join(fields)
 
 
-def run(folder: Path, *words: object) -> dict:
+def run(folder: Path, *arguments: object) -> dict:
     """Return what one command wrote into params.json."""
     with (
         contextlib.redirect_stdout(io.StringIO()),
-        contextlib.redirect_stderr(io.StringIO()) as said,
+        contextlib.redirect_stderr(io.StringIO()) as errors,
     ):
-        code = robot_sysid([*map(str, words), "--output-dir", str(folder)])
+        code = robot_sysid([*map(str, arguments), "--output-dir", str(folder)])
     written = folder / "params.json"
     if not written.exists():
-        raise SystemExit(f"exit code {code} of {words}: {said.getvalue()}")
+        raise SystemExit(f"exit code {code} of {arguments}: {errors.getvalue()}")
     return json.loads(written.read_text())
 
 
-def line(found: dict, truth: np.ndarray) -> str:
+def line(params: dict, truth: np.ndarray) -> str:
     """Return errors and stated ones of a result."""
     theta = np.array(
         [
-            found["mass"],
-            *found["center_of_mass_moment"],
-            *found["inertia_tensor"].values(),
+            params["mass"],
+            *params["center_of_mass_moment"],
+            *params["inertia_tensor"].values(),
         ]
     )
-    errors = np.array(list(found["standard_errors"].values())[:10], dtype=float)
+    errors = np.array(list(params["standard_errors"].values())[:10], dtype=float)
     size = spatial.parameter_scale(truth[0], spatial.characteristic_length(truth))
     off = np.abs(theta - truth)
     over = np.max(off / np.maximum(errors, 1e-300))
@@ -118,14 +118,22 @@ def lines(
     log = folder / "log.csv"
     true.write_text(case.model())
     guess.write_text(case.model(WRONG))
-    words = (true, "--sample-rate", rate, "--seed", seed, "--save-measurements", log)
-    found = run(folder / "own", *words)
+    arguments = (
+        true,
+        "--sample-rate",
+        rate,
+        "--seed",
+        seed,
+        "--save-measurements",
+        log,
+    )
+    params = run(folder / "own", *arguments)
     truth = truth_of(true)
-    yield "own simulation", line(found, truth)
+    yield "own simulation", line(params, truth)
     for name, more in (("log, noise only", EXACT), ("log, defaults", [])):
         # What was computed looks like it.
-        words = (guess, "--measurements", log, *ACCEPTED, *more)
-        yield name, line(run(folder / name, *words), truth)
+        arguments = (guess, "--measurements", log, *ACCEPTED, *more)
+        yield name, line(run(folder / name, *arguments), truth)
 
 
 def truth_of(path: Path) -> np.ndarray:
@@ -139,10 +147,10 @@ def torque_of(log: Path) -> float:
     """Return the largest root mean square torque of a joint in a written log [N m]."""
     with log.open() as stream:
         titles = stream.readline().split(",")
-        places = [
+        columns = [
             k for k, title in enumerate(titles) if title.strip().endswith("_torque")
         ]
-        rows = np.loadtxt(stream, delimiter=",", usecols=places, max_rows=20000)
+        rows = np.loadtxt(stream, delimiter=",", usecols=columns, max_rows=20000)
     return float(np.max(np.sqrt(np.mean(rows**2, axis=0))))
 
 
@@ -152,18 +160,18 @@ def main() -> int:
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
     parser.add_argument("--rates", nargs="+", type=float, default=list(RATES))
     parser.add_argument("--seed", type=int, default=0)
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     head = f"{'torque':>9}{'mass':>10}{'all ten':>10}{'stated':>10}{'ratio':>8}"
     print(f"{'arm':<24}{'Hz':>6} {'data':<17}{head}")
-    for name in chosen.cases:
-        for rate in chosen.rates:
+    for name in options.cases:
+        for rate in options.rates:
             with tempfile.TemporaryDirectory() as folder:
-                for source, words in lines(
-                    CASES[name], rate, chosen.seed, Path(folder)
+                for source, text in lines(
+                    CASES[name], rate, options.seed, Path(folder)
                 ):
                     torque = torque_of(Path(folder) / "log.csv")
                     print(
-                        f"{name:<24}{rate:>6g} {source:<17}{torque:9.1e}{words}",
+                        f"{name:<24}{rate:>6g} {source:<17}{torque:9.1e}{text}",
                         flush=True,
                     )
     return 0

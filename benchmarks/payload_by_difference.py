@@ -61,7 +61,7 @@ def trajectory(robot, rng, wide):
     return plan.scaled(factor)
 
 
-def turned(theta, angle):
+def turn_body(theta, angle):
     """A body turned about the z axis by an angle [rad]."""
     mass, com, inertia = spatial.com_from_theta(theta)
     turn = np.array(
@@ -79,24 +79,26 @@ def recordings(
 ):
     """Four recordings in the order empty, loaded, loaded (with a second payload), empty."""
     plans = [trajectory(robot, rng, wide) for _ in (ORDER if different else ORDER[:1])]
-    found = []
+    records = []
     for k, loaded in enumerate(ORDER):
         carried = payload if second is None or k != 2 else second
         samples = arm.log(plans[k % len(plans)], loaded * carried, rng)
-        found.append(Piece(f"log{k}", samples, loaded))
-    return found
+        records.append(Piece(f"log{k}", samples, loaded))
+    return records
 
 
-def weighed(robot, raw, estimation=USUAL, drifts=True, **known):
+def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
     """The result that the command finds."""
-    places = np.linspace(-1.0, 1.0, len(raw))
-    pieces = [Piece(r.name, r.samples, r.is_loaded, at) for r, at in zip(raw, places)]
+    order_positions = np.linspace(-1.0, 1.0, len(raw))
+    pieces = [
+        Piece(r.name, r.samples, r.is_loaded, at) for r, at in zip(raw, order_positions)
+    ]
     datasets, _ = low_pass_recordings(robot, pieces, estimation)
-    question = Question(estimation, loaded=True, drifts=drifts, **known)
-    found, free = answer_payload(
+    question = Question(estimation, loaded=True, drifts=drifts, **question_options)
+    answer, free = answer_payload(
         robot, datasets, question, Progress(), unchanged_parts=None
     )
-    return payload_of(found, free, find_flange(robot, "0,0,0"), ORIGIN)
+    return payload_of(answer, free, find_flange(robot, "0,0,0"), ORIGIN)
 
 
 def single_difference(robot, raw):
@@ -108,8 +110,10 @@ def single_difference(robot, raw):
         gravity_uncertainty=0.0,
     )
     masses = []
-    for kind in (False, True):
-        logs = [each.samples for each in raw if each.is_loaded is kind]
+    for is_loaded in (False, True):
+        logs = [
+            recording.samples for recording in raw if recording.is_loaded is is_loaded
+        ]
         masses.append(result_of_logs(robot, logs, options).links[-1].inertial.mass)
     return masses[1] - masses[0]
 
@@ -119,8 +123,8 @@ def run(robot, seed, off, different, single, wide, second):
     rng = np.random.default_rng([seed, 77])
     arm = ImperfectArm(robot, rng, off)
     raw = recordings(robot, arm, rng, different, wide=wide, second=second)
-    found = weighed(robot, raw)
-    body = found.payload.body
+    result = weigh(robot, raw)
+    body = result.payload.body
     difference = single_difference(robot, raw) if single else np.nan
     return (
         body.inertial.mass - PAYLOAD[0],
@@ -128,7 +132,7 @@ def run(robot, seed, off, different, single, wide, second):
         body.noise_errors[0],
         np.linalg.norm(body.inertial.com - PAYLOAD[1:4] / PAYLOAD[0]),
         difference - PAYLOAD[0],
-        float(found.verdict.is_trustworthy),
+        float(result.verdict.is_trustworthy),
     )
 
 
@@ -162,15 +166,17 @@ def main():
     parser.add_argument(
         "--single", action="store_true", help="difference of two fits as well"
     )
-    given = parser.parse_args()
-    second = (1.0 + 0.01 * given.heavier) * turned(PAYLOAD, np.radians(given.turned))
-    for name in given.arms:
-        robot = load_robot_model(given.models / MODELS[name])
-        for scale in given.scale:
+    options = parser.parse_args()
+    second = (1.0 + 0.01 * options.heavier) * turn_body(
+        PAYLOAD, np.radians(options.turned)
+    )
+    for name in options.arms:
+        robot = load_robot_model(options.models / MODELS[name])
+        for scale in options.scale:
             rows = []
-            for seed in range(given.runs):
-                choices = given.different, given.single, not given.narrow, second
-                off = Imperfections(scale=0.01 * scale, noise=given.noise)
+            for seed in range(options.runs):
+                choices = options.different, options.single, not options.narrow, second
+                off = Imperfections(scale=0.01 * scale, noise=options.noise)
                 rows.append(run(robot, seed, off, *choices))
                 print(
                     f"  {name} {scale:g} % run {seed}: {rows[-1][0]:+.4f} kg",
@@ -179,8 +185,8 @@ def main():
             error, stated, noise, com, difference, trusted = np.array(rows).T
             covered = np.mean(np.abs(error) < 1.96 * stated)
             print(
-                f"{name}, noise {given.noise:g} N·m, torque scale {scale:g} %, {given.runs} runs: "
-                "mass rms "
+                f"{name}, noise {options.noise:g} N·m, torque scale {scale:g} %, "
+                f"{options.runs} runs: mass rms "
                 f"{100.0 * rms(error):.2f} % (stated {100.0 * rms(stated):.2f}, noise alone "
                 f"{100.0 * rms(noise):.2f}, 95 % covers {100.0 * covered:.0f} %), centre of mass "
                 f"{1e3 * rms(com):.1f} mm, trusted {100.0 * np.mean(trusted):.0f} %, difference of "

@@ -1,7 +1,7 @@
 """How often stated 95 % intervals hold the truth on arms as people have them.
 
     python -m benchmarks.real_arms MODELS_FOLDER [--logs 20] [--arms ur5e iiwa14 ...]
-        [--kinds real priors exact] [--first-seed 0]
+        [--deviations real priors exact] [--first-seed 0]
 
 Each log is of an arm of its own. Its duration is 8, 20 or 60 s. Every other log has white torque
 noise, the rest noise with a memory of 20 samples.
@@ -57,7 +57,7 @@ ARMS = {
 USUAL_ARMS = ("ur5e", "iiwa14", "panda", "gen3")
 SENSOR_ARMS = ("iiwa14", "panda", "fr3")
 """Arms whose torque sensors sit behind the gears."""
-KINDS = ("real", "priors", "exact")
+DEVIATIONS = ("real", "priors", "exact")
 DURATIONS = (8.0, 20.0, 60.0)
 RATE = 250.0
 STEP = 1e-4
@@ -120,19 +120,19 @@ def prior_links(robot: RobotModel, rng: np.random.Generator) -> Array:
 
 def draw_arm(
     robot: RobotModel,
-    kind: str,
+    deviation: str,
     has_sensors: bool,
     duration: float,
     white: bool,
     seed: int,
 ) -> RealArm:
     """Return one arm with one log of it."""
-    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    rng = np.random.default_rng([seed, DEVIATIONS.index(deviation)])
     plan, _ = generate_excitation_trajectory(robot, rng, duration)
     motion = plan.evaluate(np.arange(round(RATE * duration)) / RATE)
     exact = next(iter(simulate_inverse(robot, iter([motion]))))
 
-    is_off = kind != "exact"
+    is_off = deviation != "exact"
     angles = np.radians(0.3) * rng.standard_normal(2) * is_off
     arm = with_gravity(robot, turn_gravity(gravity_vector(robot), angles))
     draw_links = {
@@ -140,7 +140,7 @@ def draw_arm(
         "priors": prior_links,
         "exact": lambda r, _: r.thetas,
     }
-    thetas = draw_links[kind](robot, rng)
+    thetas = draw_links[deviation](robot, rng)
     beyond_links = exact.tau - robot.friction.torque(exact.qd)
     beyond_links -= (
         LinkDynamics(robot).motion(exact.q, exact.qd, exact.qdd).torque(robot.thetas)
@@ -154,8 +154,8 @@ def draw_arm(
     nominal = np.maximum(0.04 * peak, 0.004 * np.max(peak)) * rng.uniform(
         0.7, 1.4, len(peak)
     )
-    shown = 0.1 if has_sensors else 1.0
-    coulomb = shown * nominal
+    visible_share = 0.1 if has_sensors else 1.0
+    coulomb = visible_share * nominal
     viscous = coulomb / fastest * rng.uniform(0.5, 1.5, len(peak))
     rms_acceleration = np.sqrt(np.mean(exact.qdd**2, axis=0))
     rotor = 0.02 * np.max(peak) / rms_acceleration * rng.uniform(0.3, 1.5, len(peak))
@@ -164,16 +164,16 @@ def draw_arm(
 
     speed = np.abs(exact.qd)
     dry = coulomb * np.ones_like(speed)
-    if kind == "real":
+    if deviation == "real":
         dry += STRIBECK * coulomb * np.exp(-speed / (0.1 * fastest))
-        dry += shown * rng.uniform(0.02, 0.06, len(peak)) * np.abs(rigid)
-    elif kind == "priors":
+        dry += visible_share * rng.uniform(0.02, 0.06, len(peak)) * np.abs(rigid)
+    elif deviation == "priors":
         dry += 0.1 * coulomb * rng.standard_normal(len(peak)) * np.sqrt(speed / fastest)
         dry += 0.02 * rng.standard_normal(len(peak)) * np.abs(rigid)
     scales = 1.0 + 0.02 * is_off * rng.standard_normal(len(peak))
     tau = scales * rigid + dry * np.sign(exact.qd) + viscous * exact.qd
     tau = tau + NOISE * nominal * _noise(rng, tau.shape, white)
-    if kind == "priors":
+    if deviation == "priors":
         lag = 5e-3 * rng.standard_normal()
         tau = np.stack(
             [np.interp(exact.time - lag, exact.time, c) for c in tau.T], axis=1
@@ -194,13 +194,13 @@ def _noise(rng: np.random.Generator, shape: tuple[int, ...], white: bool) -> Arr
 
 
 def draw_arms(
-    robot: RobotModel, arm_name: str, kind: str, seeds: range
+    robot: RobotModel, arm_name: str, deviation: str, seeds: range
 ) -> Iterator[RealArm]:
     """Yield an arm per seed, of all durations and both kinds of noise in turn."""
     for seed in seeds:
         duration = DURATIONS[seed % len(DURATIONS)]
         has_sensors = arm_name in SENSOR_ARMS
-        yield draw_arm(robot, kind, has_sensors, duration, seed % 2 == 0, seed)
+        yield draw_arm(robot, deviation, has_sensors, duration, seed % 2 == 0, seed)
 
 
 def errors_of(arm: RealArm, options: EstimationOptions) -> tuple[list[Off], bool]:
@@ -228,12 +228,14 @@ def errors_of(arm: RealArm, options: EstimationOptions) -> tuple[list[Off], bool
     return offs, result.verdict.is_trustworthy
 
 
-def study(robot: RobotModel, arm_name: str, kind: str, seeds: range) -> Iterator[str]:
+def study(
+    robot: RobotModel, arm_name: str, deviation: str, seeds: range
+) -> Iterator[str]:
     """Yield one line per quantity, and one of the answers."""
     offs: dict[str, list[tuple[float, float, float]]] = {}
     trusted_count = 0
     wrong_count = 0
-    for arm in draw_arms(robot, arm_name, kind, seeds):
+    for arm in draw_arms(robot, arm_name, deviation, seeds):
         errors, is_trusted = errors_of(arm, EstimationOptions())
         for quantity, *numbers in errors:
             offs.setdefault(quantity, []).append((numbers[0], numbers[1], numbers[2]))
@@ -265,15 +267,17 @@ def main() -> int:
     parser.add_argument(
         "--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS)
     )
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
-    chosen = parser.parse_args()
+    parser.add_argument(
+        "--deviations", nargs="+", default=list(DEVIATIONS), choices=DEVIATIONS
+    )
+    options = parser.parse_args()
     print(f"{'arm':<8}{'kind':<8}{'':<16}coverage  rms/stated    rms  median stated")
-    seeds = range(chosen.first_seed, chosen.first_seed + chosen.logs)
-    for arm_name in chosen.arms:
-        robot = load_robot_model(chosen.models / ARMS[arm_name])
-        for kind in chosen.kinds:
-            for line in study(robot, arm_name, kind, seeds):
-                print(f"{arm_name:<8}{kind:<8}{line}", flush=True)
+    seeds = range(options.first_seed, options.first_seed + options.logs)
+    for arm_name in options.arms:
+        robot = load_robot_model(options.models / ARMS[arm_name])
+        for deviation in options.deviations:
+            for line in study(robot, arm_name, deviation, seeds):
+                print(f"{arm_name:<8}{deviation:<8}{line}", flush=True)
     return 0
 
 

@@ -86,7 +86,7 @@ class Case:
     rotors: bool = True
 
 
-def parted(log: str, start: float, end: float) -> tuple:
+def split_log(log: str, start: float, end: float) -> tuple:
     """The first four fifths of a log's motion, and the last."""
     middle = start + 0.8 * (end - start)
     return (log, start, middle), (log, middle, end)
@@ -119,15 +119,15 @@ CASES = (
     Case(
         "TX40, last fifth",
         TX40,
-        *parted("tx40/tx40_500Hz.csv", 0.0, 7.66),
+        *split_log("tx40/tx40_500Hz.csv", 0.0, 7.66),
         "5.2 %",
         shared=(4, 5),
     ),
-    Case("UR10e, last fifth", UR10E, *parted(EMPTY, 1.1, 25.3), NONE),
+    Case("UR10e, last fifth", UR10E, *split_log(EMPTY, 1.1, 25.3), NONE),
     Case(
         "UR10e with a load, last fifth",
         UR10E,
-        *parted(LOADED, 1.1, 25.3),
+        *split_log(LOADED, 1.1, 25.3),
         NONE,
         (EMPTY, 0, 99),
     ),
@@ -161,34 +161,40 @@ def column(case: Case, folder: Path) -> dict[str, str]:
     mjcf = folder / "arm.xml"
     cells = {"published": case.published}
     mjcf.write_text(as_mjcf(case.model))
-    for kind, model in (("urdf", DATA / case.model), ("mjcf", mjcf)):
-        found = identified(case, model)
-        fit = found.identification.answer.fit
-        own = fit.columns.datasets[0].signals
+    for file_format, model in (("urdf", DATA / case.model), ("mjcf", mjcf)):
+        outcome = identify_case(case, model)
+        fit = outcome.identification.answer.fit
+        fit_signals = fit.columns.datasets[0].signals
         # Rows over turns at which a joint stands count in no judge of robot-sysid's own.
-        judged = Dataset("", signals(case.other, found.robot.joint_names, own.cutoff))
-        test = without_standing(found.robot, judged, fit.question.options).signals
-        suffix = {"mjcf": ".xml", "urdf": ".urdf"}[kind]
-        written = [path for path in found.save(folder / kind) if path.suffix == suffix]
-        error = [percent(file_error(path, found.robot, test)) for path in written[:1]]
-        cells[kind] = error[0] if error else "none is written"
-    cells["catalogue"] = percent(file_error(mjcf, found.robot, test))
+        judged = Dataset(
+            "", signals(case.other, outcome.robot.joint_names, fit_signals.cutoff)
+        )
+        test = without_standing(outcome.robot, judged, fit.question.options).signals
+        suffix = {"mjcf": ".xml", "urdf": ".urdf"}[file_format]
+        written = [
+            path for path in outcome.save(folder / file_format) if path.suffix == suffix
+        ]
+        error = [percent(file_error(path, outcome.robot, test)) for path in written[:1]]
+        cells[file_format] = error[0] if error else "none is written"
+    cells["catalogue"] = percent(file_error(mjcf, outcome.robot, test))
     cells["fit"] = percent(fit_error(fit, test, case.empty is not None))
-    cells["mjcf mass"] = f"{found.mass:.3f} ± {found.standard_errors['m']:.3f}"
-    plain = LeastSquares(case, found.robot, own.cutoff)
+    cells["mjcf mass"] = f"{outcome.mass:.3f} ± {outcome.standard_errors['m']:.3f}"
+    plain = LeastSquares(case, outcome.robot, fit_signals.cutoff)
     cells["friction"] = percent(plain.error(plain.solution(links=False), test))
     values = plain.solution()
     cells["least"] = percent(plain.error(values, test))
     cells["least file"] = plain.file(values)
     cells["least mass"] = f"{values[-10]:.3f}"
-    stretches = tuple(each for each in (case.empty, case.fitted) if each is not None)
-    model, mass = by_rollouts(case.model, stretches, own.cutoff, case.rotors)
-    cells["sysid"] = percent(file_error(model, found.robot, test))
+    stretches = tuple(
+        stretch for stretch in (case.empty, case.fitted) if stretch is not None
+    )
+    model, mass = by_rollouts(case.model, stretches, fit_signals.cutoff, case.rotors)
+    cells["sysid"] = percent(file_error(model, outcome.robot, test))
     cells["sysid mass"] = f"{mass:.3f}"
     return cells
 
 
-def identified(case: Case, model: Path):
+def identify_case(case: Case, model: Path):
     """What robot-sysid finds."""
     if case.empty is None:
         return identify(model, samples(case.fitted))
@@ -221,18 +227,17 @@ def relative(test, torque) -> float:
 
 def fit_error(fit, test, is_loaded: bool) -> float:
     """The same of a fit, with scales, zeros, shared motors and all."""
-    own = fit.columns
-    columns = Columns(
-        own.robot, [Dataset("", test, is_loaded)], own.torques, own.couplings
-    )
+    fitted = fit.columns
+    test_data = [Dataset("", test, is_loaded)]
+    columns = Columns(fitted.robot, test_data, fitted.torques, fitted.couplings)
     rows = columns.samples(fit.point)
-    seen = evidence_of([rows], fit.evidence.torque)
+    evidence = evidence_of([rows], fit.evidence.torque)
     offsets = [name for name in columns.names if name.startswith("offset[")]
     held = np.where(np.isin(columns.names, offsets), 0.0, fit.values)
-    free = restrict(seen.total, offsets, held)
+    free = restrict(evidence.total, offsets, held)
     best = np.linalg.lstsq(*free.equations(), rcond=None)[0]
     return float(
-        np.sqrt(np.sum(free.squared_residuals(best)) / np.sum(seen.squared_torque))
+        np.sqrt(np.sum(free.squared_residuals(best)) / np.sum(evidence.squared_torque))
     )
 
 
@@ -248,8 +253,8 @@ class LeastSquares:
         fitted = [(case.fitted, case.empty is not None)]
         fitted += [] if case.empty is None else [(case.empty, False)]
         rows = [
-            self.rows(signals(each, robot.joint_names, cutoff), load)
-            for each, load in fitted
+            self.rows(signals(log, robot.joint_names, cutoff), load)
+            for log, load in fitted
         ]
         self.matrix, self.torque = (np.concatenate(same) for same in zip(*rows))
         links = np.concatenate([link.theta for link in robot.links])
@@ -257,40 +262,51 @@ class LeastSquares:
             (links, np.zeros(self.matrix.shape[1] - len(links)))
         )
 
-    def columns(self, each, is_loaded: bool):
+    def columns(self, signals, is_loaded: bool):
         """Filtered columns (K, n, p)."""
         joints = len(self.robot.links)
         links = (
             LinkDynamics(self.robot)
-            .motion(each.q, each.qd, each.qdd)
+            .motion(signals.q, signals.qd, signals.qdd)
             .columns(range(joints))
         )
-        own = np.sign(each.qd), each.qd, each.qdd, np.ones_like(each.qd)
-        own = [column[:, :, None] * np.eye(joints) for column in own]
+        joint_columns = (
+            np.sign(signals.qd),
+            signals.qd,
+            signals.qdd,
+            np.ones_like(signals.qd),
+        )
+        joint_columns = [
+            column[:, :, None] * np.eye(joints) for column in joint_columns
+        ]
         if self.case.shared:
             pair = list(self.case.shared)
             other = list(self.case.shared)[::-1]
-            both = np.zeros((*each.q.shape, 3))
-            both[:, pair, 0] = each.qdd[:, other]
-            both[:, pair, 1] = each.qd[:, other]
-            both[:, pair, 2] = np.sign(each.qd[:, pair].sum(axis=1))[:, None]
-            own.append(both)
-        whole = np.concatenate((links, *own, is_loaded * links[..., -10:]), axis=-1)
-        return each.low_pass.decimate(whole.reshape(len(whole), -1)).reshape(
-            -1, *whole.shape[1:]
+            both = np.zeros((*signals.q.shape, 3))
+            both[:, pair, 0] = signals.qdd[:, other]
+            both[:, pair, 1] = signals.qd[:, other]
+            both[:, pair, 2] = np.sign(signals.qd[:, pair].sum(axis=1))[:, None]
+            joint_columns.append(both)
+        columns = np.concatenate(
+            (links, *joint_columns, is_loaded * links[..., -10:]), axis=-1
+        )
+        return signals.low_pass.decimate(columns.reshape(len(columns), -1)).reshape(
+            -1, *columns.shape[1:]
         )
 
-    def rows(self, each, is_loaded: bool):
+    def rows(self, signals, is_loaded: bool):
         """Equations of the rows that may be used."""
-        use = each.usable()
-        return self.columns(each, is_loaded)[use], each.low_pass.decimate(each.tau)[use]
+        use = signals.usable()
+        return self.columns(signals, is_loaded)[use], signals.low_pass.decimate(
+            signals.tau
+        )[use]
 
     def solution(self, links: bool = True):
         """Parameters (p,): of links, joints and payload; or the catalogue's links kept."""
         free = slice(0 if links else 10 * len(self.robot.links), None)
-        rest = self.torque - self.matrix @ self.start
+        residual = self.torque - self.matrix @ self.start
         values = self.start.copy()
-        values[free] += np.linalg.lstsq(self.matrix[:, free], rest, rcond=None)[0]
+        values[free] += np.linalg.lstsq(self.matrix[:, free], residual, rcond=None)[0]
         return values
 
     def error(self, values, test) -> float:
@@ -308,12 +324,12 @@ class LeastSquares:
         spec.compiler.boundinertia = 0.0
         for link, theta in zip(self.robot.links, links):
             put_body(spec.body(link.body_name), theta)
-        wrong = sum(not spatial.is_consistent(theta) for theta in links)
+        impossible_count = sum(not spatial.is_consistent(theta) for theta in links)
         try:
             spec.compile()
         except ValueError:
-            return f"refused, {wrong} of {len(links)} links impossible"
-        return f"loads, {wrong} of {len(links)} links impossible"
+            return f"refused, {impossible_count} of {len(links)} links impossible"
+        return f"loads, {impossible_count} of {len(links)} links impossible"
 
 
 @lru_cache
@@ -332,20 +348,20 @@ def by_rollouts(urdf: str, stretches: tuple, cutoff: float, rotors: bool) -> tup
         spec, joints
     ).option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.timestep = rollouts.STEP
-    before = spec.compile().body(last).mass[0]
+    mass = spec.compile().body(last).mass[0]
     bounds = {
-        name: each for name, each in BOUNDS.items() if rotors or name != "armature"
+        name: bound for name, bound in BOUNDS.items() if rotors or name != "armature"
     }
     params = rollouts.joint_parameters(joints, bounds)
     for stretch in stretches:
         log = signals(stretch, joints, cutoff)
         motion = log.time, log.q, log.qd, log.tau
-        found = rollouts.optimised(spec, motion, params, rollouts.in_radians, STEPS)
-        spec = sysid.apply_param_modifiers_spec(found, spec)
+        optimum = rollouts.optimise(spec, motion, params, rollouts.in_radians, STEPS)
+        spec = sysid.apply_param_modifiers_spec(optimum, spec)
         params = sysid.ParameterDict()
         params.add(_inertia(spec, last))
     model = spec.compile()
-    return model, model.body(last).mass[0] - before
+    return model, model.body(last).mass[0] - mass
 
 
 def _inertia(spec, body: str):
@@ -354,9 +370,9 @@ def _inertia(spec, body: str):
 
     def put(spec, param) -> None:
         # Its own way to write them does not compile since MuJoCo 3.14.
-        found = sysid.model_modifier.pi_from_theta(param.value)
-        inertia = found[4:].reshape(3, 3)[np.triu_indices(3)]
-        put_body(spec.body(body), np.concatenate((found[:4], inertia)))
+        pseudo_inertia = sysid.model_modifier.pi_from_theta(param.value)
+        inertia = pseudo_inertia[4:].reshape(3, 3)[np.triu_indices(3)]
+        put_body(spec.body(body), np.concatenate((pseudo_inertia[:4], inertia)))
 
     return sysid.body_inertia_param(
         spec, spec.compile(), body, sysid.InertiaType.Pseudo, modifier=put
@@ -383,7 +399,9 @@ def table(columns) -> list[str]:
     lines = ["| Torque error | " + " | ".join(case.title for case in CASES) + " |"]
     lines.append("| --- |" + " --- |" * len(CASES))
     for key, name in ROWS.items():
-        lines.append(f"| {name} | " + " | ".join(each[key] for each in columns) + " |")
+        lines.append(
+            f"| {name} | " + " | ".join(cells[key] for cells in columns) + " |"
+        )
     lines += [
         "",
         "| Mass of the load | kg |",

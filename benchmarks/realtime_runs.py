@@ -76,14 +76,14 @@ class Result:
 
     label: str
     ending: str
-    words: str
+    message: str
     arm_delay: str
     pauses: tuple[float, ...]
 
     def __str__(self) -> str:
         *processors, line = (f"{pause:.0f}" for pause in self.pauses)
         waits = f"arm {self.arm_delay} ms, processors {'/'.join(processors)} ms, line {line} ms"
-        return f"{self.label:28s} {self.ending:9s} [{waits}] {self.words}"
+        return f"{self.label:28s} {self.ending:9s} [{waits}] {self.message}"
 
 
 def spin() -> None:
@@ -128,12 +128,12 @@ def watch_processor(number: int, pauses, leave) -> None:
 
 def watch_line(pauses, leave) -> None:
     """Watch how long bytes take through a pseudo-terminal."""
-    near, far = os.openpty()
-    tty.setraw(far)
+    reader, writer = os.openpty()
+    tty.setraw(writer)
 
     def pass_byte() -> None:
-        os.write(far, b"x")
-        os.read(near, 1)
+        os.write(writer, b"x")
+        os.read(reader, 1)
         time.sleep(1e-3)
 
     watch(pass_byte, pauses, leave)
@@ -153,22 +153,22 @@ def witnesses() -> Iterator[list]:
             )
         for program in programs:
             program.start()
-        seen: list = []
+        pauses_seen: list = []
         try:
-            yield seen
+            yield pauses_seen
         finally:
             leave.set()
             for program in programs:
                 program.join()
-            seen += [list(pauses) for pauses in (*processors, line)]
+            pauses_seen += [list(pauses) for pauses in (*processors, line)]
 
 
 @contextlib.contextmanager
-def simulated_arm(words: list[str]) -> Iterator[tuple[str, list[str]]]:
+def simulated_arm(arguments: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Let an arm live behind a pseudo-terminal; yields its device, and what it says at the end."""
-    command = [*PROGRAM, "simulate", *words]
+    command = [*PROGRAM, "simulate", *arguments]
     arm = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    said: list[str] = []
+    output: list[str] = []
     try:
         device = None
         while device is None:
@@ -176,36 +176,37 @@ def simulated_arm(words: list[str]) -> Iterator[tuple[str, list[str]]]:
             if not line:
                 raise SystemExit(f"no simulated arm: {' '.join(command)}")
             device = re.search(r"--channel (\S+)", line)
-        yield device[1], said
+        yield device[1], output
     finally:
         arm.terminate()
-        said += arm.communicate()[0].splitlines()
+        output += arm.communicate()[0].splitlines()
 
 
-def bus_words(name: str, rate: float, trajectory: Path) -> list[str]:
+def bus_arguments(name: str, rate: float, trajectory: Path) -> list[str]:
     """Return what play and simulate are both told."""
     fd = ["--fd"] if rate > FAST else []
     arm = [str(word) for word in model(ARMS[name])]
     return [str(trajectory), "--model", *arm, *fd, "--rate", f"{rate:g}"]
 
 
-def arm_delay(said: list[str]) -> str:
+def arm_delay(output: list[str]) -> str:
     """Return how long commands waited for the simulated arm [ms], by its last words."""
-    delay = re.search(r"waiting for up to (\d+)", "\n".join(said))
+    delay = re.search(r"waiting for up to (\d+)", "\n".join(output))
     return delay[1] if delay else "< 3"
 
 
-def longest_pauses(seen: list, begin: float, end: float) -> tuple[float, ...]:
+def longest_pauses(pauses: list, begin: float, end: float) -> tuple[float, ...]:
     """Return the longest pause that each witness saw between two moments [ms]."""
-    meanwhile = [
-        [pause for moment, pause in pauses if begin < moment < end] for pauses in seen
-    ]
-    return tuple(1e3 * max(pauses, default=0.0) for pauses in meanwhile)
+    longest = []
+    for witness in pauses:
+        meanwhile = [pause for moment, pause in witness if begin < moment < end]
+        longest.append(1e3 * max(meanwhile, default=0.0))
+    return tuple(longest)
 
 
 def play(name: str, rate: float, load_name: str, trajectory: Path) -> Result:
     """Play an arm's trajectory once."""
-    words = bus_words(name, rate, trajectory)
+    arguments = bus_arguments(name, rate, trajectory)
     record = trajectory.with_name("measured.csv")
     # Ten cycles at least, as play asks for.
     watchdog = ["--watchdog", f"{max(0.1, 10.5 / rate):g}"]
@@ -214,14 +215,14 @@ def play(name: str, rate: float, load_name: str, trajectory: Path) -> Result:
     lines = []
     with (
         load(load_name == "busy"),
-        witnesses() as seen,
-        simulated_arm([*words, *watchdog]) as arm,
+        witnesses() as pauses,
+        simulated_arm([*arguments, *watchdog]) as arm,
     ):
-        device, said = arm
+        device, output = arm
         address = ["--interface", "slcan", "--channel", device, "--accept-directions"]
         recording = ["--record", str(record), "--overwrite", "--yes"]
         player = subprocess.Popen(
-            [*PROGRAM, "play", *words, *address, *recording],
+            [*PROGRAM, "play", *arguments, *address, *recording],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
         for line in player.stdout:
@@ -232,21 +233,23 @@ def play(name: str, rate: float, load_name: str, trajectory: Path) -> Result:
                 stopped_at = time.monotonic()
         code = player.wait(LONGEST_RUN)
         ended_at = time.monotonic()
-    told = [line for line in lines if line.startswith(("played", "robot-sysid: error"))]
+    messages = [
+        line for line in lines if line.startswith(("played", "robot-sysid: error"))
+    ]
     before_stop = (stopped_at or ended_at) - BEFORE_STOP, stopped_at or ended_at
-    is_spoilt = max(longest_pauses(seen, *before_stop)) > 1e3 * min(
+    is_spoilt = max(longest_pauses(pauses, *before_stop)) > 1e3 * min(
         SPOILING_CYCLES / rate, LONGEST_PAUSE
     )
     return Result(
         f"{name}, {rate:g} Hz, {load_name}",
         "completed" if code == 0 else "spoilt" if is_spoilt else "STOPPED",
-        (told or ["said nothing"])[-1],
-        arm_delay(said),
-        longest_pauses(seen, enabled_at or 0.0, ended_at),
+        (messages or ["said nothing"])[-1],
+        arm_delay(output),
+        longest_pauses(pauses, enabled_at or 0.0, ended_at),
     )
 
 
-def judged(*run) -> Iterator[Result]:
+def play_until_valid(*run) -> Iterator[Result]:
     """Play until a run is not spoilt, a few times at most; yields all results."""
     for _ in range(TRIES):
         result = play(*run)
@@ -257,9 +260,13 @@ def judged(*run) -> Iterator[Result]:
 
 def set_up(name: str, trajectory: Path) -> Result:
     """List the motors of a simulated arm on a busy computer, and change one of them."""
-    words = bus_words(name, RATES[1], trajectory)
+    arguments = bus_arguments(name, RATES[1], trajectory)
     n_motors = len(ARMS[name].motors)
-    with load(True), witnesses() as seen, simulated_arm(words) as (device, said):
+    with (
+        load(True),
+        witnesses() as pauses,
+        simulated_arm(arguments) as (device, output),
+    ):
         change = ["--motor", "1", "--watchdog", "0.2"]
         setup = subprocess.run(
             [*PROGRAM, "setup", "--interface", "slcan", "--channel", device, *change],
@@ -272,8 +279,8 @@ def set_up(name: str, trajectory: Path) -> Result:
         f"setup of {name}, busy",
         "completed" if is_changed and listed == n_motors else "STOPPED",
         f"{listed} of {n_motors} motors; {'motor 1 is changed' if is_changed else lines[-1:]}",
-        arm_delay(said),
-        longest_pauses(seen, 0.0, float("inf")),
+        arm_delay(output),
+        longest_pauses(pauses, 0.0, float("inf")),
     )
 
 
@@ -290,26 +297,26 @@ def parser() -> argparse.ArgumentParser:
     return options
 
 
-def results_of(chosen: argparse.Namespace, folder: Path) -> Iterator[Result]:
+def results_of(options: argparse.Namespace, folder: Path) -> Iterator[Result]:
     """Yield what comes of all runs that were asked for."""
-    for name in chosen.arm or ARMS:
-        place = folder / name
-        place.mkdir()
-        trajectory = plan(ARMS[name], place, DURATION)
-        for _ in range(chosen.setups):
+    for name in options.arm or ARMS:
+        case_folder = folder / name
+        case_folder.mkdir()
+        trajectory = plan(ARMS[name], case_folder, DURATION)
+        for _ in range(options.setups):
             yield set_up(name, trajectory)
-        for rate in [] if chosen.setups else chosen.rate or RATES:
-            for load_name in chosen.load or LOADS:
-                for _ in range(chosen.repeats):
-                    yield from judged(name, rate, load_name, trajectory)
+        for rate in [] if options.setups else options.rate or RATES:
+            for load_name in options.load or LOADS:
+                for _ in range(options.repeats):
+                    yield from play_until_valid(name, rate, load_name, trajectory)
 
 
 def main() -> int:
     """Print a line for each run, and how many were stopped; return 1 if any was."""
-    chosen = parser().parse_args()
+    options = parser().parse_args()
     endings: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
-        for result in results_of(chosen, Path(folder)):
+        for result in results_of(options, Path(folder)):
             print(result, flush=True)
             endings[result.ending] += 1
     print(", ".join(f"{count} {ending}" for ending, count in endings.items()))

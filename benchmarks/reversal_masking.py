@@ -30,11 +30,11 @@ DRAWS = 20
 
 def main() -> None:
     """Print one table per simulation."""
-    for simulation, kind in (
+    for simulation, friction in (
         ("closed loop", ClosedLoopStudy),
         ("inverse dynamics", NoiseStudy),
     ):
-        studies = [UnmaskedStudy(kind(seed=seed)) for seed in SEEDS]
+        studies = [UnmaskedStudy(friction(seed=seed)) for seed in SEEDS]
         print(
             f"{simulation}: mass %, Coulomb %, viscous %, each median and worst; rows used"
         )
@@ -47,10 +47,12 @@ def main() -> None:
 
 def rules():
     """Name to the function that picks rows from (slow share, speed at the centre / deadband)."""
-    found = {"centre": lambda share, speed: speed >= 1.0}
+    predicates = {"centre": lambda share, speed: speed >= 1.0}
     for share in SHARES:
-        found[f"share {share:g}"] = lambda seen, speed, most=share: seen <= most
-    return found
+        predicates[f"share {share:g}"] = lambda slow_share, speed, limit=share: (
+            slow_share <= limit
+        )
+    return predicates
 
 
 class ClosedLoopStudy(NoiseStudy):
@@ -59,7 +61,7 @@ class ClosedLoopStudy(NoiseStudy):
     Speeds at which that friction is not complete count as standing still.
     """
 
-    def recorded(self):
+    def record(self):
         loop = ClosedLoop(self.plant, self.plan, noise_study.SAMPLE_RATE)
         log = join_measurements(loop.run())
         log = replace(
@@ -86,19 +88,19 @@ class UnmaskedStudy:
         self.share = signals.slow_share()
         self.speed = np.abs(signals.qd[centres]) / signals.deadband
 
-    def masked(self, rule):
+    def errors_of_rule(self, rule):
         """(errors without torque noise, errors with 0.1 N m, share of rows used)."""
         used = rule(self.share, self.speed)
         study = self.study
-        whole = self.study.samples
-        tau = tuple(np.where(keep, t, np.nan) for keep, t in zip(used.T, whole.tau))
-        study.samples = replace(whole, tau=tau)
-        clean = friction_errors(study, study.identified(study.samples)[0])
+        samples = self.study.samples
+        tau = tuple(np.where(keep, t, np.nan) for keep, t in zip(used.T, samples.tau))
+        study.samples = replace(samples, tau=tau)
+        clean = friction_errors(study, study.identify(study.samples)[0])
         draws = [
             study.noisy(Noise(0.1), np.random.default_rng(k)) for k in range(DRAWS)
         ]
-        noisy = [friction_errors(study, study.identified(draw)[0]) for draw in draws]
-        study.samples = whole
+        noisy = [friction_errors(study, study.identify(draw)[0]) for draw in draws]
+        study.samples = samples
         return clean, np.sqrt(np.mean(np.square(noisy), axis=0)), np.mean(used)
 
 

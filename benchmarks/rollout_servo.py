@@ -56,23 +56,23 @@ def main(*names: str) -> None:
 
 def report(name, arm, robot, outcome, held, spent) -> None:
     """Print one arm."""
-    found = outcome.result
-    servos = found.fit.servos
-    delay_error = found.fit.errors.delay
+    result = outcome.result
+    servos = result.fit.servos
+    delay_error = result.fit.errors.delay
     print(f"{name}: {spent:.0f} s; {outcome.failure or 'model written'}")
     print(f"  delay {1e3 * servos.delay:.2f} ± {1e3 * delay_error:.2f} ms, true 20")
     truth = (arm.stiffness, arm.damping, arm.coulomb, arm.armature)
     for (term, unit), values in zip(UNITS.items(), truth):
-        figures = [own[term] for own in found.joint_numbers.values()]
-        before, after, errors = (
+        figures = [numbers[term] for numbers in result.joint_numbers.values()]
+        model_values, estimates, errors = (
             np.array([figure[key] for figure in figures])
             for key in ("before", "value", "standard_error")
         )
-        print(f"  {term} [{unit}]: model {before}\n    true {values}")
-        print(f"    found {after}\n    error {errors}")
+        print(f"  {term} [{unit}]: model {model_values}\n    true {values}")
+        print(f"    found {estimates}\n    error {errors}")
     pair = servos_in_model(robot), servos
     without = play_servos(ServoRollouts(robot), held, pair, "").errors
-    for error, bare in zip(found.rollout.errors, without):
+    for error, bare in zip(result.rollout.errors, without):
         (late, new) = error.overall
         (old, _) = bare.overall
         print(

@@ -63,10 +63,10 @@ def main(*names: str) -> None:
             f"{name}: {time.monotonic() - begun:.0f} s; {outcome.failure or 'model written'}"
         )
         for error in outcome.result.rollout.errors:
-            before, after = error.overall
+            old_error, new_error = error.overall
             print(
-                f"  {error.loop} {error.horizon:g} s: {before:.3g} -> {after:.3g} rad, "
-                f"{before / after:.1f} times smaller"
+                f"  {error.loop} {error.horizon:g} s: {old_error:.3g} -> {new_error:.3g} rad, "
+                f"{old_error / new_error:.1f} times smaller"
             )
 
 
@@ -76,7 +76,7 @@ def write_logs(robot, folder: Path, rng) -> tuple[Path, ...]:
     paths = []
     for number in range(LOGS):
         plan = generate_excitation_trajectory(robot, rng, SECONDS, ArmTorque(robot))[0]
-        chunks = [arm.measured(motion, rng) for motion in motion_chunks(plan, RATE)]
+        chunks = [arm.measure(motion, rng) for motion in motion_chunks(plan, RATE)]
         paths.append(folder / f"log{number}.csv")
         write_measurement_csv(paths[-1], robot.joint_names, chunks)
     return tuple(paths)
@@ -97,7 +97,7 @@ class StandIn:
         self.unequal = rng.uniform(-0.1, 0.1, n)
         self.load = rng.uniform(0.02, 0.05, n)
 
-    def measured(self, motion, rng) -> Measurement:
+    def measure(self, motion, rng) -> Measurement:
         """What its sensors say."""
         tau = self.dynamics.motion(motion.q, motion.qd, motion.qdd).torque(self.thetas)
         tau += self.armature * motion.qdd

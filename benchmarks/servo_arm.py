@@ -49,16 +49,16 @@ class ServoArm:
         ticks = np.round(time / TICK).astype(int)
         late = np.round((time + self.delay) / TICK).astype(int)
         at = -1
-        asked = command[0]
+        target = command[0]
         for tick in range(ticks[-1] + 1):
             sample = np.searchsorted(ticks, tick)
             if ticks[sample] == tick:
                 positions[sample] = arm.q
             while at + 1 < len(late) and late[at + 1] <= tick:
                 at += 1
-                asked = command[at]
+                target = command[at]
             for _ in range(2):
-                pull = self.stiffness * (asked - arm.q)
+                pull = self.stiffness * (target - arm.q)
                 asks = pull - self.servo_damping * arm.qd
                 free = np.abs(asks) <= self.limit
                 torque = np.where(free, pull, np.sign(asks) * self.limit)
@@ -72,18 +72,18 @@ def other_than(
     """An arm whose servos and joints are not those of its model."""
     n = robot.n_joints
     dofs = robot.dof_index
-    own = chain_actuators(robot)
+    actuators = chain_actuators(robot)
     factor = rng.uniform(*gain, n)
-    damping = robot.mj_model.dof_damping[dofs] + np.nan_to_num(own.damping)
+    damping = robot.mj_model.dof_damping[dofs] + np.nan_to_num(actuators.damping)
     return ServoArm(
         robot,
-        rng.uniform(*gain, n) * np.nan_to_num(own.stiffness, nan=50.0),
+        rng.uniform(*gain, n) * np.nan_to_num(actuators.stiffness, nan=50.0),
         factor * damping,
-        factor * np.nan_to_num(own.damping),
+        factor * np.nan_to_num(actuators.damping),
         rng.uniform(*friction, n) * robot.mj_model.dof_frictionloss[dofs],
         rng.uniform(*armature, n) * robot.mj_model.dof_armature[dofs],
         delay,
-        own.limit,
+        actuators.limit,
     )
 
 

@@ -35,18 +35,18 @@ def random_problem(seed):
     )
 
 
-def consistent(matrix, right, prior):
+def consistent(matrix, rhs, prior):
     """The plain estimate, or the best possible body where that is none."""
-    plain = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    plain = np.linalg.lstsq(matrix, rhs, rcond=None)[0]
     if spatial.is_consistent(plain):
         return plain
-    gap = 1e-10 * np.sum((matrix @ plain - right) ** 2)
+    gap = 1e-10 * np.sum((matrix @ plain - rhs) ** 2)
     problem = LinksProblem((np.arange(10),), prior)
-    return next(ConsistentLinks(matrix, right, problem).path([gap]))
+    return next(ConsistentLinks(matrix, rhs, problem).path([gap]))
 
 
-def is_on_boundary(matrix, right):
-    plain = np.linalg.lstsq(matrix, right, rcond=None)[0]
+def is_on_boundary(matrix, rhs):
+    plain = np.linalg.lstsq(matrix, rhs, rcond=None)[0]
     return not spatial.is_consistent(plain)
 
 
@@ -55,14 +55,14 @@ def test_objective_equals_the_oracles_on_a_thousand_problems():
     excess = []
     times = []
     for seed in range(1000):
-        matrix, right, prior = random_problem(seed)
+        matrix, rhs, prior = random_problem(seed)
         start = time.process_time()
-        values = consistent(matrix, right, prior)
+        values = consistent(matrix, rhs, prior)
         elapsed = time.process_time() - start
         assert spatial.is_consistent(values)
-        times += [elapsed] if is_on_boundary(matrix, right) else []
-        reference = sdp_least_squares(matrix, right)
-        excess.append(np.sum((matrix @ values - right) ** 2) / reference - 1.0)
+        times += [elapsed] if is_on_boundary(matrix, rhs) else []
+        reference = sdp_least_squares(matrix, rhs)
+        excess.append(np.sum((matrix @ values - rhs) ** 2) / reference - 1.0)
     print(f"\non the boundary {len(times)} of 1000")
     print(
         f"relative objective, ours / oracle - 1: from {min(excess):.1e} to {max(excess):.1e}"

@@ -136,13 +136,13 @@ def test_over_the_virtual_bus(benchmark, tmp_path, rate):
     arm, plan = arm_and_plan(tmp_path, rate)
     clock = SystemClock()
     address = BusAddress("virtual", (f"bench{rate}",))
-    near, far = (open_bus(address, BusTiming(), clock) for _ in range(2))
+    host, motors = (open_bus(address, BusTiming(), clock) for _ in range(2))
     try:
-        with served_in_background(arm, far, clock):
-            link = GuardedLink(near, clock)
+        with served_in_background(arm, motors, clock):
+            link = GuardedLink(host, clock)
             report = benchmark.pedantic(play, (link, plan), rounds=1)
     finally:
-        near.close()
+        host.close()
     tell(benchmark, report, rate)
 
 

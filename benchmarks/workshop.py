@@ -110,20 +110,22 @@ class Workshop:
         plants = {"empty": "arm.xml", "log": "plant.xml"}
         for k, (name, plant) in itertools.product((1, 2), plants.items()):
             log = f"--save-measurements {name}{k}.csv"
-            words = f"arm.xml --plant-model {plant} {LOGGED} {NOISE} --seed {k} {log}"
+            arguments = (
+                f"arm.xml --plant-model {plant} {LOGGED} {NOISE} --seed {k} {log}"
+            )
             # A short motion may leave a result that is not trusted; its log serves all the same.
-            assert self.start([*words.split(), "--output-dir", OUT]).code in (0, 1)
+            assert self.start([*arguments.split(), "--output-dir", OUT]).code in (0, 1)
 
-    def words(self, name: str, variant: int) -> list[str]:
+    def command_arguments(self, name: str, variant: int) -> list[str]:
         """Return the command's words, its output folder among them."""
         return COMMANDS[name].format(k=variant).split()
 
-    def start(self, words: list[str], label: str = "run") -> Run:
+    def start(self, arguments: list[str], label: str = "run") -> Run:
         """Start a command in the folder."""
         out = self.folder / f"{label}.stdout"
         err = self.folder / f"{label}.stderr"
         process = self._context.Process(
-            target=_command, args=(words, self.folder, out, err)
+            target=_command, args=(arguments, self.folder, out, err)
         )
         out.write_text("")
         err.write_text("")
@@ -133,9 +135,9 @@ class Workshop:
     def results(self, name: str, variant: int) -> dict[str, bytes]:
         """Run a command in a new output folder and return all it wrote."""
         self.fill({})
-        for each in ("identify log", name) if name == "report" else (name,):
-            run = self.start(self.words(each, variant))
-            assert run.code == 0, (each, run.errors)
+        for command in ("identify log", name) if name == "report" else (name,):
+            run = self.start(self.command_arguments(command, variant))
+            assert run.code == 0, (command, run.errors)
         return files_in(self.out) if self.out.is_dir() else {}
 
     def fill(self, files: dict[str, bytes]) -> None:
@@ -154,7 +156,7 @@ class Workshop:
                 path.write_bytes(content)
 
 
-def _command(words: list[str], folder: Path, out: Path, err: Path) -> None:
+def _command(arguments: list[str], folder: Path, out: Path, err: Path) -> None:
     """Be the command: in its folder, in a session of its own, with files for what it prints."""
     os.setsid()
     # Ignored where this process was started in the background of a script.
@@ -164,5 +166,5 @@ def _command(words: list[str], folder: Path, out: Path, err: Path) -> None:
         os.dup2(os.open(path, os.O_WRONLY | os.O_APPEND), number)
         stream = open(number, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
         setattr(sys, "stdout" if number == 1 else "stderr", stream)
-    sys.argv = ["robot-sysid", *words]
+    sys.argv = ["robot-sysid", *arguments]
     sys.exit(cli.main())

@@ -1,4 +1,4 @@
-"""Public arms, and the ways in which a log of one can be wrong."""
+"""Faults of logs: functions that take an arm's true motion and return a log that is wrong."""
 
 from __future__ import annotations
 
@@ -8,29 +8,21 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records import Measurement
 from robot_sysid.signals.resampling import slice_samples
 from tests.support.places import MODELS
 from tests.support.wrong_logs import Truth, truth_of
 
-ARMS: dict[str, tuple[str, str | None]] = {
-    "gen3": ("kinova_gen3/gen3.xml", None),
-    "panda": ("franka_panda/panda_nohand.xml", None),
-    "fr3": ("franka_fr3/FrankaFR3_7DoF.urdf", None),
-    "iiwa14": ("kuka_iiwa_14/iiwa14.xml", None),
-    "ur5e": ("universal_robots_ur5e/ur5e.xml", None),
-    "xarm7": ("ufactory_xarm7/xarm7_nohand.xml", None),
-    "wxai": ("trossen/wxai/wxai_follower.xml", None),
-    "openarm": ("openarm_v2/openarm_bimanual.xml", "openarm_left_joint7"),
-    "gen3 2023": ("kinova_gen3/gen3_7dof_2023.xml", None),
-    "gen3 official": ("kinova_gen3/gen3_official.xml", None),
+_OTHER_ARMS = {
+    6: ("universal_robots_ur5e/ur5e.xml", "trossen/wxai/wxai_follower.xml"),
+    7: (
+        "franka_panda/panda_nohand.xml",
+        "kuka_iiwa_14/iiwa14.xml",
+        "ufactory_xarm7/xarm7_nohand.xml",
+        "kinova_gen3/gen3.xml",
+    ),
 }
-"""Name to (model file, terminal joint)."""
-
-
-def robot_of(arm: str) -> RobotModel:
-    path, joint = ARMS[arm]
-    return load_robot_model(MODELS / path, None, joint, 2.0)
+"""Model files of public arms by their number of joints."""
 
 
 def _torque(truth: Truth, tau: np.ndarray) -> Measurement:
@@ -46,67 +38,67 @@ def _position(truth: Truth, change: Callable[[np.ndarray], np.ndarray]) -> Measu
 
 
 def millinewtonmetres(truth):
+    """Return the log with torques in mN m."""
     return _torque(truth, 1e3 * truth.log.tau)
 
 
 def other_unit(truth):
-    """N cm, kgf cm, lbf in."""
+    """Return the log with torques in N cm, kgf cm or lbf in."""
     return _torque(truth, truth.rng.choice([100.0, 10.197, 8.851]) * truth.log.tau)
 
 
 def motor_side(truth):
-    """On the motor's side of the gear."""
+    """Return the log with torques on the motors' side of the gears."""
     return _torque(
         truth, truth.log.tau / truth.rng.choice([50.0, 100.0, 101.0, 121.0, 160.0])
     )
 
 
 def amperes(truth):
-    """Motor currents; every motor has a constant of its own."""
+    """Return the log with motor currents, every motor with its own torque constant."""
     return _torque(
         truth, truth.log.tau / truth.rng.uniform(6.0, 14.0, truth.robot.n_joints)
     )
 
 
 def per_cent(truth):
-    """Per cent of rated torque; the base's motors are the strongest."""
+    """Return the log with torques in per cent of the motors' rated torques."""
     peak = np.max(np.abs(truth.rigid), axis=0)
     rated = np.maximum(peak, 0.1 * peak.max()) * truth.rng.uniform(0.8, 1.5, len(peak))
     return _torque(truth, 100.0 * truth.log.tau / rated)
 
 
-def times_two_or_more(truth):
-    return _torque(truth, truth.rng.uniform(2.0, 5.0) * truth.log.tau)
-
-
 def gravity_compensated(truth):
+    """Return the log with torques from which gravity is subtracted."""
     return _torque(truth, truth.log.tau - truth.still)
 
 
 def external(truth):
-    """What is left after the controller's model is taken off."""
+    """Return the log with torques from which the controller's model is subtracted."""
     return _torque(truth, truth.log.tau - truth.rigid)
 
 
-def computed(truth):
-    """The controller's model in place of a measurement."""
+def computed_torque(truth):
+    """Return the log with the torques of the controller's model, not measured ones."""
     return _torque(truth, truth.rigid)
 
 
 def torque_sign(truth):
+    """Return the log with one joint's torque of the wrong sign."""
     sign = np.ones(truth.robot.n_joints)
     sign[carrying_joint(truth)] = -1.0
     return _torque(truth, sign * truth.log.tau)
 
 
 def position_sign(truth):
+    """Return the log with one joint's position of the wrong sign."""
     sign = np.ones(truth.robot.n_joints)
     sign[carrying_joint(truth)] = -1.0
     return _position(truth, lambda columns: sign * columns)
 
 
-def exchanged(truth):
-    """Two joints' columns are exchanged, those of position, of torque, or all."""
+def exchanged_joints(truth):
+    """Return the log with two joints exchanged in positions, in torques, or in both."""
     order = np.arange(truth.robot.n_joints)
     first = carrying_joint(truth)
     second = int(truth.rng.choice(np.delete(order, first)))
@@ -119,21 +111,23 @@ def exchanged(truth):
 
 
 def reversed_order(truth):
+    """Return the log with its joints from the last one to the base."""
     log = _position(truth, lambda columns: columns[:, ::-1])
     return replace(log, tau=log.tau[:, ::-1])
 
 
 def degrees_as_radians(truth):
+    """Return the log with positions in degrees that are read as radians."""
     return _position(truth, np.degrees)
 
 
 def radians_as_degrees(truth):
-    """Radians that were declared to be degrees."""
+    """Return the log with positions in radians that are read as degrees."""
     return _position(truth, np.radians)
 
 
 def position_offset(truth):
-    """One joint's zero is off; one that gravity would not tell is not drawn."""
+    """Return the log with one joint's zero off, of a joint that gravity loads."""
     q = truth.log.q.copy()
     weight = np.sqrt(np.mean(truth.still**2, axis=0))
     joint = truth.rng.choice(np.flatnonzero(weight >= 0.2 * weight.max()))
@@ -142,18 +136,14 @@ def position_offset(truth):
 
 
 def dropped_samples(truth):
-    """A tenth of the samples is lost, time is the row number over the rate."""
-    kept = np.flatnonzero(truth.rng.random(len(truth.log)) > 0.1)
+    """Return the log without a tenth of its samples; time is row number over rate."""
+    rows = np.flatnonzero(truth.rng.random(len(truth.log)) > 0.1)
     log = truth.log
-    return Measurement(log.time[: len(kept)], log.q[kept], None, log.tau[kept])
+    return Measurement(log.time[: len(rows)], log.q[rows], None, log.tau[rows])
 
 
-def milliseconds(truth):
-    return replace(truth.log, time=1e3 * truth.log.time)
-
-
-def saturated(truth):
-    """A torque sensor that ends short of what the joint needs for a fifth of the time."""
+def saturated_sensor(truth):
+    """Return the log with a torque sensor that saturates for a fifth of the time."""
     tau = truth.log.tau.copy()
     joint = carrying_joint(truth)
     limit = float(np.quantile(np.abs(tau[:, joint]), 0.8))
@@ -162,7 +152,7 @@ def saturated(truth):
 
 
 def held(truth):
-    """A torque channel that stands still for some seconds."""
+    """Return the log with a torque channel that holds its value for some seconds."""
     tau = truth.log.tau.copy()
     joint = carrying_joint(truth)
     start = int(truth.rng.integers(500, 1200))
@@ -171,7 +161,7 @@ def held(truth):
 
 
 def collision(truth):
-    """Half a second of contact."""
+    """Return the log with half a second of contact."""
     tau = truth.log.tau.copy()
     start = int(truth.rng.integers(600, len(tau) - 600))
     bump = np.sin(np.linspace(0.0, np.pi, 125))[:, None]
@@ -181,27 +171,22 @@ def collision(truth):
 
 
 def late_torque(truth):
-    """Torque 20 ms and more behind position."""
+    """Return the log with torques 20 ms and more behind the positions."""
     shift = int(truth.rng.integers(5, 15))
     late = slice_samples(truth.log, shift, len(truth.log))
     return replace(late, tau=truth.log.tau[:-shift])
 
 
 def clock_jump(truth):
-    """The clock jumps ahead by some tenths of a second, twice; no sample is missing."""
+    """Return the log with a clock that jumps ahead by some tenths of a second, twice."""
     time = truth.log.time.copy()
     for at in truth.rng.integers(500, len(time) - 500, 2):
         time[at:] += truth.rng.uniform(0.1, 0.4)
     return replace(truth.log, time=time)
 
 
-def scaled(factor):
-    """All torques times something that could be heavier or lighter links."""
-    return lambda truth: _torque(truth, factor * truth.log.tau)
-
-
 def one_joint_in_millinewtonmetres(truth):
-    """The joint that carries least, with little noise."""
+    """Return the log with the least loaded joint's torque in mN m, with little noise."""
     tau = truth.log.tau.copy()
     sound = truth.rigid + truth.friction
     joint = int(np.argmin(np.mean(sound**2, axis=0)))
@@ -211,7 +196,7 @@ def one_joint_in_millinewtonmetres(truth):
 
 
 def late_joint(truth):
-    """One joint's torque is 60 ms behind."""
+    """Return the log with one joint's torque 60 ms late."""
     shift = 15
     joint = carrying_joint(truth)
     tau = truth.log.tau.copy()
@@ -220,7 +205,7 @@ def late_joint(truth):
 
 
 def hum(truth):
-    """A slow sine in one joint's torque, a twelfth of what it carries."""
+    """Return the log with a slow sine in one joint's torque, a twelfth of its load."""
     tau = truth.log.tau.copy()
     joint = carrying_joint(truth)
     size = 0.12 * float(np.sqrt(np.mean(truth.rigid[:, joint] ** 2)))
@@ -228,67 +213,56 @@ def hum(truth):
     return _torque(truth, tau)
 
 
-def drifting(share):
-    """A clock that is fast by more and more, by a share at the end."""
-
-    def made(truth):
-        time = truth.log.time
-        return replace(truth.log, time=time * (1.0 + share * time / time[-1]), qd=None)
-
-    return made
-
-
-def long_time(truth):
-    return replace(truth.log, time=1.05 * truth.log.time, qd=None)
+def drifting_clock(truth):
+    """Return the log with a clock that is fast by more and more, by 10 % at the end."""
+    time = truth.log.time
+    return replace(truth.log, time=time * (1.0 + 0.1 * time / time[-1]), qd=None)
 
 
 def other_arm(truth):
-    """The log is of another arm with as many joints."""
-    rivals = {6: ("ur5e", "wxai"), 7: ("panda", "iiwa14", "xarm7", "gen3")}[
-        truth.robot.n_joints
-    ]
-    robots = (robot_of(name) for name in truth.rng.permutation(rivals))
-    other = next(r for r in robots if not r.path.samefile(truth.robot.path))
-    return truth_of(other, int(truth.rng.integers(2**31))).log
+    """Return a log of another arm with as many joints."""
+    for path in truth.rng.permutation(_OTHER_ARMS[truth.robot.n_joints]):
+        if not (MODELS / path).samefile(truth.robot.path):
+            robot = load_robot_model(MODELS / path, None, None, 2.0)
+            return truth_of(robot, int(truth.rng.integers(2**31))).log
+    raise AssertionError("all public arms are the same one")
 
 
 def carrying_joint(truth: Truth) -> int:
     """Return a joint, drawn from those that carry a fair part of what the strongest one carries."""
-    usual = np.sqrt(np.mean(truth.rigid**2, axis=0))
-    return int(truth.rng.choice(np.flatnonzero(usual >= 0.1 * usual.max())))
+    rms_torque = np.sqrt(np.mean(truth.rigid**2, axis=0))
+    return int(truth.rng.choice(np.flatnonzero(rms_torque >= 0.1 * rms_torque.max())))
 
 
-KINDS: dict[str, Callable[[Truth], Measurement]] = {
-    kind.__name__: kind
-    for kind in (
-        *(
-            millinewtonmetres,
-            other_unit,
-            motor_side,
-            amperes,
-            per_cent,
-            times_two_or_more,
-        ),
-        *(
-            gravity_compensated,
-            external,
-            computed,
-            torque_sign,
-            position_sign,
-            exchanged,
-        ),
-        *(reversed_order, degrees_as_radians, radians_as_degrees, position_offset),
-        *(
-            dropped_samples,
-            milliseconds,
-            saturated,
-            held,
-            collision,
-            late_torque,
-            clock_jump,
-        ),
-        *(one_joint_in_millinewtonmetres, late_joint, hum, long_time, other_arm),
-    )
+_FAULTS = (
+    millinewtonmetres,
+    other_unit,
+    motor_side,
+    amperes,
+    per_cent,
+    gravity_compensated,
+    external,
+    computed_torque,
+    torque_sign,
+    position_sign,
+    exchanged_joints,
+    reversed_order,
+    degrees_as_radians,
+    radians_as_degrees,
+    position_offset,
+    dropped_samples,
+    saturated_sensor,
+    held,
+    collision,
+    late_torque,
+    clock_jump,
+    one_joint_in_millinewtonmetres,
+    late_joint,
+    hum,
+    drifting_clock,
+    other_arm,
+)
+FAULTS: dict[str, Callable[[Truth], Measurement]] = {
+    fault.__name__: fault for fault in _FAULTS
 }
-KINDS.update({f"times_{factor}": scaled(factor) for factor in (0.85, 1.15, 1.25)})
-KINDS.update({f"drifting_{share}": drifting(share) for share in (0.05, 0.1)})
+"""Name of a fault to the function that returns a log with it."""

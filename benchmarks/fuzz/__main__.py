@@ -38,44 +38,47 @@ def main() -> int:
     parser.add_argument(
         "--atheris", type=int, metavar="SECONDS", help="guided by coverage"
     )
-    given = parser.parse_args()
-    if given.atheris:
+    options = parser.parse_args()
+    if options.atheris:
         from benchmarks.fuzz.guided import fuzz
 
-        return fuzz(given.target, given.atheris, given.seed)
-    target = importlib.import_module(f"benchmarks.fuzz.{given.target}")
-    if given.only is not None:
-        return _once(target, given)
+        return fuzz(options.target, options.atheris, options.seed)
+    target = importlib.import_module(f"benchmarks.fuzz.{options.target}")
+    if options.only is not None:
+        return _once(target, options)
     started = time.time()
-    found = Counter[str]()
+    counts = Counter[str]()
     last = ""
-    for told in run(target, given.inputs, given.seed, given.first):
-        if isinstance(told, Finding):
-            found[told.kind] += 1
-            if found[told.kind] == 1:
-                print(
-                    f"\n{given.target} --seed {given.seed} --only {told.number}: {told.kind}"
+    for finding in run(target, options.inputs, options.seed, options.first):
+        if isinstance(finding, Finding):
+            counts[finding.verdict] += 1
+            if counts[finding.verdict] == 1:
+                case = f"{options.target} --seed {options.seed} --only {finding.number}"
+                print(f"\n{case}: {finding.verdict}")
+                print(finding.text, flush=True)
+                _keep(
+                    options.keep,
+                    case_of(target, options.seed, finding.number),
+                    finding.number,
                 )
-                print(told.text, flush=True)
-                _keep(given.keep, case_of(target, given.seed, told.number), told.number)
         else:
-            last = told
+            last = finding
             print(
                 f"{time.time() - started:6.0f} s: {last}", file=sys.stderr, flush=True
             )
     took = time.time() - started
-    count = f"{sum(found.values())} findings of {len(found)} kinds"
-    print(f"{given.target}: {last}, {count}, {took:.0f} s")
-    for kind, count in found.most_common():
-        print(f"{count:8} {kind}")
-    return 1 if found else 0
+    count = f"{sum(counts.values())} findings of {len(counts)} kinds"
+    print(f"{options.target}: {last}, {count}, {took:.0f} s")
+    for verdict, count in counts.most_common():
+        print(f"{count:8} {verdict}")
+    return 1 if counts else 0
 
 
-def _once(target: object, given: argparse.Namespace) -> int:
+def _once(target: object, options: argparse.Namespace) -> int:
     """Use one input without any protection, for a debugger's sake."""
     faulthandler.enable()
-    case = case_of(target, given.seed, given.only)
-    _keep(given.keep, case, given.only)
+    case = case_of(target, options.seed, options.only)
+    _keep(options.keep, case, options.only)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "out").mkdir()
         target.use(case, Path(folder))

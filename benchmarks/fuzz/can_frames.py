@@ -63,8 +63,8 @@ def _frame(random: Random) -> bytes:
 
 def _line(random: Random) -> bytes:
     """What an adapter sends over its serial line."""
-    whole = b"\xaa\x11" + bytes(13) + b"\x55"
-    pieces = bytearray(whole * random.randint(1, 6))
+    frame = b"\xaa\x11" + bytes(13) + b"\x55"
+    pieces = bytearray(frame * random.randint(1, 6))
     for _ in range(random.randint(0, 8)):
         pieces[random.randrange(len(pieces))] = random.getrandbits(8)
     return bytes(pieces[random.randint(0, 20) :])
@@ -96,11 +96,11 @@ class TalkativeBus:
     def send(self, frame: Frame) -> None:
         """Answer, with what the next frames say."""
         self._frames.rotate(-1)
-        said = self._frames[0]
-        if said.bus != 2:
-            self._waiting.append(_answer(frame, said.data.ljust(8, b"\0")))
-        if said.id % 2:
-            self._waiting.append(said)
+        reply = self._frames[0]
+        if reply.bus != 2:
+            self._waiting.append(_answer(frame, reply.data.ljust(8, b"\0")))
+        if reply.id % 2:
+            self._waiting.append(reply)
 
     def receive(self, until: float) -> Any:
         if not self._waiting or not self._left:
@@ -116,7 +116,7 @@ class TalkativeBus:
 AT_REST = bytes([0x80, 0x00, 0x80, 0x08, 0x00, 30, 30])
 
 
-def _answer(frame: Frame, said: bytes) -> Frame:
+def _answer(frame: Frame, payload: bytes) -> Frame:
     """Return what a motor would answer, its figures being those of other bytes."""
     if frame.id == REGISTER_ID and frame.data[2] == REFRESH:
         # Where an arm stands is believed when two answers agree.
@@ -129,12 +129,14 @@ def _answer(frame: Frame, said: bytes) -> Frame:
         )
     if frame.id == REGISTER_ID:
         motor = frame.data[0]
-        return Frame(motor + 16, frame.data[:4] + said[4:], bus=frame.bus)
+        return Frame(motor + 16, frame.data[:4] + payload[4:], bus=frame.bus)
     status = (
         {ENABLE: 1, DISABLE: 0}.get(frame.data[7], 1) if is_special(frame.data) else 1
     )
     return Frame(
-        frame.id + 16, bytes([status << 4 | frame.id & 0xF]) + said[1:], bus=frame.bus
+        frame.id + 16,
+        bytes([status << 4 | frame.id & 0xF]) + payload[1:],
+        bus=frame.bus,
     )
 
 
@@ -163,12 +165,12 @@ def _codec(frames: list[Frame]) -> None:
     ).reshape(-1, 1, 8)
     numbers = raw.view("<f4").ravel()
     limits = [tuple(np.resize(numbers, 3))] if numbers.size else [(1.0, 1.0, 1.0)]
-    for each in ([(12.5, 10.0, 28.0)], limits):
+    for ranges in ([(12.5, 10.0, 28.0)], limits):
         try:
-            scaling = Scaling(each)
+            scaling = Scaling(ranges)
             assert np.all(np.isfinite(decode_feedback(raw, scaling, True).position))
-            again = encode_feedback(decode_feedback(raw, scaling), scaling)
-            assert again.shape == raw.shape
+            encoded = encode_feedback(decode_feedback(raw, scaling), scaling)
+            assert encoded.shape == raw.shape
             encode_mit(decode_mit(raw, scaling), scaling)
         except SysidError:
             continue

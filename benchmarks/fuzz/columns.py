@@ -7,8 +7,8 @@ import functools
 from pathlib import Path
 from random import Random
 
-from benchmarks.fuzz.harness import Case, written
-from benchmarks.fuzz.mutations import damaged, damaged_json, damaged_table, odd
+from benchmarks.fuzz.harness import Case, write_case
+from benchmarks.fuzz.mutations import damage_bytes, damaged_json, damaged_table, odd
 from robot_sysid.damiao.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import recordings_table
@@ -51,18 +51,20 @@ def _log() -> LogTable:
 
 def case(random: Random) -> Case:
     """One file."""
-    kind = random.random()
-    if kind < 0.6:
+    draw = random.random()
+    if draw < 0.6:
         lines = LINES.splitlines()
         for _ in range(random.randint(1, 3)):
-            place = random.randrange(len(lines))
-            key, _, value = lines[place].partition("=")
-            lines[place] = random.choice(
+            line_index = random.randrange(len(lines))
+            key, _, value = lines[line_index].partition("=")
+            lines[line_index] = random.choice(
                 (f"{key}={odd(random)}", f"{odd(random)}={value}", key)
             )
         data = "\n".join(lines).encode()
-        return {"lines.txt": damaged(random, data) if random.random() < 0.3 else data}
-    if kind < 0.8:
+        return {
+            "lines.txt": damage_bytes(random, data) if random.random() < 0.3 else data
+        }
+    if draw < 0.8:
         return {"factors.json": damaged_json(random, FACTORS)}
     return {"map.csv": damaged_table(random, MAP)}
 
@@ -70,7 +72,7 @@ def case(random: Random) -> Case:
 def use(case: Case, folder: Path) -> None:
     """Read the file and do what it says."""
     (name,) = case
-    path = written(case, folder) / name
+    path = write_case(case, folder) / name
     if name == "factors.json":
         for table in (SCALE, CONSTANTS):
             joint_factors(path, log_files.JOINTS[:1], table)

@@ -40,13 +40,13 @@ def fuzz(name: str, seconds: int, seed: int) -> int:
     target.case(Random(seed))  # what all inputs are made from is made once
     folder = Path(tempfile.mkdtemp())
     watch = Watch(folder)
-    seen = set()
+    reported = set()
 
     def one(data: bytes) -> None:
-        kind, text = watch.outcome(target, target.case(BytesRandom(data)))
-        if kind not in ("result", "refused") and kind not in seen:
-            seen.add(kind)
-            print(f"\n{name}: {kind}\n{data.hex()}\n{text}", flush=True)
+        verdict, text = watch.outcome(target, target.case(BytesRandom(data)))
+        if verdict not in ("result", "refused") and verdict not in reported:
+            reported.add(verdict)
+            print(f"\n{name}: {verdict}\n{data.hex()}\n{text}", flush=True)
 
     limits = [f"-max_total_time={seconds}", f"-seed={seed or 1}", "-max_len=4096"]
     atheris.Setup(

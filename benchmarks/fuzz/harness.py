@@ -62,17 +62,17 @@ class Target(Protocol):
         """Read it; may write to ``folder / "out"``."""
 
 
-def written(case: Case, folder: Path) -> Path:
+def write_case(case: Case, folder: Path) -> Path:
     """Write the files of an input to a folder, which is emptied first."""
-    place = folder / "in"
-    for old in sorted(place.rglob("*"), reverse=True):
+    input_folder = folder / "in"
+    for old in sorted(input_folder.rglob("*"), reverse=True):
         old.unlink() if old.is_symlink() or not old.is_dir() else old.rmdir()
     for name, content in case.items():
-        path = place / name
+        path = input_folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
-    place.mkdir(exist_ok=True)
-    return place
+    input_folder.mkdir(exist_ok=True)
+    return input_folder
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Finding:
     """
 
     number: int
-    kind: str
+    verdict: str
     text: str
 
 
@@ -102,20 +102,23 @@ def outcome(target: Target, case: Case, folder: Path) -> tuple[str, str]:
     try:
         target.use(case, folder)
     except SysidError as error:
-        return _judged(str(error))
+        return _judge_message(str(error))
     except BaseException as error:
-        return f"{type(error).__name__} at {_place(error)}", traceback.format_exc()
+        return (
+            f"{type(error).__name__} at {_raise_location(error)}",
+            traceback.format_exc(),
+        )
     return "result", ""
 
 
-def _judged(message: str) -> tuple[str, str]:
+def _judge_message(message: str) -> tuple[str, str]:
     if not message.strip():
         return "empty message", ""
     is_memory = any(word in message for word in ("allocate", "out of memory"))
     return "memory" if is_memory else "refused", message
 
 
-def _place(error: BaseException) -> str:
+def _raise_location(error: BaseException) -> str:
     """Return where in the package an error was raised."""
     frames = traceback.extract_tb(error.__traceback__)
     ours = [f for f in frames if "robot_sysid" in f.filename] or list(frames)
@@ -139,7 +142,7 @@ def run(
                 _batch, target, range(number, end), seed, folder, state
             )
             status = _in_child(work)
-            yield from _told(log)
+            yield from _read_findings(log)
             at, results, refused = _STATE.unpack_from(state)
             if status:
                 yield Finding(
@@ -186,15 +189,15 @@ def _batch(
     for number in numbers:
         _STATE.pack_into(state, 0, number, results, refused)
         case = case_of(target, seed, number)
-        kind, text = watch.outcome(target, case)
-        results = results + (kind == "result")
-        refused = refused + (kind == "refused")
-        if kind not in ("result", "refused"):
-            watch.note(number, kind, text)
+        verdict, text = watch.outcome(target, case)
+        results = results + (verdict == "result")
+        refused = refused + (verdict == "refused")
+        if verdict not in ("result", "refused"):
+            watch.note(number, verdict, text)
     _STATE.pack_into(state, 0, numbers[-1], results, refused)
 
 
-def _told(log: Path) -> Iterator[Finding]:
+def _read_findings(log: Path) -> Iterator[Finding]:
     for line in log.read_text().splitlines():
         yield Finding(*json.loads(line))
 
@@ -228,18 +231,18 @@ class Watch:
         self._watching = True
         signal.setitimer(signal.ITIMER_REAL, LONGEST)
         try:
-            kind, text = outcome(target, case, self._folder)
+            verdict, text = outcome(target, case, self._folder)
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
             self._watching = False
         left = os.listdir(self._folder / "here")
         if left or self._acts:
             return "written outside, or worse", f"{left} {self._acts} {text}"
-        return kind, text
+        return verdict, text
 
-    def note(self, number: int, kind: str, text: str) -> None:
+    def note(self, number: int, verdict: str, text: str) -> None:
         """Write a finding down."""
-        self._log.write(json.dumps([number, kind, text]) + "\n")
+        self._log.write(json.dumps([number, verdict, text]) + "\n")
         self._log.flush()
 
     def _audit(self, event: str, values: tuple[Any, ...]) -> None:
@@ -249,18 +252,18 @@ class Watch:
         # What stands in a folder that is already open was judged when that was.
         inside = event in ("os.remove", "os.rmdir") and values[1] != -1
         # A link is written where it is made, whatever it points at.
-        places = values[1:2] if event in ("os.link", "os.symlink") else values[:1]
-        places = values[:2] if event == "os.rename" else places
+        paths = values[1:2] if event in ("os.link", "os.symlink") else values[:1]
+        paths = values[:2] if event == "os.rename" else paths
         if event in _NEVER or (
-            writes and not inside and not all(map(self._may_write, places))
+            writes and not inside and not all(map(self._may_write, paths))
         ):
             self._acts.append(f"{event} {values[:2]}")
 
     def _may_write(self, path: Any) -> bool:
         if isinstance(path, int):
             return True
-        place = Path(os.fsdecode(path)).absolute()
-        return self._folder in place.parents and place.parent != self._folder / "here"
+        target = Path(os.fsdecode(path)).absolute()
+        return self._folder in target.parents and target.parent != self._folder / "here"
 
 
 def _is_writing(values: tuple[Any, ...]) -> bool:

@@ -14,11 +14,11 @@ from random import Random
 
 import numpy as np
 
-from benchmarks.fuzz.harness import Case, written
+from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import (
     NUMBERS,
     TEXTS,
-    damaged,
+    damage_bytes,
     damaged_json,
     damaged_table,
     odd,
@@ -42,23 +42,23 @@ def seeds() -> Mapping[str, tuple[str, Case]]:
     """Form to what is read of it and the files it is made of."""
     data = log_files.motion(ROWS, 40.0)
     with tempfile.TemporaryDirectory() as name:
-        made = {}
+        recordings = {}
         for form, write in recorded.FORMS.items():
             folder = Path(name) / form
             folder.mkdir()
             path = write(folder, data)
             files = {str(p.relative_to(folder)): p.read_bytes() for p in _files(folder)}
-            made[form] = str(path.relative_to(folder)), files
+            recordings[form] = str(path.relative_to(folder)), files
         folder = Path(name)
         table = log_files.write(
             folder / "plain.csv", log_files.table(data).tolist()
         ).read_bytes()
-        made["plain"] = "plain.csv", {"plain.csv": table}
-        made["ALOHA"] = (
+        recordings["plain"] = "plain.csv", {"plain.csv": table}
+        recordings["ALOHA"] = (
             "episode.hdf5",
             {"episode.hdf5": _aloha(folder / "episode.hdf5")},
         )
-    return made
+    return recordings
 
 
 def _files(folder: Path) -> list[Path]:
@@ -79,10 +79,10 @@ def _aloha(path: Path) -> bytes:
 
 def case(random: Random) -> Case:
     """A log; the file "read" says which of its paths is read."""
-    kind = random.random()
-    if kind < 0.35:
+    draw = random.random()
+    if draw < 0.35:
         form = "plain"
-    elif kind < 0.65:
+    elif draw < 0.65:
         form = random.choice(_TEXT)
     else:
         form = random.choice(_SLOW if random.random() < SLOW_SHARE / 0.35 else _ARRAYS)
@@ -90,8 +90,8 @@ def case(random: Random) -> Case:
     if form == "npz" and random.random() < 0.6:
         files = {name: _archive(random)}
     else:
-        chosen = random.choice(list(files))
-        files = {**files, chosen: _damaged_file(random, chosen, files[chosen])}
+        file_name = random.choice(list(files))
+        files = {**files, file_name: _damaged_file(random, file_name, files[file_name])}
     return {**files, "read": name.encode()}
 
 
@@ -102,7 +102,7 @@ def _damaged_file(random: Random, name: str, content: bytes) -> bytes:
         )
     if name.endswith(".json"):
         return damaged_json(random, json.loads(content))
-    return damaged(random, content, 8)
+    return damage_bytes(random, content, 8)
 
 
 def _archive(random: Random) -> bytes:
@@ -114,7 +114,7 @@ def _archive(random: Random) -> bytes:
         for name in ("time", "q", "tau", random.choice(("qd", "q", odd(random)[:99]))):
             packed.writestr(name + ".npy", _array(random, name))
     data = buffer.getvalue()
-    return damaged(random, data) if random.random() < 0.3 else data
+    return damage_bytes(random, data) if random.random() < 0.3 else data
 
 
 def _array(random: Random, name: str) -> bytes:
@@ -122,15 +122,17 @@ def _array(random: Random, name: str) -> bytes:
     shape: tuple[int, ...] = (ROWS,) if name == "time" else (ROWS, columns)
     if random.random() < 0.08:
         shape = random.choice(((), (0,), (ROWS, 3, 3), (1, 3), (3, ROWS), (ROWS,)))
-    kind = "<f8"
+    dtype = "<f8"
     step = 0.025
     if random.random() < 0.15:
-        kind = random.choice((">f4", "<i4", "<u1", "|b1", "<c16", "<U4", "<M8[s]"))
+        dtype = random.choice((">f4", "<i4", "<u1", "|b1", "<c16", "<U4", "<M8[s]"))
     if random.random() < 0.1:
         step = random.choice((0.0, 1e300, -1.0, np.nan, 1e9))
     ramp = np.arange(np.prod(shape, dtype=int)).reshape(shape) * step
     with np.errstate(all="ignore"):
-        values = ramp.astype("<i8").astype(kind) if "M8" in kind else ramp.astype(kind)
+        values = (
+            ramp.astype("<i8").astype(dtype) if "M8" in dtype else ramp.astype(dtype)
+        )
     if random.random() < 0.02:
         values = np.array(
             [random.choice((*NUMBERS, *TEXTS)), {}, None] * 8, dtype=object
@@ -143,16 +145,15 @@ def _array(random: Random, name: str) -> bytes:
         data = data.replace(
             length, str(random.choice((10**10, -1, 10**30, 0))).encode(), 1
         )
-    return damaged(random, data) if random.random() < 0.05 else data
+    return damage_bytes(random, data) if random.random() < 0.05 else data
 
 
 def use(case: Case, folder: Path) -> None:
     """Recognise, check and read the log."""
-    place = written(
-        {name: text for name, text in case.items() if name != "read"}, folder
-    )
+    files = {name: text for name, text in case.items() if name != "read"}
+    input_folder = write_case(files, folder)
     currents = (1.0,) if len(case["read"]) % 2 else None
-    path = place / case["read"].decode()
+    path = input_folder / case["read"].decode()
     open_log(
         _ARM,
         path,

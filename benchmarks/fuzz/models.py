@@ -9,7 +9,7 @@ from typing import Any
 
 from lxml import etree
 
-from benchmarks.fuzz.harness import Case, written
+from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damaged_xml
 from robot_sysid.mjcf.documents import masked_comments
 from robot_sysid.mjcf.inertial import plan_write_back
@@ -172,7 +172,7 @@ def case(random: Random) -> Case:
 
 def use(case: Case, folder: Path) -> None:
     """Load the model and write it back."""
-    path = written(case, folder) / "model.xml"
+    path = write_case(case, folder) / "model.xml"
     if "beside" in case:
         for other in Path(case["beside"].decode()).iterdir():
             if not (path.parent / other.name).exists():

@@ -102,32 +102,36 @@ def odd(random: Random) -> str:
     return random.choice(NUMBERS if random.random() < 0.7 else TEXTS)
 
 
-def damaged(random: Random, data: bytes, most: int = 4) -> bytes:
+def damage_bytes(random: Random, data: bytes, limit: int = 4) -> bytes:
     """Bytes with a few of them changed, lost, repeated or put in."""
-    for _ in range(random.randint(1, most)):
+    for _ in range(random.randint(1, limit)):
         data = _damaged_once(random, data)
     return data
 
 
 def _damaged_once(random: Random, data: bytes) -> bytes:
-    place = random.randint(0, len(data))
+    position = random.randint(0, len(data))
     length = 2 ** random.randint(0, 8)
-    piece = data[place : place + length]
-    kind = random.randint(0, 6)
-    if kind == 0:
-        return data[:place]
-    if kind == 1:
-        return data[:place] + data[place + length :]
-    if kind == 2:
-        return data[:place] + piece * random.randint(2, 4) + data[place + length :]
-    if kind == 3:
+    piece = data[position : position + length]
+    damage = random.randint(0, 6)
+    if damage == 0:
+        return data[:position]
+    if damage == 1:
+        return data[:position] + data[position + length :]
+    if damage == 2:
+        return (
+            data[:position] + piece * random.randint(2, 4) + data[position + length :]
+        )
+    if damage == 3:
         other = random.randint(0, len(data))
-        return data[:place] + data[other : other + length] + data[place + length :]
-    if kind == 4:
+        return (
+            data[:position] + data[other : other + length] + data[position + length :]
+        )
+    if damage == 4:
         new = random.choice(
             (b"\0", b"\xff", b"\xff\xff\xff\x7f", b"\r\n", b'"', odd(random).encode())
         )
-        return data[:place] + new + data[place + len(new) :]
+        return data[:position] + new + data[position + len(new) :]
     changed = bytearray(data or b"\0")
     for _ in range(random.randint(1, 4)):
         changed[random.randrange(len(changed))] ^= 1 << random.randint(0, 7)
@@ -144,28 +148,28 @@ def damaged_table(random: Random, text: str, separator: str = ",") -> bytes:
     data = end.join(mark.join(row) for row in rows).encode()
     if random.random() < 0.03:
         data = data.decode().encode("utf-16")
-    return damaged(random, data) if random.random() < 0.2 else data
+    return damage_bytes(random, data) if random.random() < 0.2 else data
 
 
 def _damage_rows(random: Random, rows: list[list[str]]) -> None:
     row = random.randrange(min(len(rows), 3) if random.random() < 0.4 else len(rows))
     cell = random.randrange(len(rows[row]))
-    kind = random.randint(0, 9)
-    if kind < 4:
+    damage = random.randint(0, 9)
+    if damage < 4:
         rows[row][cell] = odd(random)
-    elif kind == 4:
+    elif damage == 4:
         rows[row][cell] = rows[random.randrange(len(rows))][-1]
-    elif kind == 5:
+    elif damage == 5:
         rows[row] = rows[row][: cell + 1] if random.random() < 0.5 else rows[row] * 2
-    elif kind == 6:
+    elif damage == 6:
         rows.insert(row, list(rows[random.randrange(len(rows))]))
-    elif kind == 7:
+    elif damage == 7:
         del rows[row : row + random.randint(0, len(rows) - 1) or None]
         rows += [[""]]
-    elif kind == 8:
+    elif damage == 8:
         value = odd(random)
-        for each in rows[1:]:
-            each[min(cell, len(each) - 1)] = value
+        for cells in rows[1:]:
+            cells[min(cell, len(cells) - 1)] = value
     else:
         rows.reverse()
 
@@ -179,7 +183,7 @@ def damaged_json(random: Random, content: Any) -> bytes:
     if random.random() < 0.01:
         depth = random.choice((50, 900, 100_000))
         data = data.replace(b"1", b"[" * depth + b"]" * depth, 1)
-    return damaged(random, data) if random.random() < 0.15 else data
+    return damage_bytes(random, data) if random.random() < 0.15 else data
 
 
 def _odd_value(random: Random) -> Any:
@@ -202,14 +206,14 @@ def _damaged_value(random: Random, content: Any) -> Any:
     if not keys or random.random() < 0.02:
         return _odd_value(random)
     key = random.choice(keys)
-    kind = random.random()
-    if kind < 0.08:
+    draw = random.random()
+    if draw < 0.08:
         del content[key]
-    elif kind < 0.12 and isinstance(content, list):
+    elif draw < 0.12 and isinstance(content, list):
         content.append(copy.deepcopy(content[key]))
-    elif kind < 0.15 and isinstance(content, dict):
+    elif draw < 0.15 and isinstance(content, dict):
         content[odd(random)] = content.pop(key)
-    elif kind < 0.3:
+    elif draw < 0.3:
         content[key] = _odd_value(random)
     else:
         content[key] = _damaged_value(random, content[key])
@@ -217,7 +221,7 @@ def _damaged_value(random: Random, content: Any) -> Any:
 
 
 def damaged_xml(
-    random: Random, root: Any, attributes: Sequence[str], parts: Sequence[str]
+    random: Random, root: Any, attributes: Sequence[str], tags: Sequence[str]
 ) -> bytes:
     """XML with a few attributes and elements changed; now and then bytes too.
 
@@ -230,9 +234,9 @@ def damaged_xml(
     root = copy.deepcopy(root)
     for _ in range(random.choice((1, 1, 2, 4))):
         elements = list(root.iter(etree.Element))
-        _damage_element(random, random.choice(elements), elements, attributes, parts)
+        _damage_element(random, random.choice(elements), elements, attributes, tags)
     data = etree.tostring(root)
-    return damaged(random, data) if random.random() < 0.15 else data
+    return damage_bytes(random, data) if random.random() < 0.15 else data
 
 
 def _damage_element(
@@ -240,22 +244,22 @@ def _damage_element(
     element: Any,
     elements: list[Any],
     attributes: Sequence[str],
-    parts: Sequence[str],
+    tags: Sequence[str],
 ) -> None:
-    kind = random.random()
+    draw = random.random()
     held = list(element.attrib)
     parent = element.getparent()
-    if kind < 0.4 and held:
+    if draw < 0.4 and held:
         _set(element, random.choice(held), odd(random))
-    elif kind < 0.5 and held:
+    elif draw < 0.5 and held:
         del element.attrib[random.choice(held)]
-    elif kind < 0.65:
+    elif draw < 0.65:
         _set(element, random.choice(attributes), odd(random))
-    elif kind < 0.8:
-        element.append(etree.fromstring(random.choice(parts)))
-    elif kind < 0.88 and parent is not None:
+    elif draw < 0.8:
+        element.append(etree.fromstring(random.choice(tags)))
+    elif draw < 0.88 and parent is not None:
         parent.remove(element)
-    elif kind < 0.95:
+    elif draw < 0.95:
         element.append(copy.deepcopy(random.choice(elements[len(elements) // 2 :])))
     else:
         element.tag = random.choice(elements).tag

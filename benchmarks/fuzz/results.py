@@ -12,8 +12,8 @@ from typing import Any
 
 import matplotlib.font_manager  # noqa: F401 - makes its folders when it is first imported
 
-from benchmarks.fuzz.harness import Case, written
-from benchmarks.fuzz.mutations import damaged, damaged_json
+from benchmarks.fuzz.harness import Case, write_case
+from benchmarks.fuzz.mutations import damage_bytes, damaged_json
 from robot_sysid.records.file_access import PARAMS_NAME
 from robot_sysid.report.page import html, save_data, sections_of
 from robot_sysid.report.runs import DATA_NAME, fingerprint, load_run
@@ -28,14 +28,14 @@ where the bytes of a guided run end, zeros follow."""
 @functools.cache
 def _runs() -> tuple[tuple[Mapping[str, bytes], Any], ...]:
     """What runs of a link and of a payload leave, with the content of params.json."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
         model = folder / "arm.xml"
         model.write_text(reports.arm_text())
         result = reports.link_result(model)
         run = reports.saved(folder / "link", result)
         save_data(run, reports.traces(result), fingerprint(run / PARAMS_NAME))
-        link = {each: (run / each).read_bytes() for each in (PARAMS_NAME, DATA_NAME)}
+        link = {name: (run / name).read_bytes() for name in (PARAMS_NAME, DATA_NAME)}
         other = reports.saved(folder / "payload", reports.payload_result(model))
         payload = json.loads((other / PARAMS_NAME).read_bytes())
     content = json.loads(link[PARAMS_NAME])
@@ -47,15 +47,15 @@ def case(random: Random) -> Case:
     files, content = random.choice(_runs())
     page = {"page": b""} if random.random() > 1.0 - PAGE_SHARE else {}
     if files and random.random() < DATA_SHARE:
-        return {**files, DATA_NAME: damaged(random, files[DATA_NAME]), **page}
+        return {**files, DATA_NAME: damage_bytes(random, files[DATA_NAME]), **page}
     # Without its own hash in it, the data would not be looked at.
     return {PARAMS_NAME: damaged_json(random, content), **page}
 
 
 def use(case: Case, folder: Path) -> None:
     """Read the folder as a report does."""
-    place = written(case, folder)
-    run = load_run(place)
+    path = write_case(case, folder)
+    run = load_run(path)
     if "page" in case:
         html("a page", sections_of([run]))
         html("a comparison", sections_of([run, run]))

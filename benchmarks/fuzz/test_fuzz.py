@@ -48,7 +48,8 @@ for told in harness.run(Target(), 1, 0):
     pass
 while len(acts) > 1:
     acts.pop(0)
-    print([told.kind for told in harness.run(Target(), 1, 0) if not isinstance(told, str)])
+    findings = [item for item in harness.run(Target(), 1, 0) if not isinstance(item, str)]
+    print([finding.verdict for finding in findings])
 """
 
 
@@ -71,12 +72,12 @@ def test_no_input_does_harm(tmp_path, target):
 
     @INPROCESS
     @given(st.integers(0, 2**32 - 1))
-    def each(seed):
-        kind, text = outcome(target, target.case(Random(seed)), tmp_path)
-        assert kind in ("result", "refused"), text
-        ends.add(kind)
+    def check_seed(seed):
+        verdict, text = outcome(target, target.case(Random(seed)), tmp_path)
+        assert verdict in ("result", "refused"), text
+        ends.add(verdict)
 
-    each()
+    check_seed()
     assert ends == {"result", "refused"}
 
 
@@ -102,8 +103,8 @@ def test_the_harness_sees_all_that_can_go_wrong():
         "SIGABRT",
     )
     assert len(kinds) == len(expected) + 1, done.stdout + done.stderr
-    for kind, words in zip(kinds, (*expected, "longer than 1 s")):
-        assert words in kind
+    for verdict, message in zip(kinds, (*expected, "longer than 1 s")):
+        assert message in verdict
 
 
 def test_chosen_bytes_decide_and_run_out():

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.fuzz.harness import Case, written
+from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damaged_json, damaged_table
 from robot_sysid.damiao.preflight import plan_checks
 from robot_sysid.damiao.settings import Plan
@@ -60,10 +60,10 @@ def _texts() -> tuple[Any, ...]:
         LineTrajectory(points, moves, np.array([0.1, 0.2, 0.1])),
         LineTrajectory(points, moves, np.zeros(len(points)), 0.4 * moves),
     )
-    return tuple(_described(plan) for plan in plans)
+    return tuple(_describe(plan) for plan in plans)
 
 
-def _described(plan: Any) -> Any:
+def _describe(plan: Any) -> Any:
     file = io.StringIO()
     save_trajectory(file, plan, _robot().joint_names)
     return json.loads(file.getvalue())
@@ -90,11 +90,11 @@ def case(random: Random) -> Case:
 
 def use(case: Case, folder: Path) -> None:
     """Read it, and check it against an arm as a run does."""
-    place = written(case, folder)
+    input_folder = write_case(case, folder)
     if "motors.csv" in case:
-        plan_checks(Plan(read_damiao_trajectory(place / "motors.csv")))
+        plan_checks(Plan(read_damiao_trajectory(input_folder / "motors.csv")))
         return
-    path = place / "motion.json"
+    path = input_folder / "motion.json"
     saved = load_trajectory(path)
     saved.require_fits(_robot().joint_names)
     require_countable(saved.plan.duration, RATE)
@@ -106,7 +106,7 @@ def use(case: Case, folder: Path) -> None:
         1.0, saved.plan.duration / LONGEST
     )  # a day's motion is checked for minutes
     options = TrajectoryOptions(sample_rate=RATE, file=path, speed=faster)
-    given = ExcitationOptions(), LimitOptions(), "chain", 0.0, True, PoseOptions()
-    made = make_plan(MotionRequest(options, *given), _robot(), 0, Progress())
-    for _, motion in zip(range(ENOUGH_CHUNKS), motion_chunks(made.plan, RATE)):
-        assert np.all(np.isfinite(motion.q)) or made.failure
+    settings = ExcitationOptions(), LimitOptions(), "chain", 0.0, True, PoseOptions()
+    plan = make_plan(MotionRequest(options, *settings), _robot(), 0, Progress())
+    for _, motion in zip(range(ENOUGH_CHUNKS), motion_chunks(plan.plan, RATE)):
+        assert np.all(np.isfinite(motion.q)) or plan.failure

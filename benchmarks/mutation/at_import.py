@@ -66,7 +66,7 @@ def _for_mutmut(tree: ast.Module) -> list[ast.FunctionDef]:
 
 def mutants(source: str) -> Iterator[str]:
     """Yield every different source that cosmic-ray makes of this one and that matters at import."""
-    seen = {import_time(source)}
+    known_trees = {import_time(source)}
     inside = [
         range(f.body[0].lineno, f.end_lineno + 1)
         for f in _for_mutmut(ast.parse(source))
@@ -77,18 +77,19 @@ def mutants(source: str) -> Iterator[str]:
         ):
             continue
         operator = get_operator(name)()
-        places = [
+        nodes = [
             p
             for n in ast_nodes(get_ast(source))
             for p in operator.mutation_positions(n)
         ]
-        for occurrence, (start, _) in enumerate(places):
+        for occurrence, (start, _) in enumerate(nodes):
             if any(start[0] in lines for lines in inside):
                 continue
             mutant = mutate_code(source, operator, occurrence)
             with contextlib.suppress(SyntaxError):
-                if (what := import_time(mutant)) not in seen:
-                    seen.add(what)
+                tree = import_time(mutant)
+                if tree not in known_trees:
+                    known_trees.add(tree)
                     yield mutant
 
 
@@ -114,10 +115,10 @@ def main() -> None:
     tests = settings["pytest_add_cli_args_test_selection"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "copy"
-        for part in ("robot_sysid", "tests", "pyproject.toml"):
-            copy = shutil.copytree if (ROOT / part).is_dir() else shutil.copy
+        for source in ("robot_sysid", "tests", "pyproject.toml"):
+            copy = shutil.copytree if (ROOT / source).is_dir() else shutil.copy
             folder.mkdir(exist_ok=True)
-            copy(ROOT / part, folder / part)
+            copy(ROOT / source, folder / source)
         for module in sys.argv[1:] or settings["only_mutate"]:
             _try_all(
                 folder,

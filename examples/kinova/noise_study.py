@@ -122,14 +122,14 @@ class NoiseStudy:
             self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess
         )
         self.plan = plan or random_plan(self.robot, seed)
-        self.signals = self.recorded()
+        self.signals = self.record()
         self.friction = (friction_model(DEFAULT_MEASURED),) * self.robot.n_joints
         self.columns = Columns(self.robot, [Dataset("log", self.signals)])
         (self.samples,) = self.columns.samples(self.columns.start())
         self.names = self._equations().names
         self.truth = self._true_values()
 
-    def recorded(self) -> ProcessedSignals:
+    def record(self) -> ProcessedSignals:
         """Return what the true arm's sensors report of the motion."""
         how = SimulatedArmOptions(encoder_resolution=ENCODER_STEP)
         rng = np.random.default_rng(0)
@@ -169,7 +169,7 @@ class NoiseStudy:
         pairs = zip(self.samples.tau, added.T)
         return replace(self.samples, tau=tuple(tau + extra for tau, extra in pairs))
 
-    def identified(self, samples: DecimatedSamples) -> tuple[Estimate, Estimate]:
+    def identify(self, samples: DecimatedSamples) -> tuple[Estimate, Estimate]:
         """Return the estimate of the command line, and that before it had to be possible."""
         question = Question(EstimationOptions(**KNOWN))
         choice, start = Choice(self.friction), self.columns.start()
@@ -187,7 +187,7 @@ class NoiseStudy:
         errors, plain_errors, reach, constrained, impossible = [], [], [], 0, 0
         for draw in range(draws):
             samples = self.noisy(noise, np.random.default_rng([seed, draw]))
-            estimate, plain = self.identified(samples)
+            estimate, plain = self.identify(samples)
             errors.append(self.errors(estimate))
             plain_errors.append(self.errors(plain))
             reach.append(

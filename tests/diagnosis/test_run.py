@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from benchmarks.real_arms import ARMS, KINDS, draw_arm
+from benchmarks.real_arms import ARMS, DEVIATIONS, draw_arm
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.log_checks import (
     check_against_model,
@@ -156,8 +156,8 @@ WRONG = {
     },
     "clock: by the recorded velocities, time in": lambda t: {"time": 1.15 * t.log.time},
 }
-"""Name of a check, and what it says, to a way to spoil a log that it has to tell; for all ways,
-on public arms, see benchmarks/wrong_log_table.py."""
+"""Name of a check and its message to a fault of a log that it has to name; for all faults, on
+public arms, see benchmarks/confusion.py."""
 
 
 @pytest.mark.parametrize(("name", "way"), WRONG.items())
@@ -299,8 +299,8 @@ def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     ("arm_name", "kind", "duration", "seed"),
     [
         # Rounded positions make most of the noise, and that of accelerations is no delay.
-        *(("xarm7", kind, 60.0, 50) for kind in KINDS),
-        *(("ur5e", kind, 60.0, 50) for kind in KINDS),
+        *(("xarm7", kind, 60.0, 50) for kind in DEVIATIONS),
+        *(("ur5e", kind, 60.0, 50) for kind in DEVIATIONS),
         # Of a joint that links hardly load, all but friction and its rotor fits with either sign.
         ("ur5e", "exact", 6.0, 4),
         ("xarm7", "exact", 8.0, 3),

@@ -507,7 +507,7 @@ LEAST_SCALE = 0.08
 SIGNIFICANT = 1.0
 """Standard errors from zero above which the common scale is significant: torques that read 15 % too
 high or too low reach 1.15 and more, links that are 2 % off at most 0.4
-(benchmarks/wrong_log_table)."""
+(benchmarks/confusion)."""
 
 
 def is_worth_a_word(scales: Array, spread: Array) -> bool:
